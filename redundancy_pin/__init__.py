@@ -1,0 +1,3 @@
+"""Closed-chain (parallel-robot) dynamics and planning on Pinocchio."""
+
+__version__ = "0.1.0"

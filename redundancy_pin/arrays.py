@@ -1,0 +1,84 @@
+"""Array aliases, validation at the door, read-only results, and the named tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from redundancy_pin.errors import InputError
+
+Array: TypeAlias = NDArray[np.float64]
+BoolArray: TypeAlias = NDArray[np.bool_]
+IntArray: TypeAlias = NDArray[np.intp]
+
+CLOSURE_TOLERANCE = 1e-11
+"""Largest closure gap (metres, or radians for rotation rows) a configuration may leave and still
+count as closed: a hundred roundings of a one-metre machine above what Newton reaches."""
+
+RANK_TOLERANCE = 1e-9
+"""Scaled singular values below this fraction of the largest one count as zero. The square root of
+the rounding unit is 1.5e-8; poses found by root finding reach 1e-12."""
+
+NEAR_SINGULAR_MARGIN = 0.05
+"""Scaled margin below which a pose is reported as near-singular; on the 2-RPR it is reached at a
+condition number of 28, just above the largest threshold the thesis works with (20)."""
+
+
+def frozen(values: ArrayLike) -> Array:
+    """Return ``values`` as a read-only float64 array that shares no memory with its source."""
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Mark a freshly computed array read-only, without a copy, and return it."""
+    array.setflags(write=False)
+    return array
+
+
+def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
+    """Return a read-only float64 copy of ``values`` after checking shape and finiteness.
+
+    Args:
+        values: anything numpy can turn into an array of floats.
+        name: what to call it in an error.
+        shape: expected length of each axis; a string stands for any length.
+
+    Raises:
+        InputError: not numeric, wrong number of axes, wrong length, or a NaN or infinity.
+    """
+    try:
+        array = frozen(values)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{name} is not an array of numbers: {error}.",
+            remedy="Pass a rectangular array of finite floats.",
+            name=name,
+        ) from error
+    matches = array.ndim == len(shape) and all(
+        isinstance(want, str) or got == want
+        for got, want in zip(array.shape, shape, strict=True)
+    )
+    if not matches:
+        expected = "(" + ", ".join(str(length) for length in shape) + ("," if len(shape) == 1 else "") + ")"
+        raise InputError(
+            f"{name} has shape {array.shape}, expected {expected}.",
+            remedy="Rows are samples, columns are coordinates.",
+            name=name,
+            shape=array.shape,
+            expected=tuple(shape),
+        )
+    bad = ~np.isfinite(array)
+    if bad.any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(
+            f"{name} has {int(bad.sum())} value(s) that are not finite, the first at index {where}: {array[where]}.",
+            remedy="Remove or repair those samples.",
+            name=name,
+            index=where,
+        )
+    return array

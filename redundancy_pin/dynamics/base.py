@@ -1,0 +1,125 @@
+"""The protocol both dynamics backends speak, and the results they return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot import Robot
+
+OnUnreachable = Literal["raise", "mark"]
+"""What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its gap."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedDynamics:
+    """The equation of motion W τ = f in independent coordinates, with the carrier forces.
+
+    N samples, n independent (platform) coordinates, m main actuators, k carriers. ``f`` and ``W`` stay
+    finite at a type II singularity, where W loses rank. Positive efforts do positive work on positive
+    joint rates. Gravity and inertia are both inside ``f``.
+
+    Attributes:
+        t: (N,) time, s.
+        f: (N, n) generalised force, N and N·m, in the base frame.
+        W: (N, n, m) actuation matrix; its transpose maps ẋ to the actuated joint rates.
+        carrier_force: (N, k) force of each carrier's own actuator, N.
+        reachable: (N,) false where no configuration closes the chains (f, W, carrier_force are NaN there).
+        gap: (N,) closure gap left by the kinematics, m; the distance to the nearest closed configuration
+            found where ``reachable`` is false.
+        row_scale: (n,) the characteristic length for rotations, 1 for translations: dividing row i of W and f by it
+            turns moments into forces.
+        column_scale: (m,) the characteristic length for revolute actuators, 1 for prismatic ones.
+    """
+
+    t: Array
+    f: Array
+    W: Array
+    carrier_force: Array
+    reachable: BoolArray
+    gap: Array
+    row_scale: Array
+    column_scale: Array
+
+
+@dataclass(frozen=True, eq=False)
+class CarrierDerivatives:
+    """Exact derivatives of f and of the carrier forces with respect to the carrier motion.
+
+    Attributes:
+        f_s, f_sd, f_sdd: (N, n, k) derivatives of f by s, ṡ, s̈.
+        force_s, force_sd, force_sdd: (N, k, k) derivatives of carrier_force by s, ṡ, s̈.
+    """
+
+    f_s: Array
+    f_sd: Array
+    f_sdd: Array
+    force_s: Array
+    force_sd: Array
+    force_sdd: Array
+
+
+class DynamicsAlongMotion(Protocol):
+    """Dynamics along one platform motion whose kinematics are already solved.
+
+    The pose does not depend on the carriers, so everything here can be asked again and again for new
+    carrier motions at the cost of the dynamics alone.
+    """
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+
+    @property
+    def motion(self) -> PlatformMotion:
+        """The platform motion."""
+
+    def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
+        """Return f, W and carrier forces; carriers parked at s = 0 when left out."""
+
+    def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
+        """Return the exact derivatives of f and carrier forces by s, ṡ, s̈."""
+
+    def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
+        """Return (N, 6) the wrench of the robot on its base.
+
+        Shaking force (3, N) and moment (3, N·m) about the world origin, world axes: gravity of all bodies
+        less the rate of change of the total momentum.
+        """
+
+    def energy(self, carriers: CarrierMotion | None = None) -> Array:
+        """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
+
+
+class Dynamics(Protocol):
+    """A way from platform and carrier motion to W τ = f. Planners know this and nothing else."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+
+    def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> DynamicsAlongMotion:
+        """Solve the kinematics of a platform motion once, for many carrier motions.
+
+        Raises:
+            UnreachablePoseError: a pose cannot be closed (unless ``unreachable="mark"``).
+            SingularPoseError: a pose is a type I singularity (unless ``unreachable="mark"``).
+            WorkingModeError: the motion leaves the robot's working mode.
+        """
+
+    def reduce(
+        self,
+        motion: PlatformMotion,
+        carriers: CarrierMotion | None = None,
+        *,
+        unreachable: OnUnreachable = "raise",
+        check_track: bool = True,
+    ) -> ReducedDynamics:
+        """Return f, W and carrier forces along a platform motion and a carrier motion.
+
+        Raises:
+            CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
+            UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
+        """

@@ -1,0 +1,76 @@
+"""One tree of errors: each says what is wrong, with which numbers, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+
+class RedundancyPinError(Exception):
+    """Root of every error this package raises on purpose.
+
+    Attributes:
+        message: what is wrong, numbers included.
+        remedy: what the user can do about it (may be empty).
+        details: the numbers behind the message, by name, for programs that handle the error.
+    """
+
+    def __init__(self, message: str, *, remedy: str = "", **details: object) -> None:
+        self.message = message
+        self.remedy = remedy
+        self.details: Mapping[str, object] = MappingProxyType(dict(details))
+        super().__init__(f"{message} {remedy}".strip())
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Survive pickling, so that an error of a worker process reaches the caller whole."""
+        return _rebuild, (type(self), self.message, self.remedy, dict(self.details))
+
+
+def _rebuild(
+    kind: type[RedundancyPinError], message: str, remedy: str, details: dict[str, object]
+) -> RedundancyPinError:
+    return kind(message, remedy=remedy, **details)
+
+
+class InputError(RedundancyPinError, ValueError):
+    """An argument has the wrong shape, a value that is not finite, or is out of its domain."""
+
+
+class ModelFileError(RedundancyPinError):
+    """A robot's files are missing, unreadable, or not valid URDF, xacro or YAML."""
+
+
+class DeclarationError(RedundancyPinError):
+    """A robot's declaration contradicts itself, its URDF, or the mobility of the mechanism."""
+
+
+class UnreachablePoseError(RedundancyPinError):
+    """No configuration closes the chains at a pose; carries the gap that was left and the sample."""
+
+
+class SingularPoseError(RedundancyPinError):
+    """The platform velocity does not determine the joint velocities (type I); carries sample and margin."""
+
+
+class WorkingModeError(RedundancyPinError):
+    """A motion leaves the working mode it started in; carries the leg and the sample."""
+
+
+class CarrierLimitError(RedundancyPinError):
+    """A carrier is asked to leave its track or to exceed a limit; carries carrier, sample and amount."""
+
+
+class UnsupportedRobotError(RedundancyPinError):
+    """A backend or closed form does not cover this robot."""
+
+
+class InfeasiblePlanError(RedundancyPinError):
+    """No plan exists; names the constraint, the time and the amount."""
+
+
+class OutputError(RedundancyPinError):
+    """A result cannot be written where it was asked for; nothing was written."""
+
+
+class CrossCheckError(RedundancyPinError):
+    """Two independent computations of the same quantity disagree."""

@@ -1,0 +1,148 @@
+"""What a robot is: a Pinocchio tree, its closures, and the roles its joints play."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array, IntArray
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""Names of the rows a closure or a platform may use: translations, then rotations."""
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A loop closure: two frames of the tree that coincide along some axes.
+
+    Attributes:
+        name: what to call it in messages.
+        frame_a, frame_b: names of the two frames (URDF links).
+        axes: the constrained axes, a subset of ``AXES``, read in frame a. A planar pin joint is
+            ``("x", "y")``, a hinge about z ``("x", "y", "z", "rx", "ry")``, a ball joint ``("x", "y", "z")``.
+    """
+
+    name: str
+    frame_a: str
+    frame_b: str
+    axes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CarrierLimits:
+    """Limits of one carrier; infinite where nothing is declared.
+
+    Attributes:
+        lower, upper: track ends, m.
+        speed: largest |ṡ|, m/s.
+        acceleration: largest |s̈|, m/s².
+        force: largest |force| of the carrier's actuator, N.
+    """
+
+    lower: float
+    upper: float
+    speed: float
+    acceleration: float
+    force: float
+
+
+@dataclass(frozen=True)
+class Platform:
+    """The platform frame and the rows of its twist that are the independent velocities.
+
+    Attributes:
+        frame: name of the frame (URDF link).
+        axes: subset of ``AXES`` in world-aligned axes at the platform origin: none or all or one of the
+            rotations. With all three rotations the platform coordinates are poses (4, 4).
+    """
+
+    frame: str
+    axes: tuple[str, ...]
+
+    @property
+    def is_pose(self) -> bool:
+        """Whether the platform coordinates are homogeneous poses."""
+        return {"rx", "ry", "rz"} <= set(self.axes)
+
+
+@dataclass(frozen=True)
+class WorkingModes:
+    """How the working mode is read off a configuration: one joint a leg, and the sign that counts as +1.
+
+    Attributes:
+        joints: the indicator joint of each leg; sin(q) of a revolute, q of a prismatic joint.
+        signs: the sign of the indicator in mode +1.
+    """
+
+    joints: tuple[str, ...]
+    signs: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A closed-chain robot, loaded, checked and frozen.
+
+    Symbols: nq and nv as in Pinocchio; n independent velocities, m main actuators, k carriers.
+
+    Attributes:
+        name: its name.
+        parameters: the resolved xacro arguments.
+        urdf: the rendered URDF.
+        model: the Pinocchio tree; treat it as read-only.
+        closures: the loop closures.
+        platform: the platform, or None where the independent velocities are named joints.
+        independent_joints: names of the independent joints (empty when there is a platform).
+        actuated: names of the main actuators.
+        carriers: names of the carrier joints.
+        carrier_limits: their limits, in the same order.
+        actuated_velocity: (m,) index of each main actuator in v.
+        carrier_velocity: (k,) index of each carrier in v.
+        carrier_position: (k,) index of each carrier in q.
+        q_reference: (nq,) a closed configuration in the working mode, carriers at zero.
+        working_modes: how to read working modes, or None where the robot declares none.
+        working_mode: the mode of this robot, ±1 a leg (empty where none is declared).
+        characteristic_length: length, m, that makes rotations comparable with translations.
+        closed_form: name of the closed-form model that covers this robot ("2rpr", "3rrr"), or None.
+    """
+
+    name: str
+    parameters: Mapping[str, float | bool | str]
+    urdf: str
+    model: pin.Model
+    closures: tuple[Closure, ...]
+    platform: Platform | None
+    independent_joints: tuple[str, ...]
+    actuated: tuple[str, ...]
+    carriers: tuple[str, ...]
+    carrier_limits: tuple[CarrierLimits, ...]
+    actuated_velocity: IntArray
+    carrier_velocity: IntArray
+    carrier_position: IntArray
+    q_reference: Array
+    working_modes: WorkingModes | None
+    working_mode: tuple[int, ...]
+    characteristic_length: float
+    closed_form: str | None
+
+    @property
+    def n(self) -> int:
+        """Number of independent velocities."""
+        return len(self.platform.axes) if self.platform else len(self.independent_joints)
+
+    @property
+    def m(self) -> int:
+        """Number of main actuators."""
+        return len(self.actuated)
+
+    @property
+    def k(self) -> int:
+        """Number of carriers."""
+        return len(self.carriers)
+
+    @property
+    def gravity(self) -> Array:
+        """(3,) acceleration of gravity in the world frame, m/s²."""
+        vector: Array = self.model.gravity.linear.copy()
+        return vector
