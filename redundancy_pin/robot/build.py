@@ -1,0 +1,194 @@
+"""Put a declaration and a URDF together into a ``Robot`` (its reference configuration still a guess)."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array, checked, read_only
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
+from redundancy_pin.robot.declaration import CarrierEntry, Declaration
+from redundancy_pin.robot.description import Argument
+from redundancy_pin.robot.types import CarrierLimits, Robot
+
+
+def build(
+    declaration: Declaration,
+    urdf: str,
+    parameters: Mapping[str, Argument],
+    gravity: Sequence[float] | None,
+    working_mode: Sequence[int] | None,
+) -> Robot:
+    """Build the robot and check every name and role of the declaration against the URDF.
+
+    The reference configuration is the declared guess; it is not closed yet.
+
+    Raises:
+        ModelFileError: Pinocchio refuses the URDF.
+        DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose.
+        InputError: a gravity or working mode of the wrong form.
+    """
+    try:
+        model = pin.buildModelFromXML(urdf)
+    except (ValueError, RuntimeError) as error:
+        raise ModelFileError(
+            f"Pinocchio cannot read the URDF of {declaration.path}: {error}",
+            remedy="Check the file with `check_urdf` or yourdfpy.",
+            path=str(declaration.path),
+        ) from error
+    vector = declaration.gravity if gravity is None else checked(gravity, "gravity", (3,))
+    model.gravity.linear = np.array(vector, dtype=float)
+    carriers = tuple(entry.joint for entry in declaration.carriers)
+    _check_roles(declaration, model)
+    robot = Robot(
+        name=declaration.name,
+        parameters=MappingProxyType(dict(parameters)),
+        urdf=urdf,
+        model=model,
+        closures=declaration.closures,
+        platform=declaration.platform,
+        independent_joints=declaration.independent_joints,
+        actuated=declaration.actuated,
+        carriers=carriers,
+        carrier_limits=tuple(_limits(model, entry) for entry in declaration.carriers),
+        actuated_velocity=read_only(np.array([_joint(model, j).idx_v for j in declaration.actuated], dtype=np.intp)),
+        carrier_velocity=read_only(np.array([_joint(model, j).idx_v for j in carriers], dtype=np.intp)),
+        carrier_position=read_only(np.array([_joint(model, j).idx_q for j in carriers], dtype=np.intp)),
+        q_reference=read_only(_guess(model, declaration)),
+        working_modes=declaration.working_modes,
+        working_mode=_mode(declaration, working_mode),
+        characteristic_length=declaration.characteristic_length or _characteristic_length(model, declaration),
+        closed_form=declaration.closed_form,
+    )
+    _check_carriers_carry(robot)
+    return robot
+
+
+def _joint(model: pin.Model, name: str) -> pin.JointModel:
+    return model.joints[model.getJointId(name)]
+
+
+def _require_name(name: str, known: Sequence[str], what: str) -> None:
+    if name not in known:
+        close = difflib.get_close_matches(name, known, n=1)
+        hint = f"Did you mean {close[0]!r}? " if close else ""
+        raise DeclarationError(
+            f"The URDF has no {what} {name!r}.", remedy=f"{hint}It has: {', '.join(known)}.", name=name
+        )
+
+
+def _check_roles(declaration: Declaration, model: pin.Model) -> None:
+    joints = tuple(str(name) for name in model.names)[1:]
+    frames = tuple(str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
+    carriers = tuple(entry.joint for entry in declaration.carriers)
+    named = [*declaration.actuated, *carriers, *declaration.independent_joints, *declaration.guess]
+    if declaration.working_modes:
+        named += declaration.working_modes.joints
+    for name in named:
+        _require_name(name, joints, "moving joint")
+    for name in (*declaration.actuated, *carriers, *declaration.independent_joints):
+        if _joint(model, name).nv != 1:
+            raise DeclarationError(
+                f"Joint {name!r} has {_joint(model, name).nv} freedoms.",
+                remedy="Actuated, carrier and independent joints must have one.",
+                name=name,
+            )
+    twice = [name for name in carriers if name in declaration.actuated or name in declaration.independent_joints]
+    if len(set(carriers)) != len(carriers) or twice:
+        raise DeclarationError(
+            f"Joint {(twice or list(carriers))[0]!r} is declared in two roles.",
+            remedy="A carrier is neither a main actuator nor independent, and is listed once.",
+        )
+    for closure in declaration.closures:
+        for name in (closure.frame_a, closure.frame_b):
+            _require_name(name, frames, "link")
+        bodies = {int(model.frames[model.getFrameId(f)].parentJoint) for f in (closure.frame_a, closure.frame_b)}
+        if len(bodies) == 1:
+            raise DeclarationError(
+                f"The closure {closure.name!r} joins two frames of one rigid body.",
+                remedy="Name frames on the two bodies that meet there.",
+            )
+    if declaration.platform:
+        _require_name(declaration.platform.frame, frames, "link")
+
+
+def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
+    joint = _joint(model, entry.joint)
+    if joint.nq != 1:
+        raise DeclarationError(
+            f"The carrier {entry.joint!r} is a continuous joint.",
+            remedy="Give it a bounded revolute or prismatic joint.",
+        )
+    lower, upper = entry.position or (
+        float(model.lowerPositionLimit[joint.idx_q]),
+        float(model.upperPositionLimit[joint.idx_q]),
+    )
+    return CarrierLimits(
+        lower,
+        upper,
+        _first(entry.speed, float(model.upperVelocityLimit[joint.idx_v])),
+        _first(entry.acceleration, float("inf")),
+        _first(entry.force, float(model.upperEffortLimit[joint.idx_v])),
+    )
+
+
+def _first(declared: float | None, otherwise: float) -> float:
+    return otherwise if declared is None else declared
+
+
+def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, ...]:
+    if wanted is None:
+        return declaration.default_mode
+    legs = len(declaration.default_mode)
+    mode = tuple(wanted)
+    if declaration.working_modes is None or len(mode) != legs or not all(sign in (1, -1) for sign in mode):
+        allowed = f"a tuple of {legs} signs, 1 or -1, one a leg" if legs else "left out: this robot declares no modes"
+        raise InputError(f"The working mode is {wanted!r}.", remedy=f"It must be {allowed}.", working_mode=wanted)
+    return tuple(int(sign) for sign in mode)
+
+
+def _guess(model: pin.Model, declaration: Declaration) -> Array:
+    q: Array = pin.neutral(model)
+    for name, value in declaration.guess.items():
+        joint = _joint(model, name)
+        if joint.nq == 2:
+            q[joint.idx_q : joint.idx_q + 2] = np.cos(value), np.sin(value)
+        elif joint.nq == 1:
+            q[joint.idx_q] = value
+        else:
+            raise DeclarationError(
+                f"`reference.guess` cannot set joint {name!r}: it has {joint.nq} coordinates.",
+                remedy="Leave it out: it starts at its neutral position.",
+            )
+    return q
+
+
+def _characteristic_length(model: pin.Model, declaration: Declaration) -> float:
+    """Return the root mean square distance of the joints from their mean, at the guess: one size for one machine."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, _guess(model, declaration))
+    origins = np.array([placement.translation for placement in list(data.oMi)[1:]])
+    spread = float(np.sqrt(((origins - origins.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    return spread if spread > 0 else 1.0
+
+
+def _check_carriers_carry(robot: Robot) -> None:
+    """A carrier may change the dynamics, never the pose."""
+    model = robot.model
+    frames = {name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)}
+    if robot.platform:
+        frames.add(robot.platform.frame)
+    for frame in sorted(frames):
+        support = [int(j) for j in model.supports[model.frames[model.getFrameId(frame)].parentJoint]]
+        for carrier in robot.carriers:
+            if model.getJointId(carrier) in support:
+                raise DeclarationError(
+                    f"The carrier {carrier!r} moves the frame {frame!r}, which closes a loop or is the platform.",
+                    remedy="A carrier slides beside the load path; declare this joint as actuated instead.",
+                    carrier=carrier,
+                    frame=frame,
+                )
