@@ -1,0 +1,105 @@
+"""Find the configuration of one pose on the robot's branch: from its reference, or by search in the working mode."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import UnreachablePoseError
+from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.continuation import follow
+from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.kinematics.modes import mode_indicator
+
+_STARTS = 256
+_SEED = 20141  # any fixed number: the search must give the same answer every time
+
+
+def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Array:
+    """Return (nq,) a configuration at a pose, in the robot's working mode.
+
+    First the straight way from the reference configuration is followed; where that leaves the workspace, the pose is
+    searched from many starts and the solution nearest to the reference in the right working mode is taken.
+
+    Args:
+        system: closures and platform rows; the robot's ``q_reference`` must be closed.
+        x: (n,) coordinates or a pose (4, 4), base frame.
+        sample: index to name in the error.
+
+    Raises:
+        UnreachablePoseError: no start leads to a closed configuration in the working mode; carries the smallest gap.
+    """
+    reference = np.array(system.robot.q_reference)
+    home = coordinates(system.robot, system.evaluate(reference[None]))
+    anchors = follow(system, np.concatenate([home, x[None]]), reference)
+    if anchors.valid[-1] and _right_mode(system, anchors.q[-1:])[0]:
+        return anchors.q[-1]
+    found = search(system, reference, x)
+    if found is None:
+        raise UnreachablePoseError(f"Sample {sample}: no start closes the chains.", sample=sample)
+    q, gap, closed = found
+    if not closed:
+        raise UnreachablePoseError(
+            f"The pose of sample {sample}, x = {np.round(x, 6).tolist()}, cannot be reached in the working mode of "
+            f"{system.robot.name}: the chains stay open by {gap:.3g} m.",
+            remedy="Move the pose into the workspace, or load the robot in another working_mode.",
+            sample=sample,
+            gap=gap,
+        )
+    return q
+
+
+def search(system: ConstraintSystem, guess: Array, x: Array) -> tuple[Array, float, bool] | None:
+    """Assemble one pose from a guess and from random starts around it.
+
+    Returns:
+        The configuration (nq,) nearest to the guess that closes in the working mode, its gap and True; or, when none
+        does, the one with the smallest gap, that gap and False.
+    """
+    robot, model = system.robot, system.robot.model
+    rng = np.random.default_rng(_SEED)
+    steps = np.zeros((_STARTS, model.nv))
+    spread = np.where(_turns(system), np.pi, robot.characteristic_length)
+    steps[1:, system.pose_columns] = rng.uniform(-1.0, 1.0, (_STARTS - 1, len(system.pose_columns))) * spread
+    starts = integrate(model, np.repeat(guess[None], _STARTS, axis=0), steps)
+    solution: Assembly = assemble(system, starts, np.repeat(x[None], _STARTS, axis=0))
+    q = _wrapped(system, solution.q)
+    usable = solution.closed & _right_mode(system, q)
+    if not usable.any():
+        best = int(np.argmin(np.where(np.isfinite(solution.gap), solution.gap, np.inf)))
+        closed_gap = _open_gap(solution.gap)
+        return q[best], closed_gap, False
+    distance = np.where(usable, np.abs(q - guess).sum(axis=1), np.inf)
+    best = int(np.argmin(distance))
+    return q[best], float(solution.gap[best]), True
+
+
+def _open_gap(gaps: Array) -> float:
+    """Return the smallest gap among those that stayed open (all closed ones were in a wrong mode)."""
+    finite = gaps[np.isfinite(gaps)]
+    return float(finite.min()) if len(finite) else float("nan")
+
+
+def _right_mode(system: ConstraintSystem, q: Array) -> np.ndarray:  # type: ignore[type-arg]
+    robot = system.robot
+    if robot.working_modes is None:
+        return np.ones(len(q), dtype=bool)
+    return (mode_indicator(robot, q) * np.array(robot.working_mode) > 0.0).all(axis=1)
+
+
+def _turns(system: ConstraintSystem) -> np.ndarray:  # type: ignore[type-arg]
+    from redundancy_pin.kinematics.coordinates import velocity_scale
+
+    return velocity_scale(system.robot)[system.pose_columns] != 1.0
+
+
+def _wrapped(system: ConstraintSystem, q: Array) -> Array:
+    """Return q with the angles of bounded revolute joints in (−π, π]."""
+    result = q.copy()
+    model = system.robot.model
+    for index in range(1, model.njoints):
+        joint = model.joints[index]
+        if joint.nq == 1 and not str(joint.shortname()).startswith("JointModelP"):
+            result[:, joint.idx_q] = np.pi - (np.pi - q[:, joint.idx_q]) % (2.0 * np.pi)
+    return result

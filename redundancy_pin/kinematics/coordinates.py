@@ -1,0 +1,142 @@
+"""Independent coordinates: read them off a configuration, take differences and move between them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from redundancy_pin.arrays import Array, checked
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.closure import ConstraintState
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import AXES, Robot
+
+
+def coordinates(robot: Robot, state: ConstraintState) -> Array:
+    """Return the independent coordinates of configurations: (N, n), or poses (N, 4, 4).
+
+    A single rotation is the angle of the platform frame about that base axis, in (−π, π].
+    """
+    if robot.platform is None:
+        return np.stack([_joint_position(robot, name, state.q) for name in robot.independent_joints], axis=1)
+    frame = robot.platform.frame
+    rotation, origin = state.pose.frame_rotation[frame], state.pose.frame_origin[frame]
+    if robot.platform.is_pose:
+        poses = np.zeros((state.pose.samples, 4, 4))
+        poses[:, :3, :3] = rotation.transpose(2, 0, 1)
+        poses[:, :3, 3] = origin.T
+        poses[:, 3, 3] = 1.0
+        return poses
+    columns = []
+    for axis in robot.platform.axes:
+        is_rotation, k = divmod(AXES.index(axis), 3)
+        i, j = (k + 1) % 3, (k + 2) % 3
+        columns.append(np.arctan2(rotation[j, i], rotation[i, i]) if is_rotation else origin[k])
+    return np.stack(columns, axis=1)
+
+
+def difference(robot: Robot, target: Array, start: Array) -> Array:
+    """Return (N, n) the increment from ``start`` to ``target``.
+
+    Angles go the short way round; between poses it is a translation of the origin and a world-aligned rotation vector.
+    """
+    if target.ndim == 3:
+        rotation = Rotation.from_matrix(target[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1))
+        delta = np.concatenate([target[:, :3, 3] - start[:, :3, 3], rotation.as_rotvec()], axis=1)
+        return delta[:, _pose_rows(robot)]
+    delta = target - start
+    turns = _angle_columns(robot)
+    delta[:, turns] = (delta[:, turns] + np.pi) % (2.0 * np.pi) - np.pi
+    return delta
+
+
+def moved(robot: Robot, start: Array, increment: Array) -> Array:
+    """Return the coordinates reached from ``start`` by an increment as returned by ``difference``."""
+    if start.ndim == 3:
+        full = np.zeros((len(start), 6))
+        full[:, _pose_rows(robot)] = increment
+        result = start.copy()
+        result[:, :3, 3] += full[:, :3]
+        result[:, :3, :3] = Rotation.from_rotvec(full[:, 3:]).as_matrix() @ start[:, :3, :3]
+        return result
+    return start + increment
+
+
+def row_scale(robot: Robot) -> Array:
+    """Return (n,) the characteristic length for rotations and 1 for translations among the independent coordinates."""
+    if robot.platform is not None:
+        turning = [axis.startswith("r") for axis in robot.platform.axes]
+    else:
+        turning = [_is_revolute(robot, name) for name in robot.independent_joints]
+    return np.where(turning, robot.characteristic_length, 1.0)
+
+
+def column_scale(robot: Robot) -> Array:
+    """Return (m,) the characteristic length for revolute main actuators and 1 for prismatic ones."""
+    return np.where([_is_revolute(robot, name) for name in robot.actuated], robot.characteristic_length, 1.0)
+
+
+def velocity_scale(robot: Robot) -> Array:
+    """Return (nv,) the length that turns each tree velocity into m/s: the characteristic length for rotations."""
+    model = robot.model
+    scale = np.ones(model.nv)
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    for index in range(1, model.njoints):
+        joint = model.joints[index]
+        columns = slice(joint.idx_v, joint.idx_v + joint.nv)
+        turning = (
+            np.abs(pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)[3:, columns]).max(axis=0) > 0
+        )
+        scale[columns] = np.where(turning, robot.characteristic_length, 1.0)
+    return scale
+
+
+def require_matching(robot: Robot, motion: PlatformMotion) -> None:
+    """Check that a motion has this robot's coordinates.
+
+    Raises:
+        InputError: wrong number of coordinates, or poses where coordinates belong.
+    """
+    wants_pose = robot.platform is not None and robot.platform.is_pose
+    names = robot.platform.axes if robot.platform else robot.independent_joints
+    if motion.is_pose != wants_pose or motion.xd.shape[1] != robot.n:
+        form = "(N, 4, 4) poses" if wants_pose else f"(N, {robot.n})"
+        raise InputError(
+            f"The motion has x of shape {motion.x.shape} and xd of shape {motion.xd.shape}; {robot.name} moves in "
+            f"{robot.n} coordinates ({', '.join(names)}).",
+            remedy=f"Pass x as {form} and xd, xdd as (N, {robot.n}).",
+        )
+
+
+def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:
+    """Return declared reference coordinates as (1, n), or as a pose (1, 4, 4) from xyz and rpy."""
+    if robot.platform is not None and robot.platform.is_pose:
+        pose = np.eye(4)[None].copy()
+        pose[0, :3, 3] = numbers[:3]
+        pose[0, :3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
+        return pose
+    return np.array(checked(numbers, "reference", (robot.n,)))[None]
+
+
+def _pose_rows(robot: Robot) -> list[int]:
+    return [AXES.index(axis) for axis in robot.platform.axes] if robot.platform else []
+
+
+def _is_revolute(robot: Robot, name: str) -> bool:
+    return not str(robot.model.joints[robot.model.getJointId(name)].shortname()).startswith("JointModelP")
+
+
+def _angle_columns(robot: Robot) -> list[int]:
+    if robot.platform is not None:
+        return [k for k, axis in enumerate(robot.platform.axes) if axis.startswith("r")]
+    return [k for k, name in enumerate(robot.independent_joints) if _is_revolute(robot, name)]
+
+
+def _joint_position(robot: Robot, name: str, q: Array) -> Array:
+    joint = robot.model.joints[robot.model.getJointId(name)]
+    if joint.nq == 2:
+        angle: Array = np.arctan2(q[:, joint.idx_q + 1], q[:, joint.idx_q])
+        return angle
+    return q[:, joint.idx_q]

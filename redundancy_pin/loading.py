@@ -1,0 +1,136 @@
+"""Load a robot: read its files, close its reference configuration, check its mobility."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import qr
+
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, frozen
+from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.branch import search
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
+from redundancy_pin.kinematics.modes import mode_name
+from redundancy_pin.kinematics.projection import project
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.build import build
+from redundancy_pin.robot.declaration import parse, read_yaml
+from redundancy_pin.robot.description import declaration_path, render
+
+
+def load_robot(
+    source: str | Path,
+    *,
+    gravity: Sequence[float] | None = None,
+    working_mode: Sequence[int] | None = None,
+    **arguments: object,
+) -> Robot:
+    """Load a robot, close its chains at the declared reference and check its mobility.
+
+    Args:
+        source: name of a shipped robot ("2rpr", "3rrr", "five_bar", "four_bar", "gough"), path of a ``robot.yaml``, or of
+            the folder that holds one.
+        gravity: (3,) acceleration of gravity in the world frame, m/s²; as declared when left out.
+        working_mode: ±1 a leg; as declared when left out.
+        **arguments: xacro arguments of the robot's URDF (``carrier_mass=2.0``).
+
+    Raises:
+        ModelFileError: missing or broken files.
+        InputError: an unknown xacro argument, a gravity or working mode of the wrong form.
+        DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over- or
+            under-constrained chains, a reference that does not close.
+    """
+    path = declaration_path(source)
+    data = read_yaml(path)
+    urdf, parameters = render(path.parent / data["urdf"], arguments)
+    declaration = parse(path, data, parameters)
+    robot = build(declaration, urdf, parameters, gravity, working_mode)
+    system = ConstraintSystem(robot)
+    _check_mobility(system)
+    target = reference_coordinates(robot, declaration.reference)
+    found = search(system, np.array(robot.q_reference), target[0])
+    if found is None or not found[2]:
+        gap = found[1] if found else float("nan")
+        raise DeclarationError(
+            f"The reference of {robot.name} does not close"
+            + (f" in working mode {mode_name(robot.working_mode)}" if robot.working_mode else "")
+            + f": the best of many starts leaves a gap of {gap:.3g}.",
+            remedy="Correct `reference` in the declaration, or the lengths given as arguments.",
+            gap=gap,
+        )
+    robot = replace(robot, q_reference=frozen(found[0]))
+    _check_reference_rank(robot)
+    return robot
+
+
+def _check_mobility(system: ConstraintSystem) -> None:
+    """Compare the count of freedoms with the declaration, and say which rows or freedoms are too many."""
+    robot = system.robot
+    rows, velocities = len(system.rows), len(system.pose_columns)
+    freedoms = velocities - rows
+    if freedoms == robot.n:
+        return
+    loops = assemble(system, np.array(robot.q_reference)[None])
+    jacobian = loops.state.Jc[0][:, system.pose_columns] / velocity_scale(robot)[system.pose_columns]
+    rank, dependent = _dependent_rows(jacobian)
+    names = ", ".join(f"{axis} of {closure.name!r}" for closure, axis in _row_names(system, dependent))
+    if freedoms < robot.n:
+        redundant = f" At the reference {len(dependent)} row(s) are redundant: {names}." if dependent else ""
+        raise DeclarationError(
+            f"{robot.name} is over-constrained: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
+            f"freedoms, but {robot.n} independent velocities are declared.{redundant}",
+            remedy="Take the redundant axes out of the closures (a planar pin joint is [x, y]), or declare fewer "
+            "independent velocities.",
+            freedoms=freedoms,
+            declared=robot.n,
+            rank=rank,
+        )
+    raise DeclarationError(
+        f"{robot.name} is under-constrained: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
+        f"freedoms, but only {robot.n} independent velocities are declared.",
+        remedy="Add the missing closure axes, declare more independent velocities, or list carriers as carriers.",
+        freedoms=freedoms,
+        declared=robot.n,
+        rank=rank,
+    )
+
+
+def _check_reference_rank(robot: Robot) -> None:
+    system = ConstraintSystem(robot)
+    state = system.evaluate(np.array(robot.q_reference)[None])
+    scaled = state.Jc[0][:, system.pose_columns] / velocity_scale(robot)[system.pose_columns]
+    rank, dependent = _dependent_rows(scaled)
+    if dependent:
+        names = ", ".join(f"{axis} of {closure.name!r}" for closure, axis in _row_names(system, dependent))
+        raise DeclarationError(
+            f"Grübler's count gives {robot.name} {robot.n} freedoms, but its closure rows have rank {rank} of "
+            f"{len(system.rows)} at the reference: {len(system.pose_columns) - rank} freedoms. Redundant: {names}.",
+            remedy="Take the redundant axes out of the closures and add the ones that are missing.",
+            rank=rank,
+        )
+    if project(system, state).margin[0] == 0.0:
+        raise DeclarationError(
+            f"The reference of {robot.name} is a type I singularity: its independent velocities do not determine the "
+            "joint velocities.",
+            remedy="Move the reference, or declare other independent velocities.",
+        )
+
+
+def _dependent_rows(jacobian: Array) -> tuple[int, list[int]]:
+    """Return the rank of a matrix and the indices of rows that depend on the others (pivoted QR of its transpose)."""
+    if min(jacobian.shape) == 0:
+        return 0, []
+    _, triangle, order = qr(jacobian.T, pivoting=True, mode="economic")
+    diagonal = np.abs(np.diag(triangle))
+    rank = int((diagonal > RANK_TOLERANCE * max(diagonal.max(initial=0.0), np.finfo(float).tiny)).sum())
+    return rank, sorted(int(i) for i in order[rank:])
+
+
+def _row_names(system: ConstraintSystem, rows: list[int]) -> list[tuple[object, str]]:
+    flat = [(closure, axis) for closure in system.robot.closures for axis in closure.axes]
+    return [flat[i] for i in rows]
