@@ -1,0 +1,171 @@
+"""From W τ = f to the efforts of the main actuators: the only place where τ is formed from f."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, RANK_TOLERANCE, Array, BoolArray, IntArray, read_only
+from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.bounded import fit_into_bounds, least_residual, leaves_bounds
+from redundancy_pin.dynamics.minimum_norm import minimum_norm
+from redundancy_pin.dynamics.scaled_problem import ScaledProblem, scaled_problem
+from redundancy_pin.dynamics.status import Distribution, SampleStatus
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.spectrum import null_directions, spectrum_of
+
+CONSISTENCY_TOLERANCE = 1e-7
+"""Fraction of f that may lie outside the range of W before a rank-deficient sample counts as inconsistent. A pose
+that ``RANK_TOLERANCE`` calls singular may be off the singularity by 1e-9 of its size, and f changes on that way by a
+multiple of it; a hundredfold covers that."""
+
+SMALLEST_RANK_TOLERANCE = 1e-14
+"""Below this the rounding of a small matrix would pass for rank."""
+
+FORCE_TOLERANCE = 1e-9
+"""Force, N, that counts as zero in the same test: where moving carriers cancel f, only rounding is left of it, and
+a fraction of that says nothing."""
+
+
+def distribute(
+    reduced: ReducedDynamics,
+    *,
+    weights: ArrayLike | None = None,
+    lower: ArrayLike | None = None,
+    upper: ArrayLike | None = None,
+    near_singular: float = NEAR_SINGULAR_MARGIN,
+    rank_tolerance: float = RANK_TOLERANCE,
+    consistency_tolerance: float = CONSISTENCY_TOLERANCE,
+    force_tolerance: float = FORCE_TOLERANCE,
+) -> Distribution:
+    """Return the efforts τ that balance f, with a status for each sample.
+
+    Solves W τ = f (Parsa 2014, eqs. 2.17 and 2.53, with W = Jᵀ). Where the solution is unique it is returned. Where
+    there are several (more actuators than freedoms, or a type II singularity at which f lies in the range of W) the
+    one with the least Σ w_j τ_j² is. Where there is none τ is NaN; a least-squares compromise is never returned.
+    All decisions are taken on D_x⁻¹ W D_a and D_x⁻¹ f, so that they do not depend on the unit of length.
+
+    With fewer actuators than freedoms (m < n) the motion must ask for an f in the range of W. If it does, the status
+    is regular or near_singular; if not, it is underactuated_inconsistent, or singular_inconsistent where W lacks even
+    the rank m.
+
+    Args:
+        reduced: f (N, n), W (N, n, m) and their scales. Samples that are not reachable, or whose f or W is not
+            finite, get the status unreachable.
+        weights: (m,) positive weights w, 1/N² or 1/(N·m)² by joint. Left out: 1/column_scale², which counts a motor
+            torque as the force it exerts at the characteristic length, so that the sum is one of squared forces.
+        lower: (m,) or (N, m) smallest efforts, N or N·m by joint; −inf for none.
+        upper: (m,) or (N, m) largest efforts; inf for none. Where the efforts of least norm leave the bounds, those
+            of least norm within the bounds are returned, or NaN with the status bound_infeasible.
+        near_singular: margin below which a sample is near-singular (scaled, no unit).
+        rank_tolerance: singular values up to this fraction of the largest one count as zero.
+        consistency_tolerance: fraction of f that may lie outside the range of W, ...
+        force_tolerance: ... plus this force, N, scaled.
+
+    Raises:
+        InputError: shapes do not fit; weights that are not positive or too far apart; lower above upper, NaN bounds;
+            a tolerance that is negative or not finite, or a rank tolerance below 1e-14.
+        RedundancyPinError: bounds need the optional quadprog, and it is not installed.
+    """
+    _check_tolerances(
+        near_singular=near_singular,
+        rank_tolerance=rank_tolerance,
+        consistency_tolerance=consistency_tolerance,
+        force_tolerance=force_tolerance,
+    )
+    problem = scaled_problem(reduced, weights, lower, upper)
+    spectrum = spectrum_of(problem.A)
+    rank = spectrum.rank(rank_tolerance)
+    unbounded, outside = _unbounded(problem, rank)
+    allowed = consistency_tolerance * np.linalg.norm(problem.g, axis=1) + force_tolerance
+    consistent = problem.solvable & (outside <= allowed)
+    unbounded[~consistent] = np.nan
+    u, infeasible = _within_bounds(problem, unbounded, rank)
+    near = spectrum.margin < near_singular
+    status = _status(problem, rank, near=near, consistent=consistent, infeasible=infeasible)
+    free_direction, uncontrolled = _directions(problem, rank, status)
+    return Distribution(
+        tau=read_only(u * reduced.column_scale),
+        status=read_only(status),
+        rank=rank,
+        residual=read_only(_residual(problem, u, outside, infeasible)),
+        margin=spectrum.margin,
+        condition=spectrum.condition,
+        free_direction=read_only(free_direction * reduced.column_scale),
+        uncontrolled=read_only(uncontrolled / reduced.row_scale),
+    )
+
+
+def _check_tolerances(**tolerances: float) -> None:
+    for name, value in tolerances.items():
+        least = SMALLEST_RANK_TOLERANCE if name == "rank_tolerance" else 0.0
+        if not (math.isfinite(value) and value >= least):
+            raise InputError(
+                f"{name} is {value}, but must be finite and at least {least:g}.",
+                remedy="Leave it out for the default.",
+                name=name,
+                value=value,
+            )
+
+
+def _unbounded(problem: ScaledProblem, rank: IntArray) -> tuple[Array, Array]:
+    """Return (N, m) efforts without bounds and (N,) the part of g they leave, NaN where not solvable."""
+    efforts = np.full((len(rank), problem.A.shape[2]), np.nan)
+    outside = np.full(len(rank), np.nan)
+    at = problem.solvable
+    efforts[at], outside[at] = minimum_norm(problem.A[at], problem.g[at], rank[at], problem.cost)
+    return efforts, outside
+
+
+def _within_bounds(problem: ScaledProblem, efforts: Array, rank: IntArray) -> tuple[Array, BoolArray]:
+    """Return (N, m) efforts within the bounds, and (N,) where there are none although there are efforts."""
+    bounded = np.clip(efforts, problem.lower, problem.upper)
+    at = leaves_bounds(efforts, problem.lower, problem.upper)
+    if at.any():
+        lower, upper = problem.lower[at], problem.upper[at]
+        bounded[at] = fit_into_bounds(problem.A[at], efforts[at], rank[at], problem.cost, lower, upper)
+    return bounded, at & np.isnan(bounded).any(axis=1)
+
+
+def _residual(problem: ScaledProblem, efforts: Array, outside: Array, infeasible: BoolArray) -> Array:
+    solved = np.isfinite(efforts).all(axis=1)
+    unbalanced = np.einsum("Nij,Nj->Ni", problem.A, efforts) - problem.g
+    residual: Array = np.where(solved, np.linalg.norm(unbalanced, axis=1), outside)
+    if infeasible.any():
+        residual[infeasible] = least_residual(
+            problem.A[infeasible], problem.g[infeasible], problem.lower[infeasible], problem.upper[infeasible]
+        )
+    return residual
+
+
+def _status(
+    problem: ScaledProblem, rank: IntArray, *, near: BoolArray, consistent: BoolArray, infeasible: BoolArray
+) -> IntArray:
+    full = rank == min(problem.A.shape[1:])
+    status: IntArray = np.select(
+        [~problem.solvable, infeasible, consistent & ~full, consistent & near, consistent, full],
+        [
+            SampleStatus.UNREACHABLE,
+            SampleStatus.BOUND_INFEASIBLE,
+            SampleStatus.SINGULAR_CONSISTENT,
+            SampleStatus.NEAR_SINGULAR,
+            SampleStatus.REGULAR,
+            SampleStatus.UNDERACTUATED_INCONSISTENT,
+        ],
+        SampleStatus.SINGULAR_INCONSISTENT,
+    ).astype(np.intp)
+    return status
+
+
+def _directions(problem: ScaledProblem, rank: IntArray, status: IntArray) -> tuple[Array, Array]:
+    """Return (N, m) free effort and (N, n) uncontrolled velocity directions, scaled, NaN where there are none."""
+    samples, n, m = problem.A.shape
+    free_direction = np.full((samples, m), np.nan)
+    uncontrolled = np.full((samples, n), np.nan)
+    deficient = problem.solvable & (rank < n)
+    if deficient.any():
+        uncontrolled[deficient], free_direction[deficient] = null_directions(problem.A[deficient])
+        free_direction[status != SampleStatus.SINGULAR_CONSISTENT] = np.nan
+    return free_direction, uncontrolled

@@ -1,0 +1,121 @@
+"""How singular stacked matrices are: scaled singular values, rank, condition and null directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, IntArray, read_only
+from redundancy_pin.kinematics.jacobi import jacobi_singular_values
+
+JACOBI_MIN_SAMPLES = 1000
+"""Fewer matrices than this are left to LAPACK, which is faster for them."""
+
+JACOBI_MAX_COLUMNS = 3
+"""Matrices with more rows and columns than this are left to LAPACK, which is faster for them."""
+
+SIGN_TIE = 1e-6
+"""Components within this fraction of the largest tie for the sign of a direction; the first of them decides."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Singular values of N stacked matrices (n, m).
+
+    Attributes:
+        singular_values: (N, min(n, m)) largest first; NaN for a matrix that is not finite.
+    """
+
+    singular_values: Array
+
+    @property
+    def margin(self) -> Array:
+        """(N,) smallest singular value: the distance (2-norm) to the nearest rank-deficient matrix."""
+        return self.singular_values[:, -1]
+
+    @property
+    def condition(self) -> Array:
+        """(N,) largest over smallest singular value; infinite where the smallest is zero."""
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            ratio = self.singular_values[:, 0] / self.singular_values[:, -1]
+        ratio[self.singular_values[:, -1] == 0.0] = np.inf
+        return read_only(ratio)
+
+    def rank(self, tolerance: float = RANK_TOLERANCE) -> IntArray:
+        """Return (N,) the number of singular values above ``tolerance`` times the largest one.
+
+        A matrix that is not finite has rank 0.
+        """
+        return read_only((self.singular_values > tolerance * self.singular_values[:, :1]).sum(axis=1))
+
+
+def scaled(W: Array, row_scale: Array, column_scale: Array) -> Array:
+    """Return D_x⁻¹ W D_a, an actuation matrix without units, so that its singular values can be compared.
+
+    With D_x = diag(row_scale) a moment on the platform becomes a force, and with D_a = diag(column_scale) the
+    torque of a motor becomes the force at the end of a lever of the characteristic length.
+
+    Args:
+        W: (N, n, m) actuation matrices, base frame; any mix of units.
+        row_scale: (n,) characteristic length, m, for a rotation of the platform, 1 for a translation.
+        column_scale: (m,) characteristic length, m, for a revolute actuator, 1 for a prismatic one.
+    """
+    product: Array = W * (column_scale / row_scale[:, np.newaxis])
+    return product
+
+
+def spectrum_of(matrices: Array) -> Spectrum:
+    """Return the singular values of stacked matrices (N, n, m), exact to rounding relative to the largest."""
+    samples, n, m = matrices.shape
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    if finite.all():
+        return Spectrum(read_only(_singular_values(matrices)))
+    values = np.full((samples, min(n, m)), np.nan)
+    values[finite] = _singular_values(matrices[finite])
+    return Spectrum(read_only(values))
+
+
+def margin_of(W: Array, row_scale: Array, column_scale: Array) -> Array:
+    """Return (N,) the smallest singular value of D_x⁻¹ W D_a, the distance to a type II singularity (no unit).
+
+    Args:
+        W: (N, n, m) actuation matrices; NaN gives NaN.
+        row_scale: (n,) see ``scaled``.
+        column_scale: (m,) see ``scaled``.
+    """
+    return spectrum_of(scaled(W, row_scale, column_scale)).margin
+
+
+def null_directions(matrices: Array) -> tuple[Array, Array]:
+    """Return the left and right unit vectors that finite stacked matrices come nearest to mapping to zero.
+
+    Of a matrix that lacks one rank they are its null vectors. Of a matrix that lacks more they are one member of
+    the null space. The sign makes the largest component positive (the first of those that tie).
+
+    Args:
+        matrices: (N, n, m) finite.
+
+    Returns:
+        left: (N, n) unit vectors with the smallest |Aᵀ u|.
+        right: (N, m) unit vectors with the smallest |A v|.
+    """
+    u, _, vt = np.linalg.svd(matrices, full_matrices=True)
+    return _signed(u[:, :, -1]), _signed(vt[:, -1, :])
+
+
+def _singular_values(matrices: Array) -> Array:
+    samples, n, m = matrices.shape
+    if samples < JACOBI_MIN_SAMPLES or min(n, m) > JACOBI_MAX_COLUMNS:
+        return np.linalg.svd(matrices, compute_uv=False).astype(np.float64, copy=False)
+    values, converged = jacobi_singular_values(matrices)
+    if not converged.all():
+        values[~converged] = np.linalg.svd(matrices[~converged], compute_uv=False)
+    return values
+
+
+def _signed(vectors: Array) -> Array:
+    size = np.abs(vectors)
+    leading = (size >= (1.0 - SIGN_TIE) * size.max(axis=1, keepdims=True)).argmax(axis=1)
+    sign = np.sign(np.take_along_axis(vectors, leading[:, np.newaxis], axis=1))
+    return read_only(vectors * sign)
