@@ -1,0 +1,53 @@
+"""Trajectories: polynomials from boundary conditions, paths by arc length, timing laws, sampled motion.
+
+The thesis's own trajectories are the functions of ``reference``.
+"""
+
+from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory.chains import ChainedPath
+from redundancy_pin.trajectory.constant import with_constant
+from redundancy_pin.trajectory.corners import corner_path, rounded_polygon
+from redundancy_pin.trajectory.csv_file import carriers_from_csv, from_csv
+from redundancy_pin.trajectory.domain import Side
+from redundancy_pin.trajectory.paths import Path, PathPoint
+from redundancy_pin.trajectory.polynomials import (
+    Polynomial,
+    boundary_polynomial,
+    rest_to_rest_345,
+    rest_to_rest_4567,
+)
+from redundancy_pin.trajectory.poses import PoseTrajectory
+from redundancy_pin.trajectory.segments import Arc, Line, circle_path
+from redundancy_pin.trajectory.speed_profile import SpeedProfile
+from redundancy_pin.trajectory.splines import SplinePath, through_points
+from redundancy_pin.trajectory.timing import RestToRest, TimingLaw, TimingPoint
+from redundancy_pin.trajectory.trajectory import Trajectory, TrajectoryPoint
+
+__all__ = [
+    "Arc",
+    "ChainedPath",
+    "Line",
+    "Path",
+    "PathPoint",
+    "Polynomial",
+    "PoseTrajectory",
+    "RestToRest",
+    "Side",
+    "SpeedProfile",
+    "SplinePath",
+    "TimingLaw",
+    "TimingPoint",
+    "Trajectory",
+    "TrajectoryPoint",
+    "boundary_polynomial",
+    "carriers_from_csv",
+    "circle_path",
+    "corner_path",
+    "from_csv",
+    "reference",
+    "rest_to_rest_345",
+    "rest_to_rest_4567",
+    "rounded_polygon",
+    "through_points",
+    "with_constant",
+]
