@@ -1,0 +1,75 @@
+# Everything runs inside a virtual environment that make sets up itself: a bare machine needs GNU make and a Python.
+# `make help` lists the targets.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+
+PYTHON  ?=
+VENV    ?= .venv
+OUT     ?= results
+SAMPLES ?= 100000
+
+CANDIDATES := $(or $(PYTHON),python3.13 python3.12 python3.11 python3.10 python3)
+BIN        := $(VENV)/bin
+STAMP      := $(VENV)/.installed
+
+# exit status 0 where a Python suits the package
+SUITS    := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 14))
+# ... and where it can make a virtual environment
+HAS_VENV := import ensurepip, venv
+
+.PHONY: help test reproduce validate bench clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1 \2/p' Makefile | while read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
+	@echo
+	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES (of validate)."
+
+test: $(STAMP) ## lint, types, import contracts, tests (under five minutes on two cores)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy --strict
+	$(BIN)/lint-imports
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+
+reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: results)
+	$(BIN)/redundancy-pin reproduce --out "$(OUT)"
+
+validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random states
+	$(BIN)/redundancy-pin validate --samples $(SAMPLES)
+
+bench: $(STAMP) ## time the backends and planners
+	$(BIN)/python benchmarks/run.py
+
+clean: ## remove the environment, build products and caches (not the results)
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find redundancy_pin tests benchmarks -type d -name __pycache__ -prune -exec rm -rf {} +
+
+# An environment whose interpreter works and suits is kept (`make clean` to change PYTHON); any other is made anew.
+$(STAMP): pyproject.toml
+	@if ! $(BIN)/python -c '$(SUITS)' 2>/dev/null; then \
+	  chosen=; lacks_venv=; \
+	  for candidate in $(CANDIDATES); do \
+	    "$$candidate" -c '$(SUITS)' 2>/dev/null || continue; \
+	    if "$$candidate" -c '$(HAS_VENV)' 2>/dev/null; then chosen=$$candidate; break; fi; \
+	    lacks_venv=$$candidate; \
+	  done; \
+	  if [ -z "$$chosen" ] && [ -n "$$lacks_venv" ]; then \
+	    echo "error: $$lacks_venv cannot make virtual environments: it has no venv or ensurepip module." >&2; \
+	    echo "Install them (Debian, Ubuntu: apt install python3-venv), or name another: make PYTHON=/path/to/python3" >&2; \
+	    exit 1; \
+	  elif [ -z "$$chosen" ]; then \
+	    echo "error: no Python >= 3.10 and < 3.14 among: $(CANDIDATES)." >&2; \
+	    for candidate in $(CANDIDATES); do \
+	      version=$$("$$candidate" --version 2>/dev/null) && echo "  $$candidate is $$version" >&2 || true; \
+	    done; \
+	    echo "Install one, or name it: make PYTHON=/path/to/python3" >&2; \
+	    exit 1; \
+	  fi; \
+	  echo "Making $(VENV) with $$("$$chosen" --version)"; \
+	  "$$chosen" -m venv --clear $(VENV); \
+	fi
+	$(BIN)/python -m pip install --quiet --no-input --disable-pip-version-check --editable '.[dev]'
+	@touch $@
