@@ -124,7 +124,7 @@ class CarrierMotion:
 
 def _require_increasing(t: Array, x: Array, xd: Array) -> None:
     step = np.diff(t)
-    same_state = (x[1:] == x[:-1]).reshape(len(step), -1).all(axis=1) & (xd[1:] == xd[:-1]).all(axis=1)
+    same_state = (x[1:] == x[:-1]).all(axis=tuple(range(1, x.ndim))) & (xd[1:] == xd[:-1]).all(axis=1)
     two_sided = (step == 0.0) & same_state
     thrice = two_sided[1:] & two_sided[:-1]
     bad = np.flatnonzero(~(step > 0.0) & ~two_sided)

@@ -117,7 +117,7 @@ class RneaAlongMotion:
         """Return q (nq, N), v (nv, N), a (nv, N) of the tree, carriers included, samples in columns."""
         robot = self.robot
         carriers = require_matching(robot, carriers, len(self.motion))
-        q, v, a = (np.asfortranarray(part) for part in self._pose_motion)
+        q, v, a = (np.array(part.T, order="F") for part in (self.tree.q, self.tree.v, self.tree.a))
         q[robot.carrier_position] = carriers.s.T
         v[robot.carrier_velocity] = carriers.sd.T
         a[robot.carrier_velocity] = carriers.sdd.T
@@ -179,10 +179,6 @@ class RneaAlongMotion:
         return frozen(total)
 
     @cached_property
-    def _pose_motion(self) -> tuple[Array, Array, Array]:
-        return self.tree.q.T, self.tree.v.T, self.tree.a.T
-
-    @cached_property
     def _pool(self) -> pin.ModelPool:
         return pin.ModelPool(self.robot.model, self._threads)
 
@@ -196,5 +192,6 @@ class RneaAlongMotion:
 
 
 def _batched_rnea(pool: pin.ModelPool, threads: int, q: Array, v: Array, a: Array) -> Array:
-    result: Array = pin.rneaInParallel(threads, pool, q, v, a)
+    # for a single column the binding returns a vector
+    result: Array = np.reshape(pin.rneaInParallel(threads, pool, q, v, a), v.shape)
     return result

@@ -1,0 +1,133 @@
+"""Joint reactions against free-body diagrams: what every single body needs, and what reaches the ground."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.dynamics.reactions import joint_reactions
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.errors import InputError
+
+FORCE_TOLERANCE = 1e-9
+"""N, N·m: forces of 10 to 100, conditioned no worse than 1e3, leave 1e-11."""
+
+
+def swinging(robot, samples=5, amplitude=0.08):
+    """A smooth motion around the reference of a planar robot, all coordinates in motion."""
+    from redundancy_pin.kinematics.closure import ConstraintSystem
+    from redundancy_pin.kinematics.coordinates import coordinates
+
+    home = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))[0]
+    t = np.linspace(0.1, 0.7, samples)
+    phase = 3.0 * t[:, None] + np.arange(robot.n)
+    return rp.PlatformMotion(
+        t, home + amplitude * np.sin(phase), 3 * amplitude * np.cos(phase), -9 * amplitude * np.sin(phase)
+    )
+
+
+def carriers_for(robot, t):
+    phase = 5.0 * t[:, None] + np.arange(robot.k)
+    return rp.CarrierMotion(0.1 * np.sin(phase), 0.5 * np.cos(phase), -2.5 * np.sin(phase))
+
+
+@pytest.fixture(scope="module", params=["2rpr", "3rrr"])
+def case(request):
+    masses = {"2rpr": {"end_effector_mass": 0.7, "cylinder_mass": 0.4, "piston_mass": 0.3}, "3rrr": {}}[request.param]
+    robot = rp.load_robot(request.param, gravity=(0.4, -9.81, -2.0), **masses)
+    motion = swinging(robot)
+    carriers = carriers_for(robot, motion.t)
+    along = RneaDynamics(robot).along(motion)
+    reduced = along.reduce(carriers)
+    tau = np.linalg.solve(reduced.W, reduced.f[:, :, None])[:, :, 0]
+    return robot, along, carriers, reduced, tau
+
+
+def test_efforts_of_the_motion_leave_nothing_unbalanced(case):
+    robot, along, carriers, _, tau = case
+    assert joint_reactions(along, tau, carriers).residual.max() < FORCE_TOLERANCE
+    wrong = joint_reactions(along, tau + 1.0, carriers)
+    assert wrong.residual.min() > 1e-3
+
+
+def test_joint_axes_carry_the_actuator_efforts_and_nothing_else(case):
+    robot, along, carriers, reduced, tau = case
+    reactions = joint_reactions(along, tau, carriers)
+    data = robot.model.createData()
+    q, _, _ = along.tree_motion(carriers)
+    for i in range(q.shape[1]):
+        pin.computeJointJacobians(robot.model, data, q[:, i])
+        for name, wrench in zip(reactions.joints, reactions.joint_wrench[i], strict=True):
+            joint = robot.model.getJointId(name)
+            subspace = pin.getJointJacobian(robot.model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            along_axis = subspace[:, robot.model.joints[joint].idx_v] @ wrench
+            expected = 0.0
+            if name in robot.actuated:
+                expected = tau[i, robot.actuated.index(name)]
+            elif name in robot.carriers:
+                expected = reduced.carrier_force[i, robot.carriers.index(name)]
+            assert along_axis == pytest.approx(expected, abs=FORCE_TOLERANCE)
+
+
+def test_each_body_obeys_newton_and_euler(case):
+    """Sum of joint, closure and gravity forces on one body = its rate of momentum (finite differences of motion)."""
+    robot, along, carriers, _, tau = case
+    model = robot.model
+    reactions = joint_reactions(along, tau, carriers)
+    data = model.createData()
+    q, v, a = along.tree_motion(carriers)
+    gravity = np.array(robot.gravity)
+    i, step = 2, 1e-5
+    rates = {}
+    for sign in (1, -1):
+        shifted = pin.integrate(model, q[:, i], sign * step * v[:, i] + 0.5 * step**2 * a[:, i])
+        pin.forwardKinematics(model, data, shifted, v[:, i] + sign * step * a[:, i])
+        for body in range(1, model.njoints):
+            momentum = data.oMi[body].act(model.inertias[body] * data.v[body])
+            rates[body] = rates.get(body, 0.0) + sign * momentum.vector / (2 * step)
+    pin.forwardKinematics(model, data, q[:, i], v[:, i])
+    net = {}
+    for name, wrench in zip(reactions.joints, reactions.joint_wrench[i], strict=True):
+        body = model.getJointId(name)
+        origin = data.oMi[body].translation
+        about_world = np.concatenate([wrench[:3], wrench[3:] + np.cross(origin, wrench[:3])])
+        net[body] = net.get(body, 0.0) + about_world
+        net[model.parents[body]] = net.get(model.parents[body], 0.0) - about_world
+    pin.updateFramePlacements(model, data)
+    row = 0
+    for closure in robot.closures:
+        at_a, at_b = (data.oMf[model.getFrameId(f)] for f in (closure.frame_a, closure.frame_b))
+        local = np.zeros(3)
+        for axis in closure.axes:
+            local["xyz".index(axis)] = reactions.closure_force[i, row]
+            row += 1
+        force = at_a.rotation @ local
+        wrench = np.concatenate([force, np.cross(at_b.translation, force)])
+        for frame, sign in ((closure.frame_b, 1), (closure.frame_a, -1)):
+            body = model.frames[model.getFrameId(frame)].parentJoint
+            net[body] = net.get(body, 0.0) + sign * wrench
+    for body in range(1, model.njoints):
+        inertia = model.inertias[body]
+        weight = inertia.mass * gravity
+        centre = data.oMi[body].act(inertia.lever)
+        net[body] = net[body] + np.concatenate([weight, np.cross(centre, weight)])
+        # central differences of momentum with step 1e-5: 1e-10 truncation, 1e-11/1e-5 rounding
+        np.testing.assert_allclose(net[body], rates[body], atol=5e-6)
+    ground = -net[0]
+    np.testing.assert_allclose(-ground, along.base_wrench(carriers)[i], atol=FORCE_TOLERANCE)
+
+
+def test_rows_without_effort_stay_without_reactions(case):
+    robot, along, carriers, _, tau = case
+    holes = tau.copy()
+    holes[1] = np.nan
+    reactions = joint_reactions(along, holes, carriers)
+    assert np.isnan(reactions.joint_wrench[1]).all()
+    assert np.isnan(reactions.residual[1])
+    assert np.isfinite(reactions.joint_wrench[0]).all()
+
+
+def test_wrong_shape_is_refused(case):
+    robot, along, carriers, _, tau = case
+    with pytest.raises(InputError, match="tau"):
+        joint_reactions(along, tau[:, :-1], carriers)
