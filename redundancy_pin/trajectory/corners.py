@@ -73,11 +73,16 @@ def rounded_polygon(
 
     Raises:
         InputError: too few vertices, two that coincide, an edge that turns back on itself, a radius that does
-            not fit (with edge, lengths and the largest radius that fits), or a start off the straight part.
+            not fit (with edge, lengths and the largest radius that fits), a start off the straight part or of an
+            open polygon.
     """
     corners = checked(vertices, "vertices", ("N", "n"))
     r = positive(radius, "radius", "m")
     needed = 3 if closed else 2
+    if start is not None and not closed:
+        raise InputError(
+            f"start = {start:g} m is for a closed polygon.", remedy="An open polygon starts in its first vertex."
+        )
     if len(corners) < needed:
         raise InputError(f"vertices has {len(corners)} points, expected at least {needed}.", count=len(corners))
     ring = np.concatenate([corners, corners[:1]]) if closed else corners

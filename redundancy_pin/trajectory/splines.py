@@ -17,6 +17,8 @@ from redundancy_pin.trajectory.segments import straight_pieces
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LENGTH_TOLERANCE = 1e-13
 """Relative change of the arc length by halving the panels below which it counts as converged."""
+_LEAST_RATE = 1e-6
+"""|r'| below which the direction is lost; it is about 1 elsewhere, for u is the distance between points."""
 _MOST_HALVINGS = 8
 _MOST_NEWTON_STEPS = 30
 
@@ -137,10 +139,21 @@ def _arc_length_table(spline: CubicSpline, knots: Array) -> tuple[Array, Array]:
         change = np.abs(halves[0::2] + halves[1::2] - lengths).max()
         edges, lengths = finer, halves
         if change <= _LENGTH_TOLERANCE * lengths.sum():
-            return edges, np.concatenate([[0.0], np.cumsum(lengths)])
-    k = int(np.argmin(np.linalg.norm(spline(edges, 1), axis=-1)))
-    raise InputError(
+            break
+    else:
+        raise _cusp(spline, edges)
+    # A cusp right at an edge does not disturb the quadrature on either side of it.
+    if np.linalg.norm(spline(edges, 1), axis=-1).min() < _LEAST_RATE:
+        raise _cusp(spline, edges)
+    return edges, np.concatenate([[0.0], np.cumsum(lengths)])
+
+
+def _cusp(spline: CubicSpline, edges: Array) -> InputError:
+    rate = np.linalg.norm(spline(edges, 1), axis=-1)
+    k = int(np.argmin(rate))
+    return InputError(
         f"The spline through the points has a cusp near {np.asarray(spline(edges[k])).round(6).tolist()}: "
         "its direction is not defined there.",
         remedy="Space the points more evenly, or round the turn with more points.",
+        rate=float(rate[k]),
     )

@@ -1,0 +1,66 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
+
+from redundancy_pin.errors import InputError
+from redundancy_pin.trajectory import through_points
+
+FLOWER = np.array([[0, 0], [0.3, 0.1], [0.5, 0.5], [0.2, 0.8], [-0.3, 0.6]])
+
+
+def test_passes_through_its_points_in_order():
+    path = through_points(FLOWER)
+    p = np.linspace(0.0, path.length, 200001)
+    x = path.evaluate(p).x
+    nearest = [np.argmin(np.linalg.norm(x - point, axis=1)) for point in FLOWER]
+    assert nearest == sorted(nearest)
+    # Half a step of the grid is length / 400000.
+    np.testing.assert_allclose(x[nearest], FLOWER, atol=path.length / 3e5)
+    np.testing.assert_allclose(path.evaluate([0.0, path.length]).x, FLOWER[[0, -1]], atol=1e-15)
+
+
+def test_length_agrees_with_adaptive_quadrature():
+    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(FLOWER, axis=0), axis=1))])
+    slope = CubicSpline(chord, FLOWER, bc_type="natural").derivative()
+    expected = sum(
+        quad(lambda u: np.linalg.norm(slope(u)), a, b, epsabs=1e-14, epsrel=1e-13)[0] for a, b in pairwise(chord)
+    )
+    assert through_points(FLOWER).length == pytest.approx(expected, rel=1e-13)
+
+
+def test_points_of_a_circle_give_nearly_a_circle_with_a_smooth_seam():
+    """Periodic cubic splines converge with the fourth power of the spacing; 64 points leave about 1e-6."""
+    angle = np.arange(64) * 2 * np.pi / 64
+    path = through_points(np.column_stack([np.cos(angle), np.sin(angle)]), closed=True)
+    assert path.length == pytest.approx(2 * np.pi, abs=1e-4)
+    point = path.evaluate(np.linspace(0.0, path.length, 999))
+    np.testing.assert_allclose(np.linalg.norm(point.x, axis=1), 1.0, atol=2e-6)
+    np.testing.assert_allclose(np.linalg.norm(point.curvature, axis=1), 1.0, atol=2e-3)
+    for part in point:
+        np.testing.assert_allclose(part[0], part[-1], atol=1e-12)
+
+
+def test_two_points_are_a_straight_line():
+    path = through_points([[0, 0, 0], [1, 2, 2]])
+    assert path.length == pytest.approx(3.0, rel=1e-15)
+    np.testing.assert_allclose(path.evaluate(1.5).x, [0.5, 1, 1], rtol=1e-14)
+    np.testing.assert_allclose(path.evaluate(1.5).curvature, 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("points", "closed", "message"),
+    [
+        ([[0, 0]], False, "has 1 points, expected at least 2"),
+        ([[0, 0], [1, 0]], True, "has 2 points, expected at least 3"),
+        ([[0, 0], [1, 0], [1, 0]], False, r"Points 1 and 2 coincide at \[1\.0, 0\.0\]"),
+        ([[0, 0], [1, 0], [1, 1], [0, 0]], True, "does not repeat its first point"),
+        ([0, 1, 2], False, r"points has shape \(3,\)"),
+        ([[0, 0], [1, 0], [0, 0]], False, r"cusp near \[1\.0, 0\.0\]"),
+    ],
+)
+def test_bad_points_are_refused(points, closed, message):
+    with pytest.raises(InputError, match=message):
+        through_points(points, closed=closed)
