@@ -23,9 +23,12 @@ def positive(value: float, name: str, unit: str) -> float:
     """Return ``value`` as a float after checking that it is positive and finite.
 
     Raises:
-        InputError: zero, negative, NaN or infinite.
+        InputError: not a number, zero, negative, NaN or infinite.
     """
-    number = float(value)
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is {value!r}, expected a number of {unit}.", name=name) from error
     if not (math.isfinite(number) and number > 0.0):
         raise InputError(f"{name} is {number:g} {unit}, expected a positive number.", name=name, value=number)
     return number

@@ -9,6 +9,9 @@ from redundancy_pin.arrays import Array, BoolArray, checked
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.domain import ROUNDING, inside, positive
 
+MOST_SAMPLES = 10_000_000
+"""Samples made at once; more would fill the memory of a usual computer in the dynamics that follow."""
+
 
 def sample_times(duration: float, breaks: Array, dt: float | None, times: ArrayLike | None, two_sided: bool) -> Array:
     """Return the times to sample at, s; a break occurs twice when it is to be two-sided.
@@ -25,13 +28,20 @@ def sample_times(duration: float, breaks: Array, dt: float | None, times: ArrayL
         two_sided: whether to insert the breaks.
 
     Raises:
-        InputError: both or none of ``dt`` and ``times``, times that do not increase or are outside [0, duration].
+        InputError: both or none of ``dt`` and ``times``, a dt that makes too many samples, times that
+            do not increase or are outside [0, duration].
     """
     if (dt is None) == (times is None):
         raise InputError("Pass either dt or times.", remedy="dt=1e-3 samples every millisecond.")
     slack = ROUNDING * duration
     if dt is not None:
         step = positive(dt, "dt", "s")
+        if duration / step > MOST_SAMPLES:
+            raise InputError(
+                f"dt = {step:g} s makes {duration / step:.3g} samples of {duration:.6g} s.",
+                remedy=f"At most {MOST_SAMPLES} are made at once: use a larger dt, or sample a part with times.",
+                dt=step,
+            )
         grid = step * np.arange(np.ceil(duration / step) + 1.0)
         grid = np.append(grid[grid < duration - slack], duration)
     else:

@@ -10,17 +10,22 @@ from scipy.interpolate import CubicSpline
 
 from redundancy_pin.arrays import Array, checked, frozen
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory.domain import ROUNDING, Side, inside, require_side
+from redundancy_pin.trajectory.domain import Side, inside, require_side
 from redundancy_pin.trajectory.paths import PathPoint
 from redundancy_pin.trajectory.segments import straight_pieces
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_LENGTH_TOLERANCE = 1e-13
-"""Relative change of the arc length by halving the panels below which it counts as converged."""
-_LEAST_RATE = 1e-6
-"""|r'| below which the direction is lost; it is about 1 elsewhere, for u is the distance between points."""
-_MOST_HALVINGS = 8
-_MOST_NEWTON_STEPS = 30
+_LENGTH_TOLERANCE = 1e-14
+"""Change of a panel's arc length by halving it, relative to the whole, below which it counts as converged."""
+_LEAST_RATE = 1e-4
+"""|r'| below which the path counts as turning on the spot. It is about 1 elsewhere, for u is the distance between
+points; where it falls to this the radius of curvature is about 1e-8 of that distance."""
+_MOST_HALVINGS = 40
+"""At a cusp the panels shrink until their square is lost in rounding, after 25 halvings."""
+_INVERSION_TOLERANCE = 1e-14
+"""Arc length, relative to the whole, to which p is met: fifty roundings."""
+_MOST_STEPS = 60
+"""Bisection alone would halve a panel to its last bit in fewer; Newton takes about four."""
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -93,18 +98,19 @@ class SplinePath:
         return PathPoint(self._spline(u), tangent, normal / speed**2)
 
     def _parameter(self, p: Array) -> Array:
-        """Return the spline parameter u at arc lengths p: Newton steps inside the panel of each p."""
+        """Return the spline parameter u at arc lengths p: Newton steps, or bisection where one leaves its bracket."""
         panel = np.searchsorted(self._arc_at_edges, p, side="right") - 1
         panel = np.clip(panel, 0, len(self._edges) - 2)
-        lower, upper = self._edges[panel], self._edges[panel + 1]
+        start, low, high = self._edges[panel], self._edges[panel], self._edges[panel + 1]
         target = p - self._arc_at_edges[panel]
-        u = lower + (upper - lower) * target / (self._arc_at_edges[panel + 1] - self._arc_at_edges[panel])
-        for _ in range(_MOST_NEWTON_STEPS):
-            miss = _arc_length(self._spline, lower, u) - target
-            step = miss / np.linalg.norm(self._spline(u, 1), axis=-1)
-            u = np.clip(u - step, lower, upper)
-            if np.abs(miss).max(initial=0.0) <= ROUNDING * 1e-2 * self.length:
+        u = low + (high - low) * target / (self._arc_at_edges[panel + 1] - self._arc_at_edges[panel])
+        for _ in range(_MOST_STEPS):
+            miss = _arc_length(self._spline, start, u) - target
+            if np.abs(miss).max(initial=0.0) <= _INVERSION_TOLERANCE * self.length:
                 break
+            low, high = np.where(miss < 0.0, u, low), np.where(miss > 0.0, u, high)
+            newton = u - miss / np.linalg.norm(self._spline(u, 1), axis=-1)
+            u = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
         return u
 
 
@@ -130,30 +136,37 @@ def _arc_length(spline: CubicSpline, lower: Array, upper: Array) -> Array:
 
 
 def _arc_length_table(spline: CubicSpline, knots: Array) -> tuple[Array, Array]:
-    """Return panel edges in u and the arc length at each, halving all panels until it stands still."""
-    edges = knots
-    lengths = _arc_length(spline, edges[:-1], edges[1:])
+    """Return panel edges in u and the arc length at each; a panel is halved until its length stands still."""
+    start, end = knots[:-1], knots[1:]
+    lengths = _arc_length(spline, start, end)
+    total = lengths.sum()
+    starts, pieces = [], []
     for _ in range(_MOST_HALVINGS):
-        finer = np.sort(np.concatenate([edges, 0.5 * (edges[:-1] + edges[1:])]))
-        halves = _arc_length(spline, finer[:-1], finer[1:])
-        change = np.abs(halves[0::2] + halves[1::2] - lengths).max()
-        edges, lengths = finer, halves
-        if change <= _LENGTH_TOLERANCE * lengths.sum():
+        middle = 0.5 * (start + end)
+        first, second = _arc_length(spline, start, middle), _arc_length(spline, middle, end)
+        moving = np.abs(first + second - lengths) > _LENGTH_TOLERANCE * total
+        starts += [start[~moving], middle[~moving]]
+        pieces += [first[~moving], second[~moving]]
+        start, end = np.concatenate([start[moving], middle[moving]]), np.concatenate([middle[moving], end[moving]])
+        lengths = np.concatenate([first[moving], second[moving]])
+        if len(start) == 0:
             break
-    else:
-        raise _cusp(spline, edges)
-    # A cusp right at an edge does not disturb the quadrature on either side of it.
-    if np.linalg.norm(spline(edges, 1), axis=-1).min() < _LEAST_RATE:
-        raise _cusp(spline, edges)
-    return edges, np.concatenate([[0.0], np.cumsum(lengths)])
+    edges = np.concatenate([*starts, start, knots[-1:]])
+    order = np.argsort(edges)
+    arcs = np.concatenate([[0.0], np.cumsum(np.concatenate([*pieces, lengths])[order[:-1]])])
+    _require_direction(spline, edges[order], unsettled=len(start) > 0)
+    return edges[order], arcs
 
 
-def _cusp(spline: CubicSpline, edges: Array) -> InputError:
-    rate = np.linalg.norm(spline(edges, 1), axis=-1)
+def _require_direction(spline: CubicSpline, edges: Array, unsettled: bool) -> None:
+    half = 0.5 * np.diff(edges)[:, None]
+    places = np.concatenate([edges, (edges[:-1, None] + half + half * _NODES).ravel()])
+    rate = np.linalg.norm(spline(places, 1), axis=-1)
     k = int(np.argmin(rate))
-    return InputError(
-        f"The spline through the points has a cusp near {np.asarray(spline(edges[k])).round(6).tolist()}: "
-        "its direction is not defined there.",
-        remedy="Space the points more evenly, or round the turn with more points.",
-        rate=float(rate[k]),
-    )
+    if unsettled or rate[k] < _LEAST_RATE:
+        raise InputError(
+            f"The spline through the points has a cusp near {np.asarray(spline(places[k])).round(6).tolist()}: "
+            "its direction is not defined there.",
+            remedy="Space the points more evenly, or round the turn with more points.",
+            rate=float(rate[k]),
+        )

@@ -2,6 +2,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
@@ -29,6 +31,22 @@ def test_length_agrees_with_adaptive_quadrature():
         quad(lambda u: np.linalg.norm(slope(u)), a, b, epsabs=1e-14, epsrel=1e-13)[0] for a, b in pairwise(chord)
     )
     assert through_points(FLOWER).length == pytest.approx(expected, rel=1e-13)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(st.integers(0, 10**6), st.integers(3, 7), st.booleans())
+def test_arc_length_is_met_on_wild_curves(seed, count, closed):
+    """The chord over a short arc is its length but for (curvature × arc)² / 24; random points turn sharply."""
+    path = through_points(np.random.default_rng(seed).normal(size=(count, 2)), closed=closed)
+    p = np.linspace(0.0, path.length, 400)
+    short = 1e-4 * path.length
+    start = np.minimum(p, path.length - short)
+    before, after = path.evaluate(start), path.evaluate(start + short)
+    bend = np.maximum(*(np.linalg.norm(q.curvature, axis=1) for q in (before, after))) * short
+    gentle = bend < 1e-2
+    chord = np.linalg.norm(after.x - before.x, axis=1)
+    assert gentle.mean() > 0.9
+    np.testing.assert_allclose(chord[gentle], short, rtol=1e-5)
 
 
 def test_points_of_a_circle_give_nearly_a_circle_with_a_smooth_seam():

@@ -180,6 +180,8 @@ def test_time_scaling_keeps_the_path_and_squares_the_acceleration():
         (lambda: CORNER.sample(), "either dt or times"),
         (lambda: CORNER.sample(0.1, times=[0.0, 0.1]), "either dt or times"),
         (lambda: CORNER.sample(0.0), "dt is 0 s, expected a positive number"),
+        (lambda: CORNER.sample("often"), "dt is 'often', expected a number of s"),
+        (lambda: CORNER.sample(1e-9), r"dt = 1e-09 s makes 1\.8e\+09 samples"),
         (lambda: CORNER.sample(times=[0.2, 0.1]), "strictly increasing"),
         (lambda: CORNER.sample(times=[]), "strictly increasing"),
         (lambda: CORNER.sample(times=[0.2, 3.0]), r"times = 3 s is outside \[0, 1\.79"),
