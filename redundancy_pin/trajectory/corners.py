@@ -90,7 +90,7 @@ def rounded_polygon(
     following = np.concatenate([directions, directions[:1]]) if closed else directions
     turns = _turn_angles(following)
     trims = r * np.tan(turns / 2.0)
-    at_start, at_end = (np.roll(trims, 1), trims) if closed else (_pad(trims, 0), _pad(trims, -1))
+    at_start, at_end = (np.roll(trims, 1), trims) if closed else (np.append(0.0, trims), np.append(trims, 0.0))
     _require_fit(edges, at_start, at_end, r)
 
     arcs = [
@@ -170,7 +170,3 @@ def _start_offset(start: float | None, edge: float, lower: float, trim: float) -
             upper=upper,
         )
     return offset
-
-
-def _pad(trims: Array, where: int) -> Array:
-    return np.insert(trims, 0 if where == 0 else len(trims), 0.0)

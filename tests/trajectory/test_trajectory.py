@@ -120,6 +120,21 @@ def test_no_jump_where_the_speed_is_zero():
     assert len(trajectory.sample(0.03)) == 68 + 2 * 7
 
 
+class _CautiousLine:
+    """A user's path that declares a break where nothing jumps."""
+
+    length, dimension, breaks = 1.0, 2, np.array([0.5])
+
+    def evaluate(self, p, side="right"):
+        return Line([0, 0], [1, 0]).evaluate(p, side)
+
+
+def test_a_declared_break_without_a_jump_is_no_break():
+    trajectory = Trajectory(_CautiousLine(), RestToRest(1.0, 1.0))
+    assert len(trajectory.breaks) == 0
+    assert not trajectory.sample(0.1).jumps.any()
+
+
 def test_sampling_in_steps_ends_exactly_and_makes_no_sliver():
     line = Trajectory(Line([0, 0], [1, 0]), RestToRest(1.0, 0.7))
     np.testing.assert_allclose(line.sample(0.1).t, np.arange(8) * 0.1, atol=1e-15)
