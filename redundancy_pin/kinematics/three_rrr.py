@@ -189,10 +189,7 @@ def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequ
         bx = q * px - turn * py
         by = q * py + turn * px
     ex, ey = px - bx, py - by
-    gap = np.abs(np.sqrt(ex * ex + ey * ey) - l2)
-    undefined = np.isnan(gap)
-    if undefined.any():
-        gap[undefined] = np.maximum(shortage[undefined], 0.0)
+    gap = np.fmax(np.abs(np.sqrt(ex * ex + ey * ey) - l2), shortage)  # fmax: the shortage where there is no e
     for array in (arm_x, arm_y, bx, by, ex, ey, c, gap):
         read_only(array)
     label = (int(sign[0, 0]), int(sign[1, 0]), int(sign[2, 0]))

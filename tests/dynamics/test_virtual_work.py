@@ -1,0 +1,269 @@
+"""The virtual-work backend as planners see it: shapes, refusals, marks, scales, carriers that are not there."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.dynamics.virtual_work import VirtualWork
+from redundancy_pin.errors import (
+    CarrierLimitError,
+    InputError,
+    SingularPoseError,
+    UnreachablePoseError,
+    UnsupportedRobotError,
+)
+
+START = {"2rpr": [0.25, 0.4], "3rrr": [0.9, 0.5, 0.1]}
+UP = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
+STRETCHED = {"2rpr": [0.0, 0.0], "3rrr": [*(2.25 * UP), 0.0]}
+"""Type I: leg 1 of the 2-RPR has no length; leg 1 of the 3-RRR is straight."""
+
+
+@pytest.fixture(scope="module", params=["2rpr", "3rrr"])
+def robot(request):
+    return rp.load_robot(request.param, gravity=[0.3, -9.0, 2.0])
+
+
+def motion_of(robot, samples=7):
+    rng = np.random.default_rng(3)
+    x = START[robot.name] + 0.1 * rng.uniform(-1, 1, (samples, robot.n))
+    return rp.PlatformMotion(np.arange(samples), x, *rng.normal(size=(2, samples, robot.n)))
+
+
+def carriers_of(robot, samples=7):
+    return rp.CarrierMotion(*np.random.default_rng(4).uniform(-0.19, 0.19, (3, samples, robot.k)))
+
+
+def with_pose(motion, sample, pose):
+    x = motion.x.copy()
+    x[sample] = pose
+    return rp.PlatformMotion(motion.t, x, motion.xd, motion.xdd)
+
+
+def arrays(result):
+    return {f.name: getattr(result, f.name) for f in fields(result)}
+
+
+def test_shapes_and_read_only_results(robot):
+    motion, carriers = motion_of(robot), carriers_of(robot)
+    N, n, m, k = 7, robot.n, robot.m, robot.k
+    along = VirtualWork(robot).along(motion)
+    shapes = {"t": (N,), "f": (N, n), "W": (N, n, m), "carrier_force": (N, k), "reachable": (N,), "gap": (N,)}
+    shapes |= {"row_scale": (n,), "column_scale": (m,)}
+    assert {name: a.shape for name, a in arrays(along.reduce(carriers)).items()} == shapes
+    derivatives = arrays(along.carrier_derivatives(carriers))
+    for name, array in derivatives.items():
+        assert array.shape == ((N, n, k) if name.startswith("f_") else (N, k, k))
+    assert along.base_wrench(carriers).shape == (N, 6)
+    assert along.energy(carriers).shape == (N,)
+    results = [*arrays(along.reduce(carriers)).values(), *derivatives.values()]
+    for array in (*results, along.base_wrench(carriers), along.energy(carriers)):
+        assert not array.flags.writeable
+    assert along.robot is robot
+    assert along.motion is motion
+
+
+def test_scales_turn_moments_into_forces(robot):
+    reduced = VirtualWork(robot).reduce(motion_of(robot))
+    L = robot.characteristic_length
+    rows, columns = ([1, 1], [1, 1]) if robot.name == "2rpr" else ([1, 1, L], [L, L, L])
+    np.testing.assert_array_equal(reduced.row_scale, rows)
+    np.testing.assert_array_equal(reduced.column_scale, columns)
+
+
+def test_reduce_is_along_then_reduce_and_parked_is_the_default(robot):
+    motion, carriers = motion_of(robot), carriers_of(robot)
+    dynamics = VirtualWork(robot)
+    for given, same in ((carriers, carriers), (None, rp.CarrierMotion.parked(7, robot.k))):
+        once, twice = dynamics.reduce(motion, given), dynamics.along(motion).reduce(same)
+        for name, array in arrays(once).items():
+            np.testing.assert_array_equal(array, getattr(twice, name))
+
+
+def test_power_of_actuators_carriers_and_energy_balance(robot):
+    """ẋ·f + ṡ·force = dE/dt at the backend's own surface, and W maps platform rates to joint rates."""
+    motion, carriers = motion_of(robot), carriers_of(robot)
+    dynamics, h = VirtualWork(robot), 1e-4
+
+    def energy_at(t):
+        moved = rp.PlatformMotion(
+            motion.t, motion.x + motion.xd * t + motion.xdd * t**2 / 2, motion.xd + motion.xdd * t, motion.xdd
+        )
+        slid = rp.CarrierMotion(
+            carriers.s + carriers.sd * t + carriers.sdd * t**2 / 2, carriers.sd + carriers.sdd * t, carriers.sdd
+        )
+        return dynamics.along(moved).energy(slid)
+
+    reduced = dynamics.reduce(motion, carriers)
+    power = (reduced.f * motion.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
+    rate = (energy_at(h) - energy_at(-h)) / (2 * h)
+    np.testing.assert_allclose(power, rate, atol=1e-4 * np.abs(rate).max())  # order two: h² times a curvature of 1e3
+
+
+@pytest.mark.parametrize("pose_at", [3, 6])
+def test_unreachable_pose_is_refused_with_sample_and_gap(pose_at):
+    robot = rp.load_robot("3rrr")
+    motion = with_pose(motion_of(robot), pose_at, [*(2.5 * UP), 0.0])  # leg 1 is 0.25 m too short
+    with pytest.raises(UnreachablePoseError) as refusal:
+        VirtualWork(robot).reduce(motion)
+    assert refusal.value.details["sample"] == pose_at
+    assert refusal.value.details["gap"] == pytest.approx(0.25)
+
+
+def test_type_one_pose_is_refused_with_leg_and_sample(robot):
+    with pytest.raises(SingularPoseError, match="leg 1") as refusal:
+        VirtualWork(robot).along(with_pose(motion_of(robot), 2, STRETCHED[robot.name]))
+    assert refusal.value.details["leg"] == 0
+    assert refusal.value.details["sample"] == 2
+    assert abs(refusal.value.details["margin"]) < 1e-5
+
+
+def test_marked_samples_are_nan_and_leave_the_others_alone(robot):
+    motion, carriers = motion_of(robot), carriers_of(robot)
+    broken = with_pose(motion, 2, STRETCHED[robot.name])
+    good = np.arange(7) != 2
+    if robot.name == "3rrr":
+        broken = with_pose(broken, 5, [5.0, 0.0, 0.0])
+        good[5] = False
+    along, intact = VirtualWork(robot).along(broken, unreachable="mark"), VirtualWork(robot).along(motion)
+    reduced = along.reduce(carriers)
+    np.testing.assert_array_equal(reduced.reachable, good)
+    assert np.isfinite(reduced.gap).all()
+    assert reduced.gap[good].max() < 1e-11
+    if robot.name == "3rrr":
+        # leg 1: the corner is at P less 0.25 m along 30 degrees; the legs reach 2 m
+        corners = np.array([5.0, 0.0]) - 0.25 * np.array([UP, [-UP[0], UP[1]], [0.0, -1.0]])
+        base = np.array([[0, 0], [np.sqrt(3), 0], [np.sqrt(3) / 2, 1.5]])
+        assert reduced.gap[5] == pytest.approx(np.hypot(*(corners - base).T).max() - 2.0)
+    pairs = [(arrays(reduced), arrays(intact.reduce(carriers)))]
+    pairs += [(arrays(along.carrier_derivatives(carriers)), arrays(intact.carrier_derivatives(carriers)))]
+    pairs += [({"wrench": along.base_wrench(carriers)}, {"wrench": intact.base_wrench(carriers)})]
+    pairs += [({"energy": along.energy(carriers)}, {"energy": intact.energy(carriers)})]
+    for marked, whole in pairs:
+        for name, array in marked.items():
+            if name in ("t", "reachable", "gap", "row_scale", "column_scale"):
+                continue
+            assert np.isnan(array[~good]).all(), name
+            np.testing.assert_array_equal(array[good], whole[name][good])
+
+
+def test_type_two_pose_of_the_two_rpr_stays_finite():
+    """B on the base line: the legs are parallel, W loses rank, f and W stay finite."""
+    robot = rp.load_robot("2rpr")
+    motion = rp.PlatformMotion([0.0], [[0.2, 0.0]], [[0.1, 0.3]], [[0.0, 0.2]])
+    reduced = VirtualWork(robot).reduce(motion)
+    assert np.isfinite(reduced.f).all()
+    assert np.linalg.svd(reduced.W[0], compute_uv=False)[1] < 1e-12
+
+
+def test_type_two_pose_of_the_three_rrr_stays_finite():
+    """In the middle of the base all distal links point at the centre for one α, by symmetry: they meet in a point."""
+    robot = rp.load_robot("3rrr")
+
+    def reduced_at(alpha):
+        x = [[np.sqrt(3) / 2, 0.5, alpha]]
+        return VirtualWork(robot).reduce(rp.PlatformMotion([0.0], x, [[0.1, 0.3, -0.5]], [[0.4, 0.2, 1.0]]))
+
+    low, high = -np.pi / 2, np.pi / 2
+    moment = [reduced_at(alpha).W[0, 2, 0] for alpha in (low, high)]  # of leg 1's pull about the centre
+    assert moment[0] * moment[1] < 0.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if reduced_at(middle).W[0, 2, 0] * moment[0] > 0.0 else (low, middle)
+    reduced = reduced_at(low)
+    assert np.isfinite(reduced.f).all()
+    singular_values = np.linalg.svd(reduced.W[0], compute_uv=False)
+    assert singular_values[2] < 1e-12 < 0.1 < singular_values[1]
+
+
+def test_carriers_off_the_track_are_refused_unless_asked_for(robot):
+    motion = motion_of(robot)
+    s = np.zeros((7, robot.k))
+    s[4, 1] = robot.carrier_limits[1].upper + 0.05
+    carriers = rp.CarrierMotion(s, 0 * s, 0 * s)
+    dynamics = VirtualWork(robot)
+    with pytest.raises(CarrierLimitError, match="carrier_2") as refusal:
+        dynamics.reduce(motion, carriers)
+    assert refusal.value.details["sample"] == 4
+    assert refusal.value.details["amount"] == pytest.approx(0.05)
+    free = dynamics.reduce(motion, carriers, check_track=False)
+    np.testing.assert_array_equal(free.f, dynamics.along(motion).reduce(carriers).f)
+    s[4, 1] = robot.carrier_limits[1].lower
+    dynamics.reduce(motion, rp.CarrierMotion(s, 0 * s, 0 * s))  # the very end is still on the track
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+def test_a_robot_without_carriers_has_empty_carrier_arrays(name):
+    bare = rp.load_robot(name, carriers=False)
+    motion = motion_of(bare)
+    along = VirtualWork(bare).along(motion)
+    for carriers in (None, rp.CarrierMotion(*np.zeros((3, 7, 0)))):
+        assert along.reduce(carriers).carrier_force.shape == (7, 0)
+    derivatives = along.carrier_derivatives()
+    assert derivatives.f_s.shape == (7, bare.n, 0)
+    assert derivatives.force_sdd.shape == (7, 0, 0)
+    if name == "2rpr":  # nothing else has mass by default
+        np.testing.assert_array_equal(along.reduce().f, 0.0)
+    loaded = rp.load_robot(name)
+    assert np.abs(along.reduce().f - VirtualWork(loaded).along(motion).reduce().f).max() > 0.1
+
+
+def test_platform_inertia_auto_is_that_of_a_disc():
+    spin = rp.PlatformMotion([0.0], [[0.9, 0.5, 0.1]], [[0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
+    auto, none = (VirtualWork(rp.load_robot("3rrr", platform_inertia=value)).reduce(spin) for value in ("auto", 0.0))
+    np.testing.assert_allclose(auto.f - none.f, [[0.0, 0.0, 0.5 * 0.5 * 0.25**2]], atol=1e-12)
+
+
+def test_gravity_out_of_the_plane_enters_the_base_wrench_alone(robot):
+    flat = rp.load_robot(robot.name, gravity=[0.3, -9.0, 0.0])
+    motion, carriers = motion_of(robot), carriers_of(robot)
+    tilted, level = (VirtualWork(r).along(motion) for r in (robot, flat))
+    np.testing.assert_array_equal(tilted.reduce(carriers).f, level.reduce(carriers).f)
+    np.testing.assert_array_equal(tilted.energy(carriers), level.energy(carriers))
+    difference = tilted.base_wrench(carriers) - level.base_wrench(carriers)
+    mass = {"2rpr": 2.0, "3rrr": 3 * (1.0 + 1.0 + 3.0) + 0.5}[robot.name]
+    np.testing.assert_allclose(difference[:, 2], 2.0 * mass)
+    np.testing.assert_array_equal(difference[:, [0, 1, 5]], 0.0)
+    assert np.abs(difference[:, 3:5]).min() > 0.0
+
+
+def test_bad_input_is_refused(robot):
+    dynamics, motion = VirtualWork(robot), motion_of(robot)
+    wrong = rp.PlatformMotion(motion.t, *np.zeros((3, 7, robot.n + 1)))
+    poses = rp.PlatformMotion(motion.t, np.tile(np.eye(4), (7, 1, 1)), *np.zeros((2, 7, robot.n)))
+    for bad in (wrong, poses):
+        with pytest.raises(InputError, match="platform coordinates"):
+            dynamics.along(bad)
+    with pytest.raises(InputError, match="unreachable"):
+        dynamics.along(motion, unreachable="ignore")
+    for shape in ((3, 6, robot.k), (3, 7, robot.k + 1)):
+        misfit = rp.CarrierMotion(*np.zeros(shape))
+        with pytest.raises(InputError, match="carrier motion"):
+            dynamics.reduce(motion, misfit)
+        with pytest.raises(InputError, match="carrier motion"):
+            dynamics.along(motion).energy(misfit)
+
+
+@pytest.mark.parametrize("change", [{"closed_form": None}, {"closed_form": "gough"}, {"working_mode": (1,)}])
+def test_robots_without_a_closed_form_are_refused(robot, change):
+    with pytest.raises(UnsupportedRobotError, match="RneaDynamics"):
+        VirtualWork(replace(robot, **change))
+
+
+@pytest.mark.parametrize(("name", "mode"), [("2rpr", (1, -1)), ("3rrr", (1, -1, 1))])
+def test_the_working_mode_of_the_robot_is_used(name, mode):
+    chosen = VirtualWork(rp.load_robot(name, working_mode=mode))
+    motion = motion_of(chosen.robot)
+    default = VirtualWork(rp.load_robot(name)).along(motion).reduce().W
+    W = chosen.along(motion).reduce().W
+    for leg, sign in enumerate(mode):
+        if sign == 1:
+            np.testing.assert_array_equal(W[:, :, leg], default[:, :, leg])
+        elif name == "2rpr":
+            np.testing.assert_array_equal(W[:, :, leg], -default[:, :, leg])
+        else:
+            assert np.abs(W[:, :, leg] - default[:, :, leg]).max() > 0.1
