@@ -16,7 +16,6 @@ _SETTLED_STEP = 1e-8
 """A Newton step this small (rad, m) leaves an error of its square: below rounding."""
 
 _SUFFICIENT_DECREASE = 1e-4
-_SMALLEST_STEP = 2.0**-12
 
 _LONGEST_STEP = 1.0
 """Longest Newton step, rad or m: beyond it the linear model says nothing about a revolute joint."""
@@ -48,6 +47,7 @@ def assemble(
     *,
     actuated: Array | None = None,
     max_iterations: int = 50,
+    shortest_step: float = 2.0**-12,
 ) -> Assembly:
     """Close the chains from a guess, by Newton with a backtracking line search on the residual.
 
@@ -61,6 +61,7 @@ def assemble(
         target: (N, n) coordinates or (N, 4, 4) poses, base frame, m and rad.
         actuated: (N, m) positions of the main actuators, m or rad.
         max_iterations: bound on Newton iterations.
+        shortest_step: fraction of a Newton step below which the line search gives up on a sample.
     """
     q = np.array(guess, dtype=float)
     everyone = np.arange(len(q))
@@ -69,7 +70,8 @@ def assemble(
     iteration = 0
     for iteration in range(1, max_iterations + 1):
         step = _newton_step(system, state, residual, target is not None, actuated is not None)
-        search = _line_search(system, q[active], step, residual, _rows(target, active), _rows(actuated, active))
+        goal = _rows(target, active), _rows(actuated, active)
+        search = _line_search(system, q[active], step, residual, *goal, shortest_step)
         state, residual = search.state, search.residual
         q[active] = state.q
         done = search.stalled | (search.longest < _SETTLED_STEP)
@@ -150,7 +152,13 @@ class _Search:
 
 
 def _line_search(
-    system: ConstraintSystem, q: Array, step: Array, residual: Array, target: Array | None, actuated: Array | None
+    system: ConstraintSystem,
+    q: Array,
+    step: Array,
+    residual: Array,
+    target: Array | None,
+    actuated: Array | None,
+    shortest_step: float,
 ) -> _Search:
     """Halve the step where it does not shorten the residual; a step at rounding level is taken as it is."""
     model = system.robot.model
@@ -162,7 +170,7 @@ def _line_search(
         state = system.evaluate(integrate(model, q, step * scale[:, None]))
         new = _residual(system, state, target, actuated)
         ok = fine | (np.linalg.norm(new, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size)
-        stalled = ~ok & (scale < _SMALLEST_STEP)
+        stalled = ~ok & (scale < shortest_step)
         if (ok | stalled).all():
             return _Search(state, new, longest * scale, stalled)
         scale = np.where(ok | stalled, scale, scale / 2.0)

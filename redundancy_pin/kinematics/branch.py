@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
-from redundancy_pin.errors import UnreachablePoseError
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray
+from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follow
-from redundancy_pin.kinematics.coordinates import coordinates
-from redundancy_pin.kinematics.modes import mode_indicator
+from redundancy_pin.kinematics.coordinates import coordinates, velocity_scale
+from redundancy_pin.kinematics.modes import in_working_mode, mode_name, working_modes
 
 _STARTS = 256
 _SEED = 20141  # any fixed number: the search must give the same answer every time
@@ -28,17 +28,26 @@ def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Ar
         sample: index to name in the error.
 
     Raises:
-        UnreachablePoseError: no start leads to a closed configuration in the working mode; carries the smallest gap.
+        UnreachablePoseError: no start leads to a closed configuration; carries the smallest gap.
+        WorkingModeError: there are closed configurations, but none in the working mode.
     """
     reference = np.array(system.robot.q_reference)
     home = coordinates(system.robot, system.evaluate(reference[None]))
     anchors = follow(system, np.concatenate([home, x[None]]), reference)
-    if anchors.valid[-1] and _right_mode(system, anchors.q[-1:])[0]:
+    if anchors.valid[-1] and in_working_mode(system.robot, anchors.q[-1:])[0]:
         return anchors.q[-1]
     found = search(system, reference, x)
     if found is None:
         raise UnreachablePoseError(f"Sample {sample}: no start closes the chains.", sample=sample)
     q, gap, closed = found
+    if not closed and gap < CLOSURE_TOLERANCE:
+        raise WorkingModeError(
+            f"The pose of sample {sample}, x = {np.round(x, 6).tolist()}, closes only in other working modes than "
+            f"{mode_name(system.robot.working_mode)} of {system.robot.name}, such as "
+            f"{mode_name(tuple(working_modes(system.robot, q[None])[0]))}.",
+            remedy="Load the robot in that working_mode, or move the pose.",
+            sample=sample,
+        )
     if not closed:
         raise UnreachablePoseError(
             f"The pose of sample {sample}, x = {np.round(x, 6).tolist()}, cannot be reached in the working mode of "
@@ -65,33 +74,18 @@ def search(system: ConstraintSystem, guess: Array, x: Array) -> tuple[Array, flo
     starts = integrate(model, np.repeat(guess[None], _STARTS, axis=0), steps)
     solution: Assembly = assemble(system, starts, np.repeat(x[None], _STARTS, axis=0))
     q = _wrapped(system, solution.q)
-    usable = solution.closed & _right_mode(system, q)
+    usable = solution.closed & in_working_mode(robot, q)
     if not usable.any():
         best = int(np.argmin(np.where(np.isfinite(solution.gap), solution.gap, np.inf)))
-        closed_gap = _open_gap(solution.gap)
-        return q[best], closed_gap, False
+        return q[best], float(solution.gap[best]), False
     distance = np.where(usable, np.abs(q - guess).sum(axis=1), np.inf)
     best = int(np.argmin(distance))
     return q[best], float(solution.gap[best]), True
 
 
-def _open_gap(gaps: Array) -> float:
-    """Return the smallest gap among those that stayed open (all closed ones were in a wrong mode)."""
-    finite = gaps[np.isfinite(gaps)]
-    return float(finite.min()) if len(finite) else float("nan")
-
-
-def _right_mode(system: ConstraintSystem, q: Array) -> np.ndarray:  # type: ignore[type-arg]
-    robot = system.robot
-    if robot.working_modes is None:
-        return np.ones(len(q), dtype=bool)
-    return (mode_indicator(robot, q) * np.array(robot.working_mode) > 0.0).all(axis=1)
-
-
-def _turns(system: ConstraintSystem) -> np.ndarray:  # type: ignore[type-arg]
-    from redundancy_pin.kinematics.coordinates import velocity_scale
-
-    return velocity_scale(system.robot)[system.pose_columns] != 1.0
+def _turns(system: ConstraintSystem) -> BoolArray:
+    result: BoolArray = velocity_scale(system.robot)[system.pose_columns] != 1.0
+    return result
 
 
 def _wrapped(system: ConstraintSystem, q: Array) -> Array:

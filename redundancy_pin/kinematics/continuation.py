@@ -16,6 +16,7 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.kinematics.assembly import Assembly, assemble, configuration_difference, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import difference, moved, row_scale
+from redundancy_pin.kinematics.modes import in_working_mode
 from redundancy_pin.kinematics.projection import project
 
 ANCHOR_SPACING = 0.04
@@ -23,6 +24,8 @@ ANCHOR_SPACING = 0.04
 
 _LARGEST_BATCH = 32
 _DEEPEST_HALVING = 10
+_SHORTEST_STEP = 2.0**-3
+"""Where Newton needs shorter steps than this the pose is approached in smaller steps instead."""
 _CONTINUITY = 0.25
 """Largest part of a step that its trapezoidal prediction may miss before the branch counts as lost; the step is halved
 first, which shrinks a smooth error eightfold and a jump not at all."""
@@ -46,13 +49,15 @@ class Anchors:
     valid: BoolArray
 
 
-def follow(system: ConstraintSystem, x: Array, start: Array) -> Anchors:
+def follow(system: ConstraintSystem, x: Array, start: Array, *, resume: bool = False) -> Anchors:
     """Solve anchors along a path from a configuration closed at its first pose.
 
     Args:
         system: closures and platform rows.
         x: (N, n) coordinates or (N, 4, 4) poses, base frame.
         start: (nq,) closed configuration at ``x[0]``.
+        resume: where the branch ends, go on at the next pose that closes in the robot's working mode; without it the
+            anchors after the end of the branch are left invalid.
     """
     position, poses = _lay_anchors(system, x)
     count = len(position)
@@ -72,9 +77,14 @@ def follow(system: ConstraintSystem, x: Array, start: Array) -> Anchors:
         if reached == 0:
             halved = _halve(system, poses[last], q[last], gamma[last], poses[following])
             if halved is None:
-                q[following] = q[last]
-                following += 1  # a later pose may be within reach of the last good one
-                continue
+                found = _resume(system, poses[following:], q[last]) if resume else None
+                if found is None:
+                    q[following:] = q[last]
+                    break
+                skipped, q_next, gamma_next = found
+                q[following : following + skipped] = q[last]
+                following += skipped
+                halved = q_next, gamma_next
             solved, slopes, reached = halved[0][None], halved[1][None], 1
         here = slice(following, following + reached)
         q[here], gamma[here], valid[here] = solved[:reached], slopes[:reached], True
@@ -158,7 +168,7 @@ def _advance(system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, targ
     robot = system.robot
     step = difference(robot, targets, np.repeat(x0[None], len(targets), axis=0)) @ gamma0.T
     guess = integrate(robot.model, np.repeat(q0[None], len(targets), axis=0), step)
-    solution: Assembly = assemble(system, guess, targets, max_iterations=12)
+    solution: Assembly = assemble(system, guess, targets, max_iterations=10, shortest_step=_SHORTEST_STEP)
     gamma = project(system, solution.state).gamma
     chain = continuous(
         system,
@@ -169,6 +179,23 @@ def _advance(system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, targ
     good = chain & solution.closed & np.isfinite(gamma).all(axis=(1, 2))
     reached = len(good) if good.all() else int(np.argmin(good))
     return reached, solution.q, gamma
+
+
+def _resume(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Array, Array] | None:
+    """Find the first pose that closes in the working mode, starting from the last good configuration and the reference.
+
+    Returns:
+        Its index, its configuration and Γ; None when there is none.
+    """
+    best: tuple[int, Array, Array] | None = None
+    for guess in (q, np.array(system.robot.q_reference)):
+        solution = assemble(system, np.repeat(guess[None], len(targets), axis=0), targets)
+        gamma = project(system, solution.state).gamma
+        good = solution.closed & in_working_mode(system.robot, solution.q) & np.isfinite(gamma).all(axis=(1, 2))
+        if good.any() and (best is None or int(np.argmax(good)) < best[0]):
+            first = int(np.argmax(good))
+            best = first, solution.q[first], gamma[first]
+    return best
 
 
 def _halve(system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, target: Array) -> tuple[Array, Array] | None:

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.robot import Robot
 
 
@@ -38,6 +38,13 @@ def mode_indicator(robot: Robot, q: Array) -> Array:
 def working_modes(robot: Robot, q: Array) -> IntArray:
     """Return (N, legs) the working mode of configurations, ±1 a leg, 0 exactly between the two."""
     return np.sign(mode_indicator(robot, q)).astype(np.intp)
+
+
+def in_working_mode(robot: Robot, q: Array) -> BoolArray:
+    """Return (N,) whether configurations are in the robot's own working mode (true where it declares none)."""
+    wanted = np.array(robot.working_mode, dtype=float)
+    result: BoolArray = (mode_indicator(robot, q) * wanted > 0.0).all(axis=1)
+    return result
 
 
 def all_working_modes(robot: Robot) -> tuple[tuple[int, ...], ...]:

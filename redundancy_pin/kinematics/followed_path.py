@@ -1,0 +1,210 @@
+"""A platform path solved along one branch, and its singular margins at any time in between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
+from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.coordinates import difference, row_scale
+from redundancy_pin.kinematics.modes import mode_name
+from redundancy_pin.kinematics.position_law import PositionLaw
+from redundancy_pin.kinematics.singular_matrices import actuation_matrix, serial_matrix, signed_margin
+from redundancy_pin.kinematics.state import lift
+from redundancy_pin.motion import PlatformMotion
+
+_FEWEST_STEPS = 400
+_BISECTIONS = 50
+_MOST_RESTARTS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """Margins at N configurations.
+
+    Attributes:
+        parallel: (N,) signed margin to type II, see ``signed_margin``; NaN exactly at type I.
+        serial: (N,) margin to type I, not negative.
+    """
+
+    parallel: Array
+    serial: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedPath:
+    """Closed configurations along a platform path, near enough to each other to interpolate between.
+
+    Attributes:
+        system: closures and platform rows.
+        law: platform coordinates over time.
+        t: (N,) times, s.
+        q: (N, nq) configurations.
+    """
+
+    system: ConstraintSystem
+    law: PositionLaw
+    t: Array
+    q: Array
+
+    def configurations(self, times: Array) -> Array:
+        """Return (M, nq) configurations at increasing times between the first and the last, by Newton from a neighbour.
+
+        Raises:
+            UnreachablePoseError: the path leaves the workspace between two samples; carries the time.
+            WorkingModeError: Newton reaches another branch.
+        """
+        model = self.system.robot.model
+        left = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
+        span = configuration_difference(model, self.q[left], self.q[left + 1])
+        u = ((times - self.t[left]) / (self.t[left + 1] - self.t[left]))[:, None]
+        guess = integrate(model, self.q[left], u * span)
+        solution = assemble(self.system, guess, self.law.at(times), max_iterations=_SLOW_NEWTON)
+        _require_closed(times, solution.gap)
+        miss = np.abs(configuration_difference(model, guess, solution.q)).max(axis=1)
+        # near a type I singularity q goes with a square root: within half of the span is on the branch, not beyond
+        lost = np.flatnonzero(miss > np.maximum(np.abs(span).max(axis=1), _SAME_CONFIGURATION))
+        if len(lost):
+            t = float(times[lost[0]])
+            raise WorkingModeError(
+                f"At t = {t:.9g} s the configuration between two samples lies on another branch.",
+                remedy="Ask for a finer spacing, or keep away from type I singularities.",
+                t=t,
+            )
+        return solution.q
+
+    def margins(self, times: Array) -> Margins:
+        """Return the margins at increasing times; errors as ``configurations``."""
+        return margins_of(self.system, self.system.evaluate(self.configurations(times)))
+
+
+def margins_of(system: ConstraintSystem, state: ConstraintState) -> Margins:
+    """Return the margins of evaluated configurations."""
+    K = serial_matrix(system, state)
+    return Margins(signed_margin(actuation_matrix(system, K)), np.asarray(np.linalg.svd(K, compute_uv=False)[:, -1]))
+
+
+def follow_law(system: ConstraintSystem, law: PositionLaw, spacing: float) -> FollowedPath:
+    """Solve a path on the robot's branch at steps of at most ``spacing`` characteristic lengths.
+
+    A leg that touches full stretch stops continuation, since q has a kink there; the path is then taken up again behind
+    that sample, in the same working mode.
+
+    Args:
+        system: closures and platform rows.
+        law: platform coordinates over time.
+        spacing: longest step, in characteristic lengths (rotations count with that length).
+
+    Raises:
+        UnreachablePoseError: a pose cannot be reached; carries the time at which the path leaves the workspace.
+        WorkingModeError: the path cannot be followed in the robot's working mode.
+    """
+    t, x = _times(system, law, spacing)
+    q = np.full((len(t), system.robot.model.nq), np.nan)
+    done, restarts = 0, 0
+    while done < len(t):
+        tree = lift(system.robot, _still(t[done:], x[done:]), mark_unreachable=True)
+        stopped = np.flatnonzero(~tree.reachable)
+        reached = int(stopped[0]) if len(stopped) else len(t) - done
+        q[done : done + reached] = tree.q[:reached]
+        done += reached
+        if done == len(t):
+            break
+        if not tree.gap[reached] < CLOSURE_TOLERANCE:
+            _raise_border(system, law, t, q, done, float(tree.gap[reached]))
+        restarts += 1
+        if restarts > _MOST_RESTARTS:
+            raise WorkingModeError(
+                f"The path cannot be followed in working mode {mode_name(system.robot.working_mode)} beyond "
+                f"t = {t[done]:.9g} s: it runs along a type I singularity, or into another mode.",
+                remedy="Keep the legs away from full stretch, full fold and zero length.",
+                t=float(t[done]),
+            )
+        done += 1
+    return FollowedPath(system, law, t, _with_singular_samples(system, t, x, q))
+
+
+def _times(system: ConstraintSystem, law: PositionLaw, spacing: float) -> tuple[Array, Array]:
+    """Return times and coordinates, no step longer than ``spacing`` characteristic lengths."""
+    robot = system.robot
+    t = np.linspace(law.start, law.end, _FEWEST_STEPS + 1)
+    x = law.at(t)
+    steps = np.linalg.norm(difference(robot, x[1:], x[:-1]) * row_scale(robot), axis=1)
+    pieces = np.maximum(np.ceil(steps / (spacing * robot.characteristic_length)), 1).astype(np.intp)
+    if (pieces == 1).all():
+        return t, x
+    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    fraction = within / np.repeat(pieces, pieces)
+    t = np.append(np.repeat(t[:-1], pieces) + fraction * np.repeat(np.diff(t), pieces), law.end)
+    return t, law.at(t)
+
+
+def _still(t: Array, x: Array) -> PlatformMotion:
+    """Return a motion that only carries positions: rates play no part here."""
+    n = 6 if x.ndim == 3 else x.shape[1]
+    return PlatformMotion(t, x, np.zeros((len(t), n)), np.zeros((len(t), n)))
+
+
+def _with_singular_samples(system: ConstraintSystem, t: Array, x: Array, q: Array) -> Array:
+    """Fill in the samples that continuation skipped, each closed from its nearest neighbour."""
+    missing = np.isnan(q[:, 0])
+    if not missing.any():
+        return q
+    known = np.flatnonzero(~missing)
+    if len(known) == 0:
+        raise WorkingModeError(
+            f"No sample of the path lies in working mode {mode_name(system.robot.working_mode)}.",
+            remedy="Keep the legs away from full stretch, full fold and zero length.",
+            t=float(t[0]),
+        )
+    holes = np.flatnonzero(missing)
+    nearest = known[np.abs(holes[:, None] - known).argmin(axis=1)]
+    solution = assemble(system, q[nearest], x[missing], max_iterations=_SLOW_NEWTON)
+    _require_closed(t[missing], solution.gap)
+    filled = q.copy()
+    filled[missing] = solution.q
+    return filled
+
+
+def _require_closed(times: Array, gap: Array) -> None:
+    bad = np.flatnonzero(~(gap < CLOSURE_TOLERANCE))
+    if len(bad):
+        k = int(bad[0])
+        raise UnreachablePoseError(
+            f"The pose at t = {times[k]:.9g} s cannot be reached: the chains stay open by {gap[k]:.3g} m.",
+            remedy="Keep the motion inside the workspace.",
+            t=float(times[k]),
+            gap=float(gap[k]),
+        )
+
+
+def _raise_border(system: ConstraintSystem, law: PositionLaw, t: Array, q: Array, bad: int, gap: float) -> NoReturn:
+    """Bisect for the time at which the path leaves the workspace, and say so."""
+    if bad == 0 or np.isnan(q[bad - 1, 0]):
+        _require_closed(t[bad : bad + 1], np.array([gap]))
+    inside, outside, at = t[bad - 1], t[bad], q[bad - 1]
+    for _ in range(_BISECTIONS):
+        middle = np.array([0.5 * (inside + outside)])
+        solution = assemble(system, at[None], law.at(middle), max_iterations=_SLOW_NEWTON)
+        if solution.closed[0]:
+            inside, at = float(middle[0]), solution.q[0]
+        else:
+            outside = float(middle[0])
+    raise UnreachablePoseError(
+        f"The path leaves the workspace at t = {inside:.9g} s: by t = {t[bad]:.6g} s the chains stay open by {gap:.3g} m.",
+        remedy="Keep the motion inside the workspace; its border is a type I singularity.",
+        t=float(inside),
+        gap=gap,
+    )
+
+
+_SAME_CONFIGURATION = 1e-6
+"""Configurations nearer than this (rad, m) are the same one, computed twice."""
+
+_SLOW_NEWTON = 80
+"""At a type I singularity Newton converges linearly, halving the error: 50 halvings reach rounding."""

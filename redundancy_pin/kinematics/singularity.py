@@ -1,0 +1,259 @@
+"""Singularities of a closed chain at given configurations: type I, type II and combined, by rank, with margins.
+
+Type I (serial): the platform velocity does not determine the joint velocities; K loses rank, and there is a platform
+twist that cannot be produced. Type II (parallel): with locked actuators a motion remains; T loses rank, and so does W.
+See ``singular_matrices`` for K, T, W and for how lengths are made comparable.
+
+Robots with m ≠ n. With fewer actuators than freedoms (m < n) n − m independent platform motions are uncontrolled
+everywhere; with more (m > n) internal forces exist everywhere. Type II means the rank *below* that: rank W < min(n, m).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from redundancy_pin.arrays import (
+    CLOSURE_TOLERANCE,
+    NEAR_SINGULAR_MARGIN,
+    RANK_TOLERANCE,
+    Array,
+    BoolArray,
+    checked,
+    read_only,
+)
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.coordinates import column_scale, row_scale
+from redundancy_pin.kinematics.singular_matrices import (
+    actuation_matrix,
+    locked_matrix,
+    oriented,
+    serial_matrix,
+)
+from redundancy_pin.kinematics.spectrum import spectrum_of
+from redundancy_pin.kinematics.state import TreeMotion
+from redundancy_pin.robot import Robot
+
+
+class SingularityKind(IntEnum):
+    """What a configuration is; a combined singularity is of type I and of type II."""
+
+    UNREACHABLE = -1
+    REGULAR = 0
+    TYPE_I = 1
+    TYPE_II = 2
+    COMBINED = 3
+
+    @property
+    def label(self) -> str:
+        """The name in lower case, as tables and files show it: ``type_ii``."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, eq=False)
+class Singularities:
+    """The singularities of N configurations; made by ``classify`` and ``classify_motion``.
+
+    A direction is a twist ẋ (m/s, rad/s, base frame) of length 1 m/s in the scaled metric, in which a rotation counts
+    with the characteristic length; its largest scaled component is positive. Everything is NaN where ``kind`` is
+    ``UNREACHABLE``.
+
+    Attributes:
+        kind: (N,) values of ``SingularityKind``.
+        serial_margin: (N,) smallest singular value of the scaled K: the distance to type I.
+        parallel_margin: (N,) smallest singular value of the scaled W: the distance to type II as ``distribute`` reports
+            it; NaN at type I, where W is infinite.
+        locked_margin: (N,) smallest singular value of the scaled T: the distance to type II, finite everywhere.
+        condition: (N,) condition number of the scaled J = Wᵀ (ẋ to actuator rates); infinite at a singularity.
+        condition_unscaled: (N,) the same of the plain J, the thesis's measure (Parsa 2014, section 3.1). It equals
+            ``condition`` where no units are mixed (2-RPR: cot(γ/2), γ the angle between the legs); where they
+            are (3-RRR), it depends on the unit of length, and ``condition`` does not.
+        uncontrolled_twist: (N, n) the platform motion that locked actuators leave free; NaN where not type II, and at a
+            combined singularity whose free motion leaves the platform at rest.
+        lost_direction: (N, n) the platform motion that no joint velocity produces: every twist that is possible is
+            normal to it in the scaled metric. NaN where not type I, and where the closure rows depend on each other
+            without the platform's.
+        least_controlled: (N, n) the platform motion that the actuators resist least, at every configuration; for m < n
+            the least controlled of those that are controlled at all.
+        least_producible: (N, n) the platform motion that asks most of the joints, at every configuration.
+        passive_motion: (N,) true where joints can move with actuators and platform at rest (then both K and T lose
+            rank).
+    """
+
+    kind: NDArray[np.int8]
+    serial_margin: Array
+    parallel_margin: Array
+    locked_margin: Array
+    condition: Array
+    condition_unscaled: Array
+    uncontrolled_twist: Array
+    lost_direction: Array
+    least_controlled: Array
+    least_producible: Array
+    passive_motion: BoolArray
+
+    def __len__(self) -> int:
+        """Return the number of configurations."""
+        return len(self.kind)
+
+    @property
+    def type_i(self) -> BoolArray:
+        """(N,) whether each is a type I singularity (combined ones included)."""
+        return read_only((self.kind == SingularityKind.TYPE_I) | (self.kind == SingularityKind.COMBINED))
+
+    @property
+    def type_ii(self) -> BoolArray:
+        """(N,) whether each is a type II singularity (combined ones included)."""
+        return read_only((self.kind == SingularityKind.TYPE_II) | (self.kind == SingularityKind.COMBINED))
+
+    @property
+    def near_type_ii(self) -> BoolArray:
+        """(N,) whether the parallel margin is below ``NEAR_SINGULAR_MARGIN`` (type II itself included)."""
+        return read_only(self.type_ii | (self.parallel_margin < NEAR_SINGULAR_MARGIN))
+
+
+def classify(robot: Robot, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
+    """Classify closed configurations, exact type I singularities included (where ``lift`` has to refuse).
+
+    Args:
+        robot: the robot.
+        q: (N, nq) or (nq,) configurations of the tree, closed; carriers do not matter.
+        tolerance: singular values below this fraction of the largest count as zero. A type I configuration that
+            comes from a position (rather than from a joint angle) is only exact to the square root of rounding: ask
+            for 1e-7 there.
+
+    Raises:
+        InputError: wrong shape, values that are not finite, a configuration that is not closed, or a tolerance
+            outside (0, 1).
+    """
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
+    configurations = checked(np.atleast_2d(np.asarray(q, dtype=float)), "q", ("N", robot.model.nq))
+    system = ConstraintSystem(robot)
+    state = system.evaluate(configurations)
+    gap = np.abs(state.phi).max(axis=1, initial=0.0)
+    bad = np.flatnonzero(gap > CLOSURE_TOLERANCE)
+    if len(bad):
+        k = int(bad[0])
+        raise InputError(
+            f"Configuration {k} is not closed: its largest closure row is {gap[k]:.3g} ({len(bad)} of {len(gap)} are open).",
+            remedy="Close the chains first, with lift or assemble.",
+            sample=k,
+            gap=float(gap[k]),
+        )
+    return _classified(system, state, tolerance)
+
+
+def classify_motion(motion: TreeMotion, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
+    """Classify the samples of a lifted motion; unreachable ones are marked.
+
+    Args:
+        motion: N samples, from ``lift``.
+        tolerance: see ``classify``.
+
+    Raises:
+        InputError: a tolerance outside (0, 1).
+    """
+    good = motion.reachable
+    part = classify(motion.robot, motion.q[good], tolerance=tolerance) if good.any() else _nowhere(motion.robot, 0)
+    if good.all():
+        return part
+    spread = {name: values.copy() for name, values in vars(_nowhere(motion.robot, len(good))).items()}
+    for name, values in spread.items():
+        values[good] = getattr(part, name)
+        read_only(values)
+    return Singularities(**spread)
+
+
+def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: float) -> Singularities:
+    robot = system.robot
+    rows = row_scale(robot)
+    K, T = serial_matrix(system, state), locked_matrix(system, state)
+    u, serial, _ = np.linalg.svd(K)
+    _, locked, vt = np.linalg.svd(T)
+    type_i = serial[:, -1] <= tolerance * serial[:, 0]
+
+    W = actuation_matrix(system, K)
+    W[type_i] = np.nan
+    spectrum = spectrum_of(W)
+    type_ii = np.where(
+        type_i,
+        locked[:, -1] <= tolerance * locked[:, 0],
+        spectrum.singular_values[:, -1] <= tolerance * spectrum.singular_values[:, 0],
+    )
+    plain = spectrum_of(W * (rows[:, None] / column_scale(robot)))
+
+    platform_rows = K[:, len(system.rows) :]
+    locked_velocities = vt.transpose(0, 2, 1)
+    rank_locked = np.where(np.arange(vt.shape[1]) < locked.shape[1], _padded(locked, vt.shape[1]), np.inf)
+    free = platform_rows @ locked_velocities * (rank_locked <= tolerance * locked[:, :1])[:, None, :]
+    lost = u[:, len(system.rows) :] * (serial <= tolerance * serial[:, :1])[:, None, :]
+
+    least_controlled = _unit((platform_rows @ locked_velocities)[:, :, locked.shape[1] - 1])
+    regular = ~type_i & np.isfinite(W).all(axis=(1, 2))
+    least_controlled[regular] = np.linalg.svd(W[regular])[0][:, :, min(robot.n, robot.m) - 1]
+    uncontrolled = np.where(type_i[:, None], _largest(free, tolerance), least_controlled)
+    uncontrolled[~type_ii] = np.nan
+    lost_direction = _largest(lost, tolerance)
+    lost_direction[~type_i] = np.nan
+
+    passive = np.zeros(len(K), dtype=bool)
+    both = type_i & type_ii
+    if both.any():
+        everything = np.concatenate([K[both], T[both][:, len(system.rows) :]], axis=1)
+        values = np.linalg.svd(everything, compute_uv=False)
+        passive[both] = values[:, -1] <= tolerance * values[:, 0]
+
+    return Singularities(
+        kind=read_only((type_i * 1 + type_ii * 2).astype(np.int8)),
+        serial_margin=read_only(serial[:, -1].copy()),
+        parallel_margin=spectrum.margin,
+        locked_margin=read_only(locked[:, -1].copy()),
+        condition=_condition(spectrum.condition, type_i | type_ii),
+        condition_unscaled=_condition(plain.condition, type_i | type_ii),
+        uncontrolled_twist=read_only(oriented(uncontrolled) / rows),
+        lost_direction=read_only(oriented(lost_direction) / rows),
+        least_controlled=read_only(oriented(least_controlled) / rows),
+        least_producible=read_only(oriented(_unit(u[:, len(system.rows) :, -1])) / rows),
+        passive_motion=read_only(passive),
+    )
+
+
+def _padded(values: Array, length: int) -> Array:
+    return np.concatenate([values, np.zeros((len(values), length - values.shape[1]))], axis=1)
+
+
+def _condition(condition: Array, singular: BoolArray) -> Array:
+    # what rounding makes of an infinite condition number is any large number
+    return read_only(np.where(singular, np.inf, condition))
+
+
+def _unit(vectors: Array) -> Array:
+    """Return unit vectors (N, n), NaN where the length is rounding."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        result: Array = np.where(length > RANK_TOLERANCE, vectors / length, np.nan)
+    return result
+
+
+def _largest(columns: Array, tolerance: float) -> Array:
+    """Return (N, n) the unit vector along which the columns (N, n, c) reach farthest, NaN where all are zero."""
+    u, values, _ = np.linalg.svd(columns, full_matrices=False)
+    # null vectors are exact to about tolerance; their platform parts are then zero to its root, at worst
+    result: Array = np.where(values[:, :1] > np.sqrt(tolerance), u[:, :, 0], np.nan)
+    return result
+
+
+def _nowhere(robot: Robot, samples: int) -> Singularities:
+    """Return a result in which every sample is unreachable."""
+    number = np.full(samples, np.nan)
+    vector = np.full((samples, robot.n), np.nan)
+    kind = np.full(samples, SingularityKind.UNREACHABLE, dtype=np.int8)
+    passive = np.zeros(samples, dtype=bool)
+    for array in (number, vector, kind, passive):
+        read_only(array)
+    return Singularities(kind, *(number,) * 5, *(vector,) * 4, passive)
