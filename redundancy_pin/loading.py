@@ -17,7 +17,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
 from redundancy_pin.kinematics.modes import mode_name
 from redundancy_pin.kinematics.projection import project
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Closure, Robot
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_yaml
 from redundancy_pin.robot.description import declaration_path, render
@@ -33,8 +33,8 @@ def load_robot(
     """Load a robot, close its chains at the declared reference and check its mobility.
 
     Args:
-        source: name of a shipped robot ("2rpr", "3rrr", "five_bar", "four_bar", "gough"), path of a ``robot.yaml``, or of
-            the folder that holds one.
+        source: name of a shipped robot ("2rpr", "3rrr", "five_bar", "four_bar", "gough"), path of a ``robot.yaml``, or
+            of the folder that holds one.
         gravity: (3,) acceleration of gravity in the world frame, m/s²; as declared when left out.
         working_mode: ±1 a leg; as declared when left out.
         **arguments: xacro arguments of the robot's URDF (``carrier_mass=2.0``).
@@ -42,8 +42,8 @@ def load_robot(
     Raises:
         ModelFileError: missing or broken files.
         InputError: an unknown xacro argument, a gravity or working mode of the wrong form.
-        DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over- or
-            under-constrained chains, a reference that does not close.
+        DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over-
+            or under-constrained chains, a reference that does not close.
     """
     path = declaration_path(source)
     data = read_yaml(path)
@@ -53,9 +53,8 @@ def load_robot(
     system = ConstraintSystem(robot)
     _check_mobility(system)
     target = reference_coordinates(robot, declaration.reference)
-    found = search(system, np.array(robot.q_reference), target[0])
-    if found is None or not found[2]:
-        gap = found[1] if found else float("nan")
+    q_reference, gap, closed = search(system, np.array(robot.q_reference), target[0])
+    if not closed:
         raise DeclarationError(
             f"The reference of {robot.name} does not close"
             + (f" in working mode {mode_name(robot.working_mode)}" if robot.working_mode else "")
@@ -63,7 +62,7 @@ def load_robot(
             remedy="Correct `reference` in the declaration, or the lengths given as arguments.",
             gap=gap,
         )
-    robot = replace(robot, q_reference=frozen(found[0]))
+    robot = replace(robot, q_reference=frozen(q_reference))
     _check_reference_rank(robot)
     return robot
 
@@ -82,8 +81,8 @@ def _check_mobility(system: ConstraintSystem) -> None:
     if freedoms < robot.n:
         redundant = f" At the reference {len(dependent)} row(s) are redundant: {names}." if dependent else ""
         raise DeclarationError(
-            f"{robot.name} is over-constrained: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
-            f"freedoms, but {robot.n} independent velocities are declared.{redundant}",
+            f"{robot.name} is over-constrained: {velocities} joint velocities less {rows} closure rows leave "
+            f"{freedoms} freedoms, but {robot.n} independent velocities are declared.{redundant}",
             remedy="Take the redundant axes out of the closures (a planar pin joint is [x, y]), or declare fewer "
             "independent velocities.",
             freedoms=freedoms,
@@ -131,6 +130,6 @@ def _dependent_rows(jacobian: Array) -> tuple[int, list[int]]:
     return rank, sorted(int(i) for i in order[rank:])
 
 
-def _row_names(system: ConstraintSystem, rows: list[int]) -> list[tuple[object, str]]:
+def _row_names(system: ConstraintSystem, rows: list[int]) -> list[tuple[Closure, str]]:
     flat = [(closure, axis) for closure in system.robot.closures for axis in closure.axes]
     return [flat[i] for i in rows]

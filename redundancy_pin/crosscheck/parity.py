@@ -89,7 +89,8 @@ def _singular_poses(case: Case, wanted: int = 8) -> Array:
         zero = np.zeros_like(x)
         w = manual.along(PlatformMotion(np.arange(len(x), dtype=float), x, zero, zero), unreachable="mark")
         with np.errstate(invalid="ignore"):  # NaN marks poses out of reach
-            return np.linalg.det(w.reduce().W)
+            value: Array = np.linalg.det(w.reduce().W)
+        return value
 
     found = []
     values = np.stack([determinant(ends[:, 0]), determinant(ends[:, 1])])

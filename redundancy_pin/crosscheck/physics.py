@@ -19,7 +19,7 @@ _STEP = 2e-3
 POWER = 1e-8
 MOMENTUM = 1e-8
 ROUND_TRIP = 1e-7
-"""The damped solver of the forward dynamics (mu 1e-8, 30 iterations) and the conditioning of W limit this one."""
+"""Limited by the damped solver of the forward dynamics (mu 1e-8, 30 iterations) and the conditioning of W."""
 DERIVATIVES = 1e-7
 """Central differences of a quadratic are exact but for rounding, 1e-16 over the step of 1e-3, times the cancellation."""
 

@@ -47,8 +47,8 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
     if outside.size and outside.max() > _TRACK_ROUNDING:
         k, i = (int(j) for j in np.unravel_index(int(outside.argmax()), outside.shape))
         raise CarrierLimitError(
-            f"Carrier {robot.carriers[i]!r} leaves its track [{lower[i]:g}, {upper[i]:g}] m by {outside[k, i]:.3g} m at "
-            f"sample {k} (t = {t[k]:.6g} s, s = {carriers.s[k, i]:.6g} m).",
+            f"Carrier {robot.carriers[i]!r} leaves its track [{lower[i]:g}, {upper[i]:g}] m by {outside[k, i]:.3g} m "
+            f"at sample {k} (t = {t[k]:.6g} s, s = {carriers.s[k, i]:.6g} m).",
             remedy="Shorten the motion or lengthen the track; planners evaluate off the track with check_track=False.",
             carrier=robot.carriers[i],
             sample=k,

@@ -41,8 +41,8 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     """Compute the reactions in every joint and closure.
 
     The closure forces λ follow from the equations of motion of the tree, J_cᵀ λ = rnea(q, v, a) − Sᵀ τ − C F, which
-    have full column rank away from type I singularities; a second pass of RNEA with λ as external forces gives the joint
-    wrenches.
+    have full column rank away from type I singularities; a second pass of RNEA with λ as external forces gives the
+    joint wrenches.
 
     Args:
         along: RNEA dynamics along a platform motion.

@@ -1,0 +1,1 @@
+"""Kinematics of closed chains: closures, branches, modes and singularities."""

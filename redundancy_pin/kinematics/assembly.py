@@ -30,14 +30,12 @@ class Assembly:
         state: closures and Jacobians there.
         gap: (N,) largest absolute residual left, m or rad: closure rows and the distance to the target coordinates.
         closed: (N,) whether the gap is below the closure tolerance.
-        iterations: Newton iterations used.
     """
 
     q: Array
     state: ConstraintState
     gap: Array
     closed: BoolArray
-    iterations: int
 
 
 def assemble(
@@ -67,8 +65,7 @@ def assemble(
     everyone = np.arange(len(q))
     active, state = everyone, system.evaluate(q)
     residual = _residual(system, state, target, actuated)
-    iteration = 0
-    for iteration in range(1, max_iterations + 1):
+    for _ in range(max_iterations):
         step = _newton_step(system, state, residual, target is not None, actuated is not None)
         goal = _rows(target, active), _rows(actuated, active)
         search = _line_search(system, q[active], step, residual, *goal, shortest_step)
@@ -84,7 +81,7 @@ def assemble(
         state = system.evaluate(q)
         residual = _residual(system, state, target, actuated)
     gap = np.abs(residual).max(axis=1, initial=0.0)
-    return Assembly(q, state, gap, gap < CLOSURE_TOLERANCE, iteration)
+    return Assembly(q, state, gap, gap < CLOSURE_TOLERANCE)
 
 
 def integrate(model: pin.Model, q: Array, step: Array) -> Array:
@@ -136,10 +133,11 @@ def _newton_step(
 def _solve(matrix: Array, rhs: Array) -> Array:
     if matrix.shape[1] == matrix.shape[2]:
         with contextlib.suppress(np.linalg.LinAlgError):  # an exactly singular sample spoils the whole stack
-            solution: Array = np.linalg.solve(matrix, rhs[:, :, None])[:, :, 0]
+            solution = np.asarray(np.linalg.solve(matrix, rhs[:, :, None])[:, :, 0], dtype=np.float64)
             if np.isfinite(solution).all():
                 return solution
-    result: Array = (np.linalg.pinv(matrix, rcond=1e-10) @ rhs[:, :, None])[:, :, 0]
+    inverse = np.asarray(np.linalg.pinv(matrix, rcond=1e-10), dtype=np.float64)
+    result: Array = (inverse @ rhs[:, :, None])[:, :, 0]
     return result
 
 

@@ -12,7 +12,8 @@ from redundancy_pin.kinematics.continuation import follow
 from redundancy_pin.kinematics.coordinates import coordinates, velocity_scale
 from redundancy_pin.kinematics.modes import in_working_mode, mode_name, working_modes
 
-_STARTS = 256
+_STARTS = (1, 16, 240)
+"""Starts in each round of a search: the guess itself, then random ones."""
 _SEED = 20141  # any fixed number: the search must give the same answer every time
 
 
@@ -35,11 +36,9 @@ def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Ar
     home = coordinates(system.robot, system.evaluate(reference[None]))
     anchors = follow(system, np.concatenate([home, x[None]]), reference)
     if anchors.valid[-1] and in_working_mode(system.robot, anchors.q[-1:])[0]:
-        return anchors.q[-1]
-    found = search(system, reference, x)
-    if found is None:
-        raise UnreachablePoseError(f"Sample {sample}: no start closes the chains.", sample=sample)
-    q, gap, closed = found
+        q: Array = anchors.q[-1]
+        return q
+    q, gap, closed = search(system, reference, x)
     if not closed and gap < CLOSURE_TOLERANCE:
         raise WorkingModeError(
             f"The pose of sample {sample}, x = {np.round(x, 6).tolist()}, closes only in other working modes than "
@@ -59,28 +58,38 @@ def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Ar
     return q
 
 
-def search(system: ConstraintSystem, guess: Array, x: Array) -> tuple[Array, float, bool] | None:
-    """Assemble one pose from a guess and from random starts around it.
+def search(system: ConstraintSystem, guess: Array, x: Array) -> tuple[Array, float, bool]:
+    """Assemble one pose from a guess, and from more and more random starts around it until one succeeds.
 
     Returns:
-        The configuration (nq,) nearest to the guess that closes in the working mode, its gap and True; or, when none
-        does, the one with the smallest gap, that gap and False.
+        The configuration (nq,) nearest to the guess, of the first round in which one closes in the working mode, its
+        gap and True; or, when none does, the one with the smallest gap, that gap and False.
     """
-    robot, model = system.robot, system.robot.model
     rng = np.random.default_rng(_SEED)
-    steps = np.zeros((_STARTS, model.nv))
-    spread = np.where(_turns(system), np.pi, robot.characteristic_length)
-    steps[1:, system.pose_columns] = rng.uniform(-1.0, 1.0, (_STARTS - 1, len(system.pose_columns))) * spread
-    starts = integrate(model, np.repeat(guess[None], _STARTS, axis=0), steps)
-    solution: Assembly = assemble(system, starts, np.repeat(x[None], _STARTS, axis=0))
-    q = _wrapped(system, solution.q)
-    usable = solution.closed & in_working_mode(robot, q)
-    if not usable.any():
-        best = int(np.argmin(np.where(np.isfinite(solution.gap), solution.gap, np.inf)))
-        return q[best], float(solution.gap[best]), False
-    distance = np.where(usable, np.abs(q - guess).sum(axis=1), np.inf)
-    best = int(np.argmin(distance))
-    return q[best], float(solution.gap[best]), True
+    best_q, best_gap = guess, float("inf")
+    for starts in _STARTS:
+        solution = _assemble_around(system, guess, x, starts, rng)
+        q = _wrapped(system, solution.q)
+        usable = solution.closed & in_working_mode(system.robot, q)
+        if usable.any():
+            nearest = int(np.argmin(np.where(usable, np.abs(q - guess).sum(axis=1), np.inf)))
+            return q[nearest], float(solution.gap[nearest]), True
+        gap = np.where(np.isfinite(solution.gap), solution.gap, np.inf)
+        if gap.min() < best_gap:
+            best_q, best_gap = q[int(gap.argmin())], float(gap.min())
+    return best_q, best_gap, False
+
+
+def _assemble_around(
+    system: ConstraintSystem, guess: Array, x: Array, starts: int, rng: np.random.Generator
+) -> Assembly:
+    model, columns = system.robot.model, system.pose_columns
+    steps = np.zeros((starts, model.nv))
+    if starts > 1:
+        spread = np.where(_turns(system), np.pi, system.robot.characteristic_length)
+        steps[:, columns] = rng.uniform(-1.0, 1.0, (starts, len(columns))) * spread
+    around = integrate(model, np.repeat(guess[None], starts, axis=0), steps)
+    return assemble(system, around, np.repeat(x[None], starts, axis=0))
 
 
 def _turns(system: ConstraintSystem) -> BoolArray:
@@ -90,7 +99,7 @@ def _turns(system: ConstraintSystem) -> BoolArray:
 
 def _wrapped(system: ConstraintSystem, q: Array) -> Array:
     """Return q with the angles of bounded revolute joints in (−π, π]."""
-    result = q.copy()
+    result: Array = q.copy()
     model = system.robot.model
     for index in range(1, model.njoints):
         joint = model.joints[index]

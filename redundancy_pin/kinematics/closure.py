@@ -7,9 +7,9 @@ and B:
 - rotation:  Φ = ± a·b with a an axis of A and b an axis of B that are perpendicular when closed,
   Φ̇ = (ω_B − ω_A)·(b×a).
 
-Which axes a rotation row pairs depends on what else is constrained: with one rotation left free (a hinge) both rows use
-the free axis of B, so that they stay independent at every hinge angle. Every row is exact at every configuration, closed
-or not, and no row is redundant where the mask has none too many.
+Which axes a rotation row pairs depends on what else is constrained: with one rotation left free (a hinge) both rows
+use the free axis of B, so that they stay independent at every hinge angle. Every row is exact at every configuration,
+closed or not, and no row is redundant where the mask has none too many.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class ConstraintSystem:
 
     def _platform_jacobian(self, pose: TreePose, columns: dict[str, dict[int, tuple[Array, Array | None]]]) -> Array:
         robot = self.robot
-        jacobian = np.zeros((robot.n, robot.model.nv, pose.samples))
+        jacobian: Array = np.zeros((robot.n, robot.model.nv, pose.samples))
         if robot.platform is None:
             for row, velocity in enumerate(independent_velocity(robot)):
                 jacobian[row, velocity] = 1.0
@@ -122,7 +122,8 @@ class ConstraintSystem:
                     part = parts[rotation]
                     if part is not None:
                         jacobian[row, column] = part[component]
-        return jacobian.transpose(2, 0, 1)
+        by_sample: Array = jacobian.transpose(2, 0, 1)
+        return by_sample
 
     def _platform_bias(self, accelerations: dict[str, FrameAcceleration], samples: int) -> Array:
         robot = self.robot
@@ -132,7 +133,8 @@ class ConstraintSystem:
             for row, axis in enumerate(robot.platform.axes):
                 rotation, component = divmod(AXES.index(axis), 3)
                 bias[row] = (frame.angular_bias if rotation else frame.bias)[component]
-        return bias.T
+        by_sample: Array = bias.T
+        return by_sample
 
 
 def independent_velocity(robot: Robot) -> list[int]:

@@ -1,9 +1,9 @@
 """Follow a branch: configurations along a sequence of poses, each reached continuously from the one before.
 
-Anchors are laid along the path no further apart than a fraction of the robot's size (poses in between are made where the
-samples are sparser, samples are passed over where they are denser). They are solved in batches that start from the last
-solved anchor and shrink where the branch turns fast. The samples then start from an interpolation between their anchors,
-so that a long, dense trajectory costs a few batched Newton steps and no loop over samples.
+Anchors are laid along the path no further apart than a fraction of the robot's size (poses in between are made where
+the samples are sparser, samples are passed over where they are denser). They are solved in batches that start from the
+last solved anchor and shrink where the branch turns fast. The samples then start from an interpolation between their
+anchors, so that a long, dense trajectory costs a few batched Newton steps and no loop over samples.
 """
 
 from __future__ import annotations

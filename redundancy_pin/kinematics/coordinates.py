@@ -56,7 +56,7 @@ def moved(robot: Robot, start: Array, increment: Array) -> Array:
     if start.ndim == 3:
         full = np.zeros((len(start), 6))
         full[:, _pose_rows(robot)] = increment
-        result = start.copy()
+        result: Array = start.copy()
         result[:, :3, 3] += full[:, :3]
         result[:, :3, :3] = Rotation.from_rotvec(full[:, 3:]).as_matrix() @ start[:, :3, :3]
         return result
@@ -113,7 +113,7 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
 def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:
     """Return declared reference coordinates as (1, n), or as a pose (1, 4, 4) from xyz and rpy."""
     if robot.platform is not None and robot.platform.is_pose:
-        pose = np.eye(4)[None].copy()
+        pose: Array = np.eye(4)[None].copy()
         pose[0, :3, 3] = numbers[:3]
         pose[0, :3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
         return pose

@@ -32,8 +32,8 @@ def require_branch(system: ConstraintSystem, motion: PlatformMotion, anchors: An
         k = first + int(np.argmin(solution.closed))
         raise _unreachable(motion, k, float(solution.gap[k - first]))
     raise WorkingModeError(
-        f"The motion cannot be followed continuously to sample {last} (t = {motion.t[last]:.6g} s): the way there leaves "
-        "the workspace or passes a type I singularity (a leg at full stretch, full fold or zero length).",
+        f"The motion cannot be followed continuously to sample {last} (t = {motion.t[last]:.6g} s): the way there "
+        "leaves the workspace or passes a type I singularity (a leg at full stretch, full fold or zero length).",
         remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
         sample=last,
     )
@@ -70,8 +70,8 @@ def require_regular(motion: PlatformMotion, singular: BoolArray) -> None:
     if len(bad):
         k = int(bad[0])
         raise SingularPoseError(
-            f"Sample {k} (t = {motion.t[k]:.6g} s) is a type I singularity: the platform velocity does not determine the "
-            "joint velocities.",
+            f"Sample {k} (t = {motion.t[k]:.6g} s) is a type I singularity: the platform velocity does not determine "
+            "the joint velocities.",
             remedy="Keep the legs away from full stretch, full fold and zero length.",
             sample=k,
         )
@@ -88,8 +88,8 @@ def require_mode(robot: Robot, motion: PlatformMotion, q: Array) -> None:
         k = int(bad[0])
         leg = int(np.argmax(mode_indicator(robot, q[k : k + 1])[0] * np.array(robot.working_mode) <= 0.0))
         raise WorkingModeError(
-            f"The motion leaves the working mode {mode_name(robot.working_mode)} at sample {k} (t = {motion.t[k]:.6g} s): "
-            f"leg {leg + 1} ({robot.working_modes.joints[leg]}) changes over.",
+            f"The motion leaves the working mode {mode_name(robot.working_mode)} at sample {k} "
+            f"(t = {motion.t[k]:.6g} s): leg {leg + 1} ({robot.working_modes.joints[leg]}) changes over.",
             remedy="Plan a path that keeps every leg on its side, or load the robot in another working_mode.",
             sample=k,
             leg=leg + 1,

@@ -56,10 +56,10 @@ def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
 def _inverse(matrices: Array) -> Array:
     """Return stacked inverses, NaN where a matrix is exactly singular."""
     try:
-        return np.linalg.inv(matrices)
+        return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
     except np.linalg.LinAlgError:
         singular = np.linalg.cond(matrices) > 1.0 / np.finfo(float).eps
         safe = np.where(singular[:, None, None], np.eye(matrices.shape[1]), matrices)
-        result = np.linalg.inv(safe)
+        result = np.asarray(np.linalg.inv(safe), dtype=np.float64)
         result[singular] = np.nan
         return result

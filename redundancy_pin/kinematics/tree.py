@@ -262,8 +262,8 @@ def _joint_motion(joint: _Joint, q: Array, base: Array) -> tuple[Array, Array | 
     if joint.kind == "JointModelPlanar":
         offset = _apply_varying(base, np.stack([q[0], q[1], np.zeros_like(q[0])]))
         return _rotate(base, np.array([0.0, 0.0, 1.0]), q[2], q[3]), offset
-    offset = _apply_varying(base, q[:3]) if joint.kind == "JointModelFreeFlyer" else None
-    return np.einsum("ijn,jkn->ikn", base, _quaternion_rotation(q[-4:])), offset
+    turned = np.einsum("ijn,jkn->ikn", base, _quaternion_rotation(q[-4:]))
+    return turned, _apply_varying(base, q[:3]) if joint.kind == "JointModelFreeFlyer" else None
 
 
 def _rotate(base: Array, axis: Array, cosine: Array, sine: Array) -> Array:
@@ -303,7 +303,8 @@ def _apply(rotation: Array, vector: Array) -> Array:
 
 def _apply_varying(rotation: Array, vectors: Array) -> Array:
     """Return R v for rotations (3, 3, N) and vectors (3, N)."""
-    return rotation[:, 0] * vectors[0] + rotation[:, 1] * vectors[1] + rotation[:, 2] * vectors[2]
+    turned: Array = rotation[:, 0] * vectors[0] + rotation[:, 1] * vectors[1] + rotation[:, 2] * vectors[2]
+    return turned
 
 
 def _times_constant(rotation: Array, constant: Array) -> Array:

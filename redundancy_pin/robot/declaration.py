@@ -139,7 +139,7 @@ class _Numbers:
 
     def __init__(self, parameters: Mapping[str, Argument]) -> None:
         self._evaluator = simpleeval.SimpleEval(
-            functions=dict(_FUNCTIONS), names={"pi": math.pi, **{k: v for k, v in parameters.items()}}
+            functions=dict(_FUNCTIONS), names={"pi": math.pi, **parameters}
         )
 
     def __call__(self, value: object, key: str) -> float:
