@@ -19,6 +19,8 @@ STAMP      := $(VENV)/.installed
 SUITS    := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 14))
 # ... and where it can make a virtual environment
 HAS_VENV := import ensurepip, venv
+# ... and where the stubs of its newest numpy keep dtypes through arithmetic (numpy 2.2 is the last one for Python 3.10)
+TYPED    := import sys; sys.exit(sys.version_info < (3, 11))
 
 .PHONY: help test reproduce validate bench clean
 
@@ -30,7 +32,8 @@ help: ## list the targets
 test: $(STAMP) ## lint, types, import contracts, tests (under five minutes on two cores)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy --strict
+	@if $(BIN)/python -c '$(TYPED)'; then echo "$(BIN)/mypy --strict"; $(BIN)/mypy --strict; \
+	  else echo "mypy --strict: left out, the newest numpy for Python 3.10 has types too coarse for it"; fi
 	$(BIN)/lint-imports
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
