@@ -1,0 +1,73 @@
+"""What commands print: tables for people, JSON for machines, progress on a terminal only."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+Advance = Callable[[int, int, str], None]
+"""Called with steps done, steps in all, and what is being done."""
+
+_PIPE_WIDTH = 140
+"""Columns of a table that does not go to a terminal: wide enough that nothing is cut."""
+
+
+def console() -> Console:
+    """Return a console on stdout; plain text of a fixed width when that is not a terminal."""
+    return Console() if sys.stdout.isatty() else Console(width=_PIPE_WIDTH, color_system=None)
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """Print one JSON document on stdout. NaN and infinity, which JSON lacks, become null."""
+    click.echo(json.dumps(plain(data), indent=2, allow_nan=False))
+
+
+def plain(value: Any) -> Any:
+    """Return nested data as what JSON knows: arrays as lists, NaN and infinity as null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+@contextmanager
+def progress(title: str) -> Iterator[Advance]:
+    """Show a progress bar on stderr while the block runs; nothing unless stdout and stderr are terminals.
+
+    Yields:
+        A function to call with steps done, steps in all, and what is being done.
+    """
+    bar = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not (sys.stderr.isatty() and sys.stdout.isatty()),
+    )
+    with bar:
+        task = bar.add_task(title, total=None)
+
+        def advance(done: int, total: int, what: str = "") -> None:
+            bar.update(task, completed=done, total=total, description=f"{title}: {what}" if what else title)
+
+        yield advance
+

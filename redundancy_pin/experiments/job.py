@@ -1,0 +1,180 @@
+"""The main job: cross-check, run every experiment, write all results or none."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from redundancy_pin import crosscheck
+from redundancy_pin.crosscheck import CrossCheckReport
+from redundancy_pin.errors import CrossCheckError
+from redundancy_pin.experiments.csv_text import csv_text
+from redundancy_pin.experiments.experiment import Experiment
+from redundancy_pin.experiments.figures import comparison_figure, effort_figure, path_figure
+from redundancy_pin.experiments.report import report
+from redundancy_pin.experiments.result import Result
+from redundancy_pin.experiments.run import run
+from redundancy_pin.experiments.stated import Compared, compare_with_thesis
+from redundancy_pin.experiments.summary import summary
+from redundancy_pin.experiments.thesis import EXPERIMENTS
+from redundancy_pin.files import MANIFEST, replacing_folder, require_replaceable, write_text
+from redundancy_pin.visualisation.style import require_matplotlib, save
+
+CROSS_CHECK_SAMPLES = 500
+"""Random states of each robot before the job starts; `redundancy-pin validate` takes as many as one likes."""
+
+CROSS_CHECK_SEED = 2014
+
+CSV_DIGITS = 12
+"""Significant digits in the CSV files: beyond the differences between the backends, a third smaller than exact."""
+
+PICTURE_SUFFIXES = (".png", ".svg")
+
+Progress = Callable[[int, int, str], None]
+"""Called with steps done, steps in all, and what comes next."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reproduction:
+    """What the main job found and where it put it.
+
+    Attributes:
+        folder: the results folder.
+        check: the cross-check.
+        results: of each experiment.
+        compared: statements of the thesis beside our numbers.
+        summary: what ``summary.json`` holds.
+    """
+
+    folder: Path
+    check: CrossCheckReport
+    results: tuple[Result, ...]
+    compared: tuple[Compared, ...]
+    summary: dict[str, object]
+
+
+def reproduce(
+    folder: str | Path,
+    experiments: Sequence[Experiment] = EXPERIMENTS,
+    *,
+    samples: int = CROSS_CHECK_SAMPLES,
+    progress: Progress | None = None,
+) -> Reproduction:
+    """Cross-check the backends, run experiments, and write the results.
+
+    The folder appears, or replaces one of earlier results, when everything is done; on any error nothing is written.
+
+    Args:
+        folder: where to put the results.
+        experiments: what to run.
+        samples: random states of each robot in the cross-check.
+        progress: told how far the job is.
+
+    Raises:
+        CrossCheckError: the backends disagree.
+        OutputError: the folder cannot be written or holds other files.
+        RedundancyPinError: an experiment cannot run, or matplotlib is not installed.
+    """
+    require_matplotlib()
+    require_replaceable(folder)
+    steps = _Steps(2 * len(experiments) + 1, progress)
+    steps.next("cross-check")
+    check = require_agreement(sorted({experiment.robot for experiment in experiments}), samples)
+    results = []
+    for experiment in experiments:
+        steps.next(experiment.name)
+        results.append(run(experiment))
+    compared = compare_with_thesis(results)
+    with replacing_folder(folder) as temporary:
+        for result in results:
+            steps.next(f"figures of {result.experiment.name}")
+            write_result(temporary, result)
+        write_comparisons(temporary, results)
+        write_text(temporary / "report.md", report(results, check, compared))
+        data = summary(results, check, compared, [path.name for path in temporary.iterdir()])
+        write_text(temporary / MANIFEST, json.dumps(data, indent=2, allow_nan=False) + "\n")
+    steps.next("done")
+    return Reproduction(Path(folder), check, tuple(results), compared, data)
+
+
+def require_agreement(robots: Sequence[str], samples: int) -> CrossCheckReport:
+    """Run the cross-check with the seed of the job.
+
+    Raises:
+        CrossCheckError: a check fails; carries the failed rows.
+    """
+    check = crosscheck.run(robots, samples, CROSS_CHECK_SEED)
+    if not check.passed:
+        failed = [row for row in check.rows if not row.passed]
+        first = failed[0]
+        raise CrossCheckError(
+            f"The cross-check fails {len(failed)} of {len(check.rows)} checks; the first is {first.check!r} on "
+            f"{first.robot}: worst {first.worst:.3g}, allowed {first.tolerance:.3g}. Nothing was written.",
+            remedy="Run `redundancy-pin validate` for the whole table.",
+            failed=tuple(failed),
+        )
+    return check
+
+
+def write_result(folder: Path, result: Result) -> None:
+    """Write the CSV file and the figures of one result.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    name = result.experiment.name
+    write_text(folder / f"{name}.csv", result_csv(result))
+    for kind, drawn in (("efforts", effort_figure(result)), ("path", path_figure(result))):
+        save(drawn, *(folder / f"{name}-{kind}{suffix}" for suffix in PICTURE_SUFFIXES))
+
+
+def write_comparisons(folder: Path, results: Sequence[Result]) -> None:
+    """Write a figure for every motion that was run in more than one case.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    for motion_name in dict.fromkeys(result.experiment.motion_name for result in results):
+        cases = [result for result in results if result.experiment.motion_name == motion_name]
+        if len(cases) > 1:
+            drawn = comparison_figure(cases)
+            save(drawn, *(folder / f"{motion_name}-comparison{suffix}" for suffix in PICTURE_SUFFIXES))
+
+
+def result_csv(result: Result) -> str:
+    """Return a result as CSV text: motion, efforts of both backends, carrier forces, status, margin, condition.
+
+    An instant that occurs twice is a jump of the acceleration, seen from both sides. Efforts are ``nan`` where none
+    exist.
+    """
+    motion, outcome = result.motion, result.rnea
+    return csv_text(
+        {
+            "t": motion.t,
+            "x": motion.x,
+            "xd": motion.xd,
+            "xdd": motion.xdd,
+            "tau": outcome.distribution.tau,
+            "tau_virtual_work": result.virtual_work.distribution.tau,
+            "carrier_force": outcome.reduced.carrier_force,
+            "status": outcome.distribution.status_labels,
+            "margin": outcome.distribution.margin,
+            "condition": outcome.distribution.condition,
+            "residual": outcome.distribution.residual,
+        },
+        digits=CSV_DIGITS,
+    )
+
+
+class _Steps:
+    """Counts steps and tells the progress function."""
+
+    def __init__(self, total: int, progress: Progress | None) -> None:
+        self._done, self._total, self._progress = -1, total, progress
+
+    def next(self, what: str) -> None:
+        self._done += 1
+        if self._progress:
+            self._progress(self._done, self._total, what)

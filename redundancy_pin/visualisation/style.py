@@ -1,0 +1,144 @@
+"""One look for all figures: colours and line styles that also tell apart in black and white, and how to save."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from redundancy_pin.errors import OutputError, RedundancyPinError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """How one series is drawn.
+
+    Attributes:
+        color: a colour of the Okabe–Ito palette, told apart with any colour vision.
+        dash: matplotlib's line style, told apart without colour.
+        marker: marker for sparse points of the same series.
+    """
+
+    color: str
+    dash: Any
+    marker: str
+
+
+STROKES = (
+    Stroke("#0072B2", "-", "o"),
+    Stroke("#D55E00", (0, (5, 1.5)), "s"),
+    Stroke("#009E73", (0, (4, 1.2, 1, 1.2)), "^"),
+    Stroke("#CC79A7", (0, (1, 1)), "D"),
+    Stroke("#E69F00", (0, (7, 1.5, 1, 1.5, 1, 1.5)), "v"),
+    Stroke("#56B4E9", (0, (2, 2)), "P"),
+)
+"""Strokes of the first, second, ... series of a plot."""
+
+WINDOW_COLOR = "#D9D9D9"
+INSTANT_COLOR = "#000000"
+
+_SETTINGS = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.0,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": True,
+    "legend.framealpha": 0.9,
+    "legend.edgecolor": "#CCCCCC",
+    "legend.fontsize": 8.0,
+    "figure.dpi": 100,
+    "savefig.dpi": 160,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.2,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "redundancy_pin",  # identifiers inside an SVG are random without it
+}
+
+
+@contextmanager
+def figure(width: float, height: float) -> Iterator[Figure]:
+    """Give an empty figure drawn in the common style; no window and no global state.
+
+    Args:
+        width: in inches.
+        height: in inches.
+
+    Raises:
+        RedundancyPinError: matplotlib is not installed.
+    """
+    require_matplotlib()
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context():
+        matplotlib.rcParams.update({**matplotlib.rcParamsDefault, **_SETTINGS, "backend": "agg"})
+        yield Figure(figsize=(width, height), layout="constrained")
+
+
+def require_matplotlib() -> None:
+    """Check that plots can be made.
+
+    Raises:
+        RedundancyPinError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise RedundancyPinError(
+            "Plots need matplotlib, which is not installed.",
+            remedy="Install it with `pip install 'redundancy_pin[plot]'`.",
+        ) from error
+
+
+def save(drawn: Figure, *paths: str | Path) -> None:
+    """Write a figure to files; the suffix decides on the format. The same figure gives the same bytes.
+
+    Raises:
+        OutputError: a suffix that matplotlib does not know, or a file that cannot be written.
+    """
+    for path in (Path(path) for path in paths):
+        kind = path.suffix[1:].lower()
+        if kind not in drawn.canvas.get_supported_filetypes():
+            raise OutputError(
+                f"Cannot write {path.name}: {path.suffix or 'no suffix'} is no picture format.",
+                remedy="Use .png, .svg or .pdf.",
+                path=str(path),
+            )
+        stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+        try:
+            drawn.savefig(path, format=kind, metadata=stamp)
+        except OSError as error:
+            raise OutputError(
+                f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
+            ) from error
+
+
+def mark_singular(
+    axes: Axes, windows: Sequence[tuple[float, float]], instants: Sequence[float], *, label: bool = False
+) -> None:
+    """Shade near-singular time windows and draw a line at each singular instant.
+
+    Args:
+        axes: with time, s, on the abscissa.
+        windows: first and last time of each window, s.
+        instants: singular instants, s.
+        label: whether the two appear in the legend.
+    """
+    for index, (start, end) in enumerate(windows):
+        name = "near-singular" if label and index == 0 else None
+        axes.axvspan(start, end, color=WINDOW_COLOR, linewidth=0, zorder=0.5, label=name)
+    for index, instant in enumerate(instants):
+        name = "singular instant" if label and index == 0 else None
+        axes.axvline(instant, color=INSTANT_COLOR, linewidth=0.8, linestyle=(0, (1, 1.5)), zorder=1.5, label=name)
