@@ -6,21 +6,23 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
+import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.continuation import continuous
 from redundancy_pin.kinematics.coordinates import difference, row_scale
-from redundancy_pin.kinematics.modes import mode_name
+from redundancy_pin.kinematics.modes import mode_indicator, mode_name
 from redundancy_pin.kinematics.position_law import PositionLaw
+from redundancy_pin.kinematics.projection import project
 from redundancy_pin.kinematics.singular_matrices import actuation_matrix, serial_matrix, signed_margin
 from redundancy_pin.kinematics.state import lift
 from redundancy_pin.motion import PlatformMotion
 
 _FEWEST_STEPS = 400
 _BISECTIONS = 50
-_MOST_RESTARTS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +94,6 @@ def margins_of(system: ConstraintSystem, state: ConstraintState) -> Margins:
 def follow_law(system: ConstraintSystem, law: PositionLaw, spacing: float) -> FollowedPath:
     """Solve a path on the robot's branch at steps of at most ``spacing`` characteristic lengths.
 
-    A leg that touches full stretch stops continuation, since q has a kink there; the path is then taken up again behind
-    that sample, in the same working mode.
-
     Args:
         system: closures and platform rows.
         law: platform coordinates over time.
@@ -105,28 +104,12 @@ def follow_law(system: ConstraintSystem, law: PositionLaw, spacing: float) -> Fo
         WorkingModeError: the path cannot be followed in the robot's working mode.
     """
     t, x = _times(system, law, spacing)
-    q = np.full((len(t), system.robot.model.nq), np.nan)
-    done, restarts = 0, 0
-    while done < len(t):
-        tree = lift(system.robot, _still(t[done:], x[done:]), mark_unreachable=True)
-        stopped = np.flatnonzero(~tree.reachable)
-        reached = int(stopped[0]) if len(stopped) else len(t) - done
-        q[done : done + reached] = tree.q[:reached]
-        done += reached
-        if done == len(t):
-            break
-        if not tree.gap[reached] < CLOSURE_TOLERANCE:
-            _raise_border(system, law, t, q, done, float(tree.gap[reached]))
-        restarts += 1
-        if restarts > _MOST_RESTARTS:
-            raise WorkingModeError(
-                f"The path cannot be followed in working mode {mode_name(system.robot.working_mode)} beyond "
-                f"t = {t[done]:.9g} s: it runs along a type I singularity, or into another mode.",
-                remedy="Keep the legs away from full stretch, full fold and zero length.",
-                t=float(t[done]),
-            )
-        done += 1
-    return FollowedPath(system, law, t, _with_singular_samples(system, t, x, q))
+    tree = lift(system.robot, _still(t, x), mark_unreachable=True)
+    q = _without_strays(np.array(tree.q))
+    if np.isnan(q).any():
+        q = _with_missing_samples(system, law, t, x, q, tree.gap)
+    _require_no_jump(system, law, t, q)
+    return FollowedPath(system, law, t, q)
 
 
 def _times(system: ConstraintSystem, law: PositionLaw, spacing: float) -> tuple[Array, Array]:
@@ -150,25 +133,92 @@ def _still(t: Array, x: Array) -> PlatformMotion:
     return PlatformMotion(t, x, np.zeros((len(t), n)), np.zeros((len(t), n)))
 
 
-def _with_singular_samples(system: ConstraintSystem, t: Array, x: Array, q: Array) -> Array:
-    """Fill in the samples that continuation skipped, each closed from its nearest neighbour."""
-    missing = np.isnan(q[:, 0])
-    if not missing.any():
-        return q
-    known = np.flatnonzero(~missing)
+def _without_strays(q: Array) -> Array:
+    """Set runs of samples to NaN that lie far from the samples before them: Newton overshot next to a singularity."""
+    step = np.abs(np.diff(q, axis=0)).max(axis=1)
+    starts = np.concatenate([[0], np.flatnonzero(~(step < _STRAY)) + 1])
+    stops = np.append(starts[1:], len(q))
+    last = -1
+    for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
+        if np.isnan(q[start, 0]) or (last >= 0 and np.abs(q[start] - q[last]).max() > _STRAY * (start - last)):
+            q[start:stop] = np.nan
+        else:
+            last = stop - 1
+    return q
+
+
+def _with_missing_samples(
+    system: ConstraintSystem, law: PositionLaw, t: Array, x: Array, q: Array, gap: Array
+) -> Array:
+    """Close the samples that the lift passed over, each from its nearest neighbour.
+
+    They lie at a type I singularity, or so near that a predicted step would end behind it. Newton without prediction
+    stays on its side of a square root.
+    """
+    robot = system.robot
+    known = np.flatnonzero(~np.isnan(q[:, 0]))
+    missing = np.flatnonzero(np.isnan(q[:, 0]))
     if len(known) == 0:
+        _require_closed(t, gap)
         raise WorkingModeError(
-            f"No sample of the path lies in working mode {mode_name(system.robot.working_mode)}.",
+            f"No sample of the path lies in working mode {mode_name(robot.working_mode)}.",
             remedy="Keep the legs away from full stretch, full fold and zero length.",
             t=float(t[0]),
         )
-    holes = np.flatnonzero(missing)
-    nearest = known[np.abs(holes[:, None] - known).argmin(axis=1)]
+    nearest = known[np.abs(missing[:, None] - known).argmin(axis=1)]
     solution = assemble(system, q[nearest], x[missing], max_iterations=_SLOW_NEWTON)
-    _require_closed(t[missing], solution.gap)
     filled = q.copy()
     filled[missing] = solution.q
+    if not solution.closed.all():
+        first = int(missing[np.argmin(solution.closed)])
+        _raise_border(system, law, t, filled, first, float(solution.gap[np.argmin(solution.closed)]))
+    other = (mode_indicator(robot, solution.q) * np.array(robot.working_mode) < -_MODE_ROUNDING).any(axis=1)
+    if other.any():
+        first = float(t[missing[np.argmax(other)]])
+        raise WorkingModeError(
+            f"The path cannot be followed in working mode {mode_name(robot.working_mode)} at t = {first:.9g} s.",
+            remedy="Keep the legs away from full stretch, full fold and zero length.",
+            t=first,
+        )
     return filled
+
+
+def _require_no_jump(system: ConstraintSystem, law: PositionLaw, t: Array, q: Array) -> None:
+    """Bisect steps over which q does not follow its rate: a kink shrinks, a jump to another branch stays.
+
+    A leg that passes through zero length jumps: the prismatic leg of a 2-RPR turns by π at its base hinge.
+    """
+    model = system.robot.model
+    gamma = project(system, system.evaluate(q)).gamma
+    for k in np.flatnonzero(~continuous(system, q, gamma, law.at(t))):
+        left, right, q_left, q_right = float(t[k]), float(t[k + 1]), q[k], q[k + 1]
+        span = first = _distance(model, q_left, q_right)
+        for _ in range(_HALVINGS):
+            middle = np.array([0.5 * (left + right)])
+            # from both ends: Newton cannot start at the one that is singular
+            starts = np.stack([q_left, q_right])
+            solution = assemble(system, starts, law.at(middle).repeat(2, axis=0), max_iterations=_SLOW_NEWTON)
+            if not solution.closed.any():
+                break
+            parts = [(_distance(model, q_left, q), _distance(model, q, q_right)) for q in solution.q]
+            best = min(np.flatnonzero(solution.closed), key=lambda i: max(parts[i]))
+            if parts[best][0] < parts[best][1]:
+                left, q_left, span = float(middle[0]), solution.q[best], parts[best][1]
+            else:
+                right, q_right, span = float(middle[0]), solution.q[best], parts[best][0]
+            if span < _KINK * first or span < _SAME_CONFIGURATION:
+                break
+        if span > _KINK * first and span > _SAME_CONFIGURATION:
+            raise WorkingModeError(
+                f"The configuration jumps at t = {left:.9g} s (by {span:.3g} rad or m): the path runs through a type I "
+                "singularity, behind which the working mode is another branch.",
+                remedy="Keep the legs away from full stretch, full fold and zero length.",
+                t=left,
+            )
+
+
+def _distance(model: pin.Model, one: Array, other: Array) -> float:
+    return float(np.abs(configuration_difference(model, one[None], other[None])).max())
 
 
 def _require_closed(times: Array, gap: Array) -> None:
@@ -185,7 +235,7 @@ def _require_closed(times: Array, gap: Array) -> None:
 
 def _raise_border(system: ConstraintSystem, law: PositionLaw, t: Array, q: Array, bad: int, gap: float) -> NoReturn:
     """Bisect for the time at which the path leaves the workspace, and say so."""
-    if bad == 0 or np.isnan(q[bad - 1, 0]):
+    if bad == 0:
         _require_closed(t[bad : bad + 1], np.array([gap]))
     inside, outside, at = t[bad - 1], t[bad], q[bad - 1]
     for _ in range(_BISECTIONS):
@@ -205,6 +255,18 @@ def _raise_border(system: ConstraintSystem, law: PositionLaw, t: Array, q: Array
 
 _SAME_CONFIGURATION = 1e-6
 """Configurations nearer than this (rad, m) are the same one, computed twice."""
+
+_STRAY = 0.5
+"""Change of q (rad, m) over one step of the path that is no motion of the branch: a step is a hundredth of the robot's
+size."""
+
+_HALVINGS = 30
+_KINK = 0.2
+"""A step that bisection shrinks below this fraction is a kink or a steep stretch: at a square root each halving of time
+shrinks it by 0.7, so that five do. A jump stays."""
+
+_MODE_ROUNDING = 1e-6
+"""A mode indicator (sine or metres) this small is zero: what Newton leaves at a type I singularity."""
 
 _SLOW_NEWTON = 80
 """At a type I singularity Newton converges linearly, halving the error: 50 halvings reach rounding."""

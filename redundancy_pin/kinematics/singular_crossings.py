@@ -143,7 +143,9 @@ class _Probes:
         inward = _PROBE * np.diff(path.t)
         t = np.append(np.stack([path.t[:-1], path.t[:-1] + inward, path.t[1:] - inward], axis=1), path.t[-1])
         margins = path.margins(t)
-        return _Probes(t, margins.parallel, margins.serial)
+        # at type I the entries of W are infinite and its sign means nothing
+        parallel = np.where(margins.serial > SERIAL_TOUCH, margins.parallel, np.nan)
+        return _Probes(t, parallel, margins.serial)
 
 
 def _parallel(path: FollowedPath) -> Callable[[float], float]:
