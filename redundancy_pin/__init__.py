@@ -1,7 +1,19 @@
 """Closed-chain (parallel-robot) dynamics and planning on Pinocchio."""
 
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.reactions import joint_reactions
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 
-__all__ = ["CarrierMotion", "PlatformMotion", "load_robot"]
+__all__ = [
+    "CarrierMotion",
+    "PlatformMotion",
+    "RneaDynamics",
+    "VirtualWork",
+    "distribute",
+    "joint_reactions",
+    "load_robot",
+]
 __version__ = "0.1.0"

@@ -1,0 +1,137 @@
+"""Benchmarks, as ratios within one run: ``make bench``.
+
+Every pair is timed in turn, several times, and the median of the paired ratios is printed: a machine whose speed drifts
+moves both sides.
+"""
+
+import json
+import statistics
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from plain_loop import PlainLoop
+
+import redundancy_pin as rp
+
+SAMPLES = 10_000
+REPEATS = 5
+
+
+def smooth_motion(samples):
+    """A loop through the middle of the workspace, all three coordinates in motion, carriers on half their tracks."""
+    t = np.linspace(0.0, 2.0, samples)
+    w = np.pi
+    centre = np.array([np.sqrt(3) / 2, 0.5, 0.0])
+    size = np.array([0.2, 0.2, 0.3])
+    phase = w * t[:, None] + np.array([np.pi / 2, 0.0, 0.0])
+    motion = rp.PlatformMotion(
+        t, centre + size * np.sin(phase), w * size * np.cos(phase), -(w**2) * size * np.sin(phase)
+    )
+    swing = 3.0 * t[:, None] + np.arange(3)
+    return motion, rp.CarrierMotion(0.5 * np.sin(swing), 1.5 * np.cos(swing), -4.5 * np.sin(swing))
+
+
+def seconds(action):
+    start = time.perf_counter()
+    result = action()
+    return time.perf_counter() - start, result
+
+
+def compare(title, slow, fast, least):
+    ratios, slow_times, fast_times = [], [], []
+    fast()  # warm up: thread pools, caches
+    for _ in range(REPEATS):
+        a, expected = seconds(slow)
+        b, got = seconds(fast)
+        ratios.append(a / b)
+        slow_times.append(a)
+        fast_times.append(b)
+    error = np.abs(expected - got).max() / np.abs(expected).max()
+    row = {
+        "what": title,
+        "ratio": statistics.median(ratios),
+        "ratio_min": min(ratios),
+        "ratio_max": max(ratios),
+        "target": least,
+        "slow_us_per_sample": 1e6 * statistics.median(slow_times) / SAMPLES,
+        "fast_us_per_sample": 1e6 * statistics.median(fast_times) / SAMPLES,
+        "relative_difference": error,
+    }
+    print(
+        f"{title}: {row['ratio']:.0f} times faster (target {least}, range {row['ratio_min']:.0f} to "
+        f"{row['ratio_max']:.0f}); {row['slow_us_per_sample']:.1f} -> {row['fast_us_per_sample']:.2f} us a sample; "
+        f"efforts differ by {error:.1e}"
+    )
+    return row
+
+
+def memory(action):
+    tracemalloc.start()
+    action()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
+
+
+def main():
+    robot = rp.load_robot("3rrr")
+    motion, carriers = smooth_motion(SAMPLES)
+    loop = PlainLoop(robot)
+    rnea, manual = rp.RneaDynamics(robot), rp.VirtualWork(robot)
+    rows = [
+        compare(
+            "virtual work against the plain loop, from platform motion",
+            lambda: loop.from_platform_motion(motion, carriers),
+            lambda: rp.distribute(manual.reduce(motion, carriers)).tau,
+            50,
+        ),
+        compare(
+            "RNEA backend against the plain loop, from platform motion",
+            lambda: loop.from_platform_motion(motion, carriers),
+            lambda: rp.distribute(rnea.reduce(motion, carriers)).tau,
+            3,
+        ),
+    ]
+    along = rnea.along(motion)
+    q, v, a = (np.ascontiguousarray(part.T) for part in along.tree_motion(carriers))
+    rows.append(
+        compare(
+            "RNEA backend, new carrier motion, against the loop given q, v, a",
+            lambda: loop.from_tree_motion(q, v, a),
+            lambda: rp.distribute(along.reduce(carriers)).tau,
+            10,
+        )
+    )
+    for name, dynamics in (("RNEA backend", rnea), ("virtual work", manual)):
+        one, its_carriers = motion[:1], carriers[:1]
+        times = [seconds(lambda d=dynamics, m=one, c=its_carriers: rp.distribute(d.reduce(m, c)))[0] for _ in range(50)]
+        bound = dynamics.along(one)
+        again = [seconds(lambda b=bound, c=its_carriers: rp.distribute(b.reduce(c)))[0] for _ in range(50)]
+        row = {
+            "what": f"latency of one sample, {name}",
+            "from_platform_motion_us": 1e6 * statistics.median(times),
+            "new_carriers_us": 1e6 * statistics.median(again),
+        }
+        print(
+            f"{row['what']}: {row['from_platform_motion_us']:.0f} us from platform motion, "
+            f"{row['new_carriers_us']:.0f} us for new carriers"
+        )
+        rows.append(row)
+        peaks = []
+        for samples in (SAMPLES, 4 * SAMPLES):
+            m, c = smooth_motion(samples)
+            peaks.append(memory(lambda d=dynamics, m=m, c=c: d.reduce(m, c)) / samples)
+        row = {"what": f"peak memory, {name}", "bytes_a_sample": peaks, "growth": peaks[1] / peaks[0]}
+        print(f"{row['what']}: {peaks[0]:.0f} bytes a sample at {SAMPLES}, {peaks[1]:.0f} at {4 * SAMPLES}")
+        rows.append(row)
+    if len(sys.argv) > 1:
+        Path(sys.argv[1]).write_text(json.dumps(rows, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
