@@ -59,7 +59,7 @@ class TwoRprLegs:
         mode: sign of d of each leg.
         d: (2, N) signed leg length, m.
         ux, uy: (2, N) direction of the leg in the base frame; NaN where d = 0.
-        gap: (2, N) what the closure A + d u = B leaves, m; a few roundings.
+        gap: (2, N) what the closure A + d u = B leaves, m; a few roundings, and 0 where d = 0.
     """
 
     mode: tuple[int, int]
@@ -137,6 +137,7 @@ def inverse_displacement(geometry: TwoRprGeometry, point: ArrayLike, mode: Seque
     with np.errstate(divide="ignore", invalid="ignore"):  # d = 0 has no direction: NaN says so
         ux, uy = x / d, y / d
     gap = np.hypot(d * ux - x, d * uy - y)
+    gap[d == 0.0] = 0.0  # whatever its direction
     for array in (d, ux, uy, gap):
         read_only(array)
     return TwoRprLegs((int(sign[0, 0]), int(sign[1, 0])), d, ux, uy, gap)

@@ -163,7 +163,7 @@ def test_jacobian_is_the_derivative_of_the_actuated_joints(case):
 
 
 def test_leg_angular_momentum_gives_the_two_rpr_its_force():
-    """The thesis's machine (massless links, no gravity): f = Σ n h/d, h the rate of m[(L² + s²) θ̇ + σ L ṡ] (eq. 2.17)."""
+    """Massless links, no gravity: f = Σ n h/d with h the rate of m[(L² + s²) θ̇ + σ L ṡ] (Parsa 2014, eq. 2.17)."""
     rng = np.random.default_rng(5)
     L, m = 0.1, 1.7
     parameters = {"base_distance": 0.5, "track_offset": L, "carrier_mass": m, "end_effector_mass": 0.0}

@@ -90,6 +90,7 @@ def test_a_leg_of_no_length_has_no_direction_and_no_warning():
     legs = inverse_displacement(THESIS, [[0.0, 0.0]])
     assert np.isnan(legs.ux[0, 0])
     assert legs.ux[1, 0] == -1.0
+    np.testing.assert_array_equal(legs.gap, 0.0)  # any direction closes a leg of no length
 
 
 @pytest.mark.parametrize(

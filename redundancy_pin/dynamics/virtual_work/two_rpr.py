@@ -98,8 +98,8 @@ class TwoRprPoses:
 
     @property
     def gap(self) -> Array:
-        """(2, N) what the closure leaves, m; 0 at d = 0, where any direction closes the leg."""
-        return np.where(self.margin > 0.0, self.solved.gap, 0.0 * self.solved.d)
+        """(2, N) what the closure leaves, m."""
+        return self.solved.gap
 
     @property
     def margin(self) -> Array:
