@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, checked, read_only
+from redundancy_pin.arrays import Array, BoolArray, checked, frozen, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.spectrum import scaled
@@ -112,8 +112,11 @@ def _cost(weights: ArrayLike | None, column_scale: Array) -> Array:
 def _bound(values: ArrayLike | None, name: str, absent: float, samples: int, m: int) -> Array:
     if values is None:
         return np.broadcast_to(np.float64(absent), (samples, m))
-    # finite stand-ins let checked() refuse everything but the infinity that means "no bound"
-    given = np.asarray(values)
+    try:
+        given = frozen(values)
+    except (TypeError, ValueError):
+        return checked(values, name, (m,))  # raises, and says why
+    # finite stand-ins make checked() refuse everything but the infinity that means "no bound"
     is_absent = given == absent
     shape = (m,) if given.ndim == 1 else (samples, m)
     array = np.where(is_absent, absent, checked(np.where(is_absent, 0.0, given), name, shape))

@@ -1,0 +1,235 @@
+"""Efforts within bounds, against a general optimiser, brute force, and cases solved by hand."""
+
+import sys
+
+import numpy as np
+import pytest
+import scipy.optimize
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from prescribed import factors, reduced, times
+
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.errors import RedundancyPinError
+
+OPTIMUM = 1e-8
+"""Relative: bounds count as met within 1e-9 of the largest effort, and the optimum moves by about as much."""
+
+
+def optimiser(W, f, weights, lower, upper):
+    """Return the least Σ w τ² over W τ = f and the bounds, by a method that knows nothing of null spaces."""
+    found = scipy.optimize.minimize(
+        lambda tau: weights @ tau**2,
+        0.5 * (lower + upper),
+        jac=lambda tau: 2.0 * weights * tau,
+        constraints={"type": "eq", "fun": lambda tau: W @ tau - f, "jac": lambda tau: W},
+        bounds=scipy.optimize.Bounds(lower, upper),
+        method="SLSQP",
+        options={"ftol": 1e-14, "maxiter": 1000},
+    )
+    assert found.success
+    assert np.linalg.norm(W @ found.x - f) < 1e-10
+    return found.fun
+
+
+def test_two_actuators_against_each_other():
+    # τ1 + τ2 = 10, least norm (5, 5); with τ1 ≤ 3 it is (3, 7), with τ2 ≤ 6 as well there is none: 1 N is missing
+    d = distribute(
+        reduced([[[1.0, 1.0]]] * 4, [[10.0]] * 4),
+        lower=[-np.inf, -np.inf],
+        upper=[[np.inf, np.inf], [5.0, 5.0], [3.0, np.inf], [3.0, 6.0]],
+    )
+    assert d.status_labels.tolist() == ["regular", "regular", "regular", "bound_infeasible"]
+    assert d.tau[:3] == pytest.approx(np.array([[5.0, 5.0], [5.0, 5.0], [3.0, 7.0]]), abs=10.0 * OPTIMUM)
+    assert np.isnan(d.tau[3]).all()
+    assert d.residual == pytest.approx([0.0, 0.0, 0.0, 1.0], abs=10.0 * OPTIMUM)
+    assert d.solved.tolist() == [True, True, True, False]
+
+
+def test_cable_robot_keeps_its_cables_taut():
+    # four cables from the corners of a square to a point at its centre: tensions of at least 1 N, no load
+    W = np.array([[[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]]]) / np.sqrt(2.0)
+    d = distribute(reduced(W, [[0.0, 0.0]]), lower=[1.0] * 4)
+    assert d.tau[0] == pytest.approx([1.0] * 4, abs=OPTIMUM)
+    assert (d.tau >= 1.0).all()
+
+
+def test_the_free_direction_of_a_singular_pose_serves_the_bounds():
+    # 2-RPR in line: W τ = (τ1 − τ2, 0); least norm (2, −2), with τ1 ≤ 0.5 it is (0.5, −3.5)
+    W = np.array([[[1.0, -1.0], [0.0, 0.0]]] * 2)
+    d = distribute(reduced(W, [[4.0, 0.0]] * 2), lower=[[-9.0, -9.0], [-9.0, -3.0]], upper=[0.5, 9.0])
+    assert d.status_labels.tolist() == ["singular_consistent", "bound_infeasible"]
+    assert d.tau[0] == pytest.approx([0.5, -3.5], abs=10.0 * OPTIMUM)
+    assert d.free_direction[0] == pytest.approx(np.array([1.0, 1.0]) / np.sqrt(2.0))
+    assert d.residual[1] == pytest.approx(0.5, rel=1e-9)
+    assert np.isnan(d.free_direction[1]).all()
+
+
+@pytest.mark.parametrize(("n", "m"), [(2, 2), (3, 3), (3, 2)])
+def test_unique_efforts_outside_their_bounds_are_infeasible(n, m):
+    rng = np.random.default_rng(1)
+    _, W, _ = factors(rng, 20, n, m, np.linspace(2.0, 1.0, m))
+    tau = rng.uniform(-1.0, 1.0, size=(20, m))
+    lower, upper = np.full(m, -0.8), np.full(m, 0.7)
+    d = distribute(reduced(W, times(W, tau)), lower=lower, upper=upper)
+    inside = ((tau >= lower) & (tau <= upper)).all(axis=1)
+    assert inside.any()
+    assert not inside.all()
+    assert (d.status == np.where(inside, SampleStatus.REGULAR, SampleStatus.BOUND_INFEASIBLE)).all()
+    assert d.tau[inside] == pytest.approx(tau[inside], abs=1e-13)
+    assert np.isnan(d.tau[~inside]).all()
+
+
+def test_residual_of_infeasible_bounds_is_the_least_within_them():
+    rng = np.random.default_rng(2)
+    _, W, _ = factors(rng, 5, 2, 3, [2.0, 1.0])
+    f = times(W, rng.normal(size=(5, 3))) * 50.0
+    d = distribute(reduced(W, f), lower=[-1.0, 0.5, -2.0], upper=[1.0, 0.5, 2.0])  # the second is held at 0.5
+    assert (d.status == SampleStatus.BOUND_INFEASIBLE).all()
+    grid = np.linspace(-1.0, 1.0, 401)
+    box = np.stack(np.broadcast_arrays(grid[:, None], 0.5, 2.0 * grid[None, :]), axis=-1).reshape(-1, 3)
+    brute = np.linalg.norm(np.einsum("Nij,bj->Nbi", W, box) - f[:, None, :], axis=2).min(axis=1)
+    assert (d.residual <= brute + 1e-9).all()
+    assert d.residual == pytest.approx(brute, abs=2.0 * 0.01)  # ‖W‖ times the diagonal of half a grid cell
+
+
+@pytest.mark.parametrize("lower", [-2.0, 1.0])
+def test_residual_where_every_effort_is_held(lower):
+    d = distribute(reduced([[[1.0, 1.0]]], [[10.0]]), lower=[lower, lower], upper=[lower, lower])
+    assert d.status[0] == SampleStatus.BOUND_INFEASIBLE
+    assert d.residual[0] == pytest.approx(abs(10.0 - 2.0 * lower))
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    n=st.integers(1, 3),
+    extra=st.integers(1, 3),
+    lost=st.integers(0, 1),
+    exponents=st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6),
+    seed=st.integers(0, 9999),
+)
+def test_bounded_optimum_meets_the_optimality_conditions(n, extra, lost, exponents, seed):
+    # Karush, Kuhn and Tucker: tau is optimal if and only if, on the free actuators, w τ is a combination Wᵀ λ, and on
+    # the ones at a bound w τ − Wᵀ λ pushes outwards; λ is found here by non-negative least squares
+    rng = np.random.default_rng(seed)
+    m = n + extra
+    weights = 10.0 ** np.array(exponents[:m])
+    values = np.linspace(2.0, 1.0, n)
+    values[n - 1 :] *= 1 - lost
+    _, W, _ = factors(rng, 1, n, m, values)
+    inner = rng.uniform(-1.0, 1.0, m)
+    lower, upper = inner - rng.uniform(0.0, 0.8, m), inner + rng.uniform(0.0, 0.8, m)
+    d = distribute(reduced(W, times(W, inner[None])), weights=weights, lower=lower, upper=upper)
+    assert d.solved.all()  # the efforts that made f are within the bounds
+    tau = d.tau[0]
+    assert (tau >= lower).all()
+    assert (tau <= upper).all()
+    assert W[0] @ tau == pytest.approx(W[0] @ inner, abs=1e-8)
+    at_lower, at_upper = tau <= lower + 1e-7, tau >= upper - 1e-7
+    # w τ = Wᵀ λ + μ_lower − μ_upper
+    gradient = weights * tau
+    identity = np.eye(m)
+    generators = np.concatenate([W[0].T, -W[0].T, identity[:, at_lower], -identity[:, at_upper]], axis=1)
+    assert scipy.optimize.nnls(generators, gradient)[1] <= 1e-6 * max(weights.max(), 1.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bounded_optimum_costs_what_a_general_optimiser_finds(seed):
+    rng = np.random.default_rng(seed)
+    _, W, _ = factors(rng, 1, 2, 5, [2.0, 1.0])
+    inner, weights = rng.uniform(-1.0, 1.0, 5), rng.uniform(0.2, 5.0, 5)
+    lower, upper = inner - rng.uniform(0.05, 0.3, 5), inner + rng.uniform(0.05, 0.3, 5)
+    f = times(W, inner[None])
+    free = distribute(reduced(W, f), weights=weights)
+    d = distribute(reduced(W, f), weights=weights, lower=lower, upper=upper)
+    cost = weights @ d.tau[0] ** 2
+    assert cost > weights @ free.tau[0] ** 2 + 1e-3  # the bounds bind
+    assert cost == pytest.approx(optimiser(W[0], f[0], weights, lower, upper), rel=1e-8)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 9999), m=st.integers(2, 5))
+def test_feasibility_agrees_with_linear_programming(seed, m):
+    rng = np.random.default_rng(seed)
+    n = m - 1
+    _, W, _ = factors(rng, 1, n, m, np.linspace(2.0, 1.0, n))
+    f, lower, upper = rng.normal(size=(1, n)), rng.uniform(-1.0, 0.0, m), rng.uniform(0.0, 1.0, m)
+    # widen the bounds until they can be met: the sign of the necessary widening decides
+    c = np.append(np.zeros(m), 1.0)
+    rows = np.concatenate([np.eye(m), -np.eye(m)])
+    widen = scipy.optimize.linprog(
+        c,
+        A_ub=np.column_stack([rows, -np.ones(2 * m)]),
+        b_ub=np.concatenate([upper, -lower]),
+        A_eq=np.column_stack([W[0], np.zeros(n)]),
+        b_eq=f[0],
+        bounds=[(None, None)] * (m + 1),
+    ).fun
+    assume(abs(widen) > 1e-6)
+    d = distribute(reduced(W, f), lower=lower, upper=upper)
+    assert d.solved[0] == (widen < 0.0)
+    assert (d.status[0] == SampleStatus.BOUND_INFEASIBLE) == (widen > 0.0)
+
+
+def test_only_efforts_that_leave_their_bounds_change():
+    rng = np.random.default_rng(3)
+    _, W, _ = factors(rng, 200, 2, 3, [2.0, 1.0])
+    reduced_dynamics = reduced(W, rng.normal(size=(200, 2)))
+    free = distribute(reduced_dynamics)
+    d = distribute(reduced_dynamics, lower=[-0.5] * 3, upper=[0.5] * 3)
+    inside = (np.abs(free.tau) <= 0.5).all(axis=1)
+    assert inside.any()
+    assert not inside.all()
+    assert np.array_equal(d.tau[inside], free.tau[inside])
+    assert not (d.tau[~inside] == free.tau[~inside]).all(axis=1).any()
+
+
+def test_bounds_of_mixed_actuators_are_in_their_own_units():
+    # a linear actuator and a motor: least norm (5 N, 1.25 N·m); 1 N·m on the motor leaves 6 N for the other
+    d = distribute(reduced([[[1.0, 4.0]]], [[10.0]], column_scale=[1.0, 0.25]), upper=[np.inf, 1.0])
+    assert d.tau[0] == pytest.approx([6.0, 1.0], abs=10.0 * OPTIMUM)
+
+
+def test_an_actuator_held_at_a_value_leaves_the_rest_to_the_others():
+    d = distribute(reduced([[[1.0, 1.0, 1.0]]], [[9.0]]), lower=[-9.0, 7.0, -9.0], upper=[9.0, 7.0, 9.0])
+    assert d.tau[0] == pytest.approx([1.0, 7.0, 1.0], abs=10.0 * OPTIMUM)
+    assert d.tau[0, 1] == 7.0
+
+
+def test_efforts_on_their_bound_but_for_rounding_are_feasible():
+    # τ = 1/3 is not a floating-point number, and W τ = f returns it with an error of a rounding
+    W = np.array([np.diag([3.0, 7.0])])
+    d = distribute(reduced(W, [[1.0, 1.0]]), upper=[np.nextafter(1.0 / 3.0, 0.0), 1.0])
+    assert d.status[0] == SampleStatus.REGULAR
+    assert d.tau[0, 0] <= np.nextafter(1.0 / 3.0, 0.0)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_bounds_work_at_any_size_of_force(size):
+    d = distribute(reduced([[[1.0, 1.0]]] * 2, [[10.0 * size]] * 2), upper=[[3.0 * size, np.inf], [3.0 * size] * 2])
+    assert d.tau[0] == pytest.approx(np.array([3.0, 7.0]) * size, rel=10.0 * OPTIMUM)
+    assert d.status[1] == SampleStatus.BOUND_INFEASIBLE
+    assert d.residual[1] == pytest.approx(4.0 * size, rel=1e-9)
+
+
+def test_an_effort_that_the_free_direction_cannot_move_keeps_its_bound():
+    # actuator 0 alone holds the first freedom; 1 and 2 share the second and cannot relieve it
+    W = np.array([[[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]])
+    d = distribute(reduced(W, [[2.0, 2.0]]), upper=[1.0, 0.5, np.inf])
+    assert d.status[0] == SampleStatus.BOUND_INFEASIBLE
+    assert d.residual[0] == pytest.approx(1.0)
+
+
+def test_inconsistent_samples_stay_inconsistent_under_bounds():
+    d = distribute(reduced([[[1.0, 0.0], [0.0, 0.0]]], [[5.0, 1.0]]), lower=[-1.0, -1.0], upper=[1.0, 1.0])
+    assert d.status[0] == SampleStatus.SINGULAR_INCONSISTENT
+    assert d.residual[0] == pytest.approx(1.0)
+
+
+def test_without_quadprog_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "quadprog", None)
+    problem = reduced([[[1.0, 1.0]]], [[10.0]])
+    assert distribute(problem, upper=[6.0, 6.0]).solved.all()  # nothing to solve, nothing to install
+    with pytest.raises(RedundancyPinError, match=r"pip install redundancy_pin\[bounds\]"):
+        distribute(problem, upper=[3.0, np.inf])
