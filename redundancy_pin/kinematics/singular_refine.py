@@ -1,0 +1,134 @@
+"""Exact singular configurations on grid edges: Newton on closure, the coordinates that are fixed, and a singular value.
+
+In the joint coordinates a singularity is a simple root even where the platform coordinates meet a square root (the border of
+the workspace): the unknowns are all p joint displacements, the equations the r closure rows, the n − 1 platform
+coordinates that are constant along an edge, and σ = 0, the smallest singular value of the scaled K (type I) or T (type
+II). With σ = uᵀ M v its derivative is uᵀ (∂M/∂q) v.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray
+from redundancy_pin.kinematics.assembly import assemble, integrate
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.coordinates import coordinates, difference
+from redundancy_pin.kinematics.modes import in_working_mode
+from redundancy_pin.kinematics.singular_matrices import locked_matrix, serial_matrix
+
+SINGULAR = 1e-9
+"""Scaled singular value below which a refined point counts as singular; Newton leaves 1e-15."""
+
+MatrixOf = Callable[[ConstraintSystem, ConstraintState], Array]
+
+_ITERATIONS = 20
+_DIFFERENCE = 1e-6
+"""Step of the central differences of M, rad or m: their relative error, 1e-10, only slows Newton's last step."""
+
+_LONGEST_STEP = 0.3
+_BISECTIONS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedPoints:
+    """Singular configurations, one for each edge.
+
+    Attributes:
+        x: (E, n) platform coordinates.
+        q: (E, nq) configurations.
+        residual: (E,) smallest singular value of the matrix whose zero was sought.
+        found: (E,) closed, singular, and on its edge.
+    """
+
+    x: Array
+    q: Array
+    residual: Array
+    found: BoolArray
+
+
+def refine(
+    system: ConstraintSystem, matrix: MatrixOf, guess: Array, start: Array, end: Array, free: IntArray
+) -> RefinedPoints:
+    """Find the singular configuration on each edge.
+
+    Args:
+        system: closures and platform rows.
+        matrix: ``serial_matrix`` for type I, ``locked_matrix`` for type II.
+        guess: (E, nq) configurations near it.
+        start, end: (E, n) platform coordinates of the ends of each edge.
+        free: (E,) the column in which they differ.
+    """
+    robot, p = system.robot, system.pose_columns
+    everyone = np.arange(len(guess))
+    held = np.arange(robot.n)[None, :] != free[:, None]
+    others = np.broadcast_to(np.arange(robot.n), held.shape)[held].reshape(len(guess), robot.n - 1)
+    q = guess.copy()
+    for _ in range(_ITERATIONS):
+        state = system.evaluate(q)
+        sigma, gradient = _singular_value(system, matrix, state)
+        miss = difference(robot, start, coordinates(robot, state))[everyone[:, None], others]
+        rows = np.concatenate(
+            [state.Jc[:, :, p], state.Jx[:, :, p][everyone[:, None], others], gradient[:, None]], axis=1
+        )
+        rhs = np.concatenate([-state.phi, miss, -sigma[:, None]], axis=1)
+        # minimum norm: where two branches of a singular curve meet the equations depend on each other
+        step = (np.linalg.pinv(rows, rcond=1e-12) @ rhs[:, :, None])[:, :, 0]
+        size = np.abs(step).max(axis=1, keepdims=True)
+        full = np.zeros((len(q), robot.model.nv))
+        full[:, p] = step * np.minimum(1.0, _LONGEST_STEP / np.maximum(size, _LONGEST_STEP))
+        q = integrate(robot.model, q, full)
+        if size.max(initial=0.0) < 1e-14:
+            break
+    state = system.evaluate(q)
+    x = coordinates(robot, state)
+    sigma = np.linalg.svd(matrix(system, state), compute_uv=False)[:, -1]
+    away = difference(robot, x, start)
+    edge = difference(robot, end, start)
+    fraction = away[everyone, free] / edge[everyone, free]
+    off = np.abs(np.where(held, away, 0.0)).max(axis=1)
+    gap = np.maximum(np.abs(state.phi).max(axis=1, initial=0.0), off)
+    on_edge = (fraction > -_EDGE_ROUNDING) & (fraction < 1.0 + _EDGE_ROUNDING)
+    return RefinedPoints(x, q, sigma, (gap < CLOSURE_TOLERANCE) & (sigma < SINGULAR) & on_edge)
+
+
+def approach_border(system: ConstraintSystem, q: Array, start: Array, end: Array) -> Array:
+    """Return (E, nq) configurations near the border of the workspace, by bisection from a reachable to an unreachable end.
+
+    Args:
+        system: closures and platform rows.
+        q: (E, nq) configurations at ``start``.
+        start: (E, n) reachable platform coordinates.
+        end: (E, n) unreachable ones.
+    """
+    inside, outside = np.zeros(len(q)), np.ones(len(q))
+    best = q.copy()
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (inside + outside)
+        solution = assemble(system, best, start + middle[:, None] * (end - start), max_iterations=15)
+        good = solution.closed & in_working_mode(system.robot, solution.q)
+        best[good] = solution.q[good]
+        inside, outside = np.where(good, middle, inside), np.where(good, outside, middle)
+    return best
+
+
+def _singular_value(system: ConstraintSystem, matrix: MatrixOf, state: ConstraintState) -> tuple[Array, Array]:
+    """Return the smallest singular value (E,) and its derivatives (E, p) by the joint displacements."""
+    u, values, vt = np.linalg.svd(matrix(system, state), full_matrices=False)
+    samples, columns, model = len(state.q), system.pose_columns, system.robot.model
+    steps = np.zeros((2 * len(columns), model.nv))
+    steps[np.arange(len(columns)), columns] = _DIFFERENCE
+    steps[len(columns) + np.arange(len(columns)), columns] = -_DIFFERENCE
+    moved = integrate(model, np.repeat(state.q, len(steps), axis=0), np.tile(steps, (samples, 1)))
+    shifted = matrix(system, system.evaluate(moved))
+    shifted = shifted.reshape(samples, 2, len(columns), *shifted.shape[1:])
+    slope = (shifted[:, 0] - shifted[:, 1]) / (2.0 * _DIFFERENCE)
+    return values[:, -1], np.einsum("ni,ncij,nj->nc", u[:, :, -1], slope, vt[:, -1])
+
+
+_EDGE_ROUNDING = 1e-9
+"""A root this far beyond the end of its edge (fraction of its length) is at the end."""
+
