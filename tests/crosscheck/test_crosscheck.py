@@ -1,0 +1,157 @@
+"""The cross-check itself: it passes on what is right and fails on every fault put into a backend."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from redundancy_pin import crosscheck
+from redundancy_pin.crosscheck.cases import Masses, Wave, random_cases
+from redundancy_pin.crosscheck.report import CrossCheckReport, Tally, relative
+from redundancy_pin.dynamics.virtual_work import backend as virtual_work
+from redundancy_pin.errors import InputError, ModelFileError, UnreachablePoseError
+
+
+def failed(report):
+    return {row.check for row in report.rows if not row.passed}
+
+
+@pytest.fixture(scope="module")
+def report():
+    return crosscheck.run(samples=150, seed=3)
+
+
+def test_everything_agrees_on_random_robots(report):
+    assert not failed(report)
+    assert report.passed
+    checks = {(row.robot, row.check) for row in report.rows}
+    for robot in ("2rpr", "3rrr"):
+        for check in ("parity: f", "parity: W", "parity: carrier force", "parity: f at type II poses"):
+            assert (robot, check) in checks
+    assert {row.robot for row in report.rows} == {"2rpr", "3rrr", "five_bar", "four_bar", "gough"}
+    assert all(row.samples > 0 for row in report.rows)
+
+
+def test_same_seed_same_numbers_other_seed_other_numbers(report):
+    first = crosscheck.run(["four_bar"], samples=60, seed=3)
+    again = crosscheck.run(["four_bar"], samples=60, seed=3)
+    other = crosscheck.run(["four_bar"], samples=60, seed=4)
+    assert first == again
+    assert [row.worst for row in first.rows] != [row.worst for row in other.rows]
+
+
+class Tampered:
+    """Virtual work along a motion with one fault put in."""
+
+    def __init__(self, inner, fault):
+        self._inner, self._fault = inner, fault
+
+    def __getattr__(self, name):
+        return getattr(self._inner, name)
+
+    def reduce(self, carriers=None):
+        return self._fault(self._inner.reduce(carriers), carriers)
+
+
+FAULTS = {
+    "sign of f": (lambda r, c: replace(r, f=-r.f), {"parity: f", "power balance (virtual work)"}),
+    "f off by a millionth": (lambda r, c: replace(r, f=r.f * (1 + 1e-6)), {"parity: f"}),
+    "W transposed": (lambda r, c: replace(r, W=r.W.transpose(0, 2, 1)), {"parity: W"}),
+    "legs swapped": (lambda r, c: replace(r, W=r.W[:, :, ::-1]), {"parity: W", "inverse -> forward (virtual work)"}),
+    "carrier force dropped": (
+        lambda r, c: replace(r, carrier_force=0 * r.carrier_force),
+        {"parity: carrier force", "power balance (virtual work)"},
+    ),
+    "Coriolis force of the carriers forgotten": (
+        lambda r, c: r if c is None else replace(r, f=r.f + 0.1 * c.sd[:, :1]),
+        {"parity: f", "derivatives by s, s', s'' (virtual work)"},
+    ),
+    "NaN": (lambda r, c: replace(r, f=r.f * np.nan), {"parity: f"}),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_in_one_backend_is_found(monkeypatch, name):
+    fault, expected = FAULTS[name]
+    along = virtual_work.VirtualWork.along
+    monkeypatch.setattr(
+        virtual_work.VirtualWork, "along", lambda self, *a, **k: Tampered(along(self, *a, **k), fault)
+    )
+    report = crosscheck.run(["2rpr"], samples=60, seed=1)
+    assert not report.passed
+    assert expected <= failed(report)
+    assert not any("rnea" in check for check in failed(report))
+
+
+def test_a_report_without_rows_or_samples_does_not_pass():
+    assert not CrossCheckReport((), 0).passed
+    tally = Tally()
+    tally.add("robot", "check", np.zeros(0), 1.0)
+    assert not CrossCheckReport(tally.rows(), 0).passed
+
+
+def test_the_worst_of_several_batches_counts_and_nan_stays():
+    tally = Tally()
+    for deviation in ([1.0, 3.0], [2.0]):
+        tally.add("robot", "check", np.array(deviation), 2.5)
+    (row,) = tally.rows()
+    assert (row.samples, row.worst, row.passed) == (3, 3.0, False)
+    tally.add("robot", "check", np.array([np.nan]), 2.5)
+    tally.add("robot", "check", np.array([0.0]), 2.5)
+    assert np.isnan(tally.rows()[0].worst)
+    assert not tally.rows()[0].passed
+
+
+def test_relative_deviation_is_by_sample():
+    first = np.array([[1.0, 100.0], [1e-3, 0.0]])
+    second = np.array([[1.0, 101.0], [2e-3, 0.0]])
+    # the second sample is small against the others: it is divided by a thousandth of the typical size at least
+    np.testing.assert_allclose(relative(first, second), [1 / 101, 1e-3 / max(2e-3, 1e-3 * (101 + 2e-3) / 2)])
+
+
+def test_waves_have_exact_derivatives():
+    rng = np.random.default_rng(0)
+    wave = Wave(rng.normal(size=2), rng.normal(size=(3, 2)), rng.normal(size=(3, 2)), np.array([1.0, 2.0, 5.0]))
+    t, h = np.linspace(0, 1, 7), 1e-5
+    for order in (0, 1):
+        numeric = (wave(t + h, order) - wave(t - h, order)) / (2 * h)
+        # truncation h^2 w^3, rounding 1e-16/h
+        np.testing.assert_allclose(numeric, wave(t, order + 1), atol=1e-6)
+
+
+def test_pose_motion_of_the_gough_platform_is_consistent():
+    """Twists against finite differences of the poses they belong to."""
+    case = next(iter(random_cases("gough", 5, 0, masses=Masses.ALL)))
+    h = 1e-5
+    before, at, after = (case.motion(case.t + shift) for shift in (-h, 0.0, h))
+    np.testing.assert_allclose((after.x[:, :3, 3] - before.x[:, :3, 3]) / (2 * h), at.xd[:, :3], atol=1e-7)
+    spin = (after.x[:, :3, :3] - before.x[:, :3, :3]) / (2 * h) @ at.x[:, :3, :3].transpose(0, 2, 1)
+    omega = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+    np.testing.assert_allclose(omega, at.xd[:, 3:], atol=1e-7)
+    np.testing.assert_allclose((after.xd - before.xd) / (2 * h), at.xdd, atol=1e-6)
+
+
+def test_cases_vary_parameters_modes_and_gravity():
+    cases = [case for seed in range(4) for case in random_cases("3rrr", 10, seed)]
+    assert len({case.robot.working_mode for case in cases}) > 1
+    assert len({case.robot.parameters["distal_length"] for case in cases}) == len(cases)
+    assert all(np.linalg.norm(case.robot.gravity) > 0 for case in cases)
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(InputError, match="samples is 0"):
+        crosscheck.run(["2rpr"], samples=0)
+    with pytest.raises(ModelFileError, match="no robot"):
+        crosscheck.run(["no_such_robot"], samples=5)
+
+
+def test_a_robot_without_workspace_is_reported(monkeypatch):
+    from redundancy_pin.crosscheck import cases
+
+    def never(*_, **__):
+        raise UnreachablePoseError("too far")
+
+    monkeypatch.setattr(cases, "lift", never)
+    monkeypatch.setattr(cases, "_TRIES", 2)
+    with pytest.raises(UnreachablePoseError, match="No random motion of 2rpr stays reachable after 2 draws"):
+        crosscheck.run(["2rpr"], samples=5)
