@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,12 +31,18 @@ _UNIT_CIRCLE_BAND = 0.1
 """Roots with | |z| - 1 | below this are tried. Rounding moves a root of multiplicity four by 1e-4; the rest of the
 band costs a few steps of Newton's method and can add no pose that does not close."""
 
-_SAME_POSE = 1e-6
-"""Poses nearer than this (relative to l2, and radians) are one. Next to a fold of the forward map, closing the legs
-to rounding fixes a pose to the square root of rounding, 1e-8."""
+_FOLD = 1e-6
+"""Poses nearer than this (relative to l2, and radians) are one, and a scaled determinant below it counts as zero. Where
+two assembly modes meet (a fold), closing the legs to rounding fixes a pose to the square root of rounding, 1e-8."""
 
-_NEWTON_STEPS = 60
-"""Near a fold Newton's method halves its error each step: 60 halvings pass from 1 to rounding."""
+_CUSP = 1e-4
+"""The same distance where the determinant is below ``_FOLD`` / 10 at both poses. Where three assembly modes meet (a
+cusp) a pose is fixed to the cube root of rounding, 1e-5, and the determinant grows as the distance squared."""
+
+_NEWTON_PHASES = ((50, 1e-14), (5, 1e-5))
+"""Steps, and the fraction of the largest singular value of the rows (a, b, d) below which a direction is left out of a
+step. The first phase halves the error each step even at a fold: fifty halvings pass from 1 to rounding. At a cusp it
+bounces along the slack direction; the second phase leaves that alone and closes the legs across it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +51,8 @@ class ThreeRrrAssembly:
 
     Attributes:
         index: place in the order of growing α in (-π, π], counted from 0.
-        sign: sign of the determinant of the rows (a, b, d) of eq. 2.38; it changes at a type II singularity.
+        sign: sign of the determinant of the rows (a, b, d) of eq. 2.38; it changes at a type II singularity. It is 0
+            there, where two assembly modes have become one to the accuracy a pose can be found with.
         pose: (3,) x, y, m, and α, rad, in the base frame.
         determinant: that determinant divided by l2³ times the platform radius: the margin to type II.
         residual: largest error of |A_i - B_i| against l2, m.
@@ -66,21 +74,30 @@ def forward_displacement(geometry: ThreeRrrGeometry, theta: ArrayLike) -> tuple[
 
     Raises:
         InputError: ``theta`` is not three finite numbers.
-        SingularPoseError: the three centres coincide at some α, so that the platform moves on a circle with all
-            base joints locked.
+        SingularPoseError: the platform moves with all base joints locked: the three centres coincide at some α, or
+            the three elbows do and the distal links are as long as the platform's radius.
     """
     angle = checked(theta, "theta", (3,))
     elbows = geometry.base_points + geometry.proximal_length * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     starts = [start for alpha in _orientations(geometry, elbows) for start in _positions(geometry, elbows, alpha)]
     if not starts:
         return ()
-    poses, residuals = _polished(geometry, elbows, np.array(starts))
-    kept: list[tuple[Array, float]] = []
+    poses, determinants, residuals = _polished(geometry, elbows, np.array(starts))
+    kept: list[int] = []
     for k in np.argsort(residuals):
-        if residuals[k] <= CLOSURE_TOLERANCE and not any(_same(geometry, poses[k], other) for other, _ in kept):
-            kept.append((poses[k], float(residuals[k])))
-    kept.sort(key=lambda found: float(found[0][2]))
-    return tuple(_labelled(geometry, elbows, index, pose, gap) for index, (pose, gap) in enumerate(kept))
+        if residuals[k] <= CLOSURE_TOLERANCE and not any(_same(geometry, poses, determinants, k, j) for j in kept):
+            kept.append(int(k))
+    kept.sort(key=lambda k: float(poses[k, 2]))
+    return tuple(
+        ThreeRrrAssembly(
+            index=index,
+            sign=0 if abs(determinants[k]) < _FOLD else int(np.sign(determinants[k])),
+            pose=read_only(poses[k].copy()),
+            determinant=float(determinants[k]),
+            residual=float(residuals[k]),
+        )
+        for index, k in enumerate(kept)
+    )
 
 
 def _orientations(geometry: ThreeRrrGeometry, elbows: Array) -> Array:
@@ -100,20 +117,27 @@ def _orientations(geometry: ThreeRrrGeometry, elbows: Array) -> Array:
     z = -np.conj(w2) * b2 / abs(w2) ** 2  # where the first two centres coincide, if it has modulus 1
     if max(abs(abs(z) - 1.0) * abs(w2), abs(b3 + w3 * z)) <= CLOSURE_TOLERANCE:
         alpha = float(np.angle(z))
-        raise SingularPoseError(
-            f"The elbows form a triangle congruent to the platform: at α = {alpha:.9g} rad the platform moves on a "
-            "circle with the base joints locked, so the assembly modes are not isolated.",
-            remedy="Change a base angle.",
-            alpha=alpha,
+        _refuse_self_motion(
+            f"The elbows form the platform's own triangle: at α = {alpha:.9g} rad the platform moves on a circle"
         )
     # D is the imaginary part of conj(b2 + w2 z)(b3 + w3 z).
     linear = (np.conj(b2) * w3 - w2 * np.conj(b3)) / 2j
     twice_area = np.array([linear, np.imag(np.conj(b2) * b3 + np.conj(w2) * w3), np.conj(linear)])
     polynomial = np.convolve(np.convolve(squared_side(0, 1), squared_side(1, 2)), squared_side(2, 0))
+    size = np.abs(polynomial).max()
     polynomial[1:-1] -= 4.0 * geometry.distal_length**2 * np.convolve(twice_area, twice_area)
+    if np.abs(polynomial).max() <= CLOSURE_TOLERANCE * size:
+        _refuse_self_motion("The elbows coincide and the distal links are as long as the platform's radius: it turns")
     roots = np.roots(polynomial)
     alpha_all: Array = np.angle(roots[np.abs(np.abs(roots) - 1.0) < _UNIT_CIRCLE_BAND])
     return alpha_all
+
+
+def _refuse_self_motion(what: str) -> NoReturn:
+    raise SingularPoseError(
+        f"{what} with the base joints locked, so the assembly modes are not isolated.",
+        remedy="Change a base angle.",
+    )
 
 
 def _positions(geometry: ThreeRrrGeometry, elbows: Array, alpha: float) -> list[Array]:
@@ -138,33 +162,35 @@ def _closure(geometry: ThreeRrrGeometry, elbows: Array, poses: Array) -> tuple[A
     return (ex * ex + ey * ey - l2 * l2) / (2.0 * l2), rows, np.abs(np.hypot(ex, ey) - l2)
 
 
-def _polished(geometry: ThreeRrrGeometry, elbows: Array, poses: Array) -> tuple[Array, Array]:
-    """Close the legs by Newton's method from (M, 3) poses; return the poses and the largest error of each, m.
+def _polished(geometry: ThreeRrrGeometry, elbows: Array, poses: Array) -> tuple[Array, Array, Array]:
+    """Close the legs by Newton's method from (M, 3) poses.
 
-    At a fold the rows (a, b, d) lose rank; the shortest step is taken then. It only decides where the search goes
-    next: a pose is accepted on its residual, never on convergence.
+    Returns:
+        the best pose met from each start, (M, 3); its scaled determinant; and its largest error, m. A pose is
+        accepted on that error, never on convergence, so that leaving slack directions out of a step hides nothing.
     """
     l2 = geometry.distal_length
     scale = np.array([l2, l2, 1.0])
-    for _ in range(_NEWTON_STEPS):
-        error, rows, _gap = _closure(geometry, elbows, poses)
-        step = np.einsum("mij,mj->mi", np.linalg.pinv(rows * scale / l2, rcond=1e-14), error)
-        step /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1.0)
-        poses = poses - step * scale
-        if np.abs(step).max() < 1e-15:
-            break
-    poses[:, 2] = np.pi - np.mod(np.pi - poses[:, 2], 2.0 * np.pi)
-    return poses, _closure(geometry, elbows, poses)[2].max(axis=1)
+    best, least = poses, _closure(geometry, elbows, poses)[2].max(axis=1)
+    for steps, slack in _NEWTON_PHASES:
+        poses = best.copy()
+        for _ in range(steps):
+            error, rows, _gap = _closure(geometry, elbows, poses)
+            step = np.einsum("mij,mj->mi", np.linalg.pinv(rows * scale / l2, rcond=slack), error)
+            step /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1.0)  # at most l2, or a radian
+            poses = poses - step * scale
+            gap = _closure(geometry, elbows, poses)[2].max(axis=1)
+            better = gap < least
+            best, least = np.where(better[:, None], poses, best), np.where(better, gap, least)
+            if np.abs(step).max() < 1e-15:
+                break
+    determinants = np.linalg.det(_closure(geometry, elbows, best)[1]) / (l2**3 * geometry.platform_radius)
+    best[:, 2] = np.pi - np.mod(np.pi - best[:, 2], 2.0 * np.pi)
+    return best, determinants, least
 
 
-def _same(geometry: ThreeRrrGeometry, one: Array, other: Array) -> bool:
-    turn = abs(np.mod(one[2] - other[2] + np.pi, 2.0 * np.pi) - np.pi)
-    distance = np.hypot(*(one[:2] - other[:2])) / geometry.distal_length
-    return bool(max(turn, distance) < _SAME_POSE)
-
-
-def _labelled(geometry: ThreeRrrGeometry, elbows: Array, index: int, pose: Array, residual: float) -> ThreeRrrAssembly:
-    rows = _closure(geometry, elbows, pose[None])[1][0]
-    determinant = float(np.linalg.det(rows)) / (geometry.distal_length**3 * geometry.platform_radius)
-    sign = 1 if determinant > 0.0 else -1
-    return ThreeRrrAssembly(index, sign, read_only(pose.copy()), determinant, residual)
+def _same(geometry: ThreeRrrGeometry, poses: Array, determinants: Array, k: int, j: int) -> bool:
+    turn = abs(np.mod(poses[k, 2] - poses[j, 2] + np.pi, 2.0 * np.pi) - np.pi)
+    distance = np.hypot(*(poses[k, :2] - poses[j, :2])) / geometry.distal_length
+    at_a_cusp = max(abs(determinants[k]), abs(determinants[j])) < _FOLD / 10.0
+    return bool(max(turn, distance) < (_CUSP if at_a_cusp else _FOLD))

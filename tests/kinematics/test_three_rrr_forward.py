@@ -30,6 +30,18 @@ def leg_errors(geometry, theta, pose):
     return np.abs(np.hypot(*(A - B).T) - geometry.distal_length)
 
 
+def inverse_matrix(geometry, theta, pose):
+    """Rows of the closure's derivative by the pose, lengths in units of l2, by complex steps."""
+    rows = np.empty((3, 3))
+    B = geometry.base_points + geometry.proximal_length * u(np.asarray(theta))
+    for column in range(3):
+        moved = pose + 1e-30j * np.eye(3)[column]
+        A = moved[:2] - geometry.platform_radius * u(moved[2] + PHI)
+        rows[:, column] = (((A - B) ** 2).sum(axis=1) / 2).imag / 1e-30
+    scale = np.array([geometry.distal_length] * 2 + [geometry.distal_length * geometry.platform_radius])
+    return rows / scale
+
+
 def crossings_by_scanning(geometry, theta, samples=4000):
     """Count the assembly modes without elimination: turn the platform through all α, close legs 1 and 2, both ways, and
     count the sign changes of the error of leg 3; None where the scan is too coarse to tell."""
@@ -80,7 +92,9 @@ def test_every_solution_closes_and_is_labelled(theta, geometry):
         errors = leg_errors(geometry, theta, s.pose)
         assert errors.max() < CLOSED
         np.testing.assert_allclose(s.residual, errors.max(), atol=1e-14)
-        assert s.sign == (1 if s.determinant > 0 else -1)
+        rows = inverse_matrix(geometry, theta, s.pose)
+        np.testing.assert_allclose(s.determinant, np.linalg.det(rows), atol=1e-12)
+        assert s.sign == (np.sign(s.determinant) if abs(s.determinant) > 1e-6 else 0)
         assert not s.pose.flags.writeable
 
 
@@ -150,6 +164,32 @@ def test_a_self_motion_is_refused():
     np.testing.assert_allclose(np.hypot(*(elbows[1] - elbows[0])), 0.25 * np.sqrt(3), atol=1e-12)
     with pytest.raises(SingularPoseError, match="circle"):
         forward_displacement(geometry, outward)
+
+
+def test_a_platform_that_turns_about_coincident_elbows_is_refused():
+    geometry = ThreeRrrGeometry(1.0, 0.4, 1.0, 0.4)
+    inward = np.array([np.pi / 6, 5 * np.pi / 6, -np.pi / 2])
+    with pytest.raises(SingularPoseError, match="turns"):
+        forward_displacement(geometry, inward)
+    assert forward_displacement(ThreeRrrGeometry(1.0, 0.4, 1.0, 0.5), inward) == ()
+
+
+def test_two_assembly_modes_that_meet_are_one_without_a_sign():
+    """Symmetric home pose of a machine whose distal links point at the centre: a type II singularity."""
+    geometry = ThreeRrrGeometry(1.0, 0.25, 0.4, 0.35)  # the legs are straight towards the centre: 0.4 + 0.35 + 0.25 = 1
+    solutions = forward_displacement(geometry, [np.pi / 6, 5 * np.pi / 6, -np.pi / 2])
+    centre = np.array([np.sqrt(3) / 2, 0.5, 0.0])
+    home = [s for s in solutions if np.abs(s.pose - centre).max() < 1e-6]
+    assert [s.sign for s in home] == [0]
+
+
+def test_three_assembly_modes_that_meet_are_one():
+    """A cusp: base angles 0, 240 and 300 degrees, all radii and lengths 1, the platform at the centre."""
+    solutions = forward_displacement(ThreeRrrGeometry(1.0, 1.0, 1.0, 1.0), [0.0, 4 * np.pi / 3, 5 * np.pi / 3])
+    centre = np.array([np.sqrt(3) / 2, 0.5, 0.0])
+    assert len(solutions) == 4  # six, three of them in one
+    home = [s for s in solutions if np.abs(s.pose - centre).max() < 1e-4]  # the cube root of rounding, with room
+    assert len(home) == 1
 
 
 def test_none_where_the_elbows_are_too_far_apart():
