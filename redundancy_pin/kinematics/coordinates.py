@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import Array, checked
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintState
+from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import AXES, Robot
 
@@ -86,9 +87,7 @@ def velocity_scale(robot: Robot) -> Array:
     for index in range(1, model.njoints):
         joint = model.joints[index]
         columns = slice(joint.idx_v, joint.idx_v + joint.nv)
-        turning = (
-            np.abs(pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)[3:, columns]).max(axis=0) > 0
-        )
+        turning = np.abs(motion_subspace(model, data, index)[3:]).max(axis=0) > 0
         scale[columns] = np.where(turning, robot.characteristic_length, 1.0)
     return scale
 

@@ -209,6 +209,21 @@ def cross(a: Array, b: Array) -> Array:
     return result
 
 
+def motion_subspace(model: pin.Model, data: pin.Data, index: int) -> Array:
+    """Return (6, nv_joint) the motion subspace of a joint, in its own frame: linear rows, then angular ones.
+
+    Args:
+        model: the Pinocchio tree.
+        data: its data, after ``pin.computeJointJacobians``.
+        index: index of the joint.
+    """
+    joint = model.joints[index]
+    jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)
+    # for a tree of one freedom the binding returns a vector
+    columns: Array = np.reshape(jacobian, (6, model.nv))[:, joint.idx_v : joint.idx_v + joint.nv]
+    return columns
+
+
 def _frame(model: pin.Model, name: str) -> _Frame:
     frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
     placement = frame.placement
@@ -224,9 +239,7 @@ def _joint(model: pin.Model, data: pin.Data, index: int) -> _Joint:
         "JointModelPlanar",
         "JointModelTranslation",
     )
-    subspace = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)[
-        :, joint.idx_v : joint.idx_v + joint.nv
-    ]
+    subspace = motion_subspace(model, data, index)
     helical = ((np.abs(subspace[:3]).max(axis=0) > 0) & (np.abs(subspace[3:]).max(axis=0) > 0)).any()
     if not known or helical:
         raise UnsupportedRobotError(

@@ -1,0 +1,221 @@
+"""Closure rows: what they measure, their derivatives, their rank, and Pinocchio's own constraint Jacobian."""
+
+from __future__ import annotations
+
+import itertools
+from types import MappingProxyType
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import zoo
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from redundancy_pin.kinematics.assembly import integrate
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.robot import AXES, Closure, Robot
+
+MASKS = tuple(mask for size in range(1, 7) for mask in itertools.combinations(AXES, size))
+PLACEMENT_A = pin.SE3(Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), np.array([0.1, 0.3, -0.2]))
+PLACEMENT_B = pin.SE3(Rotation.from_rotvec([-0.4, 0.1, 0.7]).as_matrix(), np.array([-0.3, 0.2, 0.1]))
+
+STEP = 1e-5
+# Central differences with STEP on functions of order one: truncation STEP², rounding 1e-16 / STEP.
+DIFFERENCES = 2e-9
+
+EMPTY = np.array([], dtype=np.intp)
+
+
+def two_free_bodies(axes: tuple[str, ...]) -> Robot:
+    """Return two floating bodies joined by one closure, frames off both origins: every mask can be judged on it."""
+    model = pin.Model()
+    for name, placement in (("a", PLACEMENT_A), ("b", PLACEMENT_B)):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"{name}_joint")
+        model.addBodyFrame(name, joint, placement, 0)
+    return Robot(
+        name="pair",
+        parameters=MappingProxyType({}),
+        urdf="",
+        model=model,
+        closures=(Closure("pair", "a", "b", axes),),
+        platform=None,
+        independent_joints=(),
+        actuated=(),
+        carriers=(),
+        carrier_limits=(),
+        actuated_velocity=EMPTY,
+        carrier_velocity=EMPTY,
+        carrier_position=EMPTY,
+        q_reference=pin.neutral(model),
+        working_modes=None,
+        working_mode=(),
+        characteristic_length=1.0,
+        closed_form=None,
+    )
+
+
+def configuration(model: pin.Model, pose_a: pin.SE3, relative: pin.SE3) -> np.ndarray:
+    """Return q (1, nq) with frame a at ``pose_a`` and frame b at ``relative`` seen from it."""
+    body_a = pose_a * PLACEMENT_A.inverse()
+    body_b = pose_a * relative * PLACEMENT_B.inverse()
+    return np.concatenate([pin.SE3ToXYZQUAT(body_a), pin.SE3ToXYZQUAT(body_b)])[None]
+
+
+def closed_relative(axes: tuple[str, ...], rng: np.random.Generator) -> pin.SE3:
+    """Return a random relative placement that the mask allows."""
+    translation = np.where([axis in axes for axis in AXES[:3]], 0.0, rng.uniform(-1.0, 1.0, 3))
+    held = [k for k in range(3) if AXES[3 + k] in axes]
+    free = [k for k in range(3) if k not in held]
+    if len(held) == 3:
+        turn = Rotation.identity()
+    elif len(held) == 2:  # a hinge, at any angle
+        turn = Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * np.eye(3)[free[0]])
+    elif len(held) == 1:  # a universal joint: about the second free axis of A, then the first free axis of B
+        i, j = (held[0] + 1) % 3, (held[0] + 2) % 3
+        outer, inner = rng.uniform(-np.pi, np.pi, 2)
+        turn = Rotation.from_rotvec(outer * np.eye(3)[j]) * Rotation.from_rotvec(inner * np.eye(3)[i])
+    else:
+        turn = Rotation.random(random_state=rng)
+    return pin.SE3(turn.as_matrix(), translation)
+
+
+def random_pose(rng: np.random.Generator) -> pin.SE3:
+    return pin.SE3(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-1.0, 1.0, 3))
+
+
+@pytest.mark.parametrize("axes", MASKS, ids="".join)
+def test_every_mask_closes_where_its_joint_allows_and_has_no_redundant_row(axes: tuple[str, ...]) -> None:
+    robot = two_free_bodies(axes)
+    system = ConstraintSystem(robot)
+    rng = np.random.default_rng(len(axes))
+    for _ in range(5):
+        q = configuration(robot.model, random_pose(rng), closed_relative(axes, rng))
+        state = system.evaluate(q)
+        # products of a few rotations with entries of order one
+        np.testing.assert_allclose(state.phi, 0.0, atol=1e-14)
+        # rows have unit size by construction, so a well-conditioned set stays far from zero at every hinge angle
+        assert np.linalg.svd(state.Jc[0], compute_uv=False).min() > 0.1
+
+
+@pytest.mark.parametrize("axes", MASKS, ids="".join)
+def test_jacobian_and_bias_are_derivatives_on_and_off_the_manifold(axes: tuple[str, ...]) -> None:
+    robot = two_free_bodies(axes)
+    system = ConstraintSystem(robot)
+    rng = np.random.default_rng(7)
+    on = configuration(robot.model, random_pose(rng), closed_relative(axes, rng))
+    off = configuration(robot.model, random_pose(rng), random_pose(rng))
+    assert_derivatives(system, np.concatenate([on, off]), rng)
+
+
+def assert_derivatives(system: ConstraintSystem, q: np.ndarray, rng: np.random.Generator) -> None:
+    model = system.robot.model
+    state = system.evaluate(q)
+    for column in range(model.nv):
+        step = np.tile(STEP * np.eye(model.nv)[column], (len(q), 1))
+        after = system.evaluate(integrate(model, q, step)).phi
+        before = system.evaluate(integrate(model, q, -step)).phi
+        np.testing.assert_allclose(state.Jc[:, :, column], (after - before) / (2 * STEP), atol=DIFFERENCES)
+    v = rng.uniform(-1.0, 1.0, (len(q), model.nv))
+    bias_c, bias_x = system.bias(state, v)
+    after, before = (system.evaluate(integrate(model, q, sign * STEP * v)) for sign in (1.0, -1.0))
+    for bias, j1, j0 in ((bias_c, after.Jc, before.Jc), (bias_x, after.Jx, before.Jx)):
+        expected = np.einsum("nrv,nv->nr", j1 - j0, v) / (2 * STEP)
+        np.testing.assert_allclose(bias, expected, atol=50 * DIFFERENCES)
+
+
+def test_derivatives_on_shipped_robots(shipped: Robot) -> None:
+    open_q, _ = zoo.random_tree(shipped, 4, 3)
+    q = np.concatenate([open_q, zoo.random_closed(shipped, 4, 3)])
+    assert_derivatives(zoo.system_of(shipped), q, np.random.default_rng(5))
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("axes", [AXES, AXES[:3] + AXES[3:5], AXES[1:3] + AXES[4:], ("x", "y", "z", "rx")])
+def test_a_row_measures_the_displacement_it_is_named_after(axis: str, axes: tuple[str, ...]) -> None:
+    """Frame b displaced along or turned about one axis of frame a: that row reads it, the others read nothing."""
+    robot = two_free_bodies(axes)
+    amount = 0.2
+    k = AXES.index(axis)
+    unit = np.eye(3)[k % 3]
+    relative = (
+        pin.SE3(np.eye(3), amount * unit)
+        if k < 3
+        else pin.SE3(Rotation.from_rotvec(amount * unit).as_matrix(), np.zeros(3))
+    )
+    q = configuration(robot.model, random_pose(np.random.default_rng(k)), relative)
+    phi = ConstraintSystem(robot).evaluate(q).phi[0]
+    expected = [(amount if k < 3 else np.sin(amount)) if name == axis else 0.0 for name in axes]
+    np.testing.assert_allclose(phi, expected, atol=1e-14)
+
+
+def test_planar_pin_has_full_rank_where_pinocchios_point_constraint_has_not() -> None:
+    robot = zoo.robot_of("3rrr")
+    q = zoo.random_closed(robot, 1, 1)
+    ours = zoo.system_of(robot).evaluate(q).Jc[0]
+    theirs = np.concatenate([point_constraint_jacobian(robot, closure, q[0]) for closure in robot.closures])
+    assert np.linalg.matrix_rank(ours) == len(ours) == 4
+    assert np.linalg.matrix_rank(theirs) == 4 < len(theirs)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**16))
+def test_pin_rows_are_those_of_pinocchios_point_constraint(seed: int) -> None:
+    robot = zoo.robot_of("3rrr")
+    q = zoo.random_closed(robot, seed, 1)
+    ours = zoo.system_of(robot).evaluate(q).Jc[0].reshape(2, 2, -1)
+    for rows, closure in zip(ours, robot.closures, strict=True):
+        theirs = point_constraint_jacobian(robot, closure, q[0])[:2]
+        # Pinocchio differences the other way round
+        np.testing.assert_allclose(rows, -theirs, atol=1e-12)
+
+
+def point_constraint_jacobian(robot: Robot, closure: Closure, q: np.ndarray) -> np.ndarray:
+    """Return Pinocchio's Jacobian of the 3D point constraint, in the axes of frame a."""
+    model = robot.model
+    a, b = (model.frames[model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b))
+    constraint = pin.RigidConstraintModel(
+        pin.ContactType.CONTACT_3D,
+        model,
+        a.parentJoint,
+        a.placement,
+        b.parentJoint,
+        b.placement,
+        pin.ReferenceFrame.LOCAL,
+    )
+    data, constraint_data = model.createData(), constraint.createData()
+    pin.computeJointJacobians(model, data, q)
+    constraint.calc(model, data, constraint_data)
+    return np.array(pin.getConstraintJacobian(model, data, constraint, constraint_data))
+
+
+def test_platform_rows_are_the_frames_world_aligned_jacobian(shipped: Robot) -> None:
+    if shipped.platform is None:
+        pytest.skip("no platform")
+    q, _ = zoo.random_tree(shipped, 2, 3)
+    jx = zoo.system_of(shipped).evaluate(q).Jx
+    rows = [AXES.index(axis) for axis in shipped.platform.axes]
+    data = shipped.model.createData()
+    frame = shipped.model.getFrameId(shipped.platform.frame)
+    for i in range(len(q)):
+        expected = pin.computeFrameJacobian(shipped.model, data, q[i], frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        np.testing.assert_allclose(jx[i], expected[rows], atol=1e-12)
+
+
+def test_independent_joints_select_their_own_velocity() -> None:
+    robot = zoo.robot_of("four_bar")
+    q, _ = zoo.random_tree(robot, 2, 2)
+    jx = zoo.system_of(robot).evaluate(q).Jx
+    crank = robot.model.joints[robot.model.getJointId("crank")].idx_v
+    np.testing.assert_array_equal(jx, np.tile(np.eye(robot.model.nv)[crank], (2, 1, 1)))
+
+
+def test_carriers_do_not_move_any_row() -> None:
+    robot = zoo.robot_of("3rrr")
+    system = zoo.system_of(robot)
+    q, _ = zoo.random_tree(robot, 6, 4)
+    state = system.evaluate(q)
+    assert np.all(state.Jc[:, :, robot.carrier_velocity] == 0.0)
+    assert np.all(state.Jx[:, :, robot.carrier_velocity] == 0.0)
+    assert set(system.pose_columns) == set(range(robot.model.nv)) - set(robot.carrier_velocity.tolist())

@@ -1,0 +1,59 @@
+"""Robots that tests write themselves: a URDF from a list of joints, and a declaration from a mapping."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+
+@dataclass(frozen=True)
+class J:
+    """A URDF joint; its child link has a mass of 1 kg and a round inertia unless it is a fixed frame."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    xyz: Sequence[float] = (0.0, 0.0, 0.0)
+    rpy: Sequence[float] = (0.0, 0.0, 0.0)
+    axis: Sequence[float] = (0.0, 0.0, 1.0)
+
+
+def urdf_of(joints: Sequence[J], mass: float = 1.0) -> str:
+    """Return the URDF of a tree that hangs on the link ``base``."""
+    parts = ['<robot name="written">', '<link name="base"/>']
+    for joint in joints:
+        inertial = (
+            ""
+            if joint.kind == "fixed"
+            else f'<inertial><origin xyz="0.1 0.02 0.03"/><mass value="{mass}"/>'
+            '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.025"/></inertial>'
+        )
+        limits = (
+            '<limit lower="-100" upper="100" velocity="10" effort="10"/>'
+            if joint.kind in ("revolute", "prismatic")
+            else ""
+        )
+        parts.append(f'<link name="{joint.child}">{inertial}</link>')
+        parts.append(
+            f'<joint name="{joint.name}" type="{joint.kind}"><parent link="{joint.parent}"/><child link="{joint.child}"/>'
+            f'<origin xyz="{_text(joint.xyz)}" rpy="{_text(joint.rpy)}"/>'
+            f'<axis xyz="{_text(joint.axis)}"/>{limits}</joint>'
+        )
+    return "\n".join([*parts, "</robot>"])
+
+
+def write_robot(folder: Path, urdf: str, declaration: Mapping[str, Any]) -> Path:
+    """Write ``robot.urdf`` and ``robot.yaml`` and return the path of the declaration."""
+    (folder / "robot.urdf").write_text(urdf, encoding="utf-8")
+    path = folder / "robot.yaml"
+    path.write_text(yaml.safe_dump({"urdf": "robot.urdf", **declaration}), encoding="utf-8")
+    return path
+
+
+def _text(numbers: Sequence[float]) -> str:
+    return " ".join(repr(float(number)) for number in numbers)
