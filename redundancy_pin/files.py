@@ -124,9 +124,7 @@ def require_replaceable(target: str | Path) -> None:
 def _require_folder(path: Path) -> None:
     parent = path.parent
     if not parent.is_dir():
-        raise OutputError(
-            f"Cannot write {path}: there is no folder {parent}.", remedy="Make it first.", path=str(path)
-        )
+        raise OutputError(f"Cannot write {path}: there is no folder {parent}.", remedy="Make it first.", path=str(path))
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(
             f"Cannot write {path}: the folder {parent} is not writable.",
@@ -136,7 +134,9 @@ def _require_folder(path: Path) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path))
+    return OutputError(
+        f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
+    )
 
 
 def _move(source: Path, target: Path) -> None:

@@ -29,14 +29,13 @@ class OneLineErrors(click.Group):
         prog_name: str | None = None,
         complete_var: str | None = None,
         standalone_mode: bool = True,
-        windows_expand_args: bool = True,
         **extra: Any,
     ) -> Any:
         """Run the command line; see ``click.Group.main``."""
         if not standalone_mode:
-            return super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
+            return super().main(args, prog_name, complete_var, standalone_mode=False, **extra)
         try:
-            code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
+            code = super().main(args, prog_name, complete_var, standalone_mode=False, **extra)
             sys.exit(code if isinstance(code, int) else 0)
         except click.exceptions.Exit as leaving:
             sys.exit(leaving.exit_code)
@@ -54,7 +53,7 @@ class OneLineErrors(click.Group):
             sys.exit(INTERRUPTED)
         except BrokenPipeError:
             # the reader of a pipe has seen enough (`redundancy-pin info | head`): not an error
-            sys.stdout = None  # type: ignore[assignment]
+            sys.stdout = None
             sys.exit(0)
 
 

@@ -17,18 +17,32 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 Advance = Callable[[int, int, str], None]
 """Called with steps done, steps in all, and what is being done."""
 
+_ROUNDING = 1e-12
+"""Coordinates and directions below this are shown as zero."""
+
 _PIPE_WIDTH = 140
 """Columns of a table that does not go to a terminal: wide enough that nothing is cut."""
 
 
-def console() -> Console:
-    """Return a console on stdout; plain text of a fixed width when that is not a terminal."""
-    return Console() if sys.stdout.isatty() else Console(width=_PIPE_WIDTH, color_system=None)
+def console(*, markup: bool = False) -> Console:
+    """Return a console on stdout; plain text of a fixed width when that is not a terminal.
+
+    Args:
+        markup: whether ``[green]`` in a text is a colour; if not it is shown as it stands, as texts of users must be.
+    """
+    if sys.stdout.isatty():
+        return Console(markup=markup, highlight=False)
+    return Console(markup=markup, highlight=False, width=_PIPE_WIDTH, color_system=None)
 
 
 def print_json(data: Mapping[str, Any]) -> None:
     """Print one JSON document on stdout. NaN and infinity, which JSON lacks, become null."""
     click.echo(json.dumps(plain(data), indent=2, allow_nan=False))
+
+
+def number(value: float) -> str:
+    """Return a number with six digits, rounding to zero what is rounding of a number of size one."""
+    return f"{0.0 if abs(value) < _ROUNDING else value:.6g}"
 
 
 def plain(value: Any) -> Any:
@@ -70,4 +84,3 @@ def progress(title: str) -> Iterator[Advance]:
             bar.update(task, completed=done, total=total, description=f"{title}: {what}" if what else title)
 
         yield advance
-

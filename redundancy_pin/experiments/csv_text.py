@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-
-from redundancy_pin.arrays import Array
+from numpy.typing import NDArray
 
 EXACT = None
 """Number of digits that brings every float back bit by bit."""
 
 
-def csv_text(columns: Mapping[str, Array], digits: int | None = EXACT) -> str:
+def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = EXACT) -> str:
     """Return a CSV table: a row of names, then one row a sample, comma separated; NaN as ``nan``.
 
     Args:
@@ -30,7 +30,7 @@ def csv_text(columns: Mapping[str, Array], digits: int | None = EXACT) -> str:
     return "\n".join([",".join(names), *rows]) + "\n"
 
 
-def _texts(values: Array, digits: int | None) -> list[str]:
+def _texts(values: NDArray[Any], digits: int | None) -> list[str]:
     if values.dtype.kind in "US":
         return [str(value) for value in values.tolist()]
     if digits is None:

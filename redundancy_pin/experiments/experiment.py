@@ -15,12 +15,13 @@ Carriers = Literal["parked", "none"]
 
 PathName = Literal["circle", "line", "corner", "square"]
 
-_PATHS: Mapping[PathName, Callable[..., Trajectory]] = {
+PATHS: Mapping[PathName, Callable[..., Trajectory]] = {
     "circle": reference.circle,
     "line": reference.line,
     "corner": reference.corner,
     "square": reference.square,
 }
+"""Makers of the reference trajectories, by name."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Experiment:
         Raises:
             InputError: an option the path does not take.
         """
-        return _PATHS[self.path](**self.path_options)
+        return PATHS[self.path](**self.path_options)
 
     def as_dict(self) -> dict[str, object]:
         """Return the configuration as plain data, for JSON."""

@@ -53,14 +53,15 @@ def path_figure(result: Result) -> Figure:
     Raises:
         RedundancyPinError: matplotlib is not installed.
     """
-    links, hinges = _mechanism(result)
+    links, platform = _mechanism(result)
     return plot_path(
         PathCurves(
             title=result.experiment.title,
             t=result.t,
             point=result.motion.x[:, :2],
             links=links,
-            hinges=hinges,
+            hinges=np.unique(np.round([link[0] for link in links], 12), axis=0),
+            platform=platform,
             condition=result.rnea.distribution.condition,
             thresholds=result.experiment.thresholds,
             windows=result.near_singular_windows,
@@ -92,26 +93,31 @@ def effort_names(result: Result) -> tuple[str, ...]:
 
 
 def _mechanism(result: Result) -> tuple[tuple[Array, ...], Array]:
-    """Return the links at the start of the motion as polylines (p, 2), and the hinges on the base (h, 2), m.
+    """Return the mechanism at the start of the motion, m.
 
-    A polyline runs from a base hinge through the origins of the joints to the closure (or the platform).
+    Returns:
+        Legs as polylines (p, 2) from the base hinge through the origins of the joints to the platform, and the corners
+        of the platform (c, 2), where legs and closures meet it.
     """
     robot = result.robot
-    system = ConstraintSystem(robot)
-    pose = system.evaluate(lift(robot, result.motion[:1]).q).pose
     model = robot.model
+    pose = ConstraintSystem(robot).evaluate(lift(robot, result.motion[:1]).q).pose
     carriers = {int(model.getJointId(name)) for name in robot.carriers}
-    ends = [frame for closure in robot.closures for frame in (closure.frame_a, closure.frame_b)]
-    if robot.platform is not None:
-        ends.append(robot.platform.frame)
-    lines, hinges = [], []
-    for frame in dict.fromkeys(ends):
-        points = [pose.frame_origin[frame][:2, 0]]
-        joint = int(model.frames[model.getFrameId(frame)].parentJoint)
+    closing = dict.fromkeys(frame for closure in robot.closures for frame in (closure.frame_a, closure.frame_b))
+    joint_of = {frame: int(model.frames[model.getFrameId(frame)].parentJoint) for frame in closing}
+    body = int(model.frames[model.getFrameId(robot.platform.frame)].parentJoint) if robot.platform else -1
+    corners = [pose.frame_origin[frame] for frame, joint in joint_of.items() if joint == body]
+    ends = [(pose.frame_origin[frame], joint) for frame, joint in joint_of.items() if joint != body]
+    if body > 0:
+        # the leg that carries the platform in the tree ends at the platform's joint, which is one more corner
+        corners.append(pose.joint_origin[body])
+        ends.append((corners[0] if len(corners) == 2 else pose.joint_origin[body], body))
+    legs = []
+    for point, joint in ends:
+        points = [point[:2, 0]]
         while joint > 0:
             if joint not in carriers:
                 points.append(pose.joint_origin[joint][:2, 0])
             joint = int(model.parents[joint])
-        lines.append(np.array(points[::-1]))
-        hinges.append(lines[-1][0])
-    return tuple(lines), np.unique(np.round(np.array(hinges), 12), axis=0)
+        legs.append(np.array(points[::-1]))
+    return tuple(legs), np.array([corner[:2, 0] for corner in corners])

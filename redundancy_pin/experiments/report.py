@@ -73,7 +73,14 @@ def _versions() -> str:
 
 def _cross_check(check: CrossCheckReport) -> str:
     rows = [
-        [row.robot, row.check, str(row.samples), f"{row.worst:.1e}", f"{row.tolerance:.0e}", "ok" if row.passed else "FAILED"]
+        [
+            row.robot,
+            row.check,
+            str(row.samples),
+            f"{row.worst:.1e}",
+            f"{row.tolerance:.0e}",
+            "ok" if row.passed else "FAILED",
+        ]
         for row in check.rows
     ]
     return _table(["robot", "check", "states", "worst", "allowed", ""], rows)

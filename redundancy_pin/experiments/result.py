@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.status import Distribution, SampleStatus
 from redundancy_pin.experiments.backends import RNEA, VIRTUAL_WORK
 from redundancy_pin.experiments.experiment import Experiment
+from redundancy_pin.kinematics.singularity import SingularityKind
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Trajectory
@@ -135,7 +136,8 @@ class Result:
         says nothing about the machine; ``statement`` says so.
         """
         regular = self.rnea.distribution.status == SampleStatus.REGULAR
-        return np.abs(self.rnea.distribution.tau[regular]).max(axis=0, initial=0.0)
+        largest: Array = np.abs(self.rnea.distribution.tau[regular]).max(axis=0, initial=0.0)
+        return largest
 
     @property
     def status_counts(self) -> dict[str, int]:
@@ -168,7 +170,7 @@ class Result:
         return f"unbounded at t = {at}: {missing} N that no actuator can carry there"
 
 
-def windows(t: Array, inside: Array) -> tuple[tuple[float, float], ...]:
+def windows(t: Array, inside: BoolArray) -> tuple[tuple[float, float], ...]:
     """Return the time intervals (first and last time) of runs of true samples.
 
     Args:
@@ -177,3 +179,9 @@ def windows(t: Array, inside: Array) -> tuple[tuple[float, float], ...]:
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
     return tuple((float(t[first]), float(t[after - 1])) for first, after in edges.reshape(-1, 2))
+
+
+def kind_name(kind: SingularityKind) -> str:
+    """Return the kind of a singularity as people write it: ``"type II"``."""
+    names = {SingularityKind.TYPE_I: "type I", SingularityKind.TYPE_II: "type II"}
+    return names.get(kind, kind.name.lower())

@@ -1,4 +1,4 @@
-"""The experiments of the thesis that need no planner: every motion with parked carriers, and the machine without any."""
+"""The experiments of the thesis that need no planner: every motion with carriers parked, and without carriers."""
 
 from __future__ import annotations
 

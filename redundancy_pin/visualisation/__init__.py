@@ -1,0 +1,1 @@
+"""Pictures: loci, paths, efforts. Matplotlib is optional and imported when a picture is drawn."""

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.visualisation.style import STROKES, figure
+from redundancy_pin.visualisation.style import STROKES, figure, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def plot_comparison(
-    title: str, names: tuple[str, ...], unit: str, cases: Mapping[str, tuple[Array, Array]]
-) -> Figure:
+def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mapping[str, tuple[Array, Array]]) -> Figure:
     """Draw the efforts of each case over time.
 
     Args:
@@ -38,7 +36,7 @@ def plot_comparison(
                     t, tau[:, i], color=stroke.color, linestyle=stroke.dash, label=f"{label}: peak {peak:.3g} {unit}"
                 )
             panel.set_ylabel(f"{name} [{unit}]")
-            panel.legend(loc="upper left", ncols=len(cases), fontsize=7.5)
+            legend_above(panel, len(cases))
         panels[-1].set_xlabel("time t [s]")
         end = max(float(t[-1]) for t, _ in cases.values())
         panels[-1].set_xlim(0.0, end)

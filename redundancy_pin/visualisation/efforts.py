@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.visualisation.style import STROKES, figure, mark_singular
+from redundancy_pin.visualisation.style import STROKES, figure, legend_above, mark_singular
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,6 +16,12 @@ if TYPE_CHECKING:
 
 _MARKERS = 36
 """Markers of the second backend along each line: enough to see the shape, few enough to see the line."""
+
+_STRETCHES = 300
+"""Stretches of the curve of differences, whose rounding noise would blacken the panel."""
+
+_ROUNDING = 1e-17
+"""Bottom of that curve; smaller differences are zero but for chance."""
 
 _HEADROOM = 1.12
 """Height of the effort axis over the largest effort it shows."""
@@ -93,7 +99,9 @@ def _draw_efforts(axes: Axes, curves: EffortCurves) -> None:
     every = max(1, len(curves.t) // _MARKERS)
     for i, name in enumerate(curves.names):
         stroke = STROKES[i % len(STROKES)]
-        axes.plot(curves.t, shown[:, i], color=stroke.color, linestyle=stroke.dash, label=f"{name}, {curves.backends[0]}")
+        axes.plot(
+            curves.t, shown[:, i], color=stroke.color, linestyle=stroke.dash, label=f"{name}, {curves.backends[0]}"
+        )
     for i, name in enumerate(curves.names):
         stroke = STROKES[i % len(STROKES)]
         start = (i * every) // len(curves.names)
@@ -113,7 +121,7 @@ def _draw_efforts(axes: Axes, curves: EffortCurves) -> None:
     axes.set_ylim(-limit, limit)
     kind = "torque" if curves.unit == "N·m" else "force"
     axes.set_ylabel(f"actuator {kind} τ [{curves.unit}]")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.18), ncols=4, fontsize=7.5, borderaxespad=0.0)
+    legend_above(axes, max(4, len(curves.names)))
 
 
 def _draw_bounded(axes: Axes, curves: EffortCurves) -> None:
@@ -122,7 +130,13 @@ def _draw_bounded(axes: Axes, curves: EffortCurves) -> None:
     axes.plot(curves.t, force, color="#000000", linewidth=1.2)
     every = max(1, len(curves.t) // _MARKERS)
     axes.plot(
-        curves.t[::every], check[::every], linestyle="none", marker="o", markersize=4, markerfacecolor="none", color="#666666"
+        curves.t[::every],
+        check[::every],
+        linestyle="none",
+        marker="o",
+        markersize=4,
+        markerfacecolor="none",
+        color="#666666",
     )
     mark_singular(axes, curves.windows, curves.instants)
     axes.plot(
@@ -137,7 +151,7 @@ def _draw_bounded(axes: Axes, curves: EffortCurves) -> None:
     )
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("|τ| · margin [N]")
-    axes.legend(loc="upper right")
+    legend_above(axes, 2)
 
 
 def _draw_carriers(axes: Axes, curves: EffortCurves) -> None:
@@ -148,7 +162,7 @@ def _draw_carriers(axes: Axes, curves: EffortCurves) -> None:
         )
     mark_singular(axes, curves.windows, curves.instants)
     axes.set_ylabel("carrier force [N]")
-    axes.legend(loc="upper right", ncols=3)
+    legend_above(axes, 6)
 
 
 def _draw_difference(axes: Axes, curves: EffortCurves) -> None:
@@ -156,9 +170,19 @@ def _draw_difference(axes: Axes, curves: EffortCurves) -> None:
     weighted = curves.margin[:, None] / curves.scale
     difference = np.linalg.norm((curves.tau - curves.check) * weighted, axis=1)
     size = float(np.nanmax(np.linalg.norm(curves.tau * weighted, axis=1), initial=0.0)) or 1.0
-    axes.semilogy(curves.t, np.maximum(difference / size, 1e-18), color="#666666", linewidth=0.7)
+    t, largest = _envelope(curves.t, difference / size)
+    axes.semilogy(t, np.maximum(largest, _ROUNDING / 10.0), color="#444444", linewidth=1.0, label="largest nearby")
     mark_singular(axes, curves.windows, curves.instants)
-    axes.set_ylim(1e-18, 1e-8)
+    axes.set_ylim(_ROUNDING / 3.0, 1e-9)
+    axes.set_yticks([1e-16, 1e-13, 1e-10])
     axes.axhline(1e-10, color="#D55E00", linewidth=0.9, linestyle="--", label="tolerance")
     axes.set_ylabel("difference of\nbackends [–]")
-    axes.legend(loc="upper right")
+    legend_above(axes, 2)
+
+
+def _envelope(t: Array, values: Array) -> tuple[Array, Array]:
+    """Return the largest value of each of a few hundred stretches of samples, and its middle time; NaN left out."""
+    stretch = max(1, len(t) // _STRETCHES)
+    count = len(t) // stretch
+    blocks = np.nan_to_num(values[: count * stretch]).reshape(count, stretch)
+    return t[stretch // 2 :: stretch][:count], blocks.max(axis=1)

@@ -31,6 +31,7 @@ class PathCurves:
         point: (N, 2) path of the platform, m.
         links: polylines (p, 2) of the mechanism at the start, m.
         hinges: (h, 2) hinges on the base, m.
+        platform: (p, 2) corners of the platform at the start, m; empty where it is a point.
         condition: (N,) condition number of the scaled Jacobian; infinite at a singularity.
         thresholds: condition numbers to mark.
         windows: near-singular time intervals, s.
@@ -43,6 +44,7 @@ class PathCurves:
     point: Array
     links: tuple[Array, ...]
     hinges: Array
+    platform: Array
     condition: Array
     thresholds: tuple[float, ...] = ()
     windows: tuple[tuple[float, float], ...] = ()
@@ -72,10 +74,14 @@ def plot_path(curves: PathCurves) -> Figure:
 
 
 def _draw_mechanism(axes: Axes, curves: PathCurves, *, with_start: bool) -> None:
+    if len(curves.platform) > 2:
+        axes.fill(*curves.platform.T, facecolor="#D9D9D9", edgecolor="#8C8C8C", linewidth=2.2, zorder=1.7)
     for links in curves.links:
         axes.plot(links[:, 0], links[:, 1], color="#8C8C8C", linewidth=2.2, solid_capstyle="round", zorder=1.8)
         axes.plot(links[:, 0], links[:, 1], "o", color="#8C8C8C", markersize=3.5, zorder=1.9)
-    axes.plot(curves.hinges[:, 0], curves.hinges[:, 1], "^", color="#000000", markersize=7, zorder=2.1, label="base hinge")
+    axes.plot(
+        curves.hinges[:, 0], curves.hinges[:, 1], "^", color="#000000", markersize=7, zorder=2.1, label="base hinge"
+    )
     _draw_path(axes, curves, with_start=with_start)
     _label(axes)
     axes.set_title("mechanism at the start")
@@ -96,10 +102,17 @@ def _draw_path(axes: Axes, curves: PathCurves, *, with_start: bool) -> None:
     if curves.singular_points:
         places = np.array(curves.singular_points)
         axes.plot(
-            places[:, 0], places[:, 1], "x", color=STROKES[1].color, markersize=8, markeredgewidth=2, zorder=2.4, label="singular"
+            places[:, 0],
+            places[:, 1],
+            "x",
+            color=STROKES[1].color,
+            markersize=8,
+            markeredgewidth=2,
+            zorder=2.4,
+            label="singular",
         )
     if with_start:
-        axes.legend(loc="best")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, frameon=False, columnspacing=1.0)
 
 
 def _label(axes: Axes) -> None:
@@ -110,13 +123,19 @@ def _label(axes: Axes) -> None:
 
 def _draw_condition(axes: Axes, curves: PathCurves) -> None:
     shown = np.minimum(curves.condition, 2.0 * _LARGEST_CONDITION)
-    axes.semilogy(curves.t, shown, color="#000000", linewidth=1.3)
+    axes.plot(curves.t, shown, color="#000000", linewidth=1.3)
     mark_singular(axes, curves.windows, curves.instants, label=True)
     for i, threshold in enumerate(curves.thresholds):
         stroke = STROKES[1 + i % (len(STROKES) - 1)]
-        axes.axhline(threshold, color=stroke.color, linestyle=stroke.dash, linewidth=1.0, label=f"threshold {threshold:g}")
+        axes.axhline(
+            threshold, color=stroke.color, linestyle=stroke.dash, linewidth=1.0, label=f"threshold {threshold:g}"
+        )
     singular = bool(curves.instants)
-    axes.set_ylim(1.0, _LARGEST_CONDITION if singular else max(10.0, 1.5 * float(np.nanmax(shown))))
+    if singular:
+        axes.set_yscale("log")
+        axes.set_ylim(1.0, _LARGEST_CONDITION)
+    else:
+        axes.set_ylim(1.0, 1.0 + 1.4 * (float(np.nanmax(shown)) - 1.0))
     axes.set_xlim(curves.t[0], curves.t[-1])
     axes.set_xlabel("time t [s]")
     axes.set_ylabel("condition number [–]")

@@ -43,7 +43,7 @@ STROKES = (
 WINDOW_COLOR = "#D9D9D9"
 INSTANT_COLOR = "#000000"
 
-_SETTINGS = {
+_SETTINGS: dict[str, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
     "axes.labelsize": 9.0,
@@ -79,12 +79,19 @@ def figure(width: float, height: float) -> Iterator[Figure]:
         RedundancyPinError: matplotlib is not installed.
     """
     require_matplotlib()
-    import matplotlib
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context():
-        matplotlib.rcParams.update({**matplotlib.rcParamsDefault, **_SETTINGS, "backend": "agg"})
+    with _styled():
         yield Figure(figsize=(width, height), layout="constrained")
+
+
+@contextmanager
+def _styled() -> Iterator[None]:
+    """Apply the common style, whatever the user's own defaults are."""
+    import matplotlib.style
+
+    with matplotlib.style.context(["default", _SETTINGS]):
+        yield
 
 
 def require_matplotlib() -> None:
@@ -118,7 +125,8 @@ def save(drawn: Figure, *paths: str | Path) -> None:
             )
         stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
         try:
-            drawn.savefig(path, format=kind, metadata=stamp)
+            with _styled():
+                drawn.savefig(path, format=kind, metadata=stamp)
         except OSError as error:
             raise OutputError(
                 f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
@@ -142,3 +150,16 @@ def mark_singular(
     for index, instant in enumerate(instants):
         name = "singular instant" if label and index == 0 else None
         axes.axvline(instant, color=INSTANT_COLOR, linewidth=0.8, linestyle=(0, (1, 1.5)), zorder=1.5, label=name)
+
+
+def legend_above(axes: Axes, columns: int) -> None:
+    """Put the legend above the axes, where it hides nothing."""
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0, 1.0, 0.1),
+        ncols=columns,
+        frameon=False,
+        borderaxespad=0.1,
+        handlelength=2.6,
+        columnspacing=1.2,
+    )

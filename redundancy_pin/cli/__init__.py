@@ -1,0 +1,32 @@
+"""The command line, ``redundancy-pin``."""
+
+from __future__ import annotations
+
+import click
+
+import redundancy_pin
+from redundancy_pin.cli.errors import OneLineErrors
+from redundancy_pin.cli.info import info
+from redundancy_pin.cli.inverse_dynamics import inverse_dynamics
+from redundancy_pin.cli.reproduce import reproduce
+from redundancy_pin.cli.singularities import singularities
+from redundancy_pin.cli.validate import validate
+
+__all__ = ["main"]
+
+
+@click.group(
+    cls=OneLineErrors,
+    no_args_is_help=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(redundancy_pin.__version__, prog_name="redundancy-pin")
+def main() -> None:
+    """Dynamics of parallel robots with internal redundancy.
+
+    Exit codes: 0 done, 1 a check failed, 2 bad input (one line on stderr says what).
+    """
+
+
+for _command in (reproduce, inverse_dynamics, singularities, validate, info):
+    main.add_command(_command)

@@ -1,0 +1,220 @@
+"""``redundancy-pin info``: what a robot is, or which robots there are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+
+from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
+from redundancy_pin.cli.output import console, number, print_json
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.kinematics.modes import all_working_modes, mode_name
+from redundancy_pin.kinematics.state import lift
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.declaration import read_yaml
+from redundancy_pin.robot.description import declaration_path, render, shipped_robots
+
+
+@click.command()
+@robot_options(required=False)
+@json_option
+def info(robot: str | None, settings: tuple[str, ...], mode: str | None, gravity: str | None, as_json: bool) -> None:
+    r"""Show a robot, or which there are.
+
+    Joints and their roles, closures, freedoms, parameters, limits, and how far the reference configuration is from
+    singularities. Without --robot: the shipped robots.
+
+    \b
+    Example:
+      redundancy-pin info --robot 3rrr --set carrier_mass=2.0
+    """
+    options = RobotOptions(robot or "", settings, mode, gravity)
+    if robot is None:
+        if not options.is_plain:
+            raise InputError("--set, --mode and --gravity need a robot.", remedy="Add --robot.")
+        _list_robots(as_json)
+        return
+    found = describe(options.load(), declaration_path(robot))
+    if as_json:
+        print_json(found)
+    else:
+        console().print(_tables(found))
+
+
+def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
+    """Return what there is to know about a robot as plain data.
+
+    Args:
+        robot: the robot.
+        declaration: path of its ``robot.yaml``, for the defaults of its parameters.
+    """
+    data = read_yaml(declaration)
+    _, defaults = render(declaration.parent / data["urdf"], {})
+    model = robot.model
+    return {
+        "name": robot.name,
+        "description": str(data.get("description", "")),
+        "counts": {
+            "independent velocities n": robot.n,
+            "main actuators m": robot.m,
+            "carriers k": robot.k,
+            "nq": model.nq,
+            "nv": model.nv,
+        },
+        "independent": {
+            "platform": robot.platform.frame if robot.platform else None,
+            "axes": list(robot.platform.axes) if robot.platform else None,
+            "joints": list(robot.independent_joints),
+        },
+        "joints": [
+            {"name": str(name), "type": _joint_type(robot, str(name)), "role": _role(robot, str(name))}
+            for name in list(model.names)[1:]
+        ],
+        "closures": [
+            {"frame_a": closure.frame_a, "frame_b": closure.frame_b, "axes": list(closure.axes)}
+            for closure in robot.closures
+        ],
+        "parameters": {
+            name: {"value": value, "default": defaults.get(name)} for name, value in robot.parameters.items()
+        },
+        "carrier_limits": {
+            name: {
+                "position": [limits.lower, limits.upper],
+                "speed": limits.speed,
+                "acceleration": limits.acceleration,
+                "force": limits.force,
+            }
+            for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True)
+        },
+        "gravity": robot.gravity.tolist(),
+        "working_mode": mode_name(robot.working_mode),
+        "working_modes": [mode_name(mode) for mode in all_working_modes(robot) if mode],
+        "characteristic_length": robot.characteristic_length,
+        "closed_form": robot.closed_form,
+        "reference": _reference(robot),
+    }
+
+
+def _reference(robot: Robot) -> dict[str, Any]:
+    """Return the reference coordinates and how far they are from singularities of type I and II."""
+    x = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))
+    still = np.zeros((1, robot.n))
+    motion = PlatformMotion([0.0], x, still, still)
+    distribution = distribute(RneaDynamics(robot).reduce(motion))
+    return {
+        "coordinates": x[0].tolist(),
+        "type_i_margin": float(lift(robot, motion).serial_margin[0]),
+        "type_ii_margin": float(distribution.margin[0]),
+        "condition": float(distribution.condition[0]),
+    }
+
+
+def _role(robot: Robot, name: str) -> str:
+    if name in robot.actuated:
+        return "actuated"
+    return "carrier" if name in robot.carriers else "passive"
+
+
+def _joint_type(robot: Robot, name: str) -> str:
+    kind = str(robot.model.joints[robot.model.getJointId(name)].shortname())
+    return "prismatic" if kind.startswith("JointModelP") else "revolute" if kind.startswith("JointModelR") else kind
+
+
+def _list_robots(as_json: bool) -> None:
+    robots = [(name, str(read_yaml(declaration_path(name)).get("description", ""))) for name in shipped_robots()]
+    if as_json:
+        print_json({"robots": [{"name": name, "description": text} for name, text in robots]})
+        return
+    table = Table(title="shipped robots")
+    table.add_column("robot")
+    table.add_column("description")
+    for name, text in robots:
+        table.add_row(name, text)
+    console().print(table)
+
+
+def _tables(found: dict[str, Any]) -> Group:
+    return Group(_general(found), _joints(found), _closures(found), _parameters(found), *_limits(found))
+
+
+def _general(found: dict[str, Any]) -> Table:
+    table = Table(title=f"{found['name']}: {found['description']}", show_header=False)
+    for name, count in found["counts"].items():
+        table.add_row(name, str(count))
+    independent = found["independent"]
+    axes = independent["axes"]
+    table.add_row(
+        "independent",
+        f"{', '.join(axes)} of {independent['platform']}" if axes else ", ".join(independent["joints"]),
+    )
+    table.add_row("gravity [m/s²]", ", ".join(f"{value:g}" for value in found["gravity"]))
+    if found["working_modes"]:
+        table.add_row("working mode", f"{found['working_mode']} of {', '.join(found['working_modes'])}")
+    table.add_row("characteristic length [m]", f"{found['characteristic_length']:.6g}")
+    table.add_row("closed form (virtual work)", found["closed_form"] or "none")
+    reference = found["reference"]
+    table.add_row("reference", _coordinates(reference["coordinates"]))
+    table.add_row("type I margin there (lower bound)", f"{reference['type_i_margin']:.4g}")
+    table.add_row("type II margin there", f"{reference['type_ii_margin']:.4g}")
+    table.add_row("condition number there", f"{reference['condition']:.4g}")
+    return table
+
+
+def _joints(found: dict[str, Any]) -> Table:
+    table = Table(title="joints of the tree")
+    for heading in ("joint", "type", "role"):
+        table.add_column(heading)
+    for joint in found["joints"]:
+        table.add_row(joint["name"], joint["type"], joint["role"])
+    return table
+
+
+def _closures(found: dict[str, Any]) -> Table:
+    table = Table(title="closures")
+    for heading in ("frame a", "frame b", "axes"):
+        table.add_column(heading)
+    for closure in found["closures"]:
+        table.add_row(closure["frame_a"], closure["frame_b"], ", ".join(closure["axes"]))
+    return table
+
+
+def _parameters(found: dict[str, Any]) -> Table:
+    table = Table(title="parameters (--set NAME=VALUE)")
+    table.add_column("parameter")
+    for heading in ("value", "default"):
+        table.add_column(heading, justify="right")
+    for name, entry in found["parameters"].items():
+        table.add_row(name, _text(entry["value"]), _text(entry["default"]))
+    return table
+
+
+def _limits(found: dict[str, Any]) -> list[Table]:
+    if not found["carrier_limits"]:
+        return []
+    table = Table(title="carrier limits")
+    table.add_column("carrier")
+    for heading in ("position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]"):
+        table.add_column(heading, justify="right")
+    for name, limits in found["carrier_limits"].items():
+        ends = " … ".join(f"{end:g}" for end in limits["position"])
+        table.add_row(name, ends, *(f"{limits[key]:g}" for key in ("speed", "acceleration", "force")))
+    return [table]
+
+
+def _coordinates(values: list[Any]) -> str:
+    if values and isinstance(values[0], list):  # a pose
+        return "; ".join(", ".join(number(value) for value in row) for row in values[:3])
+    return ", ".join(number(value) for value in values)
+
+
+def _text(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,132 @@
+"""``redundancy-pin inverse-dynamics``: the efforts along a motion in a CSV file."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from typing import Any
+
+import click
+import numpy as np
+from rich.table import Table
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
+from redundancy_pin.cli.output import console, print_json, progress
+from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.status import Distribution, SampleStatus
+from redundancy_pin.errors import OutputError
+from redundancy_pin.experiments.backends import BACKENDS, RNEA
+from redundancy_pin.experiments.csv_text import csv_text
+from redundancy_pin.files import write_text
+from redundancy_pin.trajectory import carriers_from_csv, from_csv
+
+
+@click.command("inverse-dynamics")
+@robot_options()
+@click.option("--backend", type=click.Choice(list(BACKENDS)), default=RNEA, show_default=True, help="How to compute.")
+@click.option("--motion", "motion_path", required=True, metavar="CSV", help="Motion to follow.")
+@click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
+@click.option(
+    "--unreachable",
+    type=click.Choice(["raise", "mark"]),
+    default="raise",
+    show_default=True,
+    help="Refuse a motion that leaves the workspace, or mark those samples.",
+)
+@json_option
+def inverse_dynamics(
+    robot: str,
+    settings: tuple[str, ...],
+    mode: str | None,
+    gravity: str | None,
+    backend: str,
+    motion_path: str,
+    out: str,
+    unreachable: OnUnreachable,
+    as_json: bool,
+) -> None:
+    r"""Compute the efforts along a motion.
+
+    Those of the main actuators and of the carriers. The motion has a row of names and the columns t; x0, x1, ...;
+    xd0, ...; xdd0, ...; and s0, ...; sd0, ...; sdd0, ... for the carriers, in SI units and radians. Without carrier columns the carriers are parked at s = 0. A spatial
+    platform has seven x, position and unit quaternion (x, y, z, w), and six rates, its twist in world axes. An instant
+    may occur twice, for the acceleration before and after a jump.
+
+    The result has the columns t, tau0, ..., carrier_force0, ..., status, margin, residual. Where no finite effort
+    exists tau is nan and the status says why.
+
+    \b
+    Example:
+      redundancy-pin inverse-dynamics --robot 3rrr --set carrier_mass=2.0 \
+          --motion motion.csv --out efforts.csv
+    """
+    if _same_file(motion_path, out):
+        raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
+    with progress("inverse dynamics") as advance:
+        advance(0, 4, "reading")
+        loaded = RobotOptions(robot, settings, mode, gravity).load()
+        motion, carriers = from_csv(motion_path), carriers_from_csv(motion_path)
+        advance(1, 4, "dynamics")
+        reduced = BACKENDS[backend](loaded).reduce(motion, carriers, unreachable=unreachable)
+        advance(2, 4, "efforts")
+        distribution = distribute(reduced)
+        advance(3, 4, "writing")
+        write_text(out, efforts_csv(reduced, distribution))
+    found = _summary(reduced, distribution)
+    if as_json:
+        print_json({"robot": loaded.name, "backend": backend, "motion": motion_path, "out": out, **found})
+        return
+    table = Table(title=f"{loaded.name}, {backend}: {len(motion)} samples", show_header=False)
+    for name, count in found["statuses"].items():
+        table.add_row(f"{name} samples", str(count))
+    table.add_row("largest |tau|", ", ".join(f"{value:.6g}" for value in found["largest_tau"]))
+    if loaded.k:
+        table.add_row("largest |carrier force|", ", ".join(f"{value:.6g}" for value in found["largest_carrier_force"]))
+    table.add_row("smallest margin", f"{found['smallest_margin']:.6g}")
+    table.add_row("written to", out)
+    console().print(table)
+
+
+def efforts_csv(reduced: ReducedDynamics, distribution: Distribution) -> str:
+    """Return the result of an inverse-dynamics computation as CSV text; floats come back bit by bit.
+
+    Args:
+        reduced: f, W and carrier forces.
+        distribution: its efforts.
+    """
+    return csv_text(
+        {
+            "t": reduced.t,
+            "tau": distribution.tau,
+            "carrier_force": reduced.carrier_force,
+            "status": distribution.status_labels,
+            "margin": distribution.margin,
+            "residual": distribution.residual,
+        }
+    )
+
+
+def _summary(reduced: ReducedDynamics, distribution: Distribution) -> dict[str, Any]:
+    counts = Counter(distribution.status.tolist())
+    return {
+        "samples": len(distribution),
+        "statuses": {SampleStatus(value).label: counts[value] for value in sorted(counts)},
+        "largest_tau": _largest(distribution.tau),
+        "largest_carrier_force": _largest(reduced.carrier_force),
+        "smallest_margin": float(np.fmin.reduce(distribution.margin)),
+        "largest_gap": float(np.fmax.reduce(reduced.gap)),
+    }
+
+
+def _largest(values: Array) -> list[float]:
+    """Return the largest magnitude in each column, NaN left out; NaN for a column that has nothing else."""
+    return [float(value) for value in np.fmax.reduce(np.abs(values), axis=0)]
+
+
+def _same_file(first: str, second: str) -> bool:
+    try:
+        return os.path.samefile(first, second)
+    except OSError:
+        return False

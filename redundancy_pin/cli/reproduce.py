@@ -1,0 +1,37 @@
+"""``redundancy-pin reproduce``: the experiments of the thesis, into a folder of results."""
+
+from __future__ import annotations
+
+import click
+
+from redundancy_pin.cli.options import json_option
+from redundancy_pin.cli.output import console, print_json, progress
+from redundancy_pin.experiments import reproduce as run_job
+from redundancy_pin.experiments.report import terminal_table, thesis_table
+
+
+@click.command()
+@click.option("--out", default="results", show_default=True, metavar="FOLDER", help="Where the results go.")
+@json_option
+def reproduce(out: str, as_json: bool) -> None:
+    r"""Run the experiments of the thesis.
+
+    Both backends compute every case; CSV, figures, summary.json and report.md go into the folder.
+
+    First the backends are checked against each other; if they disagree the job stops (exit code 1). The folder appears
+    when everything is done. One of earlier results is replaced; one that holds anything else is left alone.
+
+    \b
+    Example:
+      redundancy-pin reproduce --out results
+    """
+    with progress("reproduce") as advance:
+        done = run_job(out, progress=advance)
+    if as_json:
+        print_json(done.summary)
+        return
+    screen = console()
+    screen.print(terminal_table(done.results))
+    screen.print(thesis_table(done.compared))
+    passed = f"cross-check passed: {len(done.check.rows)} checks"
+    screen.print(f"{passed}. Results are in {done.folder} (start with report.md).")

@@ -1,0 +1,136 @@
+"""``redundancy-pin singularities``: where they are in the workspace, and when a motion meets them."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from typing import Any
+
+import click
+from rich.table import Table
+
+from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
+from redundancy_pin.cli.output import console, number, print_json, progress
+from redundancy_pin.errors import InputError
+from redundancy_pin.experiments.experiment import PATHS
+from redundancy_pin.experiments.result import kind_name
+from redundancy_pin.kinematics.singular_crossings import Crossing, find_crossings
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory import Trajectory, from_csv
+
+
+@click.command()
+@robot_options()
+@click.option("--motion", "motion_path", metavar="CSV", help="Motion to search: columns t, x0.., xd0.., xdd0...")
+@click.option(
+    "--trajectory",
+    metavar="NAME[:KEY=VALUE,...]",
+    help=f"Reference trajectory to search instead: {', '.join(PATHS)}; such as circle:speed=0.75.",
+)
+@click.option("--plot", metavar="PICTURE", help="Draw the singularities over the workspace (.png, .svg or .pdf).")
+@json_option
+def singularities(
+    robot: str,
+    settings: tuple[str, ...],
+    mode: str | None,
+    gravity: str | None,
+    motion_path: str | None,
+    trajectory: str | None,
+    plot: str | None,
+    as_json: bool,
+) -> None:
+    r"""Find singularities: a map, instants of a motion.
+
+    Type I: some platform velocity is lost. Type II: some platform velocity is not controlled by the actuators. The
+    instants come from root finding, not from the nearest sample. The motion is drawn into the picture.
+
+    \b
+    Examples:
+      redundancy-pin singularities --robot 3rrr --mode +++ --plot locus.png
+      redundancy-pin singularities --robot 2rpr --trajectory circle:speed=0.5
+    """
+    if motion_path and trajectory:
+        raise InputError("--motion and --trajectory exclude each other.", remedy="Give one of them.")
+    if not (motion_path or trajectory or plot):
+        raise InputError("There is nothing to do.", remedy="Ask for --plot, --motion or --trajectory.")
+    with progress("singularities") as advance:
+        advance(0, 3, "reading")
+        loaded = RobotOptions(robot, settings, mode, gravity).load()
+        followed = from_csv(motion_path) if motion_path else make_trajectory(trajectory) if trajectory else None
+        advance(1, 3, "along the motion")
+        crossings = find_crossings(loaded, followed) if followed is not None else ()
+        advance(2, 3, "over the workspace")
+        if plot:
+            _draw(loaded, followed, crossings, plot)
+    if as_json:
+        found = [crossing_data(crossing) for crossing in crossings]
+        print_json({"robot": loaded.name, "crossings": found if followed is not None else None, "plot": plot})
+        return
+    if followed is not None:
+        console().print(_table(loaded, crossings))
+    if plot:
+        console().print(f"The picture is {plot}.")
+
+
+def make_trajectory(text: str) -> Trajectory:
+    """Return the reference trajectory that ``name:key=value,...`` describes.
+
+    Raises:
+        InputError: an unknown name or key, or a value that is not a number.
+    """
+    name, _, rest = text.partition(":")
+    if name not in PATHS:
+        raise InputError(f"There is no trajectory {name!r}.", remedy=f"Choose one of {', '.join(PATHS)}.", name=name)
+    make = PATHS[name]  # type: ignore[index]
+    known = [key for key in inspect.signature(make).parameters if key != "start"]
+    options = {}
+    for pair in filter(None, rest.split(",")):
+        key, _, value = pair.partition("=")
+        if key not in known:
+            raise InputError(f"The {name} takes no {key!r}.", remedy=f"It takes {', '.join(known)}.", key=key)
+        try:
+            options[key] = float(value)
+        except ValueError as error:
+            raise InputError(
+                f"{key} of the {name} is {value!r}, not a number.", remedy="Write circle:speed=0.5.", key=key
+            ) from error
+    return make(**options)
+
+
+def crossing_data(crossing: Crossing) -> dict[str, Any]:
+    """Return a crossing as plain data."""
+    return {
+        "t": crossing.t,
+        "until": crossing.until,
+        "x": crossing.x.tolist(),
+        "kind": crossing.kind.name.lower(),
+        "crosses": crossing.crosses,
+        "tangential": crossing.tangential,
+        "leg": crossing.leg,
+        "uncontrolled_twist": crossing.uncontrolled_twist.tolist(),
+        "lost_direction": crossing.lost_direction.tolist(),
+    }
+
+
+def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
+    table = Table(title=f"{robot.name}: {len(crossings)} singular instant(s)")
+    for heading in ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction"):
+        table.add_column(heading)
+    for crossing in crossings:
+        type_ii = crossing.kind.name != "TYPE_I"
+        direction = crossing.uncontrolled_twist if type_ii else crossing.lost_direction
+        place = crossing.x[:3, 3] if crossing.x.ndim == 2 else crossing.x
+        when = f"{crossing.t:.9g}" if crossing.until == crossing.t else f"{crossing.t:.9g} to {crossing.until:.9g}"
+        table.add_row(
+            when,
+            ", ".join(number(value) for value in place),
+            kind_name(crossing.kind),
+            "crossed" if crossing.crosses else "touched",
+            ", ".join(number(value) for value in direction),
+        )
+    return table
+
+
+def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:
+    raise NotImplementedError

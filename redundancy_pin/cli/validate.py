@@ -1,0 +1,44 @@
+"""``redundancy-pin validate``: backend against backend, and both against physics."""
+
+from __future__ import annotations
+
+import click
+
+from redundancy_pin import crosscheck
+from redundancy_pin.cli.errors import FAILED_CHECK
+from redundancy_pin.cli.options import json_option
+from redundancy_pin.cli.output import console, print_json, progress
+
+
+@click.command()
+@click.option(
+    "--robot",
+    "robots",
+    multiple=True,
+    metavar="NAME|PATH",
+    help="Robot to check; may be repeated. Default: all shipped ones.",
+)
+@click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
+@click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
+@json_option
+def validate(robots: tuple[str, ...], samples: int, seed: int, as_json: bool) -> int:
+    r"""Check the dynamics on random states.
+
+    The backends against each other, and against balances of power and momentum, finite differences, and forward
+    dynamics. Exit code 1 if a check fails.
+
+    \b
+    Example:
+      redundancy-pin validate --robot 3rrr --samples 10000 --seed 1
+    """
+    with progress("validate") as advance:
+        report = crosscheck.run(robots or None, samples, seed, lambda done, total: advance(done, total, ""))
+    if as_json:
+        print_json(report.as_dict())
+    else:
+        console(markup=True).print(report.table())
+    if report.passed:
+        return 0
+    failed = sum(not row.passed for row in report.rows)
+    click.echo(f"error: {failed} of {len(report.rows)} checks failed.", err=True)
+    return FAILED_CHECK
