@@ -15,9 +15,6 @@ BOUND_TOLERANCE = 1e-9
 """An effort may pass its bound by this fraction of the sample's largest effort before it counts as outside. It is
 then put on the bound, so that the bounds hold exactly and the residual shows the difference."""
 
-NULL_TOLERANCE = 1e-12
-"""Entries of a null direction (unit length) below this are rounding: that direction cannot move that effort."""
-
 
 def leaves_bounds(efforts: Array, lower: Array, upper: Array) -> BoolArray:
     """Return (N,) whether the efforts (N, m) leave the bounds (N, m) by more than the tolerance."""
@@ -72,12 +69,12 @@ def _move_along(null: Array, efforts: Array, cost: Array, lower: Array, upper: A
     """Minimise Σ cost_j u_j² for u = u₀ + N z within the bounds of one sample; NaN if they cannot be met.
 
     Working in z leaves A u untouched and the programme with as many unknowns as there is freedom. It is divided by
-    the largest effort at stake, since quadprog's tolerances are absolute.
+    the largest effort at stake, since quadprog's tolerances are absolute: among them it takes a null direction with an
+    entry below 1e-8 as unable to move that effort, which keeps rounding from posing as freedom.
     """
     solve_qp = _quadprog()
     size = max(np.abs(efforts).max(), np.abs(np.clip(efforts, lower, upper)).max())
     start = efforts / size
-    null = np.where(np.abs(null) < NULL_TOLERANCE, 0.0, null)
     root = np.sqrt(cost)[:, np.newaxis] * null
     inverse_factor = np.linalg.inv(np.linalg.qr(root, mode="r"))
     rows = np.concatenate([null, -null])

@@ -9,6 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
+from redundancy_pin.dynamics.bounded import fit_into_bounds
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.status import SampleStatus
 from redundancy_pin.errors import RedundancyPinError
@@ -191,6 +192,33 @@ def test_bounds_of_mixed_actuators_are_in_their_own_units():
     assert d.tau[0] == pytest.approx([6.0, 1.0], abs=10.0 * OPTIMUM)
 
 
+def test_lower_bounds_of_mixed_actuators_are_in_their_own_units():
+    d = distribute(reduced([[[1.0, 4.0]]], [[10.0]], column_scale=[1.0, 0.25]), lower=[-np.inf, 2.0])
+    assert d.tau[0] == pytest.approx([2.0, 2.0], abs=10.0 * OPTIMUM)
+
+
+def test_bounds_that_leave_a_single_point_are_met():
+    # every actuator held at the efforts that made f: rounding must not make that infeasible
+    rng = np.random.default_rng(4)
+    _, W, _ = factors(rng, 100, 2, 4, [2.0, 1.0])
+    tau = rng.uniform(-1.0, 1.0, size=(100, 4))
+    d = distribute(reduced(W, times(W, tau)), lower=tau, upper=tau)
+    assert (d.status == SampleStatus.REGULAR).all()
+    assert np.array_equal(d.tau, tau)
+
+
+def test_the_start_does_not_decide_the_bounded_optimum():
+    # fit_into_bounds may start from any solution, not only from the one of least norm
+    rng = np.random.default_rng(5)
+    _, W, V = factors(rng, 20, 2, 4, [2.0, 1.0])
+    start = rng.uniform(-1.0, 1.0, size=(20, 4))
+    other = start + times(V[:, :, 2:], rng.uniform(-1.0, 1.0, size=(20, 2)))
+    lower, upper = start - 0.2, start + 0.2
+    rank, cost = np.full(20, 2), np.array([1.0, 0.1, 0.5, 0.3])
+    fitted = fit_into_bounds(W, start, rank, cost, lower, upper)
+    assert fit_into_bounds(W, other, rank, cost, lower, upper) == pytest.approx(fitted, abs=10.0 * OPTIMUM)
+
+
 def test_an_actuator_held_at_a_value_leaves_the_rest_to_the_others():
     d = distribute(reduced([[[1.0, 1.0, 1.0]]], [[9.0]]), lower=[-9.0, 7.0, -9.0], upper=[9.0, 7.0, 9.0])
     assert d.tau[0] == pytest.approx([1.0, 7.0, 1.0], abs=10.0 * OPTIMUM)
@@ -214,11 +242,14 @@ def test_bounds_work_at_any_size_of_force(size):
 
 
 def test_an_effort_that_the_free_direction_cannot_move_keeps_its_bound():
-    # actuator 0 alone holds the first freedom; 1 and 2 share the second and cannot relieve it
-    W = np.array([[[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]])
-    d = distribute(reduced(W, [[2.0, 2.0]]), upper=[1.0, 0.5, np.inf])
-    assert d.status[0] == SampleStatus.BOUND_INFEASIBLE
-    assert d.residual[0] == pytest.approx(1.0)
+    # actuator 0 alone holds one freedom, 1 and 2 share the other and cannot relieve it. Seen through a rotation the
+    # null vector gets a rounding of either sign in its first entry; the answer must not be a huge step along it
+    rng = np.random.default_rng(6)
+    rotation = factors(rng, 50, 2, 2, [1.0, 1.0])[0]
+    W = rotation @ np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.7]])
+    d = distribute(reduced(W, times(rotation, np.full((50, 2), 2.0))), upper=[1.0, np.inf, np.inf])
+    assert (d.status == SampleStatus.BOUND_INFEASIBLE).all()
+    assert d.residual == pytest.approx(np.ones(50))
 
 
 def test_inconsistent_samples_stay_inconsistent_under_bounds():

@@ -138,6 +138,15 @@ def test_sign_of_a_null_direction_makes_its_first_largest_component_positive():
     assert right == pytest.approx(expected, abs=1e-14)
 
 
+def test_sign_of_a_null_direction_does_not_hang_on_rounding():
+    # all components of the null vector tie; rounding makes any of them the largest
+    rng = np.random.default_rng(9)
+    null = np.array([1.0, -1.0, 1.0, -1.0]) / 2.0
+    rows = rng.normal(size=(100, 4, 4))
+    matrices = rows - (rows @ null)[:, :, None] * null
+    assert null_directions(matrices)[1] == pytest.approx(np.broadcast_to(null, (100, 4)), abs=1e-11)
+
+
 def test_results_are_read_only():
     spectrum = spectrum_of(np.random.default_rng(8).normal(size=(FEW, 2, 2)))
     for array in (spectrum.singular_values, spectrum.margin, spectrum.condition, spectrum.rank()):
