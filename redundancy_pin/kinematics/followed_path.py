@@ -246,7 +246,8 @@ def _raise_border(system: ConstraintSystem, law: PositionLaw, t: Array, q: Array
         else:
             outside = float(middle[0])
     raise UnreachablePoseError(
-        f"The path leaves the workspace at t = {inside:.9g} s: by t = {t[bad]:.6g} s the chains stay open by {gap:.3g} m.",
+        f"The path leaves the workspace at t = {inside:.9g} s: by t = {t[bad]:.6g} s the chains stay open by "
+        f"{gap:.3g} m.",
         remedy="Keep the motion inside the workspace; its border is a type I singularity.",
         t=float(inside),
         gap=gap,

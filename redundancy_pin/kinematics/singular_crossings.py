@@ -1,9 +1,9 @@
 """Singularities along a trajectory: the exact times at which a motion crosses, touches or stays on one.
 
 Type II is found where the signed margin (smallest singular value of the scaled W with the sign of det W) changes sign,
-by Brent's method on exact configurations. Between two samples of equal sign a dip that the slopes at both ends announce is
-searched for its minimum, so that a pair of crossings within one step is not missed, nor one that only touches. Type I is
-a minimum of the serial margin that reaches zero: a motion that keeps its working mode can touch it and not cross it.
+by Brent's method on exact configurations. Between two samples of equal sign a dip that the slopes at both ends announce
+is searched for its minimum, so that a pair of crossings within one step is not missed, nor one that only touches.
+Type I is a minimum of the serial margin that reaches zero: a motion that keeps its working mode can touch it, not cross.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, frozen
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, frozen
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import difference, row_scale
@@ -173,7 +173,7 @@ def _search(
     return events
 
 
-def _runs(flags: Array) -> list[tuple[int, int]]:
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
     """Return first and last index of each run of true values."""
     edges = np.diff(np.concatenate([[0], np.asarray(flags, dtype=np.intp), [0]]))
     return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))
@@ -202,7 +202,7 @@ def _run_of_zeros(
     return _Event(float(entered), float(left), crosses)
 
 
-def _dips(t: Array, size: Array) -> Array:
+def _dips(t: Array, size: Array) -> BoolArray:
     """Return (S,) whether a margin falls at the start and rises at the end of a step, steeply enough to reach zero."""
     start, after, before, end = size[:-1:3], size[1::3], size[2::3], size[3::3]
     falling = (after - start) / (t[1::3] - t[:-1:3])
@@ -210,7 +210,7 @@ def _dips(t: Array, size: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         meet = (end - start + falling * t[:-1:3] - rising * t[3::3]) / (falling - rising)
         lowest = start + falling * (meet - t[:-1:3])
-        result: Array = (falling < 0.0) & (rising > 0.0) & (lowest < _SHALLOW * np.minimum(start, end))
+        result: BoolArray = (falling < 0.0) & (rising > 0.0) & (lowest < _SHALLOW * np.minimum(start, end))
     return result
 
 

@@ -7,22 +7,23 @@ that is returned is refined to an exact singular configuration on its grid edge;
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
-from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.kinematics.followed_path import margins_of
+from redundancy_pin.kinematics.locus_slice import Slice, default_axes, slice_of
 from redundancy_pin.kinematics.marching import contour, edge_points, split
 from redundancy_pin.kinematics.singular_matrices import locked_matrix, serial_matrix
-from redundancy_pin.kinematics.singular_refine import RefinedPoints, approach_border, refine
+from redundancy_pin.kinematics.singular_refine import SINGULAR, RefinedPoints, approach_border, refine
 from redundancy_pin.kinematics.singularity import SingularityKind
-from redundancy_pin.kinematics.slice import Slice, default_axes, slice_of
 from redundancy_pin.kinematics.workspace_grid import WorkspaceGrid, solve_grid
 from redundancy_pin.robot import Robot
 
@@ -35,7 +36,8 @@ class LocusCurve:
     """One singular curve.
 
     Attributes:
-        kind: type I or type II.
+        kind: type I, type II, or combined where every point of the curve is both (a four-bar at the end of its crank's
+            range).
         points: (P, n) platform coordinates along it, base frame, m and rad; the last equals the first where it is
             closed. A robot with one coordinate has curves of one point.
         q: (P, nq) configurations there, carriers at zero.
@@ -55,8 +57,11 @@ class SingularLocus:
     Attributes:
         robot: the robot; its working mode is that of the locus.
         names: names of the one or two coordinates that vary.
+        units: of each, "m" or "rad".
         free: their columns in x.
         fixed: by name, the coordinates that are held, rad.
+        reference: (n,) the position that the search started from: that of the reference configuration, at the
+            orientation of the slice.
         axes: the grid along each free coordinate, m or rad.
         margin: (A,) or (A, B) signed scaled margin to type II (see ``singular_matrices.signed_margin``), first
             index along the first coordinate; NaN where not reachable.
@@ -68,8 +73,10 @@ class SingularLocus:
 
     robot: Robot
     names: tuple[str, ...]
+    units: tuple[str, ...]
     free: tuple[int, ...]
-    fixed: dict[str, float]
+    fixed: Mapping[str, float]
+    reference: Array
     axes: tuple[Array, ...]
     margin: Array
     serial_margin: Array
@@ -115,8 +122,8 @@ def singular_locus(
     Covered are platforms with two translations and at most one rotation (which is held), and robots whose only
     independent coordinate is a joint. Only the part of the workspace that is connected to the reference configuration
     within the slice is searched, and features smaller than a grid cell can be missed. Isolated type I points (a leg of
-    zero length) are no curves and are not listed. Where m ≠ n type II singularities fill no curves: only type I is
-    given.
+    zero length, or folded onto its base hinge) are no curves and are not listed. Where m ≠ n type II singularities fill
+    no curves: only type I is given.
 
     Args:
         robot: the robot, in the working mode wanted.
@@ -144,8 +151,10 @@ def singular_locus(
     return SingularLocus(
         robot=robot,
         names=place.names,
+        units=place.units,
         free=place.free,
-        fixed=place.fixed,
+        fixed=MappingProxyType(place.fixed),
+        reference=frozen(place.x),
         axes=grid.axes,
         margin=read_only(parallel.reshape(grid.shape)),
         serial_margin=read_only(serial.reshape(grid.shape)),
@@ -175,7 +184,7 @@ def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusC
     start, end = grid.x[edges[:, 0]], grid.x[edges[:, 1]]
     near = approach_border(system, grid.q[edges[:, 0]], start, end)
     points = refine(system, serial_matrix, near, start, end, _free_column(grid, edges))
-    return _curves(SingularityKind.TYPE_I, points, split(found, points.found)), int((~points.found).sum())
+    return _curves(system, SingularityKind.TYPE_I, points, split(found, points.found)), int((~points.found).sum())
 
 
 def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -> tuple[tuple[LocusCurve, ...], int]:
@@ -188,17 +197,10 @@ def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -
     left, right = margin[edges[:, 0]], margin[edges[:, 1]]
     fraction = np.clip(left / (left - right), 0.0, 1.0)
     nearer = np.where(fraction < 0.5, edges[:, 0], edges[:, 1])
-    near = assemble_at(system, grid.q[nearer], edge_points(grid.x, edges, fraction))
+    solution = assemble(system, grid.q[nearer], edge_points(grid.x, edges, fraction))
+    near = np.where(solution.closed[:, None], solution.q, grid.q[nearer])
     points = refine(system, locked_matrix, near, start, end, _free_column(grid, edges))
-    return _curves(SingularityKind.TYPE_II, points, split(found, points.found)), int((~points.found).sum())
-
-
-def assemble_at(system: ConstraintSystem, q: Array, x: Array) -> Array:
-    """Return (E, nq) configurations at platform coordinates near those of q; q itself where Newton fails."""
-    from redundancy_pin.kinematics.assembly import assemble
-
-    solution = assemble(system, q, x)
-    return np.where(solution.closed[:, None], solution.q, q)
+    return _curves(system, SingularityKind.TYPE_II, points, split(found, points.found)), int((~points.found).sum())
 
 
 def _free_column(grid: WorkspaceGrid, edges: IntArray) -> IntArray:
@@ -208,11 +210,19 @@ def _free_column(grid: WorkspaceGrid, edges: IntArray) -> IntArray:
     return columns
 
 
-def _curves(kind: SingularityKind, points: RefinedPoints, chains: tuple[IntArray, ...]) -> tuple[LocusCurve, ...]:
+def _curves(
+    system: ConstraintSystem, kind: SingularityKind, points: RefinedPoints, chains: tuple[IntArray, ...]
+) -> tuple[LocusCurve, ...]:
+    both = [matrix(system, system.evaluate(points.q)) for matrix in (serial_matrix, locked_matrix)]
+    combined = np.all([np.linalg.svd(one, compute_uv=False)[:, -1] < SINGULAR for one in both], axis=0)
     return tuple(
-        LocusCurve(kind, read_only(points.x[chain]), read_only(points.q[chain]), read_only(points.residual[chain]))
+        LocusCurve(
+            SingularityKind.COMBINED if combined[chain].all() else kind,
+            *(read_only(part[chain]) for part in (points.x, points.q, points.residual)),
+        )
         for chain in chains
     )
 
 
 _ON_CURVE = 1e-12
+"""Signed margins above minus this count as positive: of a node on the curve rounding leaves a few 1e-16."""

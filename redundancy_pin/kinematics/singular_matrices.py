@@ -5,7 +5,7 @@ all without the carrier columns:
 
 - K = [J_c; J_x] maps joint velocities to platform velocities and loses rank at a type I singularity;
 - T = [J_c; S] is what is left to move with locked actuators and loses rank at a type II singularity;
-- W = Γᵀ Sᵀ maps actuator efforts to platform forces. Since T K⁻¹ = [I 0; * Wᵀ], it has the rank of T where K is regular.
+- W = Γᵀ Sᵀ maps actuator efforts to platform forces. Where K is regular T K⁻¹ = [I 0; * Wᵀ]: W lacks as much rank as T.
 
 Lengths are made comparable by one number, the robot's characteristic length L: every rotation (of a joint, of the
 platform, in a closure row) counts as the motion, in metres, of a point at distance L from its axis.

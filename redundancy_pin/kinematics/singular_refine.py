@@ -1,9 +1,9 @@
 """Exact singular configurations on grid edges: Newton on closure, the coordinates that are fixed, and a singular value.
 
-In the joint coordinates a singularity is a simple root even where the platform coordinates meet a square root (the border of
-the workspace): the unknowns are all p joint displacements, the equations the r closure rows, the n − 1 platform
-coordinates that are constant along an edge, and σ = 0, the smallest singular value of the scaled K (type I) or T (type
-II). With σ = uᵀ M v its derivative is uᵀ (∂M/∂q) v.
+In the joint coordinates a singularity is a simple root even where the platform coordinates meet a square root (at the
+border of the workspace). The unknowns are all p joint displacements; the equations are the r closure rows, the n − 1
+platform coordinates that are constant along an edge, and σ = 0, the smallest singular value of the scaled K (type I)
+or T (type II). With σ = uᵀ M v its derivative is uᵀ (∂M/∂q) v.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.modes import in_working_mode
-from redundancy_pin.kinematics.singular_matrices import locked_matrix, serial_matrix
 
 SINGULAR = 1e-9
 """Scaled singular value below which a refined point counts as singular; Newton leaves 1e-15."""
@@ -30,7 +29,8 @@ _DIFFERENCE = 1e-6
 """Step of the central differences of M, rad or m: their relative error, 1e-10, only slows Newton's last step."""
 
 _LONGEST_STEP = 0.3
-_BISECTIONS = 10
+_BISECTIONS = 5
+"""They bring the leg within a thirtieth of a grid cell of the border; from there Newton converges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,8 @@ def refine(
         system: closures and platform rows.
         matrix: ``serial_matrix`` for type I, ``locked_matrix`` for type II.
         guess: (E, nq) configurations near it.
-        start, end: (E, n) platform coordinates of the ends of each edge.
+        start: (E, n) platform coordinates of one end of each edge.
+        end: (E, n) those of the other.
         free: (E,) the column in which they differ.
     """
     robot, p = system.robot, system.pose_columns
@@ -96,7 +97,7 @@ def refine(
 
 
 def approach_border(system: ConstraintSystem, q: Array, start: Array, end: Array) -> Array:
-    """Return (E, nq) configurations near the border of the workspace, by bisection from a reachable to an unreachable end.
+    """Return (E, nq) configurations near the border of the workspace, by bisection along edges that cross it.
 
     Args:
         system: closures and platform rows.
@@ -108,7 +109,8 @@ def approach_border(system: ConstraintSystem, q: Array, start: Array, end: Array
     best = q.copy()
     for _ in range(_BISECTIONS):
         middle = 0.5 * (inside + outside)
-        solution = assemble(system, best, start + middle[:, None] * (end - start), max_iterations=15)
+        target = start + middle[:, None] * (end - start)
+        solution = assemble(system, best, target, max_iterations=10, shortest_step=0.125)
         good = solution.closed & in_working_mode(system.robot, solution.q)
         best[good] = solution.q[good]
         inside, outside = np.where(good, middle, inside), np.where(good, outside, middle)
@@ -131,4 +133,3 @@ def _singular_value(system: ConstraintSystem, matrix: MatrixOf, state: Constrain
 
 _EDGE_ROUNDING = 1e-9
 """A root this far beyond the end of its edge (fraction of its length) is at the end."""
-

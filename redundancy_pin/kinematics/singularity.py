@@ -140,7 +140,8 @@ def classify(robot: Robot, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -
     if len(bad):
         k = int(bad[0])
         raise InputError(
-            f"Configuration {k} is not closed: its largest closure row is {gap[k]:.3g} ({len(bad)} of {len(gap)} are open).",
+            f"Configuration {k} is not closed: its largest closure row is {gap[k]:.3g} ({len(bad)} of {len(gap)} are "
+            "open).",
             remedy="Close the chains first, with lift or assemble.",
             sample=k,
             gap=float(gap[k]),

@@ -28,6 +28,7 @@ class Slice:
 
     Attributes:
         names: names of the coordinates that vary.
+        units: of each, "m" or "rad".
         free: their columns in x.
         fixed: by name, the values of the coordinates that are held, rad.
         x: (n,) a point of the slice: the reference position, turned to the orientation of the slice.
@@ -35,6 +36,7 @@ class Slice:
     """
 
     names: tuple[str, ...]
+    units: tuple[str, ...]
     free: tuple[int, ...]
     fixed: dict[str, float]
     x: Array
@@ -51,6 +53,7 @@ def slice_of(system: ConstraintSystem, orientation: float | None) -> Slice:
     """
     robot = system.robot
     names, free = _free(robot)
+    unit = "rad" if _turns(robot) else "m"
     held = tuple(column for column in range(robot.n) if column not in free)
     reference = np.array(robot.q_reference)
     x = np.array(coordinates(robot, system.evaluate(reference[None]))[0])
@@ -62,7 +65,9 @@ def slice_of(system: ConstraintSystem, orientation: float | None) -> Slice:
             )
         x[held[0]] = orientation
         reference = find_on_branch(system, x)
-    return Slice(names, free, {_names(robot)[column]: float(x[column]) for column in held}, x, reference)
+    return Slice(
+        names, (unit,) * len(free), free, {_names(robot)[column]: float(x[column]) for column in held}, x, reference
+    )
 
 
 def default_axes(system: ConstraintSystem, place: Slice, resolution: int) -> tuple[Array, ...]:
@@ -73,9 +78,7 @@ def default_axes(system: ConstraintSystem, place: Slice, resolution: int) -> tup
     """
     robot = system.robot
     if robot.platform is None:
-        joint = robot.model.joints[robot.model.getJointId(robot.independent_joints[0])]
-        turns = not str(joint.shortname()).startswith("JointModelP")
-        half = np.pi if turns else _REACH * robot.characteristic_length
+        half = np.pi if _turns(robot) else _REACH * robot.characteristic_length
         return (np.linspace(place.x[0] - half, place.x[0] + half, resolution),)
     half = _REACH * robot.characteristic_length
     rough = tuple(np.linspace(place.x[c] - half, place.x[c] + half, _COARSE) for c in place.free)
@@ -88,6 +91,14 @@ def default_axes(system: ConstraintSystem, place: Slice, resolution: int) -> tup
         room = _BORDER * (high - low)
         axes.append(np.linspace(max(low - room, axis[0]), min(high + room, axis[-1]), resolution))
     return tuple(axes)
+
+
+def _turns(robot: Robot) -> bool:
+    """Whether the first free coordinate is the angle of a joint."""
+    if robot.platform is not None:
+        return False
+    joint = robot.model.joints[robot.model.getJointId(robot.independent_joints[0])]
+    return not str(joint.shortname()).startswith("JointModelP")
 
 
 def _names(robot: Robot) -> tuple[str, ...]:
