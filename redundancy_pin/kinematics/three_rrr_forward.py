@@ -8,10 +8,9 @@ twice the area, so that P is eliminated exactly:
     r_12 r_23 r_31 = 4 l2² D².
 
 Each r_ij and D is a first-degree trigonometric polynomial in α, so this is a Laurent polynomial of degree 3 in
-z = exp(iα): at most six assembly modes. Squaring and clearing D loses nothing but care: where all three centres lie
-on a line and two of them coincide, the equation has a double root that stands for two poses. Each root is therefore
-only a candidate for α; the positions come from the two best-separated centres, both of them, and a pose counts only
-after Newton's method has closed all three legs.
+z = exp(iα): at most six assembly modes. Where two centres coincide, both sides have a double zero, which can stand for
+two poses. A root is therefore only a candidate for α: both positions that the two best-separated centres allow are
+tried, and a pose counts only after Newton's method has closed all three legs.
 """
 
 from __future__ import annotations

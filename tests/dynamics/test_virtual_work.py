@@ -107,7 +107,7 @@ def test_power_of_actuators_carriers_and_energy_balance(robot):
 @pytest.mark.parametrize("pose_at", [3, 6])
 def test_unreachable_pose_is_refused_with_sample_and_gap(pose_at):
     robot = rp.load_robot("3rrr")
-    motion = with_pose(motion_of(robot), pose_at, [*(2.5 * UP), 0.0])  # leg 1 is 0.25 m too short
+    motion = with_pose(motion_of(robot), pose_at, [*(2.5 * UP), 0.0])  # leg 1 is 0.25 m short
     with pytest.raises(UnreachablePoseError) as refusal:
         VirtualWork(robot).reduce(motion)
     assert refusal.value.details["sample"] == pose_at
@@ -135,7 +135,7 @@ def test_marked_samples_are_nan_and_leave_the_others_alone(robot):
     assert np.isfinite(reduced.gap).all()
     assert reduced.gap[good].max() < 1e-11
     if robot.name == "3rrr":
-        # leg 1: the corner is at P less 0.25 m along 30 degrees; the legs reach 2 m
+        # the largest distance of a corner from its base hinge, less the 2 m a leg reaches
         corners = np.array([5.0, 0.0]) - 0.25 * np.array([UP, [-UP[0], UP[1]], [0.0, -1.0]])
         base = np.array([[0, 0], [np.sqrt(3), 0], [np.sqrt(3) / 2, 1.5]])
         assert reduced.gap[5] == pytest.approx(np.hypot(*(corners - base).T).max() - 2.0)

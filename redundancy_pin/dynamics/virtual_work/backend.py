@@ -8,12 +8,12 @@ import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, read_only
 from redundancy_pin.dynamics.base import CarrierDerivatives, OnUnreachable, ReducedDynamics
+from redundancy_pin.dynamics.carriers import require_matching, require_on_track
 from redundancy_pin.dynamics.virtual_work.model import Mechanism, MechanismAlongMotion, MechanismLegs
 from redundancy_pin.dynamics.virtual_work.planar import base_wrench, energy
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrMechanism, ThreeRrrParameters
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprMechanism, TwoRprParameters
 from redundancy_pin.errors import (
-    CarrierLimitError,
     InputError,
     SingularPoseError,
     UnreachablePoseError,
@@ -104,7 +104,7 @@ class VirtualWork:
             InputError, UnreachablePoseError, SingularPoseError: as in ``along``.
         """
         if check_track and carriers is not None:
-            _require_on_track(self._robot, carriers)
+            require_on_track(self._robot, carriers, motion.t)
         return self.along(motion, unreachable=unreachable).reduce(carriers)
 
 
@@ -194,18 +194,11 @@ class VirtualWorkAlongMotion:
 
     def _leg_major(self, carriers: CarrierMotion | None) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ as (legs, N); zero where the robot has no carriers."""
-        k, samples = self._robot.k, len(self._motion)
-        legs = self._robot.m
-        if carriers is not None and carriers.s.shape != (samples, k):
-            raise InputError(
-                f"The carrier motion has shape {carriers.s.shape}, expected {(samples, k)}: "
-                f"{samples} samples of {k} carriers.",
-                remedy="Sample the carriers at the times of the platform motion, one column a carrier.",
-                shape=carriers.s.shape,
-                expected=(samples, k),
-            )
-        if carriers is None or k == 0:
-            zero = np.zeros((legs, samples))
+        samples = len(self._motion)
+        if carriers is not None:
+            require_matching(self._robot, carriers, samples)
+        if carriers is None or self._robot.k == 0:
+            zero = np.zeros((self._robot.m, samples))
             return zero, zero, zero
         return (
             np.ascontiguousarray(carriers.s.T),
@@ -262,23 +255,4 @@ def _refuse(legs: MechanismLegs, bad_leg: BoolArray, robot: Robot) -> None:
         sample=sample,
         leg=leg,
         margin=float(margin[leg]),
-    )
-
-
-def _require_on_track(robot: Robot, carriers: CarrierMotion) -> None:
-    if carriers.s.shape[1] != robot.k:
-        return  # refused with the shapes where the motion is used
-    lower = np.array([limits.lower for limits in robot.carrier_limits])
-    upper = np.array([limits.upper for limits in robot.carrier_limits])
-    excess = np.maximum(lower - carriers.s, carriers.s - upper)
-    if excess.size == 0 or excess.max() <= 0.0:
-        return
-    sample, carrier = (int(i) for i in np.unravel_index(int(excess.argmax()), excess.shape))
-    raise CarrierLimitError(
-        f"{robot.carriers[carrier]} leaves its track [{lower[carrier]:.6g}, {upper[carrier]:.6g}] m by "
-        f"{excess[sample, carrier]:.3g} m at sample {sample} (s = {carriers.s[sample, carrier]:.6g} m).",
-        remedy="Change the carrier motion, or pass check_track=False to look at the forces regardless.",
-        carrier=robot.carriers[carrier],
-        sample=sample,
-        amount=float(excess[sample, carrier]),
     )

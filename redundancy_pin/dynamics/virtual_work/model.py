@@ -50,10 +50,7 @@ class MechanismAlongMotion(Protocol):
 
 
 class MechanismLegs(Protocol):
-    """The solved inverse displacement of a mechanism.
-
-    Attributes of an implementation are read by the backend to sort out poses before any rate is computed.
-    """
+    """The inverse displacement at sampled poses: enough to sort out bad poses before any rate is computed."""
 
     @property
     def gap(self) -> Array:
@@ -72,10 +69,7 @@ class MechanismLegs(Protocol):
 
 
 class Mechanism(Protocol):
-    """A mechanism with closed-form kinematics.
-
-    ``row_scale`` (n,) and ``column_scale`` (m,) are True where a coordinate or an actuator is an angle.
-    """
+    """A mechanism with closed-form kinematics, in one working mode."""
 
     @property
     def angular_rows(self) -> tuple[bool, ...]:
