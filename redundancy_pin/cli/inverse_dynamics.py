@@ -50,9 +50,10 @@ def inverse_dynamics(
     r"""Compute the efforts along a motion.
 
     Those of the main actuators and of the carriers. The motion has a row of names and the columns t; x0, x1, ...;
-    xd0, ...; xdd0, ...; and s0, ...; sd0, ...; sdd0, ... for the carriers, in SI units and radians. Without carrier columns the carriers are parked at s = 0. A spatial
-    platform has seven x, position and unit quaternion (x, y, z, w), and six rates, its twist in world axes. An instant
-    may occur twice, for the acceleration before and after a jump.
+    xd0, ...; xdd0, ...; and s0, ...; sd0, ...; sdd0, ... for the carriers, in SI units and radians. Without carrier
+    columns the carriers are parked at s = 0. A spatial platform has seven x, position and unit quaternion (x, y, z,
+    w), and six rates, its twist in world axes. An instant may occur twice, for the acceleration before and after a
+    jump.
 
     The result has the columns t, tau0, ..., carrier_force0, ..., status, margin, residual. Where no finite effort
     exists tau is nan and the status says why.

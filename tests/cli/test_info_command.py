@@ -1,0 +1,96 @@
+"""``redundancy-pin info``, and what all commands have in common: help, version, missing command."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from command_line import call, refused
+
+import redundancy_pin
+from redundancy_pin import load_robot
+from redundancy_pin.robot.description import shipped_robots
+
+COMMANDS = ("reproduce", "inverse-dynamics", "singularities", "validate", "info")
+
+
+def test_lists_the_shipped_robots() -> None:
+    found = json.loads(call("info", "--json").stdout)["robots"]
+    assert tuple(entry["name"] for entry in found) == shipped_robots()
+    text = call("info").stdout
+    for entry in found:
+        assert entry["description"]
+        assert entry["name"] in text
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_describes_every_robot(name: str) -> None:
+    robot = load_robot(name)
+    found = json.loads(call("info", "--robot", name, "--json").stdout)
+    assert found["counts"] == {
+        "independent velocities n": robot.n,
+        "main actuators m": robot.m,
+        "carriers k": robot.k,
+        "nq": robot.model.nq,
+        "nv": robot.model.nv,
+    }
+    roles = [joint["role"] for joint in found["joints"]]
+    assert roles.count("actuated") == robot.m
+    assert roles.count("carrier") == robot.k
+    assert roles.count("passive") == robot.model.njoints - 1 - robot.m - robot.k
+    assert [closure["axes"] for closure in found["closures"]] == [list(c.axes) for c in robot.closures]
+    assert found["reference"]["type_ii_margin"] > 0.0
+    text = call("info", "--robot", name).stdout
+    for parameter in robot.parameters:
+        assert parameter in text
+
+
+def test_parameters_show_value_and_default() -> None:
+    found = json.loads(
+        call("info", "--robot", "3rrr", "--set", "carrier_mass=2", "--set", "platform_mass=1", "--mode", "+-+", "--json").stdout
+    )
+    assert found["parameters"]["carrier_mass"] == {"value": 2.0, "default": 3.0}
+    assert found["parameters"]["platform_mass"] == {"value": 1.0, "default": 0.5}
+    assert found["working_mode"] == "+-+"
+    assert len(found["working_modes"]) == 8
+
+
+def test_units_are_shown_as_written() -> None:
+    """Square brackets are markup to the table library; a unit must not vanish as an unknown style."""
+    text = call("info", "--robot", "3rrr").stdout
+    for unit in ("[m/s²]", "[m]", "[N]"):
+        assert unit in text
+
+
+def test_infinite_limits_are_null_in_json() -> None:
+    limits = json.loads(call("info", "--robot", "2rpr", "--json").stdout)["carrier_limits"]["carrier_1"]
+    assert limits["position"] == [-0.2, 0.2]
+    assert limits["force"] is None or limits["force"] > 0.0
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example(command: str) -> None:
+    result = call(command, "--help")
+    assert result.exit_code == 0
+    assert "Example" in result.stdout
+    assert f"redundancy-pin {command} " in result.stdout
+
+
+def test_version() -> None:
+    assert redundancy_pin.__version__ in call("--version").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((), "command"),
+        (("plam",), "plam"),
+        (("info", "--robot", "3rr"), "3rrr"),
+        (("info", "--robot"), "--robot"),
+        (("info", "--set", "carrier_mass=2"), "--robot"),
+        (("info", "--robot", "3rrr", "--set", "base_radius=30"), "does not close"),
+        (("info", "3rrr"), "3rrr"),
+    ],
+)
+def test_mistakes_are_one_line(arguments: tuple[str, ...], says: str) -> None:
+    assert says in refused(*arguments)

@@ -1,0 +1,189 @@
+"""``redundancy-pin inverse-dynamics``: the same numbers as the Python API, and every mistake in one line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import call, refused, write_motion
+from scipy.spatial.transform import Rotation
+
+from redundancy_pin import PlatformMotion, load_robot
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.virtual_work import VirtualWork
+from redundancy_pin.trajectory import carriers_from_csv, from_csv, reference
+
+
+def _columns(path: Path) -> dict[str, np.ndarray]:
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    return {
+        name: np.array([row[name] if name == "status" else float(row[name]) for row in rows]) for name in rows[0]
+    }
+
+
+@pytest.fixture
+def corner(tmp_path: Path) -> Path:
+    return write_motion(tmp_path / "motion.csv", reference.corner(), 0.05, carriers=3)
+
+
+@pytest.mark.parametrize(("name", "backend"), [("rnea", RneaDynamics), ("virtual-work", VirtualWork)])
+def test_output_is_that_of_the_python_api(corner: Path, tmp_path: Path, name: str, backend: type) -> None:
+    out = tmp_path / "out.csv"
+    result = call(
+        "inverse-dynamics", "--robot", "3rrr", "--set", "carrier_mass=2.0", "--mode", "+++",
+        "--gravity", "0,-9.81,0", "--backend", name, "--motion", str(corner), "--out", str(out),
+    )  # fmt: skip
+    assert result.exit_code == 0
+    robot = load_robot("3rrr", carrier_mass=2.0, working_mode=(1, 1, 1), gravity=(0.0, -9.81, 0.0))
+    reduced = backend(robot).reduce(from_csv(corner), carriers_from_csv(corner))
+    expected = distribute(reduced)
+    found = _columns(out)
+    assert list(found) == [
+        "t", "tau0", "tau1", "tau2", "carrier_force0", "carrier_force1", "carrier_force2", "status", "margin", "residual",
+    ]  # fmt: skip
+    np.testing.assert_array_equal(np.stack([found[f"tau{i}"] for i in range(3)], axis=1), expected.tau)
+    np.testing.assert_array_equal(
+        np.stack([found[f"carrier_force{i}"] for i in range(3)], axis=1), reduced.carrier_force
+    )
+    np.testing.assert_array_equal(found["margin"], expected.margin)
+    assert set(found["status"]) == {"regular"}
+
+
+def test_json_is_pure_and_tells_what_was_written(corner: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
+    result = call("inverse-dynamics", "--robot", "3rrr", "--motion", str(corner), "--out", str(out), "--json")
+    found = json.loads(result.stdout)
+    assert result.stderr == ""
+    columns = _columns(out)
+    assert found["samples"] == len(columns["t"])
+    assert found["statuses"] == {"regular": len(columns["t"])}
+    assert found["largest_tau"] == [float(np.abs(columns[f"tau{i}"]).max()) for i in range(3)]
+
+
+def test_carrier_columns_may_be_left_out(tmp_path: Path) -> None:
+    motion = write_motion(tmp_path / "motion.csv", reference.corner(), 0.1)
+    out = tmp_path / "out.csv"
+    assert call("inverse-dynamics", "--robot", "3rrr", "--motion", motion, "--out", out).exit_code == 0
+    parked = distribute(RneaDynamics(load_robot("3rrr")).reduce(from_csv(motion)))
+    np.testing.assert_array_equal(_columns(out)["tau2"], parked.tau[:, 2])
+
+
+def test_spatial_poses_are_position_and_quaternion(tmp_path: Path) -> None:
+    turn = Rotation.from_rotvec([0.1, -0.05, 0.2])
+    xyz, quaternion = [0.02, -0.01, 0.62], turn.as_quat()
+    twist, rate = [0.1, 0.0, -0.1, 0.2, 0.3, -0.1], [1.0, 0.5, -0.5, 0.1, -0.2, 0.3]
+    names = ["t"] + [f"x{i}" for i in range(7)] + [f"xd{i}" for i in range(6)] + [f"xdd{i}" for i in range(6)]
+    row = [0.0, *xyz, *quaternion, *twist, *rate]
+    motion, out = tmp_path / "pose.csv", tmp_path / "out.csv"
+    motion.write_text(",".join(names) + "\n" + ",".join(repr(float(value)) for value in row) + "\n")
+    assert call("inverse-dynamics", "--robot", "gough", "--motion", motion, "--out", out).exit_code == 0
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn.as_matrix(), xyz
+    expected = distribute(RneaDynamics(load_robot("gough")).reduce(PlatformMotion([0.0], [pose], [twist], [rate])))
+    found = _columns(out)
+    # the quaternion of the file is read back to a matrix: rounding of a rotation
+    np.testing.assert_allclose([found[f"tau{i}"][0] for i in range(6)], expected.tau[0], rtol=1e-12)
+
+
+def test_unreachable_samples_are_marked_on_request(tmp_path: Path) -> None:
+    motion = tmp_path / "far.csv"
+    motion.write_text("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,0.25,0.7,0,0,0,0\n1,5.0,0,0,0,0,0\n2,0.3,0.7,0,0,0,0\n")
+    out = tmp_path / "out.csv"
+    arguments = ("inverse-dynamics", "--robot", "five_bar", "--motion", motion, "--out", out)
+    assert "reach" in refused(*arguments)
+    assert not out.exists()
+    assert call(*arguments, "--unreachable", "mark").exit_code == 0
+    found = _columns(out)
+    assert list(found["status"]) == ["regular", "unreachable", "regular"]
+    assert np.isnan(found["tau0"][1])
+    assert np.isfinite(found["tau0"][[0, 2]]).all()
+
+
+def test_singular_sample_has_a_status_and_no_effort(tmp_path: Path) -> None:
+    """On the base line of the 2-RPR, moving across it, the carriers' inertia needs a force that no leg gives."""
+    motion, out = tmp_path / "line.csv", tmp_path / "out.csv"
+    motion.write_text("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,0.2,0,0.3,-1,0,0\n")
+    assert call("inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", out).exit_code == 0
+    found = _columns(out)
+    assert found["status"][0] == "singular_inconsistent"
+    assert np.isnan(found["tau0"][0])
+    # theta_dd = -2 d_dot theta_dot / d for zero acceleration; only L² theta_dd acts, and its force on the platform is
+    # n h / d (Parsa 2014, eq. 2.17 collapsed); both legs push along y
+    expected = 0.0
+    for d, d_rate, n_rate in ((0.2, 0.3, -1.0), (0.3, -0.3, 1.0)):
+        theta_rate = n_rate / d
+        h = 0.1**2 * (-2.0 * d_rate * theta_rate / d)
+        expected += h / d * (1.0 if n_rate < 0 else -1.0)
+    assert found["residual"][0] == pytest.approx(abs(expected), rel=1e-12)
+
+
+BAD = {
+    "missing file": (["--motion", "nowhere.csv"], "nowhere.csv"),
+    "unknown robot": (["--robot", "4rrr"], "4rrr"),
+    "unknown parameter": (["--set", "carrier_mas=2"], "carrier_mass"),
+    "not a setting": (["--set", "carrier_mass"], "NAME=VALUE"),
+    "parameter not finite": (["--set", "carrier_mass=inf"], "finite"),
+    "gravity as a setting": (["--set", "gravity=1"], "--gravity"),
+    "mode of letters": (["--mode", "abc"], "--mode"),
+    "mode too short": (["--mode", "++"], "mode"),
+    "gravity of two": (["--gravity", "0,-9.81"], "three numbers"),
+    "unknown backend": (["--backend", "lagrange"], "lagrange"),
+    "unknown option": (["--bakend", "rnea"], "--bakend"),
+    "no such folder": (["--out", "nowhere/out.csv"], "nowhere"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_nothing_is_written(
+    case: str, corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    extra, says = BAD[case]
+    before = sorted(tmp_path.iterdir())
+    base = ["--robot", "3rrr", "--motion", str(corner), "--out", "out.csv"]
+    assert says in refused("inverse-dynamics", *base, *extra)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_motion_of_another_robot_is_refused(tmp_path: Path) -> None:
+    motion = write_motion(tmp_path / "motion.csv", reference.corner(), 0.1)
+    assert "2 coordinates" in refused(
+        "inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", tmp_path / "o.csv"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("t,x0,x1\n0,1,1\n", "xd0"),
+        ("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,1,one,0,0,0,0\n", "one"),
+        ("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,1,nan,0,0,0,0\n", "nan"),
+        ("t,x0,x1,xd0,xd1,xdd0,xdd1\n1,0.2,0.3,0,0,0,0\n0,0.2,0.3,0,0,0,0\n", "increase"),
+        ("t,x0,x1,xd0,xd1,xdd0,xdd1,s0,s1,sd0,sd1,sdd0,sdd1\n0,0.2,0.3,0,0,0,0,0.5,0,0,0,0,0\n", "track"),
+        ("", "rows"),
+    ],
+)
+def test_bad_motion_is_refused(text: str, says: str, tmp_path: Path) -> None:
+    motion, out = tmp_path / "motion.csv", tmp_path / "out.csv"
+    motion.write_text(text)
+    assert says in refused("inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", out)
+    assert not out.exists()
+
+
+def test_the_motion_is_not_overwritten(corner: Path) -> None:
+    before = corner.read_bytes()
+    assert "--out" in refused("inverse-dynamics", "--robot", "3rrr", "--motion", corner, "--out", corner)
+    assert corner.read_bytes() == before
+
+
+def test_virtual_work_of_a_robot_without_closed_form_is_refused(tmp_path: Path) -> None:
+    motion = tmp_path / "motion.csv"
+    motion.write_text("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,0.5,1,0,0,0,0\n")
+    assert "closed form" in refused(
+        "inverse-dynamics", "--robot", "five_bar", "--backend", "virtual-work", "--motion", motion, "--out", tmp_path / "o"
+    )

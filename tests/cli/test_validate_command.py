@@ -1,0 +1,40 @@
+"""``redundancy-pin validate``: the table of the cross-check, and its exit code."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from command_line import call, refused
+
+from redundancy_pin import crosscheck
+from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
+
+
+def test_small_run_passes_and_is_the_api() -> None:
+    result = call("validate", "--robot", "2rpr", "--samples", "20", "--seed", "3", "--json")
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    found = json.loads(result.stdout)
+    assert found == json.loads(json.dumps(crosscheck.run(["2rpr"], 20, 3).as_dict()))
+    assert found["passed"]
+
+
+def test_failure_shows_in_table_json_and_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = (CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True), CheckRow("2rpr", "parity: W", 10, 0.5, 1e-10, False))
+    monkeypatch.setattr(crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
+    result = call("validate")
+    assert result.exit_code == 1
+    assert "FAILED" in result.stdout
+    assert result.stderr == "error: 1 of 2 checks failed.\n"
+    result = call("validate", "--json")
+    assert result.exit_code == 1
+    assert not json.loads(result.stdout)["passed"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [(("--samples", "0"), "0"), (("--samples", "many"), "many"), (("--robot", "nope", "--samples", "5"), "nope")],
+)
+def test_bad_input(arguments: tuple[str, ...], says: str) -> None:
+    assert says in refused("validate", *arguments)
