@@ -1,0 +1,105 @@
+"""Turn a planned carrier motion into a ``Plan``: efforts, statuses, limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.dynamics.base import DynamicsAlongMotion
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.limits import check_limits
+from redundancy_pin.planners.plan import Plan, PlanStatus, RobotRecord
+from redundancy_pin.robot import Robot
+
+BALANCE_TOLERANCE = 1e-6
+"""Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""
+
+
+def robot_record(robot: Robot) -> RobotRecord:
+    """Return the plain data from which a robot can be loaded again."""
+    return RobotRecord(
+        robot.name,
+        dict(robot.parameters),
+        tuple(float(g) for g in robot.gravity),
+        robot.working_mode,
+        robot.actuated,
+        robot.carriers,
+    )
+
+
+def finish_plan(
+    along: DynamicsAlongMotion,
+    carriers: CarrierMotion,
+    *,
+    planner: str,
+    phase: IntArray,
+    phases: tuple[str, ...],
+    parameters: Mapping[str, object],
+    diagnostics: Mapping[str, object],
+    prescribed: Array | None = None,
+) -> Plan:
+    """Evaluate the backend once more along the planned motion and collect everything a plan carries.
+
+    Args:
+        along: dynamics along the platform motion of the plan.
+        carriers: planned carrier motion, N samples.
+        planner: name of the planner.
+        phase: (N,) index of the phase of each sample.
+        phases: names of the phases.
+        parameters: the planner's parameters.
+        diagnostics: what it found.
+        prescribed: (N, m) main efforts the planner decided on, NaN where W τ = f decides. Their imbalance is checked
+            and reported, never corrected.
+    """
+    robot = along.robot
+    reduced = along.reduce(carriers)
+    solved = distribute(reduced)
+    tau, status, residual = np.array(solved.tau), np.array(solved.status), np.array(solved.residual)
+    if prescribed is not None:
+        given = np.isfinite(prescribed).all(axis=1)
+        tau[given] = prescribed[given]
+        imbalance = np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f
+        imbalance = np.linalg.norm(imbalance / reduced.row_scale, axis=1)
+        residual[given] = imbalance[given]
+        size = float(np.abs(reduced.f / reduced.row_scale).max())
+        status[given] = _status_of_prescribed(imbalance[given] <= BALANCE_TOLERANCE * size)
+    limits = check_limits(robot, along.motion.t, carriers, reduced.carrier_force)
+    return Plan(
+        motion=along.motion,
+        carriers=carriers,
+        tau=frozen(tau),
+        carrier_force=reduced.carrier_force,
+        actuated_rate=read_only(np.einsum("nim,ni->nm", reduced.W, along.motion.xd)),
+        sample_status=read_only(status),
+        residual=read_only(residual),
+        margin=solved.margin,
+        condition=solved.condition,
+        phase=read_only(np.array(phase, dtype=np.intp)),
+        phases=phases,
+        limits=limits,
+        status=_plan_status(tau, status, bool(limits.violated)),
+        planner=planner,
+        backend=_backend_name(along),
+        robot=robot_record(robot),
+        parameters=dict(parameters),
+        diagnostics=dict(diagnostics),
+    )
+
+
+def _status_of_prescribed(balanced: BoolArray) -> IntArray:
+    status: IntArray = np.where(balanced, SampleStatus.REGULAR, SampleStatus.SINGULAR_INCONSISTENT).astype(np.intp)
+    return status
+
+
+def _plan_status(tau: Array, status: IntArray, violated: bool) -> PlanStatus:
+    if not np.isfinite(tau).all() or (status > SampleStatus.SINGULAR_CONSISTENT).any():
+        return PlanStatus.UNBOUNDED_EFFORT
+    return PlanStatus.VIOLATES_LIMITS if violated else PlanStatus.WITHIN_LIMITS
+
+
+def _backend_name(along: DynamicsAlongMotion) -> str:
+    return type(along).__name__.replace("AlongMotion", "").replace("Along", "")
