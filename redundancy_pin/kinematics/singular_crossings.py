@@ -3,7 +3,7 @@
 Type II is found where the signed margin (smallest singular value of the scaled W with the sign of det W) changes sign,
 by Brent's method on exact configurations. Between two samples of equal sign a dip that the slopes at both ends announce
 is searched for its minimum, so that a pair of crossings within one step is not missed, nor one that only touches.
-Type I is a minimum of the serial margin that reaches zero: a motion that keeps its working mode can touch it, not cross.
+Type I is a minimum of the serial margin that reaches zero: a motion in one working mode can touch it, not cross it.
 """
 
 from __future__ import annotations

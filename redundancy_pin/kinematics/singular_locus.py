@@ -62,6 +62,7 @@ class SingularLocus:
         fixed: by name, the coordinates that are held, rad.
         reference: (n,) the position that the search started from: that of the reference configuration, at the
             orientation of the slice.
+        q_reference: (nq,) the configuration there.
         axes: the grid along each free coordinate, m or rad.
         margin: (A,) or (A, B) signed scaled margin to type II (see ``singular_matrices.signed_margin``), first
             index along the first coordinate; NaN where not reachable.
@@ -77,6 +78,7 @@ class SingularLocus:
     free: tuple[int, ...]
     fixed: Mapping[str, float]
     reference: Array
+    q_reference: Array
     axes: tuple[Array, ...]
     margin: Array
     serial_margin: Array
@@ -155,6 +157,7 @@ def singular_locus(
         free=place.free,
         fixed=MappingProxyType(place.fixed),
         reference=frozen(place.x),
+        q_reference=frozen(place.q),
         axes=grid.axes,
         margin=read_only(parallel.reshape(grid.shape)),
         serial_margin=read_only(serial.reshape(grid.shape)),

@@ -97,7 +97,7 @@ def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
     bar = drawn.colorbar(image, ax=axes, shrink=0.8)
     bar.ax.set_ylim(0.0, top)
     bar.set_label("margin to type II: smallest scaled singular value of W [–]")
-    for start, end in links(locus.robot):
+    for start, end in links(locus.robot, locus.q_reference):
         ends = np.stack([start, end])[:, list(_spatial(locus))]
         axes.plot(*ends.T, color=_MECHANISM, linewidth=1.6, marker="o", markersize=3.5, zorder=2.0)
     _draw_curves(axes, locus)

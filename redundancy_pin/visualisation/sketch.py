@@ -22,15 +22,15 @@ def base_hinges(robot: Robot) -> Array:
     return read_only(np.array(points).reshape(-1, 3))
 
 
-def links(robot: Robot) -> tuple[tuple[Array, Array], ...]:
-    """Return the ends (3,), (3,) m of the lines that make up the mechanism at its reference configuration.
+def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
+    """Return the ends (3,), (3,) m of the lines that make up the mechanism at a configuration (nq,).
 
     A link is a line or, with three hinges or more, a polygon between its hinges (its own joint, the joints that follow,
     its closures). The origin of a platform that is a single line is its end.
     """
     model = robot.model
     data = model.createData()
-    pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
+    pin.framesForwardKinematics(model, data, np.array(q))
     points: dict[int, list[Array]] = {j: [data.oMi[j].translation.copy()] for j in range(1, model.njoints)}
     for joint in range(1, model.njoints):
         if model.parents[joint] > 0 and model.names[joint] not in robot.carriers:
