@@ -32,9 +32,7 @@ def replacing_file(target: str | Path) -> Iterator[Path]:
         OutputError: the folder does not exist or is not writable, or the target is a folder.
     """
     path = Path(target).expanduser()
-    _require_folder(path)
-    if path.is_dir():
-        raise OutputError(f"Cannot write {path}: it is a folder.", remedy="Give the name of a file.", path=str(path))
+    require_writable(path)
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
         os.close(handle)
@@ -48,6 +46,18 @@ def replacing_file(target: str | Path) -> Iterator[Path]:
         _move(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def require_writable(target: str | Path) -> None:
+    """Check that a file can be written, before the work that makes its content is done.
+
+    Raises:
+        OutputError: its folder does not exist or is not writable, or it is a folder itself.
+    """
+    path = Path(target).expanduser()
+    _require_folder(path)
+    if path.is_dir():
+        raise OutputError(f"Cannot write {path}: it is a folder.", remedy="Give the name of a file.", path=str(path))
 
 
 def write_text(target: str | Path, text: str) -> None:

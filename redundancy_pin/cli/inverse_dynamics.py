@@ -19,7 +19,7 @@ from redundancy_pin.dynamics.status import Distribution, SampleStatus
 from redundancy_pin.errors import OutputError
 from redundancy_pin.experiments.backends import BACKENDS, RNEA
 from redundancy_pin.experiments.csv_text import csv_text
-from redundancy_pin.files import write_text
+from redundancy_pin.files import require_writable, write_text
 from redundancy_pin.trajectory import carriers_from_csv, from_csv
 
 
@@ -65,6 +65,7 @@ def inverse_dynamics(
     """
     if _same_file(motion_path, out):
         raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
+    require_writable(out)
     with progress("inverse dynamics") as advance:
         advance(0, 4, "reading")
         loaded = RobotOptions(robot, settings, mode, gravity).load()

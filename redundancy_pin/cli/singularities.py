@@ -13,11 +13,18 @@ from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
 from redundancy_pin.cli.output import console, number, print_json, progress
 from redundancy_pin.errors import InputError
 from redundancy_pin.experiments.experiment import PATHS
-from redundancy_pin.experiments.result import kind_name
+from redundancy_pin.files import require_writable
 from redundancy_pin.kinematics.singular_crossings import Crossing, find_crossings
+from redundancy_pin.kinematics.singular_locus import singular_locus
+from redundancy_pin.kinematics.singularity import SingularityKind
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Trajectory, from_csv
+from redundancy_pin.visualisation.locus import plot_locus
+from redundancy_pin.visualisation.style import picture_format, require_matplotlib
+
+_DRAWN_STEP = 1e-3
+"""Sampling interval of a trajectory in the picture, as a fraction of its duration."""
 
 
 @click.command()
@@ -54,6 +61,10 @@ def singularities(
         raise InputError("--motion and --trajectory exclude each other.", remedy="Give one of them.")
     if not (motion_path or trajectory or plot):
         raise InputError("There is nothing to do.", remedy="Ask for --plot, --motion or --trajectory.")
+    if plot:
+        require_matplotlib()
+        picture_format(plot)
+        require_writable(plot)
     with progress("singularities") as advance:
         advance(0, 3, "reading")
         loaded = RobotOptions(robot, settings, mode, gravity).load()
@@ -104,7 +115,7 @@ def crossing_data(crossing: Crossing) -> dict[str, Any]:
         "t": crossing.t,
         "until": crossing.until,
         "x": crossing.x.tolist(),
-        "kind": crossing.kind.name.lower(),
+        "kind": crossing.kind.label,
         "crosses": crossing.crosses,
         "tangential": crossing.tangential,
         "leg": crossing.leg,
@@ -118,14 +129,14 @@ def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
     for heading in ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction"):
         table.add_column(heading)
     for crossing in crossings:
-        type_ii = crossing.kind.name != "TYPE_I"
+        type_ii = crossing.kind != SingularityKind.TYPE_I
         direction = crossing.uncontrolled_twist if type_ii else crossing.lost_direction
         place = crossing.x[:3, 3] if crossing.x.ndim == 2 else crossing.x
         when = f"{crossing.t:.9g}" if crossing.until == crossing.t else f"{crossing.t:.9g} to {crossing.until:.9g}"
         table.add_row(
             when,
             ", ".join(number(value) for value in place),
-            kind_name(crossing.kind),
+            crossing.kind.label,
             "crossed" if crossing.crosses else "touched",
             ", ".join(number(value) for value in direction),
         )
@@ -133,4 +144,5 @@ def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
 
 
 def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:
-    raise NotImplementedError
+    motion = followed.sample(_DRAWN_STEP * followed.duration) if isinstance(followed, Trajectory) else followed
+    plot_locus(singular_locus(robot), plot, motion=None if motion is None else motion.x, crossings=crossings)

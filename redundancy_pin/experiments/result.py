@@ -13,7 +13,6 @@ from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.status import Distribution, SampleStatus
 from redundancy_pin.experiments.backends import RNEA, VIRTUAL_WORK
 from redundancy_pin.experiments.experiment import Experiment
-from redundancy_pin.kinematics.singularity import SingularityKind
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Trajectory
@@ -40,7 +39,7 @@ class SingularInstant:
         t: time, s.
         sample: index of the sample at that time.
         x: platform coordinates there, m and rad.
-        kind: ``"type II"`` and so on.
+        kind: ``"type_ii"`` and so on.
         uncontrolled: platform velocity that no actuator resists, unit length in scaled units.
         missing_force: norm of the part of f that no actuator effort balances, N, scaled. Near the instant the efforts
             grow as this force over the margin.
@@ -179,9 +178,3 @@ def windows(t: Array, inside: BoolArray) -> tuple[tuple[float, float], ...]:
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
     return tuple((float(t[first]), float(t[after - 1])) for first, after in edges.reshape(-1, 2))
-
-
-def kind_name(kind: SingularityKind) -> str:
-    """Return the kind of a singularity as people write it: ``"type II"``."""
-    names = {SingularityKind.TYPE_I: "type I", SingularityKind.TYPE_II: "type II"}
-    return names.get(kind, kind.name.lower())

@@ -10,7 +10,7 @@ from redundancy_pin.dynamics.status import SampleStatus
 from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.experiments.backends import BACKENDS
 from redundancy_pin.experiments.experiment import Experiment
-from redundancy_pin.experiments.result import BackendOutcome, Parity, Result, SingularInstant, kind_name
+from redundancy_pin.experiments.result import BackendOutcome, Parity, Result, SingularInstant
 from redundancy_pin.kinematics.singular_crossings import Crossing, find_crossings
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.trajectory import Trajectory
@@ -97,7 +97,7 @@ def _instant(crossing: Crossing, motion: PlatformMotion, outcome: BackendOutcome
         t=float(motion.t[sample]),
         sample=sample,
         x=tuple(float(value) for value in np.atleast_1d(motion.x[sample])),
-        kind=kind_name(crossing.kind),
+        kind=crossing.kind.label,
         uncontrolled=tuple(float(value) for value in distribution.uncontrolled[sample]),
         missing_force=float(distribution.residual[sample]),
         status=SampleStatus(distribution.status[sample]).label,

@@ -29,9 +29,8 @@ class PathCurves:
         title: of the figure.
         t: (N,) time, s.
         point: (N, 2) path of the platform, m.
-        links: polylines (p, 2) of the mechanism at the start, m.
+        links: lines (2, 2) between the hinges of the mechanism at the start, m.
         hinges: (h, 2) hinges on the base, m.
-        platform: (p, 2) corners of the platform at the start, m; empty where it is a point.
         condition: (N,) condition number of the scaled Jacobian; infinite at a singularity.
         thresholds: condition numbers to mark.
         windows: near-singular time intervals, s.
@@ -44,7 +43,6 @@ class PathCurves:
     point: Array
     links: tuple[Array, ...]
     hinges: Array
-    platform: Array
     condition: Array
     thresholds: tuple[float, ...] = ()
     windows: tuple[tuple[float, float], ...] = ()
@@ -74,8 +72,6 @@ def plot_path(curves: PathCurves) -> Figure:
 
 
 def _draw_mechanism(axes: Axes, curves: PathCurves, *, with_start: bool) -> None:
-    if len(curves.platform) > 2:
-        axes.fill(*curves.platform.T, facecolor="#D9D9D9", edgecolor="#8C8C8C", linewidth=2.2, zorder=1.7)
     for links in curves.links:
         axes.plot(links[:, 0], links[:, 1], color="#8C8C8C", linewidth=2.2, solid_capstyle="round", zorder=1.8)
         axes.plot(links[:, 0], links[:, 1], "o", color="#8C8C8C", markersize=3.5, zorder=1.9)

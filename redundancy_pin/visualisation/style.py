@@ -43,6 +43,8 @@ STROKES = (
 WINDOW_COLOR = "#D9D9D9"
 INSTANT_COLOR = "#000000"
 
+_FORMATS = ("png", "svg", "pdf")
+
 _SETTINGS: dict[str, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
@@ -113,16 +115,10 @@ def save(drawn: Figure, *paths: str | Path) -> None:
     """Write a figure to files; the suffix decides on the format. The same figure gives the same bytes.
 
     Raises:
-        OutputError: a suffix that matplotlib does not know, or a file that cannot be written.
+        OutputError: a suffix that is no picture format, or a file that cannot be written.
     """
     for path in (Path(path) for path in paths):
-        kind = path.suffix[1:].lower()
-        if kind not in drawn.canvas.get_supported_filetypes():
-            raise OutputError(
-                f"Cannot write {path.name}: {path.suffix or 'no suffix'} is no picture format.",
-                remedy="Use .png, .svg or .pdf.",
-                path=str(path),
-            )
+        kind = picture_format(path)
         stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
         try:
             with _styled():
@@ -131,6 +127,22 @@ def save(drawn: Figure, *paths: str | Path) -> None:
             raise OutputError(
                 f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
             ) from error
+
+
+def picture_format(path: str | Path) -> str:
+    """Return the format that the suffix of a file stands for.
+
+    Raises:
+        OutputError: it stands for none that is written here.
+    """
+    kind = Path(path).suffix[1:].lower()
+    if kind not in _FORMATS:
+        raise OutputError(
+            f"Cannot write {path}: {Path(path).suffix or 'no suffix'} is no picture format.",
+            remedy=f"Use .{', .'.join(_FORMATS)}.",
+            path=str(path),
+        )
+    return kind
 
 
 def mark_singular(

@@ -47,7 +47,9 @@ def test_describes_every_robot(name: str) -> None:
 
 def test_parameters_show_value_and_default() -> None:
     found = json.loads(
-        call("info", "--robot", "3rrr", "--set", "carrier_mass=2", "--set", "platform_mass=1", "--mode", "+-+", "--json").stdout
+        call(
+            "info", "--robot", "3rrr", "--set", "carrier_mass=2", "--set", "platform_mass=1", "--mode", "+-+", "--json"
+        ).stdout
     )
     assert found["parameters"]["carrier_mass"] == {"value": 2.0, "default": 3.0}
     assert found["parameters"]["platform_mass"] == {"value": 1.0, "default": 0.5}

@@ -21,9 +21,7 @@ from redundancy_pin.trajectory import carriers_from_csv, from_csv, reference
 def _columns(path: Path) -> dict[str, np.ndarray]:
     with path.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    return {
-        name: np.array([row[name] if name == "status" else float(row[name]) for row in rows]) for name in rows[0]
-    }
+    return {name: np.array([row[name] if name == "status" else float(row[name]) for row in rows]) for name in rows[0]}
 
 
 @pytest.fixture
@@ -44,7 +42,8 @@ def test_output_is_that_of_the_python_api(corner: Path, tmp_path: Path, name: st
     expected = distribute(reduced)
     found = _columns(out)
     assert list(found) == [
-        "t", "tau0", "tau1", "tau2", "carrier_force0", "carrier_force1", "carrier_force2", "status", "margin", "residual",
+        "t", "tau0", "tau1", "tau2", "carrier_force0", "carrier_force1", "carrier_force2", "status", "margin",
+        "residual",
     ]  # fmt: skip
     np.testing.assert_array_equal(np.stack([found[f"tau{i}"] for i in range(3)], axis=1), expected.tau)
     np.testing.assert_array_equal(
@@ -185,5 +184,13 @@ def test_virtual_work_of_a_robot_without_closed_form_is_refused(tmp_path: Path) 
     motion = tmp_path / "motion.csv"
     motion.write_text("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,0.5,1,0,0,0,0\n")
     assert "closed form" in refused(
-        "inverse-dynamics", "--robot", "five_bar", "--backend", "virtual-work", "--motion", motion, "--out", tmp_path / "o"
+        "inverse-dynamics",
+        "--robot",
+        "five_bar",
+        "--backend",
+        "virtual-work",
+        "--motion",
+        motion,
+        "--out",
+        tmp_path / "o",
     )

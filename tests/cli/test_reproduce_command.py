@@ -1,0 +1,59 @@
+"""``redundancy-pin reproduce``: tables or JSON on stdout, and nothing written where it cannot be done."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from command_line import call, refused
+
+from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
+from redundancy_pin.experiments import EXPERIMENTS, job
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two coarse experiments and a passing cross-check: the job has tests of its own."""
+    rows = (CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True),)
+    monkeypatch.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
+    picked = [entry for entry in EXPERIMENTS if entry.name in ("circle-0.5-parked", "corner-r0.025-baseline")]
+    small = tuple(replace(entry, dt=0.02) for entry in picked)
+    monkeypatch.setattr(job.reproduce, "__defaults__", (small,))
+
+
+def test_tables(tmp_path: Path) -> None:
+    result = call("reproduce", "--out", str(tmp_path / "results"))
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    assert "unbounded at t = 0.5194 s" in result.stdout
+    assert "bounded: peaks" in result.stdout
+    assert "fig. 3.11" in result.stdout
+    assert "report.md" in result.stdout
+
+
+def test_json_is_the_summary(tmp_path: Path) -> None:
+    result = call("reproduce", "--out", str(tmp_path / "results"), "--json")
+    assert json.loads(result.stdout) == json.loads((tmp_path / "results" / "summary.json").read_text())
+
+
+def test_failed_cross_check_is_exit_code_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = (CheckRow("3rrr", "parity: f", 10, 2.0, 1e-10, False),)
+    monkeypatch.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
+    assert "parity: f" in refused("reproduce", "--out", tmp_path / "results", code=1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unwritable_output(tmp_path: Path) -> None:
+    assert "no folder" in refused("reproduce", "--out", tmp_path / "no" / "results")
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "notes.txt").write_text("mine")
+    assert "notes.txt" in refused("reproduce", "--out", tmp_path / "results")
+    assert [path.name for path in (tmp_path / "results").iterdir()] == ["notes.txt"]
+
+
+def test_without_matplotlib(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert "redundancy_pin[plot]" in refused("reproduce", "--out", tmp_path / "results")

@@ -1,0 +1,127 @@
+"""Figures say what they show: units, legends, clipped singular windows, and the same bytes every time."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from redundancy_pin.errors import OutputError, RedundancyPinError
+from redundancy_pin.visualisation.comparison import plot_comparison
+from redundancy_pin.visualisation.efforts import EffortCurves, plot_efforts
+from redundancy_pin.visualisation.paths import PathCurves, plot_path
+from redundancy_pin.visualisation.style import STROKES, figure, save
+
+T = np.linspace(0.0, 1.0, 201)
+SINGULAR = 100
+
+
+def _efforts(*, singular: bool = True, carriers: int = 2) -> EffortCurves:
+    margin = np.abs(T - 0.5) if singular else np.ones(len(T))
+    with np.errstate(divide="ignore"):
+        tau = (
+            np.stack([1.0 / (T - 0.5), -1.0 / (T - 0.5)], axis=1) if singular else np.sin(np.stack([T, 2 * T], axis=1))
+        )
+    if singular:
+        tau[SINGULAR] = np.nan
+    return EffortCurves(
+        title="title",
+        names=("τ1", "τ2"),
+        unit="N",
+        t=T,
+        tau=tau,
+        check=tau * (1.0 + 1e-15),
+        backends=("first", "second"),
+        regular=margin > 0.05,
+        margin=margin,
+        scale=np.ones(2),
+        carrier_force=np.zeros((len(T), carriers)),
+        windows=((0.45, 0.55),) if singular else (),
+        instants=(0.5,) if singular else (),
+        missing_force=(np.sqrt(2.0),) if singular else (),
+    )
+
+
+def _path(*, singular: bool = True) -> PathCurves:
+    return PathCurves(
+        title="title",
+        t=T,
+        point=np.stack([np.cos(T), np.sin(T)], axis=1),
+        links=(np.array([[0.0, 0.0], [1.0, 0.0]]),),
+        hinges=np.zeros((1, 2)),
+        condition=np.where(T == 0.5, np.inf, 1.0 / np.maximum(np.abs(T - 0.5), 1e-300)) if singular else 2.0 + T,
+        thresholds=(5.0,) if singular else (),
+        instants=(0.5,) if singular else (),
+        singular_points=((0.5, 0.5),) if singular else (),
+    )
+
+
+@pytest.mark.parametrize("singular", [True, False])
+@pytest.mark.parametrize("carriers", [0, 2])
+def test_every_axis_has_a_quantity_and_a_unit(singular: bool, carriers: int) -> None:
+    for drawn in (plot_efforts(_efforts(singular=singular, carriers=carriers)), plot_path(_path(singular=singular))):
+        for axes in drawn.axes:
+            assert "[" in axes.get_ylabel()
+        assert "[s]" in drawn.axes[-1].get_xlabel()
+
+
+def test_efforts_inside_the_window_are_not_drawn_and_do_not_scale_the_axis() -> None:
+    axes = plot_efforts(_efforts()).axes[0]
+    assert axes.get_ylim()[1] < 30.0  # 1/0.05 and some room; the largest sample is 200
+    line = axes.get_lines()[0]
+    inside = (T > 0.455) & (T < 0.545)
+    assert np.isnan(np.asarray(line.get_ydata())[inside]).all()
+    labels = axes.get_legend_handles_labels()[1]
+    assert {"near-singular", "singular instant"} <= set(labels)
+
+
+def test_the_bounded_product_meets_the_missing_force() -> None:
+    axes = plot_efforts(_efforts()).axes[1]
+    product, mark = axes.get_lines()[0], axes.get_lines()[-1]
+    np.testing.assert_allclose(np.delete(np.asarray(product.get_ydata()), SINGULAR), np.sqrt(2.0), rtol=1e-12)
+    np.testing.assert_allclose(mark.get_ydata(), [np.sqrt(2.0)])
+
+
+def test_strokes_differ_without_colour() -> None:
+    assert len({str(stroke.dash) for stroke in STROKES}) == len(STROKES)
+    assert len({stroke.marker for stroke in STROKES}) == len(STROKES)
+
+
+def test_comparison_shows_each_case_with_its_peak() -> None:
+    tau = np.stack([T, -2.0 * T, 3.0 * T], axis=1)
+    drawn = plot_comparison("title", ("τ1", "τ2", "τ3"), "N·m", {"a": (T, tau), "b": (T, 2.0 * tau)})
+    assert len(drawn.axes) == 3
+    assert drawn.axes[1].get_legend_handles_labels()[1] == ["a: peak 2 N·m", "b: peak 4 N·m"]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_saving_twice_gives_the_same_bytes(suffix: str, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        save(plot_efforts(_efforts()), tmp_path / f"{name}{suffix}")
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_user_defaults_do_not_leak_in_or_out() -> None:
+    import matplotlib
+
+    with matplotlib.rc_context({"lines.linewidth": 9.0}):
+        before = dict(matplotlib.rcParams)
+        axes = plot_path(_path()).axes[0]
+        assert dict(matplotlib.rcParams) == before
+    assert all(line.get_linewidth() < 5.0 for line in axes.get_lines())
+
+
+def test_pictures_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+    drawn = plot_path(_path())
+    with pytest.raises(OutputError, match="picture format"):
+        save(drawn, tmp_path / "a.txt")
+    with pytest.raises(OutputError, match="Cannot write"):
+        save(drawn, tmp_path / "none" / "a.png")
+
+
+def test_without_matplotlib_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(RedundancyPinError, match=r"redundancy_pin\[plot\]"), figure(1.0, 1.0):
+        pass
