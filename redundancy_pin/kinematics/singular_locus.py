@@ -22,7 +22,7 @@ from redundancy_pin.kinematics.followed_path import margins_of
 from redundancy_pin.kinematics.locus_slice import Slice, default_axes, slice_of
 from redundancy_pin.kinematics.marching import contour, edge_points, split
 from redundancy_pin.kinematics.singular_matrices import locked_matrix, serial_matrix
-from redundancy_pin.kinematics.singular_refine import SINGULAR, RefinedPoints, approach_border, refine
+from redundancy_pin.kinematics.singular_refine import SINGULAR, RefinedPoints, approach_border, bisect_margin, refine
 from redundancy_pin.kinematics.singularity import SingularityKind
 from redundancy_pin.kinematics.workspace_grid import WorkspaceGrid, solve_grid
 from redundancy_pin.robot import Robot
@@ -203,6 +203,12 @@ def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -
     solution = assemble(system, grid.q[nearer], edge_points(grid.x, edges, fraction))
     near = np.where(solution.closed[:, None], solution.q, grid.q[nearer])
     points = refine(system, locked_matrix, near, start, end, _free_column(grid, edges))
+    again = np.flatnonzero(~points.found)
+    if len(again):
+        # next to the border of the workspace Newton may leave the working mode: bring it nearer first
+        edges, start, end = edges[again], start[again], end[again]
+        near = bisect_margin(system, grid.q[edges[:, 0]], start, end, left[again])
+        points = points.replaced(again, refine(system, locked_matrix, near, start, end, _free_column(grid, edges)))
     return _curves(system, SingularityKind.TYPE_II, points, split(found, points.found)), int((~points.found).sum())
 
 

@@ -17,7 +17,8 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference
-from redundancy_pin.kinematics.modes import in_working_mode
+from redundancy_pin.kinematics.modes import in_working_mode, mode_indicator
+from redundancy_pin.kinematics.singular_matrices import actuation_matrix, serial_matrix, signed_margin
 
 SINGULAR = 1e-9
 """Scaled singular value below which a refined point counts as singular; Newton leaves 1e-15."""
@@ -29,6 +30,7 @@ _DIFFERENCE = 1e-6
 """Step of the central differences of M, rad or m: their relative error, 1e-10, only slows Newton's last step."""
 
 _LONGEST_STEP = 0.3
+_MARGIN_BISECTIONS = 25
 _BISECTIONS = 5
 """They bring the leg within a thirtieth of a grid cell of the border; from there Newton converges."""
 
@@ -48,6 +50,13 @@ class RefinedPoints:
     q: Array
     residual: Array
     found: BoolArray
+
+    def replaced(self, where: IntArray, other: RefinedPoints) -> RefinedPoints:
+        """Return the points with some of them replaced by others."""
+        parts = {name: values.copy() for name, values in vars(self).items()}
+        for name, values in parts.items():
+            values[where] = getattr(other, name)
+        return RefinedPoints(**parts)
 
 
 def refine(
@@ -93,7 +102,9 @@ def refine(
     off = np.abs(np.where(held, away, 0.0)).max(axis=1)
     gap = np.maximum(np.abs(state.phi).max(axis=1, initial=0.0), off)
     on_edge = (fraction > -_EDGE_ROUNDING) & (fraction < 1.0 + _EDGE_ROUNDING)
-    return RefinedPoints(x, q, sigma, (gap < CLOSURE_TOLERANCE) & (sigma < SINGULAR) & on_edge)
+    # a hair beyond the border of the working mode is rounding, more is another branch
+    in_mode = (mode_indicator(robot, q) * np.array(robot.working_mode) > -_MODE_ROUNDING).all(axis=1)
+    return RefinedPoints(x, q, sigma, (gap < CLOSURE_TOLERANCE) & (sigma < SINGULAR) & on_edge & in_mode)
 
 
 def approach_border(system: ConstraintSystem, q: Array, start: Array, end: Array) -> Array:
@@ -117,6 +128,29 @@ def approach_border(system: ConstraintSystem, q: Array, start: Array, end: Array
     return best
 
 
+def bisect_margin(system: ConstraintSystem, q: Array, start: Array, end: Array, margin: Array) -> Array:
+    """Return (E, nq) configurations at the sign change of the signed margin, by bisection: slow, and hard to mislead.
+
+    Args:
+        system: closures and platform rows.
+        q: (E, nq) configurations at ``start``.
+        start: (E, n) platform coordinates of one end of each edge.
+        end: (E, n) those of the other.
+        margin: (E,) signed margin at ``start``; it has the other sign at ``end``.
+    """
+    low, high = np.zeros(len(q)), np.ones(len(q))
+    best = q.copy()
+    for _ in range(_MARGIN_BISECTIONS):
+        middle = 0.5 * (low + high)
+        solution = assemble(system, best, start + middle[:, None] * (end - start))
+        W = actuation_matrix(system, serial_matrix(system, solution.state))
+        same = np.sign(signed_margin(W)) == np.sign(margin)
+        usable = solution.closed & in_working_mode(system.robot, solution.q)
+        best[usable] = solution.q[usable]
+        low, high = np.where(usable & same, middle, low), np.where(usable & same, high, middle)
+    return best
+
+
 def _singular_value(system: ConstraintSystem, matrix: MatrixOf, state: ConstraintState) -> tuple[Array, Array]:
     """Return the smallest singular value (E,) and its derivatives (E, p) by the joint displacements."""
     u, values, vt = np.linalg.svd(matrix(system, state), full_matrices=False)
@@ -131,5 +165,6 @@ def _singular_value(system: ConstraintSystem, matrix: MatrixOf, state: Constrain
     return values[:, -1], np.einsum("ni,ncij,nj->nc", u[:, :, -1], slope, vt[:, -1])
 
 
+_MODE_ROUNDING = 1e-9
 _EDGE_ROUNDING = 1e-9
 """A root this far beyond the end of its edge (fraction of its length) is at the end."""
