@@ -8,6 +8,7 @@ from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.kinematics.state import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.plan_file import load_plan, load_robot_of
 
 __all__ = [
     "CarrierMotion",
@@ -17,7 +18,9 @@ __all__ = [
     "distribute",
     "joint_reactions",
     "lift",
+    "load_plan",
     "load_robot",
+    "load_robot_of",
     "trajectory",
 ]
 __version__ = "0.1.0"

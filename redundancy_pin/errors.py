@@ -68,6 +68,10 @@ class InfeasiblePlanError(RedundancyPinError):
     """No plan exists; names the constraint, the time and the amount."""
 
 
+class PlanFileError(RedundancyPinError):
+    """A saved plan is missing, damaged, of a newer format, or no plan; or its robot is no longer what it was."""
+
+
 class OutputError(RedundancyPinError):
     """A result cannot be written where it was asked for; nothing was written."""
 

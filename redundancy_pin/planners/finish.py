@@ -12,23 +12,11 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.status import SampleStatus
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.limits import check_limits
-from redundancy_pin.planners.plan import Plan, PlanStatus, RobotRecord
-from redundancy_pin.robot import Robot
+from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.robot_record import robot_record
 
 BALANCE_TOLERANCE = 1e-6
 """Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""
-
-
-def robot_record(robot: Robot) -> RobotRecord:
-    """Return the plain data from which a robot can be loaded again."""
-    return RobotRecord(
-        robot.name,
-        dict(robot.parameters),
-        tuple(float(g) for g in robot.gravity),
-        robot.working_mode,
-        robot.actuated,
-        robot.carriers,
-    )
 
 
 def finish_plan(

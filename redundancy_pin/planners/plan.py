@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.archive import write_archive
 from redundancy_pin.planners.limits import LimitReport
+from redundancy_pin.planners.robot_record import RobotRecord
+
+PLAN_FORMAT = "redundancy_pin plan"
+"""What a saved plan calls itself."""
+
+PLAN_VERSION = 1
+"""Version of the file format: counts up whenever an older reader would misread a newer file."""
 
 
 class PlanStatus(Enum):
@@ -22,27 +31,6 @@ class PlanStatus(Enum):
     """Efforts are finite, but a limit of a carrier is broken: see ``limits.violated``."""
     UNBOUNDED_EFFORT = "unbounded_effort"
     """Some sample has no finite main effort: see ``sample_status``."""
-
-
-@dataclass(frozen=True)
-class RobotRecord:
-    """What is needed to load the plan's robot again.
-
-    Attributes:
-        name: its name.
-        arguments: its xacro arguments.
-        gravity: (3,) m/s².
-        working_mode: ±1 a leg.
-        actuated: names of the main actuators.
-        carriers: names of the carriers.
-    """
-
-    name: str
-    arguments: Mapping[str, float | bool | str]
-    gravity: tuple[float, ...]
-    working_mode: tuple[int, ...]
-    actuated: tuple[str, ...]
-    carriers: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +117,15 @@ class Plan:
         square = np.where(np.isfinite(self.tau), self.tau, 0.0) ** 2
         mean: Array = np.sqrt(np.trapezoid(square, self.t, axis=0) / duration) if duration > 0 else np.abs(self.tau[0])
         return mean
+
+    def save(self, path: str | Path) -> None:
+        """Write the plan to a file without loss (npz with JSON inside); ``load_plan`` reads it.
+
+        Raises:
+            OutputError: the file cannot be written; an earlier one is as it was.
+            InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
+        """
+        write_archive(path, PLAN_FORMAT, PLAN_VERSION, self)
 
 
 def _absolute_integral(power: Array, t: Array) -> float:

@@ -12,7 +12,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.robot.declaration import CarrierEntry, Declaration
-from redundancy_pin.robot.description import Argument
+from redundancy_pin.robot.description import Argument, source_of
 from redundancy_pin.robot.types import CarrierLimits, Robot
 
 
@@ -63,6 +63,7 @@ def build(
         working_mode=_mode(declaration, working_mode),
         characteristic_length=declaration.characteristic_length or _characteristic_length(model, declaration),
         closed_form=declaration.closed_form,
+        source=source_of(declaration.path),
     )
     _check_carriers_carry(robot)
     return robot

@@ -53,6 +53,13 @@ def declaration_path(source: str | Path) -> Path:
     )
 
 
+def source_of(path: Path) -> str:
+    """Return what finds a declaration again from any folder: the name of a shipped robot, or an absolute path."""
+    absolute = path.resolve()
+    shipped = absolute.name == "robot.yaml" and absolute.parent.parent == models_root().resolve()
+    return absolute.parent.name if shipped else str(absolute)
+
+
 def render(path: Path, arguments: Mapping[str, object]) -> tuple[str, dict[str, Argument]]:
     """Render a URDF or xacro file.
 

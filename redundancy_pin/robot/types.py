@@ -105,6 +105,8 @@ class Robot:
         working_mode: the mode of this robot, ±1 a leg (empty where none is declared).
         characteristic_length: length, m, that makes rotations comparable with translations.
         closed_form: name of the closed-form model that covers this robot ("2rpr", "3rrr"), or None.
+        source: what to pass to ``load_robot`` to load it again: name of a shipped robot or absolute path of its
+            declaration; empty for a robot that was not loaded.
     """
 
     name: str
@@ -125,6 +127,7 @@ class Robot:
     working_mode: tuple[int, ...]
     characteristic_length: float
     closed_form: str | None
+    source: str = ""
 
     @property
     def n(self) -> int:

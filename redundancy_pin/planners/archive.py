@@ -1,0 +1,144 @@
+"""Records in one file: arrays in an npz archive, everything else as JSON text inside it. No pickle, no half file."""
+
+from __future__ import annotations
+
+import json
+import os
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import read_only
+from redundancy_pin.errors import OutputError, PlanFileError
+from redundancy_pin.files import replacing_file
+from redundancy_pin.planners.plain import Arrays, decode, encode
+
+_METADATA = "metadata"
+"""Name of the array that holds the JSON text."""
+
+
+def write_archive(path: str | Path, kind: str, version: int, record: object) -> None:
+    """Write a dataclass to a file, whole or not at all. The same record gives the same bytes.
+
+    Args:
+        path: the file; it gets exactly this name.
+        kind: what the file calls itself.
+        version: version of the format.
+        record: the dataclass; see ``plain.encode`` for what it may hold.
+
+    Raises:
+        InputError: the record holds something that is not plain data.
+        OutputError: the file cannot be written.
+    """
+    arrays: Arrays = {}
+    content = {
+        "format": kind,
+        "format_version": version,
+        "package_version": _package_version(),
+        "record": encode(record, arrays),
+    }
+    text = json.dumps(content, allow_nan=False)
+    with replacing_file(path) as temporary:
+        try:
+            with temporary.open("wb") as stream:
+                np.savez_compressed(stream, allow_pickle=False, **{_METADATA: np.array(text)}, **arrays)
+        except OSError as error:
+            raise OutputError(
+                f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
+            ) from error
+
+
+def read_archive(path: str | Path, kind: str, version: int) -> dict[str, Any]:
+    """Read the record of a file, dataclasses as mappings of their fields; arrays are read-only.
+
+    Args:
+        path: the file.
+        kind: what it must call itself.
+        version: newest version of the format that the caller understands.
+
+    Raises:
+        PlanFileError: missing, unreadable, truncated or damaged, another kind of file, or a newer format.
+    """
+    place = Path(path).expanduser()
+    arrays = _read_arrays(place)
+    content = _metadata(place, arrays)
+    if content.get("format") != kind:
+        raise PlanFileError(
+            f"{place} is a {content.get('format')!r}, not a {kind!r}.",
+            remedy="Give a file that a plan was saved to.",
+            path=str(place),
+        )
+    found = content.get("format_version")
+    if type(found) is not int or found < 1:
+        raise damaged(place, f"its format version is {found!r}")
+    if found > version:
+        raise PlanFileError(
+            f"{place} has format version {found}, written by redundancy_pin {content.get('package_version')}; this "
+            f"one, {_package_version()}, reads up to version {version}.",
+            remedy="Install a newer redundancy_pin.",
+            path=str(place),
+            found=found,
+            readable=version,
+        )
+    try:
+        record = decode(content["record"], arrays)
+    except (KeyError, TypeError, ValueError) as error:
+        raise damaged(place, f"its metadata cannot be followed ({type(error).__name__}: {error})") from error
+    if not isinstance(record, dict):
+        raise damaged(place, "its metadata hold no record")
+    return record
+
+
+def damaged(path: str | Path, what: str) -> PlanFileError:
+    """Return the error for a file that was not written by ``write_archive``, or not wholly, or was changed since."""
+    return PlanFileError(
+        f"{path} is damaged: {what}.", remedy="Save the plan again, or restore the file.", path=str(path)
+    )
+
+
+def _read_arrays(path: Path) -> Arrays:
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise PlanFileError(f"{path} {what}.", remedy="Give a file that a plan was saved to.", path=str(path))
+    try:
+        with path.open("rb") as stream:
+            if stream.read(4) != b"PK\x03\x04":
+                raise PlanFileError(
+                    f"{path} is not an npz archive ({os.path.getsize(path)} bytes).",
+                    remedy="Give a file that a plan was saved to.",
+                    path=str(path),
+                )
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as archive:
+                return {name: read_only(archive[name]) for name in archive.files}
+    except PlanFileError:
+        raise
+    except Exception as error:  # bytes that nobody vouches for: zip, zlib and numpy raise a dozen kinds
+        size = os.path.getsize(path) if os.access(path, os.R_OK) else 0
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise damaged(path, f"its {size} bytes are no complete archive of arrays ({reason})") from error
+
+
+def _metadata(path: Path, arrays: Arrays) -> dict[str, Any]:
+    if _METADATA not in arrays:
+        raise PlanFileError(
+            f"{path} is an npz archive without metadata (it holds {', '.join(list(arrays)[:5]) or 'nothing'}).",
+            remedy="Give a file that a plan was saved to.",
+            path=str(path),
+        )
+    try:
+        content = json.loads(str(arrays[_METADATA]))
+    except ValueError as error:
+        raise damaged(path, f"its metadata are not JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise damaged(path, "its metadata are no JSON object")
+    return content
+
+
+def _package_version() -> str:
+    try:
+        return metadata.version("redundancy_pin")
+    except metadata.PackageNotFoundError:  # a source tree that is not installed
+        return "unknown"

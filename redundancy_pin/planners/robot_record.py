@@ -1,0 +1,126 @@
+"""Which robot a plan is for, in plain data, and how to load that robot again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from redundancy_pin.errors import ModelFileError, PlanFileError, RedundancyPinError
+from redundancy_pin.loading import load_robot
+from redundancy_pin.robot import CarrierLimits, Robot
+
+_SAME_BODIES = 1e-9
+"""Relative deviation of mass properties that xacro's arithmetic may show between two machines."""
+
+_SAME_REFERENCE = 1e-6
+"""Deviation, m or rad, of the closed reference configuration between two machines: Newton stops far below it."""
+
+
+@dataclass(frozen=True)
+class RobotRecord:
+    """What is needed to load the plan's robot again, and to notice that it has changed.
+
+    Attributes:
+        name: its name.
+        source: name of a shipped robot or absolute path of its declaration; empty for a robot that was not loaded.
+        arguments: its xacro arguments.
+        gravity: (3,) m/s².
+        working_mode: ±1 a leg.
+        actuated: names of the main actuators.
+        carriers: names of the carriers.
+        carrier_limits: limits of the carriers, in the same order.
+        bodies: a row of 10 for each joint of the tree: mass, kg; mass times centre, kg·m; inertia xx, xy, yy, xz, yz,
+            zz about the joint, kg·m²; of the body it moves, in the frame of the joint.
+        q_reference: (nq,) its closed reference configuration.
+    """
+
+    name: str
+    source: str
+    arguments: Mapping[str, float | bool | str]
+    gravity: tuple[float, ...]
+    working_mode: tuple[int, ...]
+    actuated: tuple[str, ...]
+    carriers: tuple[str, ...]
+    carrier_limits: tuple[CarrierLimits, ...]
+    bodies: tuple[tuple[float, ...], ...]
+    q_reference: tuple[float, ...]
+
+
+def robot_record(robot: Robot) -> RobotRecord:
+    """Return the plain data from which a robot can be loaded again."""
+    return RobotRecord(
+        name=robot.name,
+        source=robot.source,
+        arguments=dict(robot.parameters),
+        gravity=tuple(float(g) for g in robot.gravity),
+        working_mode=robot.working_mode,
+        actuated=robot.actuated,
+        carriers=robot.carriers,
+        carrier_limits=robot.carrier_limits,
+        bodies=tuple(tuple(float(v) for v in body.toDynamicParameters()) for body in list(robot.model.inertias)[1:]),
+        q_reference=tuple(float(q) for q in robot.q_reference),
+    )
+
+
+def load_recorded(record: RobotRecord, source: str | Path | None = None) -> Robot:
+    """Load the robot of a record, and make sure that it is still the same.
+
+    Args:
+        record: the record.
+        source: where the robot is now, if its files have moved.
+
+    Raises:
+        PlanFileError: the files are gone, or describe another robot than when the record was made.
+    """
+    place = record.source if source is None else source
+    if not str(place):
+        raise PlanFileError(
+            f"The plan does not say where its robot {record.name} was loaded from.",
+            remedy="Pass source=, the path of its robot.yaml.",
+        )
+    try:
+        robot = load_robot(
+            place, gravity=record.gravity, working_mode=record.working_mode or None, **dict(record.arguments)
+        )
+    except ModelFileError as error:
+        raise PlanFileError(
+            f"The robot of the plan cannot be loaded: {error.message}",
+            remedy="Pass source=, the path of its robot.yaml.",
+            source=str(place),
+        ) from error
+    except RedundancyPinError as error:
+        raise _changed(record, place, error.message) from error
+    difference = _difference(record, robot_record(robot))
+    if difference:
+        raise _changed(record, place, difference)
+    return robot
+
+
+def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError:
+    return PlanFileError(
+        f"The robot {record.name} at {place} is not the one the plan was made for: {what}",
+        remedy="Plan again, or pass source=, the path of the robot.yaml as it was.",
+        source=str(place),
+    )
+
+
+def _difference(then: RobotRecord, now: RobotRecord) -> str:
+    """Say what differs first between two records; empty if they describe the same robot."""
+    for name in ("arguments", "working_mode", "actuated", "carriers", "carrier_limits"):
+        before, after = getattr(then, name), getattr(now, name)
+        if before != after:
+            return f"its {name.replace('_', ' ')} were {before}, now {after}."
+    for name, what, tolerance in (
+        ("bodies", "mass properties", _SAME_BODIES),
+        ("q_reference", "reference configuration", _SAME_REFERENCE),
+    ):
+        before, after = np.array(getattr(then, name)), np.array(getattr(now, name))
+        if before.shape != after.shape:
+            return f"its {what} had shape {before.shape}, now {after.shape}."
+        deviation = float(np.abs(before - after).max(initial=0.0)) / float(np.abs(before).max(initial=1.0))
+        if not deviation <= tolerance:
+            return f"its {what} differ by {deviation:.3g}."
+    return ""
