@@ -130,8 +130,7 @@ def classify(robot: Robot, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -
         InputError: wrong shape, values that are not finite, a configuration that is not closed, or a tolerance
             outside (0, 1).
     """
-    if not 0.0 < tolerance < 1.0:
-        raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
+    _require_fraction(tolerance)
     configurations = checked(np.atleast_2d(np.asarray(q, dtype=float)), "q", ("N", robot.model.nq))
     system = ConstraintSystem(robot)
     state = system.evaluate(configurations)
@@ -159,6 +158,7 @@ def classify_motion(motion: TreeMotion, *, tolerance: float = RANK_TOLERANCE) ->
     Raises:
         InputError: a tolerance outside (0, 1).
     """
+    _require_fraction(tolerance)
     good = motion.reachable
     part = classify(motion.robot, motion.q[good], tolerance=tolerance) if good.any() else _nowhere(motion.robot, 0)
     if good.all():
@@ -170,62 +170,79 @@ def classify_motion(motion: TreeMotion, *, tolerance: float = RANK_TOLERANCE) ->
     return Singularities(**spread)
 
 
-def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: float) -> Singularities:
-    robot = system.robot
-    rows = row_scale(robot)
-    K, T = serial_matrix(system, state), locked_matrix(system, state)
-    u, serial, _ = np.linalg.svd(K)
-    _, locked, vt = np.linalg.svd(T)
-    type_i = serial[:, -1] <= tolerance * serial[:, 0]
+def _require_fraction(tolerance: float) -> None:
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
 
+
+def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: float) -> Singularities:
+    rows = row_scale(system.robot)
+    K, T = serial_matrix(system, state), locked_matrix(system, state)
+    serial, locked = np.linalg.svd(K), np.linalg.svd(T)
+    type_i = _lacks_rank(serial.S, tolerance)
     W = actuation_matrix(system, K)
     W[type_i] = np.nan
     spectrum = spectrum_of(W)
-    type_ii = np.where(
-        type_i,
-        locked[:, -1] <= tolerance * locked[:, 0],
-        spectrum.singular_values[:, -1] <= tolerance * spectrum.singular_values[:, 0],
-    )
-    plain = spectrum_of(W * (rows[:, None] / column_scale(robot)))
+    plain = spectrum_of(W * (rows[:, None] / column_scale(system.robot)))
+    type_ii = np.where(type_i, _lacks_rank(locked.S, tolerance), _lacks_rank(spectrum.singular_values, tolerance))
 
-    platform_rows = K[:, len(system.rows) :]
-    locked_velocities = vt.transpose(0, 2, 1)
-    rank_locked = np.where(np.arange(vt.shape[1]) < locked.shape[1], _padded(locked, vt.shape[1]), np.inf)
-    free = platform_rows @ locked_velocities * (rank_locked <= tolerance * locked[:, :1])[:, None, :]
-    lost = u[:, len(system.rows) :] * (serial <= tolerance * serial[:, :1])[:, None, :]
-
-    least_controlled = _unit((platform_rows @ locked_velocities)[:, :, locked.shape[1] - 1])
-    regular = ~type_i & np.isfinite(W).all(axis=(1, 2))
-    least_controlled[regular] = np.linalg.svd(W[regular])[0][:, :, min(robot.n, robot.m) - 1]
-    uncontrolled = np.where(type_i[:, None], _largest(free, tolerance), least_controlled)
+    twists = K[:, len(system.rows) :] @ locked.Vh.transpose(0, 2, 1)
+    least_controlled = _least_controlled(W, twists[:, :, locked.S.shape[1] - 1], type_i)
+    uncontrolled = np.where(type_i[:, None], _widest(twists, locked.S, tolerance), least_controlled)
     uncontrolled[~type_ii] = np.nan
-    lost_direction = _largest(lost, tolerance)
-    lost_direction[~type_i] = np.nan
-
-    passive = np.zeros(len(K), dtype=bool)
-    both = type_i & type_ii
-    if both.any():
-        everything = np.concatenate([K[both], T[both][:, len(system.rows) :]], axis=1)
-        values = np.linalg.svd(everything, compute_uv=False)
-        passive[both] = values[:, -1] <= tolerance * values[:, 0]
-
+    covectors = serial.U[:, len(system.rows) :]
+    lost = _widest(covectors, serial.S, tolerance)
+    lost[~type_i] = np.nan
     return Singularities(
-        kind=read_only((type_i * 1 + type_ii * 2).astype(np.int8)),
-        serial_margin=read_only(serial[:, -1].copy()),
+        kind=read_only((type_i * SingularityKind.TYPE_I + type_ii * SingularityKind.TYPE_II).astype(np.int8)),
+        serial_margin=read_only(serial.S[:, -1].copy()),
         parallel_margin=spectrum.margin,
-        locked_margin=read_only(locked[:, -1].copy()),
+        locked_margin=read_only(locked.S[:, -1].copy()),
         condition=_condition(spectrum.condition, type_i | type_ii),
         condition_unscaled=_condition(plain.condition, type_i | type_ii),
         uncontrolled_twist=read_only(oriented(uncontrolled) / rows),
-        lost_direction=read_only(oriented(lost_direction) / rows),
+        lost_direction=read_only(oriented(lost) / rows),
         least_controlled=read_only(oriented(least_controlled) / rows),
-        least_producible=read_only(oriented(_unit(u[:, len(system.rows) :, -1])) / rows),
-        passive_motion=read_only(passive),
+        least_producible=read_only(oriented(_unit(covectors[:, :, -1])) / rows),
+        passive_motion=_passive(np.concatenate([K, T[:, len(system.rows) :]], axis=1), type_i & type_ii, tolerance),
     )
 
 
-def _padded(values: Array, length: int) -> Array:
-    return np.concatenate([values, np.zeros((len(values), length - values.shape[1]))], axis=1)
+def _lacks_rank(values: Array, tolerance: float) -> BoolArray:
+    """Return (N,) whether the smallest singular value counts as zero; values (N, c), largest first, NaN gives no."""
+    result: BoolArray = values[:, -1] <= tolerance * values[:, 0]
+    return result
+
+
+def _least_controlled(W: Array, locked: Array, type_i: BoolArray) -> Array:
+    """Return (N, n) the left singular vector of W's smallest singular value; at type I the twist (N, n) from T."""
+    result = _unit(locked)
+    finite = ~type_i & np.isfinite(W).all(axis=(1, 2))
+    result[finite] = np.linalg.svd(W[finite]).U[:, :, min(W.shape[1:]) - 1]
+    return result
+
+
+def _widest(vectors: Array, values: Array, tolerance: float) -> Array:
+    """Return (N, n) the unit vector along which the vectors of a null space reach farthest, NaN where all are zero.
+
+    Args:
+        vectors: (N, n, p) the platform's part of each singular vector.
+        values: (N, c) its singular value, c ≤ p; vectors without one belong to no loss of rank.
+        tolerance: singular values below this fraction of the largest count as zero.
+    """
+    null = values <= tolerance * values[:, :1]
+    u, size, _ = np.linalg.svd(vectors[:, :, : values.shape[1]] * null[:, None, :], full_matrices=False)
+    # null vectors are exact to about the tolerance; a platform part below its root is none
+    result: Array = np.where(size[:, :1] > np.sqrt(tolerance), u[:, :, 0], np.nan)
+    return result
+
+
+def _passive(everything: Array, candidates: BoolArray, tolerance: float) -> BoolArray:
+    """Return (N,) whether a joint motion exists that neither closures nor platform nor actuators see."""
+    result = np.zeros(len(everything), dtype=bool)
+    if candidates.any():
+        result[candidates] = _lacks_rank(spectrum_of(everything[candidates]).singular_values, tolerance)
+    return read_only(result)
 
 
 def _condition(condition: Array, singular: BoolArray) -> Array:
@@ -238,14 +255,6 @@ def _unit(vectors: Array) -> Array:
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         result: Array = np.where(length > RANK_TOLERANCE, vectors / length, np.nan)
-    return result
-
-
-def _largest(columns: Array, tolerance: float) -> Array:
-    """Return (N, n) the unit vector along which the columns (N, n, c) reach farthest, NaN where all are zero."""
-    u, values, _ = np.linalg.svd(columns, full_matrices=False)
-    # null vectors are exact to about tolerance; their platform parts are then zero to its root, at worst
-    result: Array = np.where(values[:, :1] > np.sqrt(tolerance), u[:, :, 0], np.nan)
     return result
 
 

@@ -33,7 +33,7 @@ def test_a_half_plane_has_one_open_curve_from_border_to_border() -> None:
     found = contour(x + 0.3 * y < 0.111, np.ones_like(x, dtype=bool))
     assert len(found.chains) == 1
     ends = found.edges[found.chains[0][[0, -1]]]
-    rows, columns = np.unravel_index(ends, x.shape)
+    _, columns = np.unravel_index(ends, x.shape)
     assert {int(columns.min()), int(columns.max())} == {0, 40}
 
 
