@@ -22,10 +22,13 @@ from redundancy_pin.experiments.thesis import EXPERIMENTS
 from redundancy_pin.files import MANIFEST, replacing_folder, require_replaceable, write_text
 from redundancy_pin.visualisation.style import require_matplotlib, save
 
-CROSS_CHECK_SAMPLES = 500
+CROSS_CHECK_SAMPLES = 2000
 """Random states of each robot before the job starts; `redundancy-pin validate` takes as many as one likes."""
 
-CROSS_CHECK_SEED = 2014
+CROSS_CHECK_SEED = 0
+
+_CROSS_CHECK_STEPS = 10
+"""Steps of the progress bar that the cross-check counts for: about its share of the time."""
 
 CSV_DIGITS = 12
 """Significant digits in the CSV files: beyond the differences between the backends, a third smaller than exact."""
@@ -33,7 +36,7 @@ CSV_DIGITS = 12
 PICTURE_SUFFIXES = (".png", ".svg")
 
 Progress = Callable[[int, int, str], None]
-"""Called with steps done, steps in all, and what comes next."""
+"""Called with steps done, steps in all, and what was done last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,33 +82,39 @@ def reproduce(
     """
     require_matplotlib()
     require_replaceable(folder)
-    steps = _Steps(2 * len(experiments) + 1, progress)
-    steps.next("cross-check")
-    check = require_agreement(sorted({experiment.robot for experiment in experiments}), samples)
+    steps = _Steps(2 * len(experiments) + _CROSS_CHECK_STEPS, progress)
+    robots = sorted({experiment.robot for experiment in experiments})
+    check = require_agreement(robots, samples, lambda done, total: steps.part("cross-check", done / total))
     results = []
     for experiment in experiments:
-        steps.next(experiment.name)
         results.append(run(experiment))
+        steps.next(experiment.name)
     compared = compare_with_thesis(results)
     with replacing_folder(folder) as temporary:
         for result in results:
-            steps.next(f"figures of {result.experiment.name}")
             write_result(temporary, result)
+            steps.next(f"figures of {result.experiment.name}")
         write_comparisons(temporary, results)
         write_text(temporary / "report.md", report(results, check, compared))
         data = summary(results, check, compared, [path.name for path in temporary.iterdir()])
         write_text(temporary / MANIFEST, json.dumps(data, indent=2, allow_nan=False) + "\n")
-    steps.next("done")
     return Reproduction(Path(folder), check, tuple(results), compared, data)
 
 
-def require_agreement(robots: Sequence[str], samples: int) -> CrossCheckReport:
+def require_agreement(
+    robots: Sequence[str], samples: int, progress: Callable[[int, int], None] | None = None
+) -> CrossCheckReport:
     """Run the cross-check with the seed of the job.
+
+    Args:
+        robots: names of the robots.
+        samples: random states of each.
+        progress: told the states done and the states in all.
 
     Raises:
         CrossCheckError: a check fails; carries the failed rows.
     """
-    check = crosscheck.run(robots, samples, CROSS_CHECK_SEED)
+    check = crosscheck.run(robots, samples, CROSS_CHECK_SEED, progress)
     if not check.passed:
         failed = [row for row in check.rows if not row.passed]
         first = failed[0]
@@ -172,9 +181,15 @@ class _Steps:
     """Counts steps and tells the progress function."""
 
     def __init__(self, total: int, progress: Progress | None) -> None:
-        self._done, self._total, self._progress = -1, total, progress
+        self._done, self._total, self._progress = _CROSS_CHECK_STEPS, total, progress
+
+    def part(self, what: str, fraction: float) -> None:
+        """Tell how far the cross-check, the first of the steps, is."""
+        if self._progress:
+            self._progress(int(fraction * _CROSS_CHECK_STEPS), self._total, what)
 
     def next(self, what: str) -> None:
+        """Tell that an experiment was run or its figures were written."""
         self._done += 1
         if self._progress:
             self._progress(self._done, self._total, what)

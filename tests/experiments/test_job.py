@@ -172,3 +172,15 @@ def test_stated_numbers_are_met_to_what_the_thesis_rounds_and_reads_off() -> Non
         if stated.unit == "N" and stated.experiment.startswith("circle"):
             tolerance = {"rtol": 0.2}
         np.testing.assert_allclose(row.ours, stated.values, err_msg=f"{stated.source} {stated.quantity}", **tolerance)
+
+
+def test_progress_counts_up_to_the_total(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    reproduce(
+        tmp_path / "results",
+        [cases.experiment("corner-r0.025-baseline")],
+        samples=SAMPLES,
+        progress=lambda done, total, what: told.append((done, total)),
+    )
+    assert told == sorted(told)
+    assert told[-1][0] == told[-1][1]
