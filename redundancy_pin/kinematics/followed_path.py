@@ -22,7 +22,10 @@ from redundancy_pin.kinematics.state import lift
 from redundancy_pin.motion import PlatformMotion
 
 _FEWEST_STEPS = 400
+"""Steps in time at least, however short the path."""
+
 _BISECTIONS = 50
+"""Halvings of a step that reach the rounding of its time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +177,11 @@ def _with_missing_samples(
         _raise_border(system, law, t, filled, first, float(solution.gap[np.argmin(solution.closed)]))
     other = (mode_indicator(robot, solution.q) * np.array(robot.working_mode) < -_MODE_ROUNDING).any(axis=1)
     if other.any():
-        first = float(t[missing[np.argmax(other)]])
+        lost = float(t[missing[np.argmax(other)]])
         raise WorkingModeError(
-            f"The path cannot be followed in working mode {mode_name(robot.working_mode)} at t = {first:.9g} s.",
+            f"The path cannot be followed in working mode {mode_name(robot.working_mode)} at t = {lost:.9g} s.",
             remedy="Keep the legs away from full stretch, full fold and zero length.",
-            t=first,
+            t=lost,
         )
     return filled
 
