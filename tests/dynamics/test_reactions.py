@@ -44,7 +44,7 @@ def case(request):
 
 
 def test_efforts_of_the_motion_leave_nothing_unbalanced(case):
-    robot, along, carriers, _, tau = case
+    _, along, carriers, _, tau = case
     assert joint_reactions(along, tau, carriers).residual.max() < FORCE_TOLERANCE
     wrong = joint_reactions(along, tau + 1.0, carriers)
     assert wrong.residual.min() > 1e-3
@@ -118,7 +118,7 @@ def test_each_body_obeys_newton_and_euler(case):
 
 
 def test_rows_without_effort_stay_without_reactions(case):
-    robot, along, carriers, _, tau = case
+    _, along, carriers, _, tau = case
     holes = tau.copy()
     holes[1] = np.nan
     reactions = joint_reactions(along, holes, carriers)
@@ -128,6 +128,6 @@ def test_rows_without_effort_stay_without_reactions(case):
 
 
 def test_wrong_shape_is_refused(case):
-    robot, along, carriers, _, tau = case
+    _, along, carriers, _, tau = case
     with pytest.raises(InputError, match="tau"):
         joint_reactions(along, tau[:, :-1], carriers)
