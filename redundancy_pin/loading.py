@@ -12,11 +12,11 @@ from scipy.linalg import qr
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, frozen
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble
-from redundancy_pin.kinematics.branch import search
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
 from redundancy_pin.kinematics.modes import mode_name
 from redundancy_pin.kinematics.projection import project
+from redundancy_pin.kinematics.search import search
 from redundancy_pin.robot import Closure, Robot
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_yaml

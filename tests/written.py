@@ -40,7 +40,8 @@ def urdf_of(joints: Sequence[J], mass: float = 1.0) -> str:
         )
         parts.append(f'<link name="{joint.child}">{inertial}</link>')
         parts.append(
-            f'<joint name="{joint.name}" type="{joint.kind}"><parent link="{joint.parent}"/><child link="{joint.child}"/>'
+            f'<joint name="{joint.name}" type="{joint.kind}">'
+            f'<parent link="{joint.parent}"/><child link="{joint.child}"/>'
             f'<origin xyz="{_text(joint.xyz)}" rpy="{_text(joint.rpy)}"/>'
             f'<axis xyz="{_text(joint.axis)}"/>{limits}</joint>'
         )

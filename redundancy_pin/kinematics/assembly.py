@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, difference
+from redundancy_pin.kinematics.coordinates import coordinates, difference, joint_position
 
 _SETTLED_STEP = 1e-8
 """A Newton step this small (rad, m) leaves an error of its square: below rounding."""
@@ -20,6 +20,9 @@ _SUFFICIENT_DECREASE = 1e-4
 _LONGEST_STEP = 1.0
 """Longest Newton step, rad or m: beyond it the linear model says nothing about a revolute joint."""
 
+_TURNED_OVER = 1.0
+"""Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
+
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
@@ -28,7 +31,8 @@ class Assembly:
     Attributes:
         q: (N, nq) configurations.
         state: closures and Jacobians there.
-        gap: (N,) largest absolute residual left, m or rad: closure rows and the distance to the target coordinates.
+        gap: (N,) largest absolute residual left, m or rad: closure rows and the distance to the target coordinates;
+            where a hinge or weld is closed the wrong way round, the angle by which its axes are off.
         closed: (N,) whether the gap is below the closure tolerance.
     """
 
@@ -81,6 +85,8 @@ def assemble(
         state = system.evaluate(q)
         residual = _residual(system, state, target, actuated)
     gap = np.abs(residual).max(axis=1, initial=0.0)
+    misaligned = system.misalignment(state)
+    gap = np.where(misaligned > _TURNED_OVER, np.maximum(gap, misaligned), gap)
     return Assembly(q, state, gap, gap < CLOSURE_TOLERANCE)
 
 
@@ -108,8 +114,11 @@ def _residual(system: ConstraintSystem, state: ConstraintState, target: Array | 
         parts.append(difference(system.robot, target, coordinates(system.robot, state)))
     if actuated is not None:
         model = system.robot.model
-        columns = [model.joints[model.getJointId(name)].idx_q for name in system.robot.actuated]
-        parts.append(actuated - state.q[:, columns])
+        names = system.robot.actuated
+        off = actuated - np.stack([joint_position(system.robot, name, state.q) for name in names], axis=1)
+        endless = [model.joints[model.getJointId(name)].nq == 2 for name in names]
+        off[:, endless] = (off[:, endless] + np.pi) % (2.0 * np.pi) - np.pi
+        parts.append(off)
     return np.concatenate(parts, axis=1)
 
 

@@ -9,7 +9,9 @@ and B:
 
 Which axes a rotation row pairs depends on what else is constrained: with one rotation left free (a hinge) both rows
 use the free axis of B, so that they stay independent at every hinge angle. Every row is exact at every configuration,
-closed or not, and no row is redundant where the mask has none too many.
+closed or not, and no row is redundant where the mask has none too many. Two or three rotation rows have false zeros too
+(a hinge turned over), which ``ConstraintSystem.misalignment`` tells apart; a single one fixes its angle up to half a
+turn.
 """
 
 from __future__ import annotations
@@ -58,6 +60,7 @@ class ConstraintSystem:
         self.rows = tuple(
             (closure, row) for closure in robot.closures for row in (_row(closure, axis) for axis in closure.axes)
         )
+        self._aligned = tuple((closure, k) for closure in robot.closures for k in _aligned_axes(closure))
         self.pose_columns = np.setdiff1d(np.arange(robot.model.nv), robot.carrier_velocity)
         """Velocity indices that move the pose: all but the carriers."""
 
@@ -93,6 +96,20 @@ class ConstraintSystem:
                     if angular is not None:
                         jacobian[index, column] += _dot(lever, angular)
         return ConstraintState(q, pose, phi.T, jacobian.transpose(2, 0, 1), self._platform_jacobian(pose, columns))
+
+    def misalignment(self, state: ConstraintState) -> Array:
+        """Return (N,) the largest angle, rad, between two axes of a closure that must point the same way.
+
+        The rotation rows of a hinge vanish for opposite axes too, those of a weld also for axes that changed places:
+        where all rows vanish this is 0 for a true closure and at least π/2 for a false one. Closures with less than
+        two rotation rows have no such axes.
+        """
+        angle = np.zeros(state.pose.samples)
+        for closure, k in self._aligned:
+            a = state.pose.frame_rotation[closure.frame_a][:, k]
+            b = state.pose.frame_rotation[closure.frame_b][:, k]
+            angle = np.maximum(angle, np.arccos(np.clip(_dot(a, b), -1.0, 1.0)))
+        return angle
 
     def bias(self, state: ConstraintState, v: Array) -> tuple[Array, Array]:
         """Return J̇_c v (N, r) and J̇_x v (N, n) at velocities v (N, nv)."""
@@ -162,6 +179,12 @@ def _row(closure: Closure, axis: str) -> _Row:
         other = i if free[0] == j else j
         return _Row(True, other, free[0], 1.0 if other == j else -1.0)
     return _Row(True, j, i, 1.0)
+
+
+def _aligned_axes(closure: Closure) -> list[int]:
+    """Return the axes of A and B that coincide when closed: the free one of a hinge, all three of a weld."""
+    free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
+    return {0: [0, 1, 2], 1: free}.get(len(free), [])
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -18,12 +18,15 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import difference, moved, row_scale
 from redundancy_pin.kinematics.modes import in_working_mode
 from redundancy_pin.kinematics.projection import project
+from redundancy_pin.kinematics.search import search
 
 ANCHOR_SPACING = 0.04
 """Distance of anchors along the path, in characteristic lengths."""
 
 _LARGEST_BATCH = 32
-_DEEPEST_HALVING = 10
+_DEEPEST_HALVING = 22
+"""Halvings of a step before the branch counts as lost. Towards a stretched leg every step covers a part of the way that
+is left: this many come within 1e-9 characteristic lengths of it."""
 _SHORTEST_STEP = 2.0**-3
 """Where Newton needs shorter steps than this the pose is approached in smaller steps instead."""
 _CONTINUITY = 0.25
@@ -49,35 +52,41 @@ class Anchors:
     valid: BoolArray
 
 
-def follow(system: ConstraintSystem, x: Array, start: Array, *, resume: bool = False) -> Anchors:
+def follow(
+    system: ConstraintSystem, x: Array, start: Array, *, resume: bool = False, every_sample: bool = False
+) -> Anchors:
     """Solve anchors along a path from a configuration closed at its first pose.
 
     Args:
         system: closures and platform rows.
         x: (N, n) coordinates or (N, 4, 4) poses, base frame.
         start: (nq,) closed configuration at ``x[0]``.
-        resume: where the branch ends, go on at the next pose that closes in the robot's working mode; without it the
-            anchors after the end of the branch are left invalid.
+        resume: where the branch ends or leaves the robot's working mode, go on at the next pose that closes in it;
+            without it the mode is not looked at, and the anchors after the end of the branch are left invalid.
+        every_sample: lay an anchor on every sample.
     """
-    position, poses = _lay_anchors(system, x)
+    position, poses = _lay_anchors(system, x, every_sample)
     count = len(position)
     q = np.tile(start, (count, 1))
     gamma = np.zeros((count, system.robot.model.nv, system.robot.n))
     valid = np.zeros(count, dtype=bool)
     state = system.evaluate(start[None])
-    gamma[0], valid[0] = project(system, state).gamma[0], True
+    slope = project(system, state).gamma[0]
+    valid[0] = bool(np.isfinite(slope).all())  # a start at a type I singularity has no slope to follow
+    gamma[0] = slope if valid[0] else 0.0
     last, batch = 0, _LARGEST_BATCH
     following = 1
     while following < count:
         stop = min(following + batch, count)
-        reached, solved, slopes = _advance(system, poses[last], q[last], gamma[last], poses[following:stop])
+        here = poses[last], q[last], gamma[last]
+        reached, solved, slopes = _advance(system, *here, poses[following:stop], in_mode=resume)
         if reached == 0 and stop - following > 1:
             batch = max(1, batch // 4)
             continue
         if reached == 0:
-            halved = _halve(system, poses[last], q[last], gamma[last], poses[following])
+            halved = _halve(system, *here, poses[following], in_mode=resume)
             if halved is None:
-                found = _resume(system, poses[following:], q[last]) if resume else None
+                found = take_up(system, poses[following:], q[last]) if resume else None
                 if found is None:
                     q[following:] = q[last]
                     break
@@ -86,16 +95,20 @@ def follow(system: ConstraintSystem, x: Array, start: Array, *, resume: bool = F
                 following += skipped
                 halved = q_next, gamma_next
             solved, slopes, reached = halved[0][None], halved[1][None], 1
-        here = slice(following, following + reached)
-        q[here], gamma[here], valid[here] = solved[:reached], slopes[:reached], True
+        new = slice(following, following + reached)
+        q[new], gamma[new], valid[new] = solved[:reached], slopes[:reached], True
         last = following + reached - 1
         following = last + 1
-        batch = min(2 * batch, _LARGEST_BATCH) if reached == stop - here.start else max(1, batch // 2)
+        batch = min(2 * batch, _LARGEST_BATCH) if reached == stop - new.start else max(1, batch // 2)
     return Anchors(position, poses, q, gamma, valid)
 
 
 def initial_guess(system: ConstraintSystem, x: Array, anchors: Anchors) -> Array:
-    """Return (N, nq) guesses for all samples from their anchors: cubic along the chord, linear off it."""
+    """Return (N, nq) guesses for all samples from their anchors: cubic along the chord, linear off it.
+
+    Where the branch turns too fast for that between two anchors (next to a type I singularity), it is followed again
+    from sample to sample.
+    """
     samples = np.arange(len(x), dtype=float)
     if len(anchors.position) == 1:
         return np.repeat(anchors.q, len(x), axis=0)
@@ -112,9 +125,17 @@ def initial_guess(system: ConstraintSystem, x: Array, anchors: Anchors) -> Array
     across = np.einsum("nvi,ni->nv", anchors.gamma[left], here - u * chord)
     span = configuration_difference(model, anchors.q[left], anchors.q[right])
     cubic = u * u * (3 - 2 * u) * span + u * (1 - u) ** 2 * slope_left - u * u * (1 - u) * slope_right
-    both = (anchors.valid[left] & anchors.valid[right])[:, None]
-    step = np.where(both, cubic + across, 0.0)
-    return integrate(model, anchors.q[left], step)
+    both = anchors.valid[left] & anchors.valid[right]
+    step = np.where(both[:, None], cubic + across, 0.0)
+    # where the branch is found again behind a gap, the far side of the gap says nothing
+    base = np.where(~anchors.valid[left] & anchors.valid[right], right, left)
+    guess = integrate(model, anchors.q[base], step)
+    smooth = continuous(system, anchors.q, anchors.gamma, anchors.x)
+    for rough in np.unique(left[both & ~smooth[left] & (samples > anchors.position[left])]):
+        between = np.flatnonzero((left == rough) & (samples > anchors.position[rough]))
+        part = follow(system, np.concatenate([anchors.x[rough, None], x[between]]), anchors.q[rough], every_sample=True)
+        guess[between] = part.q[np.isin(part.position, np.arange(1, len(between) + 1))]
+    return guess
 
 
 def continuous(system: ConstraintSystem, q: Array, gamma: Array, x: Array) -> BoolArray:
@@ -134,7 +155,7 @@ _ROUNDING = 1e-7
 """Changes of q below this (rad, m) are rounding of the closure solution between all but equal poses."""
 
 
-def _lay_anchors(system: ConstraintSystem, x: Array) -> tuple[Array, Array]:
+def _lay_anchors(system: ConstraintSystem, x: Array, every_sample: bool) -> tuple[Array, Array]:
     robot = system.robot
     if len(x) == 1:
         return np.zeros(1), x
@@ -142,7 +163,7 @@ def _lay_anchors(system: ConstraintSystem, x: Array) -> tuple[Array, Array]:
     lengths = np.linalg.norm(increments * row_scale(robot), axis=1) / (ANCHOR_SPACING * robot.characteristic_length)
     pieces = np.maximum(np.ceil(lengths), 1).astype(np.intp)
     bins = np.floor(np.concatenate([[0.0], np.cumsum(lengths)]))
-    chosen = np.concatenate([[True], np.diff(bins) > 0])
+    chosen = np.concatenate([[True], (np.diff(bins) > 0) | every_sample])
     chosen[-1] = True
     sparse = pieces > 1
     chosen[:-1] |= sparse
@@ -163,7 +184,9 @@ def _running_count(groups: IntArray) -> IntArray:
     return np.arange(len(groups)) - first
 
 
-def _advance(system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, targets: Array) -> tuple[int, Array, Array]:
+def _advance(
+    system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, targets: Array, *, in_mode: bool
+) -> tuple[int, Array, Array]:
     """Solve a batch of poses from one solved pose; return how many of them continue the branch, q and Γ."""
     robot = system.robot
     step = difference(robot, targets, np.repeat(x0[None], len(targets), axis=0)) @ gamma0.T
@@ -177,28 +200,52 @@ def _advance(system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, targ
         np.concatenate([x0[None], targets]),
     )
     good = chain & solution.closed & np.isfinite(gamma).all(axis=(1, 2))
+    if in_mode:
+        good &= in_working_mode(robot, solution.q)
     reached = len(good) if good.all() else int(np.argmin(good))
     return reached, solution.q, gamma
 
 
-def _resume(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Array, Array] | None:
-    """Find the first pose that closes in the working mode, starting from the last good configuration and the reference.
+def take_up(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Array, Array] | None:
+    """Find the first pose that closes in the working mode, starting from a configuration (nq,) and from the reference.
+
+    Where the chains close earlier, but in another mode, the mode is searched for at that pose.
 
     Returns:
-        Its index, its configuration and Γ; None when there is none.
+        Its index, its configuration (nq,) and Γ (nv, n); None when there is none.
     """
+    start, count = 0, _LARGEST_BATCH
+    while start < len(targets):
+        found = _take_up_within(system, targets[start : start + count], q)
+        if found is not None:
+            return start + found[0], *found[1:]
+        start, count = start + count, 2 * count
+    return None
+
+
+def _take_up_within(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Array, Array] | None:
     best: tuple[int, Array, Array] | None = None
+    earliest = len(targets)
     for guess in (q, np.array(system.robot.q_reference)):
         solution = assemble(system, np.repeat(guess[None], len(targets), axis=0), targets)
         gamma = project(system, solution.state).gamma
-        good = solution.closed & in_working_mode(system.robot, solution.q) & np.isfinite(gamma).all(axis=(1, 2))
+        regular = solution.closed & np.isfinite(gamma).all(axis=(1, 2))
+        good = regular & in_working_mode(system.robot, solution.q)
+        earliest = min(earliest, int(np.argmax(regular)) if regular.any() else earliest)
         if good.any() and (best is None or int(np.argmax(good)) < best[0]):
             first = int(np.argmax(good))
             best = first, solution.q[first], gamma[first]
+    if earliest < (best[0] if best else len(targets)):
+        configuration, _, in_mode = search(system, q, targets[earliest])
+        slope = project(system, system.evaluate(configuration[None])).gamma[0]
+        if in_mode and np.isfinite(slope).all():
+            best = earliest, configuration, slope
     return best
 
 
-def _halve(system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, target: Array) -> tuple[Array, Array] | None:
+def _halve(
+    system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, target: Array, *, in_mode: bool
+) -> tuple[Array, Array] | None:
     """Reach one pose by shorter and shorter steps; None when even the shortest loses the branch."""
     robot = system.robot
     whole = difference(robot, target[None], x0[None])
@@ -207,7 +254,7 @@ def _halve(system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, target
     while done < 1.0:
         size = min(size, 1.0 - done)
         nearer = moved(robot, x0[None], whole * (done + size)) if done + size < 1.0 else target[None]
-        reached, solved, slopes = _advance(system, x, q, gamma, nearer)
+        reached, solved, slopes = _advance(system, x, q, gamma, nearer, in_mode=in_mode)
         if reached:
             done += size
             x, q, gamma, size = nearer[0], solved[0], slopes[0], 2.0 * size

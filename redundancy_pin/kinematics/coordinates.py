@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array, checked
+from redundancy_pin.arrays import Array, BoolArray, checked
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintState
 from redundancy_pin.kinematics.tree import motion_subspace
@@ -20,7 +20,7 @@ def coordinates(robot: Robot, state: ConstraintState) -> Array:
     A single rotation is the angle of the platform frame about that base axis, in (−π, π].
     """
     if robot.platform is None:
-        return np.stack([_joint_position(robot, name, state.q) for name in robot.independent_joints], axis=1)
+        return np.stack([joint_position(robot, name, state.q) for name in robot.independent_joints], axis=1)
     frame = robot.platform.frame
     rotation, origin = state.pose.frame_rotation[frame], state.pose.frame_origin[frame]
     if robot.platform.is_pose:
@@ -80,16 +80,29 @@ def column_scale(robot: Robot) -> Array:
 
 def velocity_scale(robot: Robot) -> Array:
     """Return (nv,) the length that turns each tree velocity into m/s: the characteristic length for rotations."""
+    return np.where(turning_velocities(robot), robot.characteristic_length, 1.0)
+
+
+def turning_velocities(robot: Robot) -> BoolArray:
+    """Return (nv,) which tree velocities are rotations."""
     model = robot.model
-    scale = np.ones(model.nv)
+    turning = np.zeros(model.nv, dtype=bool)
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     for index in range(1, model.njoints):
         joint = model.joints[index]
         columns = slice(joint.idx_v, joint.idx_v + joint.nv)
-        turning = np.abs(motion_subspace(model, data, index)[3:]).max(axis=0) > 0
-        scale[columns] = np.where(turning, robot.characteristic_length, 1.0)
-    return scale
+        turning[columns] = np.abs(motion_subspace(model, data, index)[3:]).max(axis=0) > 0
+    return turning
+
+
+def joint_position(robot: Robot, name: str, q: Array) -> Array:
+    """Return (N,) positions of a joint of one freedom, m or rad; a continuous joint's lies in (−π, π]."""
+    joint = robot.model.joints[robot.model.getJointId(name)]
+    if joint.nq == 2:
+        angle: Array = np.arctan2(q[:, joint.idx_q + 1], q[:, joint.idx_q])
+        return angle
+    return q[:, joint.idx_q]
 
 
 def require_matching(robot: Robot, motion: PlatformMotion) -> None:
@@ -131,11 +144,3 @@ def _angle_columns(robot: Robot) -> list[int]:
     if robot.platform is not None:
         return [k for k, axis in enumerate(robot.platform.axes) if axis.startswith("r")]
     return [k for k, name in enumerate(robot.independent_joints) if _is_revolute(robot, name)]
-
-
-def _joint_position(robot: Robot, name: str, q: Array) -> Array:
-    joint = robot.model.joints[robot.model.getJointId(name)]
-    if joint.nq == 2:
-        angle: Array = np.arctan2(q[:, joint.idx_q + 1], q[:, joint.idx_q])
-        return angle
-    return q[:, joint.idx_q]

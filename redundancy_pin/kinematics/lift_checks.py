@@ -10,6 +10,7 @@ from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import Anchors, continuous, follow
 from redundancy_pin.kinematics.modes import in_working_mode, mode_indicator, mode_name
+from redundancy_pin.kinematics.projection import project
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 
@@ -19,6 +20,7 @@ def require_branch(system: ConstraintSystem, motion: PlatformMotion, anchors: An
 
     Raises:
         UnreachablePoseError: a sample cannot be closed; carries sample and gap.
+        SingularPoseError: a sample is a type I singularity.
         WorkingModeError: every sample near the end of the branch closes, but not continuously.
     """
     if anchors.valid.all():
@@ -31,6 +33,9 @@ def require_branch(system: ConstraintSystem, motion: PlatformMotion, anchors: An
     if not solution.closed.all():
         k = first + int(np.argmin(solution.closed))
         raise _unreachable(motion, k, float(solution.gap[k - first]))
+    singular = project(system, solution.state).margin == 0.0
+    if singular.any():
+        raise _singular(motion, first + int(np.argmax(singular)))
     raise WorkingModeError(
         f"The motion cannot be followed continuously to sample {last} (t = {motion.t[last]:.6g} s): the way there "
         "leaves the workspace or passes a type I singularity (a leg at full stretch, full fold or zero length).",
@@ -68,13 +73,16 @@ def require_regular(motion: PlatformMotion, singular: BoolArray) -> None:
     """
     bad = np.flatnonzero(singular)
     if len(bad):
-        k = int(bad[0])
-        raise SingularPoseError(
-            f"Sample {k} (t = {motion.t[k]:.6g} s) is a type I singularity: the platform velocity does not determine "
-            "the joint velocities.",
-            remedy="Keep the legs away from full stretch, full fold and zero length.",
-            sample=k,
-        )
+        raise _singular(motion, int(bad[0]))
+
+
+def _singular(motion: PlatformMotion, k: int) -> SingularPoseError:
+    return SingularPoseError(
+        f"Sample {k} (t = {motion.t[k]:.6g} s) is a type I singularity: the platform velocity does not determine "
+        "the joint velocities.",
+        remedy="Keep the legs away from full stretch, full fold and zero length.",
+        sample=k,
+    )
 
 
 def require_mode(robot: Robot, motion: PlatformMotion, q: Array) -> None:

@@ -11,9 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import row_scale, velocity_scale
+
+SINGULAR_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
+"""Scaled margin below which a pose counts as a type I singularity. At a stretched leg two configurations meet in a
+square root: one that is closed to within the tolerance is known no better than this."""
+
+_HOPELESS = 1e12
+"""Condition number that no matrix K with a margin above ``SINGULAR_MARGIN`` comes near."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +30,8 @@ class Projection:
     Attributes:
         inverse: (N, p, r + n) inverse of K; p = r + n pose velocities. NaN at a type I singularity.
         gamma: (N, nv, n) tree velocity per unit of each independent velocity; carrier rows are zero.
-        margin: (N,) lower bound of the smallest singular value of K in scaled units, within a factor √p of it; 0 at a
-            type I singularity.
+        margin: (N,) lower bound of the smallest singular value of K in scaled units, within a factor √p of it; 0 where
+            it is below ``SINGULAR_MARGIN``: at a type I singularity.
     """
 
     inverse: Array
@@ -45,9 +52,10 @@ def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     lengths = velocity_scale(robot)[system.pose_columns]
     closure_rows = [robot.characteristic_length if row.rotation else 1.0 for _, row in system.rows]
     rows = np.concatenate([closure_rows, row_scale(robot)])
-    size = np.sqrt(np.einsum("nij,i,j->n", inverse**2, lengths**2, 1.0 / rows**2))
-    margin = np.where(np.isfinite(size), 1.0 / np.where(size > 0, size, np.inf), 0.0)
-    inverse[margin < RANK_TOLERANCE] = np.nan
+    with np.errstate(over="ignore"):
+        size = np.sqrt(np.einsum("nij,i,j->n", inverse**2, lengths**2, 1.0 / rows**2))
+    margin = np.where(size < 1.0 / SINGULAR_MARGIN, 1.0 / np.where(size > 0.0, size, np.inf), 0.0)
+    inverse[margin == 0.0] = np.nan
     gamma = np.zeros((len(stacked), robot.model.nv, robot.n))
     gamma[:, system.pose_columns] = inverse[:, :, len(system.rows) :]
     return Projection(inverse, gamma, margin)
@@ -58,7 +66,7 @@ def _inverse(matrices: Array) -> Array:
     try:
         return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
     except np.linalg.LinAlgError:
-        singular = np.linalg.cond(matrices) > 1.0 / np.finfo(float).eps
+        singular = np.linalg.cond(matrices) > _HOPELESS
         safe = np.where(singular[:, None, None], np.eye(matrices.shape[1]), matrices)
         result = np.asarray(np.linalg.inv(safe), dtype=np.float64)
         result[singular] = np.nan

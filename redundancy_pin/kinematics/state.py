@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
-from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.branch import find_on_branch
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.continuation import follow, initial_guess
+from redundancy_pin.kinematics.continuation import follow, initial_guess, take_up
 from redundancy_pin.kinematics.coordinates import require_matching
 from redundancy_pin.kinematics.lift_checks import (
     require_branch,
@@ -41,7 +42,8 @@ class TreeMotion:
         gamma: (N, nv, n) velocity per unit of each independent velocity, J_c Γ = 0.
         W: (N, n, m) actuation matrix, Γᵀ Sᵀ.
         gap: (N,) closure gap, m or rad.
-        reachable: (N,) false where no configuration was found; everything else is NaN there.
+        reachable: (N,) false where no configuration was found in the working mode, and at a type I singularity; q, v,
+            a, gamma and W are NaN there.
         serial_margin: (N,) lower bound of the distance to a type I singularity, scaled; see ``projection.Projection``.
     """
 
@@ -66,7 +68,8 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
     Args:
         robot: the robot.
         motion: N samples of the independent coordinates.
-        mark_unreachable: mark samples without a configuration with NaN instead of raising.
+        mark_unreachable: instead of raising, mark samples without a configuration in the working mode, and type I
+            singularities, with NaN. Behind them the motion is taken up again in the working mode.
 
     Raises:
         InputError: the motion does not have the robot's coordinates.
@@ -76,14 +79,7 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
     """
     require_matching(robot, motion)
     system = ConstraintSystem(robot)
-    first, start = _first_reachable(system, motion, mark_unreachable)
-    x = motion.x[first:]
-    anchors = follow(system, x, start, resume=mark_unreachable)
-    if not mark_unreachable:
-        require_branch(system, motion, anchors)
-    guess = initial_guess(system, x, anchors)
-    if first:
-        guess = np.concatenate([np.repeat(start[None], first, axis=0), guess])
+    guess = _guess(system, motion, mark_unreachable)
     solution = assemble(system, guess, motion.x, max_iterations=30)
     projection = project(system, solution.state)
     singular = projection.margin == 0.0
@@ -100,7 +96,7 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
     a = np.zeros_like(v)
     a[:, system.pose_columns] = np.einsum("npr,nr->np", projection.inverse, rate)
     w = gamma[:, robot.actuated_velocity, :].transpose(0, 2, 1)
-    for array in (solution.q, v, a, gamma):
+    for array in (solution.q, v, a, gamma, w):
         array[~good] = np.nan
     return TreeMotion(
         robot,
@@ -116,13 +112,39 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
     )
 
 
-def _first_reachable(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> tuple[int, Array]:
+def _guess(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> Array:
+    """Return (N, nq) guesses along the branch: from the first sample found on it onward, and from there back."""
+    found = _first_reachable(system, motion, mark)
+    if found is None:
+        return np.repeat(system.robot.q_reference[None], len(motion), axis=0)
+    first, start = found
+    onward = motion.x[first:]
+    anchors = follow(system, onward, start, resume=mark)
+    if not mark:
+        require_branch(system, motion, anchors)
+    guess = initial_guess(system, onward, anchors)
+    if first == 0:
+        return guess
+    back = motion.x[first::-1]
+    before = initial_guess(system, back, follow(system, back, start, resume=mark))
+    return np.concatenate([before[:0:-1], guess])
+
+
+def _first_reachable(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> tuple[int, Array] | None:
     """Return the first sample found on the branch, and its configuration."""
-    stride = max(1, len(motion) // 50)  # a motion that is out of reach throughout is not searched sample by sample
-    for sample in range(0, len(motion), stride):
-        try:
-            return sample, find_on_branch(system, motion.x[sample], sample=sample)
-        except (UnreachablePoseError, WorkingModeError):
-            if not mark:
-                raise
-    return 0, np.array(system.robot.q_reference)
+    try:
+        return 0, find_on_branch(system, motion.x[0])
+    except (UnreachablePoseError, SingularPoseError, WorkingModeError):
+        if not mark:
+            raise
+    near = take_up(system, motion.x, np.array(system.robot.q_reference))
+    if near is not None:
+        return near[:2]
+    for sample in np.linspace(0, len(motion) - 1, _FAR_SEARCHES).round().astype(int)[1:]:
+        with contextlib.suppress(UnreachablePoseError, SingularPoseError, WorkingModeError):
+            return int(sample), find_on_branch(system, motion.x[sample], sample=int(sample))
+    return None
+
+
+_FAR_SEARCHES = 5
+"""Samples of a motion that no plain Newton closes anywhere for which many starts are tried before it is given up."""

@@ -1,0 +1,176 @@
+"""Universal, hinge and cylindrical closures and continuous joints, judged by Pinocchio's frame placements."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import zoo
+from spatial_chains import CHAINS, RCCC_TWISTS, chain_of
+from written import J, urdf_of, write_robot
+
+from redundancy_pin import PlatformMotion, load_robot
+from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference
+from redundancy_pin.kinematics.state import lift
+from redundancy_pin.robot import Robot
+
+CLOSED = 1e-11  # the package's own closure tolerance, here measured by Pinocchio
+STEP = 1e-5
+DIFFERENCES = 2e-8  # STEP² times third derivatives of order 10², and 1e-15 / STEP
+
+
+def swing(robot: Robot, t: np.ndarray) -> PlatformMotion:
+    angle = zoo.home_of(robot)[0] + 0.4 * np.sin(5 * t)
+    return PlatformMotion(t, angle[:, None], 2 * np.cos(5 * t)[:, None], -10 * np.sin(5 * t)[:, None])
+
+
+def relative_placements(robot: Robot, q: np.ndarray) -> list[pin.SE3]:
+    """Return frame b seen from frame a, configuration by configuration."""
+    data, closure = robot.model.createData(), robot.closures[0]
+    result = []
+    for configuration in q:
+        pin.framesForwardKinematics(robot.model, data, configuration)
+        a, b = (data.oMf[robot.model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b))
+        result.append(a.actInv(b))
+    return result
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_lifted_motion_closes_the_joint_as_pinocchio_sees_it(name: str) -> None:
+    robot = chain_of(name)
+    for placement in relative_placements(robot, lift(robot, swing(robot, np.linspace(0.0, 1.5, 40))).q):
+        translation, turn = placement.translation, placement.rotation
+        if name == "universal":  # centres together, the cross square
+            np.testing.assert_allclose(translation, 0.0, atol=CLOSED)
+            assert turn[1, 0] == pytest.approx(0.0, abs=CLOSED)
+        elif name == "hinge":  # centres together, axes the same way
+            np.testing.assert_allclose(translation, 0.0, atol=CLOSED)
+            np.testing.assert_allclose(turn[:, 2], [0.0, 0.0, 1.0], atol=CLOSED)
+        elif name == "cylindrical":  # axes the same line, the same way
+            np.testing.assert_allclose(translation[:2], 0.0, atol=CLOSED)
+            np.testing.assert_allclose(turn[:, 2], [0.0, 0.0, 1.0], atol=CLOSED)
+        else:  # a planar pin
+            np.testing.assert_allclose(translation, 0.0, atol=CLOSED)
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_velocity_and_acceleration_are_derivatives(name: str) -> None:
+    robot = chain_of(name)
+    t = np.linspace(0.1, 1.2, 12)
+    tree, after, before = (lift(robot, swing(robot, t + shift)) for shift in (0.0, STEP, -STEP))
+    rate = configuration_difference(robot.model, before.q, after.q) / (2 * STEP)
+    np.testing.assert_allclose(tree.v, rate, atol=DIFFERENCES)
+    np.testing.assert_allclose(tree.a, (after.v - before.v) / (2 * STEP), atol=50 * DIFFERENCES)
+
+
+def test_rccc_axes_obey_the_spherical_four_bar() -> None:
+    """Duffy's cosine law: the axes' directions form a spherical quadrilateral, whatever the slides do."""
+    robot = chain_of("cylindrical")
+    q = lift(robot, swing(robot, np.linspace(0.0, 1.2, 15))).q
+    crank, turn_2 = (q[:, robot.model.joints[robot.model.getJointId(name)].idx_q] for name in ("crank", "turn_2"))
+    alpha, beta, gamma, delta = RCCC_TWISTS
+    # axis 1 = z of the base, axis 4 = z of the pivot; axes 3 and 4 keep the angle gamma
+    axis_4 = np.array([0.0, -np.sin(delta), np.cos(delta)])
+    about_z = np.array([[np.cos(crank), -np.sin(crank)], [np.sin(crank), np.cos(crank)]])
+    inner = np.array([np.sin(beta) * np.sin(turn_2), -np.sin(beta) * np.cos(turn_2), np.full_like(crank, np.cos(beta))])
+    y = np.cos(alpha) * inner[1] - np.sin(alpha) * inner[2]
+    z = np.sin(alpha) * inner[1] + np.cos(alpha) * inner[2]
+    axis_3 = np.array([about_z[0, 0] * inner[0] + about_z[0, 1] * y, about_z[1, 0] * inner[0] + about_z[1, 1] * y, z])
+    np.testing.assert_allclose(axis_4 @ axis_3, np.cos(gamma), atol=CLOSED)
+
+
+def test_a_hinge_turned_over_is_not_closed() -> None:
+    """Opposite hinge axes make all five rows vanish; only the misalignment tells."""
+    robot = chain_of("hinge")
+    system = zoo.system_of(robot)
+    rng = np.random.default_rng(2)
+    q = robot.q_reference + rng.uniform(-np.pi, np.pi, (200, robot.model.nq))
+    found = assemble(system, q, np.full((200, 1), 0.6))
+    upright = np.array([placement.rotation[2, 2] for placement in relative_placements(robot, found.q)])
+    rows_vanish = np.abs(found.state.phi).max(axis=1) < CLOSED
+    over = rows_vanish & (upright < 0.0)
+    assert over.any()
+    assert not found.closed[over].any()
+    np.testing.assert_allclose(found.gap[over], np.pi, atol=1e-6)
+    assert found.closed[rows_vanish & (upright > 0.0)].all()
+
+
+def test_continuous_joints_move_like_revolute_ones() -> None:
+    endless, bounded = chain_of("continuous"), zoo.robot_of("four_bar")
+    t = np.linspace(0.0, 2.0, 60)
+    # the crank turns four times: the coordinate leaves (−π, π], which continuous joints cannot hold
+    angle, rate = (1.0 + 4 * np.pi * t)[:, None], np.full((60, 1), 4 * np.pi)
+    motion = PlatformMotion(t, angle, rate, np.zeros((60, 1)))
+    one, two = lift(endless, motion), lift(bounded, motion)
+    for joint in ("crank", "rocker", "coupler"):
+        i, j = (robot.model.joints[robot.model.getJointId(joint)].idx_v for robot in (endless, bounded))
+        np.testing.assert_allclose(one.v[:, i], two.v[:, j], atol=1e-9)
+        np.testing.assert_allclose(one.a[:, i], two.a[:, j], atol=1e-8)
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+def test_forward_displacement_with_a_continuous_actuator(turns: int) -> None:
+    robot = chain_of("continuous")
+    target = np.array([[1.2 + 2 * np.pi * turns]])
+    found = assemble(zoo.system_of(robot), robot.q_reference[None], actuated=target)
+    assert found.closed.all()
+    joint = robot.model.joints[robot.model.getJointId("crank")]
+    np.testing.assert_allclose(found.q[0, joint.idx_q : joint.idx_q + 2], [np.cos(1.2), np.sin(1.2)], atol=CLOSED)
+
+
+BENNETT = (0.5, 0.9)
+"""Twists of a Bennett linkage; its link lengths are in the ratio of their sines."""
+
+
+def bennett() -> tuple[list[J], dict[str, float]]:
+    """Return the joints, and one closed configuration by Bennett's relation of the half angles."""
+    alpha, beta = BENNETT
+    a, b = np.sin(alpha), np.sin(beta)
+    joints = [
+        J("hinge_1", "revolute", "base", "link_1"),
+        J("hinge_2", "revolute", "link_1", "link_2", (a, 0, 0), (alpha, 0, 0)),
+        J("hinge_3", "revolute", "link_2", "link_3", (b, 0, 0), (beta, 0, 0)),
+        J("tip_mount", "fixed", "link_3", "tip", (a, 0, 0), (alpha, 0, 0)),
+        # the fourth link, seen from hinge 1 against its direction
+        J("pivot_mount", "fixed", "base", "pivot", (-b, 0, 0), (-beta, 0, 0)),
+    ]
+    first = 0.8
+    ratio = np.sin((beta + alpha) / 2) / np.sin((beta - alpha) / 2)
+    second = 2 * np.arctan(ratio / np.tan(first / 2))
+    return joints, {"hinge_1": first, "hinge_2": second, "hinge_3": 2 * np.pi - first}
+
+
+def test_a_bennett_linkage_is_named_as_over_constrained() -> None:
+    """It moves with one freedom, though Grübler counts −2: three of the five hinge rows are redundant."""
+    joints, guess = bennett()
+    declaration = {
+        "closures": [{"name": "last hinge", "frames": ["pivot", "tip"], "axes": ["x", "y", "z", "rx", "ry"]}],
+        "actuated": ["hinge_1"],
+        "independent": {"joints": ["hinge_1"]},
+        "reference": {"joints": {"hinge_1": guess["hinge_1"]}, "guess": {k: float(v) for k, v in guess.items()}},
+    }
+    with pytest.raises(DeclarationError, match=r"over-constrained.*-2 freedoms.*3 row.*'last hinge'") as caught:
+        _load(joints, declaration)
+    assert caught.value.details["rank"] == 2
+
+
+def test_a_planar_four_bar_closed_by_a_hinge_names_the_rows_to_take_out() -> None:
+    joints, declaration = CHAINS["continuous"]
+    hinged = {
+        **declaration,
+        "closures": [{"frames": ["crank_tip", "coupler_tip"], "axes": ["x", "y", "z", "rx", "ry"]}],
+        "actuated": ["crank"],
+        "independent": {"joints": ["crank"]},
+    }
+    with pytest.raises(DeclarationError, match=r"z of .*, rx of .*, ry of ") as caught:
+        _load(joints, hinged)
+    assert caught.value.details["freedoms"] == -2
+
+
+def _load(joints: list[J], declaration: dict[str, object]) -> Robot:
+    import tempfile
+    from pathlib import Path
+
+    with tempfile.TemporaryDirectory() as folder:
+        return load_robot(write_robot(Path(folder), urdf_of(joints), declaration))
