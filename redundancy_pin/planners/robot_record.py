@@ -31,6 +31,7 @@ class RobotRecord:
         working_mode: ±1 a leg.
         actuated: names of the main actuators.
         carriers: names of the carriers.
+        rotating: those of the two that rotate; the others slide.
         carrier_limits: limits of the carriers, in the same order.
         bodies: a row of 10 for each joint of the tree: mass, kg; mass times centre, kg·m; inertia xx, xy, yy, xz, yz,
             zz about the joint, kg·m²; of the body it moves, in the frame of the joint.
@@ -44,6 +45,7 @@ class RobotRecord:
     working_mode: tuple[int, ...]
     actuated: tuple[str, ...]
     carriers: tuple[str, ...]
+    rotating: tuple[str, ...]
     carrier_limits: tuple[CarrierLimits, ...]
     bodies: tuple[tuple[float, ...], ...]
     q_reference: tuple[float, ...]
@@ -59,6 +61,7 @@ def robot_record(robot: Robot) -> RobotRecord:
         working_mode=robot.working_mode,
         actuated=robot.actuated,
         carriers=robot.carriers,
+        rotating=tuple(name for name in (*robot.actuated, *robot.carriers) if _rotates(robot, name)),
         carrier_limits=robot.carrier_limits,
         bodies=tuple(tuple(float(v) for v in body.toDynamicParameters()) for body in list(robot.model.inertias)[1:]),
         q_reference=tuple(float(q) for q in robot.q_reference),
@@ -97,6 +100,10 @@ def load_recorded(record: RobotRecord, source: str | Path | None = None) -> Robo
     if difference:
         raise _changed(record, place, difference)
     return robot
+
+
+def _rotates(robot: Robot, name: str) -> bool:
+    return not str(robot.model.joints[robot.model.getJointId(name)].shortname()).startswith("JointModelP")
 
 
 def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError:

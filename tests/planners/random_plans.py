@@ -76,6 +76,7 @@ def plans(draw: st.DrawFn) -> Plan:
         working_mode=tuple(draw(st.lists(SIGNS, max_size=3))),
         actuated=tuple(f"a{i}" for i in range(m)),
         carriers=tuple(f"c{i}" for i in range(k)),
+        rotating=("a0",),
         carrier_limits=tuple(draw(limits) for _ in range(k)),
         bodies=tuple(tuple(row) for row in rng.normal(size=(3, 10)).tolist()),
         q_reference=tuple(rng.normal(size=4).tolist()),
