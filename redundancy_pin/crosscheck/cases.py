@@ -21,6 +21,11 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 
 STATES_PER_CASE = 250
+"""Most states that share one draw of parameters and one motion."""
+
+FEWEST_CASES = 4
+"""Draws of parameters and modes that even a small check makes, where it has the states."""
+
 _HARMONICS = 3
 _SPREAD = 0.2
 """Relative spread of lengths and masses around their defaults: wide enough to unmask a parameter read wrongly, narrow
@@ -109,12 +114,15 @@ def random_cases(
         RedundancyPinError: no reachable motion was found (the robot's parameters leave no workspace).
     """
     left = samples
+    size = max(1, min(STATES_PER_CASE, -(-samples // FEWEST_CASES)))
     for index in itertools.count():
         if left <= 0:
             return
         rng = np.random.default_rng([seed, index])
-        yield _draw(source, min(left, STATES_PER_CASE), rng, vary, carriers, masses)
-        left -= STATES_PER_CASE
+        # the first draw has its carriers, so that nothing about carriers goes unchecked by chance
+        with_carriers = True if carriers is None and index == 0 else carriers
+        yield _draw(source, min(left, size), rng, vary, with_carriers, masses)
+        left -= size
 
 
 def _draw(

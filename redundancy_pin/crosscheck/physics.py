@@ -13,8 +13,9 @@ from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.motion import CarrierMotion
 
 _STENCIL = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
-"""Sixth-order central difference: a step of 2 ms at 8 rad/s leaves 1e-13, rounding 1e-13 of the value over the step."""
-_STEP = 2e-3
+_STEP = 5e-4
+"""Sixth-order central differences: near type I, where things change within 10 ms, this step leaves 1e-10; rounding is
+1e-16 of the value over the step."""
 
 POWER = 1e-8
 MOMENTUM = 1e-8
