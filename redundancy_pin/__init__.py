@@ -5,6 +5,9 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.reactions import joint_reactions
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
+from redundancy_pin.kinematics.singular_crossings import find_crossings
+from redundancy_pin.kinematics.singular_locus import singular_locus
+from redundancy_pin.kinematics.singularity import classify, classify_motion
 from redundancy_pin.kinematics.state import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -15,12 +18,16 @@ __all__ = [
     "PlatformMotion",
     "RneaDynamics",
     "VirtualWork",
+    "classify",
+    "classify_motion",
     "distribute",
+    "find_crossings",
     "joint_reactions",
     "lift",
     "load_plan",
     "load_robot",
     "load_robot_of",
+    "singular_locus",
     "trajectory",
 ]
 __version__ = "0.1.0"

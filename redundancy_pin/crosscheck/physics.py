@@ -22,7 +22,7 @@ MOMENTUM = 1e-8
 ROUND_TRIP = 1e-7
 """Limited by the damped solver of the forward dynamics (mu 1e-8, 30 iterations) and the conditioning of W."""
 DERIVATIVES = 1e-7
-"""Central differences of a quadratic are exact but for rounding, 1e-16 over the step of 1e-3, times the cancellation."""
+"""Central differences of a quadratic are exact but for rounding: 1e-16 over the step of 1e-3, and cancellation."""
 
 
 def check_power(tally: Tally, case: Case, dynamics: Dynamics, label: str) -> None:
