@@ -28,13 +28,10 @@ class PlainLoop:
         self.q0 = np.array(robot.q_reference)
 
     def constraint_jacobian(self):
-        rows = [
-            (
-                pin.getFrameJacobian(self.model, self.data, b, AXES) - pin.getFrameJacobian(self.model, self.data, a, AXES)
-            )[:2]
-            for a, b in self.pairs
-        ]
-        return np.concatenate(rows)
+        def planar_rows(frame):
+            return pin.getFrameJacobian(self.model, self.data, frame, AXES)[:2]
+
+        return np.concatenate([planar_rows(b) - planar_rows(a) for a, b in self.pairs])
 
     def close(self, q, x):
         """Newton on closures and platform pose; returns q and the last square matrix."""
