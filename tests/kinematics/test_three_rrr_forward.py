@@ -192,6 +192,16 @@ def test_three_assembly_modes_that_meet_are_one():
     assert len(home) == 1
 
 
+@pytest.mark.parametrize("x", np.linspace(0.5, 1.3, 9))
+def test_a_pose_upside_down_is_listed_once(x):
+    """α = π and α = -π are one pose, from whichever side rounding comes."""
+    pose = np.array([x, 0.45, np.pi])
+    for legs in inverse_displacement_all_modes(THESIS, pose[None]):
+        solutions = forward_displacement(THESIS, legs.theta[:, 0])
+        found = [s for s in solutions if np.abs(u(s.pose[2]) - u(np.pi)).max() < 1e-6]
+        assert len([s for s in found if np.abs(s.pose[:2] - pose[:2]).max() < 1e-6]) == 1
+
+
 def test_none_where_the_elbows_are_too_far_apart():
     geometry = ThreeRrrGeometry(2.0, 0.25, 0.5, 0.5)
     assert forward_displacement(geometry, [np.pi, 0.0, np.pi / 2]) == ()
