@@ -1,0 +1,163 @@
+"""Carrier motion under prescribed main efforts: f(s, ṡ, s̈) = W τ_ref as a differential equation with error control.
+
+With f affine in s̈ this is F s̈ = W τ_ref − f(s, ṡ, 0), F the coefficients of s̈. F loses rank wherever W does, so an
+explicit integrator would divide by zero at the very pose that is to be crossed. Here s̈ is a polynomial on each step
+instead, and the equation, undivided, is satisfied in the least-squares sense at more points than the polynomial has
+coefficients. Where a bounded s̈ exists the defect falls to rounding, at a singular pose as anywhere else; where none
+exists it does not, and the step is divided until it is given up. The defect is the error control: no step is accepted
+that does not satisfy the equation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.planners.carrier_path import CarrierPath
+from redundancy_pin.planners.piecewise_chebyshev import preferred_middle
+from redundancy_pin.planners.ramp_down import RampDown
+from redundancy_pin.planners.timed_model import TimedModel
+
+DEGREE = 13
+"""Of s̈ on a step."""
+
+POINTS = 20
+"""Points of a step at which the equation is satisfied."""
+
+DEFECT_TOLERANCE = 1e-11
+"""Largest defect of the equation, relative to the largest f along the crossing."""
+
+LEAST_STEP = 1e-6
+"""A step shorter than this fraction of the interval is given up."""
+
+_MOST_ITERATIONS = 8
+"""Of Newton's method on one step: f is quadratic, and it converges in four or five."""
+
+
+class StepGivenUpError(ArithmeticError):
+    """No bounded s̈ satisfies the equation past a time; never leaves the planner.
+
+    Attributes:
+        t: that time, s.
+        s, sd: (k,) carrier motion there, m and m/s.
+        defect: what was left of the equation, N.
+    """
+
+    def __init__(self, t: float, s: Array, sd: Array, defect: float) -> None:
+        super().__init__(t, s, sd, defect)
+        self.t, self.s, self.sd, self.defect = t, s, sd, defect
+
+
+@dataclass(frozen=True, eq=False)
+class CarrierEquation:
+    """The equation F s̈ = W τ_ref − f(s, ṡ, 0).
+
+    Of more carriers than coordinates the s̈ of least norm is taken.
+
+    Attributes:
+        model: the carrier model over time.
+        effort: the prescribed main efforts.
+        row_scale: (n,) the characteristic length for moments, 1 for forces.
+        size: largest f along the crossing, N, which defects are compared with.
+    """
+
+    model: TimedModel
+    effort: RampDown
+    row_scale: Array
+    size: float
+
+    def solve(self, start: float, end: float, s: Array, sd: Array) -> CarrierPath:
+        """Integrate from a state (k,), (k,) at ``start`` to ``end``.
+
+        Raises:
+            StepGivenUpError: no bounded motion of the carriers satisfies the equation.
+        """
+        breaks = self.model.breaks
+        ends = [*breaks[(breaks > start) & (breaks < end)].tolist(), end]
+        least = LEAST_STEP * (end - start)
+        t, edges, series = start, [start], []
+        for stop in ends:
+            pending = [stop]
+            while pending:
+                position, defect = self._step(t, pending[-1], s, sd)
+                if defect <= DEFECT_TOLERANCE * self.size:
+                    half = 0.5 * (pending[-1] - t)
+                    t = pending.pop()
+                    edges.append(t)
+                    series.append(position)
+                    s, sd = position.sum(axis=0), legendre.legder(position).sum(axis=0) / half
+                elif pending[-1] - t > least:
+                    pending.append(preferred_middle(t, pending[-1], self.model.knots))
+                else:
+                    raise StepGivenUpError(t, s, sd, defect)
+        return CarrierPath(read_only(np.array(edges)), read_only(np.array(series)))
+
+    def _step(self, a: float, b: float, s0: Array, sd0: Array) -> tuple[Array, float]:
+        """Return the Legendre series (d, k) of s on one step, and the largest defect, N."""
+        basis, half, k = _basis(), 0.5 * (b - a), self.model.k
+        t = a + half * (basis.x + 1.0)
+        model = self.model.at(t)
+        scale = self.row_scale[:, None]
+        by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(model.f_terms / scale[..., None], -1, 0)
+        load = (np.einsum("nij,nj->ni", model.W, self.effort(t)) - model.f0) / self.row_scale
+        idle = _idle_directions(by_sdd)
+        value, first, second = basis.value, half * basis.first, half**2 * basis.second
+        start = s0 + half * (basis.x[:, None] + 1.0) * sd0
+        c = np.zeros((DEGREE + 1, k))
+        defect = np.inf
+        for _ in range(_MOST_ITERATIONS):
+            s, sd, sdd = start + second @ c, sd0 + first @ c, value @ c
+            residual = load - np.einsum("nik,nk->ni", by_s, s) - np.einsum("nik,nk->ni", by_s2, s * s)
+            residual -= np.einsum("nik,nk->ni", by_sd, sd) + np.einsum("nik,nk->ni", by_ssd, s * sd)
+            residual -= np.einsum("nik,nk->ni", by_sdd, sdd)
+            residual = np.concatenate([residual, -np.einsum("nik,nk->ni", idle, sdd)], axis=1)
+            previous, defect = defect, float(np.abs(residual).max())
+            if not defect < 0.5 * previous and defect < DEFECT_TOLERANCE * self.size:
+                break
+            stiffness = by_s + 2.0 * by_s2 * s[:, None] + by_ssd * sd[:, None]
+            damping = by_sd + by_ssd * s[:, None]
+            slope = np.einsum("nik,nd->nidk", by_sdd, value) + np.einsum("nik,nd->nidk", damping, first)
+            slope += np.einsum("nik,nd->nidk", stiffness, second)
+            slope = np.concatenate([slope, np.einsum("nik,nd->nidk", idle, value)], axis=1)
+            change = np.linalg.lstsq(slope.reshape(residual.size, -1), residual.ravel(), rcond=None)[0]
+            if not np.isfinite(change).all():
+                return c, np.inf
+            c = c + change.reshape(c.shape)
+        rate = half * legendre.legint(c, lbnd=-1.0, axis=0)
+        rate[0] += sd0
+        position = half * legendre.legint(rate, lbnd=-1.0, axis=0)
+        position[0] += s0
+        return position, defect
+
+
+class _Basis(NamedTuple):
+    """Points of a step on (−1, 1), and there the Legendre polynomials and their first and second integrals from −1."""
+
+    x: Array
+    value: Array
+    first: Array
+    second: Array
+
+
+@lru_cache(maxsize=1)
+def _basis() -> _Basis:
+    x, _ = legendre.leggauss(POINTS)
+    unit = np.eye(DEGREE + 1)
+    first, second = (legendre.legint(unit, order, lbnd=-1.0, axis=0) for order in (1, 2))
+    value, once, twice = (legendre.legval(x, series).T for series in (unit, first, second))
+    return _Basis(*(read_only(np.ascontiguousarray(part)) for part in (x, value, once, twice)))
+
+
+def _idle_directions(F: Array) -> Array:
+    """Return (N, k − n, k) combinations of carriers without effect on f, as large as F: s̈ has no part in them."""
+    n, k = F.shape[1:]
+    if k == n:
+        return np.empty((len(F), 0, k))
+    _, size, vt = np.linalg.svd(F)
+    rows: Array = vt[:, n:] * size[:, :1, None]
+    return rows

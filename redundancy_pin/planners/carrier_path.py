@@ -1,0 +1,80 @@
+"""Carrier motion as a piecewise polynomial of time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.trajectory import Polynomial, Side
+
+
+@dataclass(frozen=True, eq=False)
+class CarrierPath:
+    """Positions of the carriers as Legendre series on consecutive intervals.
+
+    Attributes:
+        edges: (P + 1,) ends of the intervals, s.
+        series: (P, d, k) Legendre coefficients of s on each interval, over x = −1 … 1, m.
+    """
+
+    edges: Array
+    series: Array
+
+    @staticmethod
+    def of_polynomial(polynomial: Polynomial) -> CarrierPath:
+        """Return the path of a polynomial with values (k,)."""
+        power = polynomial.coefficients  # of κ = (x + 1) / 2
+        binomial = np.polynomial.Polynomial([0.5, 0.5])
+        in_x = sum(np.pad((binomial**j).coef, (0, len(power) - j - 1))[:, None] * power[j] for j in range(len(power)))
+        series = np.apply_along_axis(legendre.poly2leg, 0, np.asarray(in_x))
+        return CarrierPath(read_only(np.array([polynomial.t0, polynomial.t1])), read_only(series[None]))
+
+    @property
+    def start(self) -> float:
+        """First time, s."""
+        return float(self.edges[0])
+
+    @property
+    def end(self) -> float:
+        """Last time, s."""
+        return float(self.edges[-1])
+
+    def __call__(self, times: Array, side: Side = "right") -> CarrierMotion:
+        """Return the motion at (N,) times inside the path; ``side`` decides where s̈ jumps."""
+        t = np.asarray(times, dtype=np.float64)
+        piece = np.clip(np.searchsorted(self.edges, t, side=side) - 1, 0, len(self.series) - 1)
+        left, width = self.edges[piece], np.diff(self.edges)[piece]
+        x = np.clip(2.0 * (t - left) / width - 1.0, -1.0, 1.0)
+        parts: list[Array] = []
+        series: Array = self.series
+        for order in range(3):
+            basis = legendre.legvander(x, series.shape[1] - 1)
+            factor = (2.0 / width) ** order
+            parts.append(factor[:, None] * np.einsum("nd,ndk->nk", basis, series[piece]))
+            series = np.asarray(legendre.legder(series, axis=1), dtype=np.float64)
+        return CarrierMotion(*parts)
+
+    def extremes(self) -> Array:
+        """Return the inner times, s, at which some s, ṡ or s̈ has an extreme."""
+        found = []
+        for a, b, series in zip(self.edges[:-1], self.edges[1:], self.series, strict=True):
+            for order in (1, 2, 3):
+                for column in legendre.legder(series, order, axis=0).T:
+                    found.append(0.5 * (a + b) + 0.5 * (b - a) * _real_roots(column))
+        return np.unique(np.concatenate(found))
+
+
+def _real_roots(series: Array) -> Array:
+    """Return the roots of a Legendre series inside (−1, 1); none for a series that is zero to rounding."""
+    size = np.abs(series)
+    if size.max() == 0.0:
+        return np.empty(0)
+    kept = series[: int(np.flatnonzero(size > 1e-14 * size.max())[-1]) + 1]
+    roots = legendre.legroots(kept)
+    real = roots.real[np.abs(roots.imag) < 1e-9]
+    inside: Array = real[np.abs(real) < 1.0]
+    return inside

@@ -1,0 +1,71 @@
+"""The main efforts on their way to zero before a crossing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory import Polynomial, boundary_polynomial
+
+_NODES = 16
+"""Nodes of the interpolant from which the parked efforts are differentiated."""
+
+
+@dataclass(frozen=True, eq=False)
+class RampDown:
+    """The main efforts on their way to zero, and zero after it.
+
+    Attributes:
+        polynomial: quintic with values (m,), N or N·m (Parsa 2014, eq. 3.4).
+        parked_at_entry: (m,) what they would be at its end with the carriers parked.
+    """
+
+    polynomial: Polynomial
+    parked_at_entry: Array
+
+    def __call__(self, times: Array) -> Array:
+        """Return the efforts (N, m) at (N,) times from the start of the ramp on."""
+        value = np.zeros((len(times), self.polynomial.control.shape[1]))
+        ramp = times < self.polynomial.t1
+        value[ramp] = self.polynomial(times[ramp])
+        return value
+
+
+def ramp_down(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: float, datum: Array) -> RampDown:
+    """Return the quintic from the parked efforts at ``start``, with their rate and its rate, to zero at ``end``.
+
+    The derivatives are those of an interpolant of the parked efforts over the smooth stretch around ``start``.
+    """
+
+    def parked(times: Array) -> Array:
+        along = dynamics.along(motion.sample_at(times))
+        tau = distribute(along.reduce(CarrierMotion.parked(len(times), dynamics.robot.k, datum))).tau
+        return np.asarray(tau)
+
+    kinks = np.concatenate([[motion.start], motion.breaks, _relevant(motion.knots, end - start), [motion.end]])
+    width = end - start
+    before, after = kinks[kinks < start - 1e-3 * width], kinks[kinks > start + 1e-3 * width]
+    left, right = max(before.max(initial=-np.inf), start - width), min(after.min(initial=np.inf), start + 0.5 * width)
+    left = start if not np.isfinite(left) else left
+    if np.any(np.abs(kinks - start) <= 1e-3 * width):
+        right, left = (right, start) if left == start else (start, left)
+    nodes = np.sort(chebyshev.chebpts1(_NODES))
+    values = parked(0.5 * (left + right) + 0.5 * (right - left) * nodes)
+    series = np.linalg.solve(chebyshev.chebvander(nodes, _NODES - 1), values)
+    x, per_second = (2.0 * start - left - right) / (right - left), 2.0 / (right - left)
+    rates = [chebyshev.chebval(x, chebyshev.chebder(series, order)) * per_second**order for order in (1, 2)]
+    at = parked(np.array([start, end]))
+    zero = np.zeros(dynamics.robot.m)
+    return RampDown(boundary_polynomial(start, end, [at[0], *rates], [zero, zero, zero]), at[1])
+
+
+def _relevant(knots: Array, width: float) -> Array:
+    """Return the knots of a trajectory; those of a sampled motion, many in a ramp, are too small to matter."""
+    return knots if len(knots) < 20 else knots[:0]
