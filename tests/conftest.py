@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 import zoo
+from hypothesis import settings
 
 from redundancy_pin.robot import Robot
+
+# the same examples every time, so that a change is judged and not the draw; `HYPOTHESIS_PROFILE=explore` looks further
+settings.register_profile("fixed", derandomize=True, deadline=None)
+settings.register_profile("explore", deadline=None, max_examples=1000)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 
 @pytest.fixture(params=zoo.SHIPPED)
