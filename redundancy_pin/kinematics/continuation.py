@@ -227,7 +227,8 @@ def _take_up_within(system: ConstraintSystem, targets: Array, q: Array) -> tuple
     best: tuple[int, Array, Array] | None = None
     earliest = len(targets)
     for guess in (q, np.array(system.robot.q_reference)):
-        solution = assemble(system, np.repeat(guess[None], len(targets), axis=0), targets)
+        starts = np.repeat(guess[None], len(targets), axis=0)
+        solution = assemble(system, starts, targets, shortest_step=_SHORTEST_STEP)
         gamma = project(system, solution.state).gamma
         regular = solution.closed & np.isfinite(gamma).all(axis=(1, 2))
         good = regular & in_working_mode(system.robot, solution.q)
@@ -248,6 +249,8 @@ def _halve(
 ) -> tuple[Array, Array] | None:
     """Reach one pose by shorter and shorter steps; None when even the shortest loses the branch."""
     robot = system.robot
+    if not assemble(system, q0[None], target[None]).closed[0]:
+        return None  # out of reach: halving would only creep up to the border
     whole = difference(robot, target[None], x0[None])
     done, size = 0.0, 0.5
     x, q, gamma = x0, q0, gamma0
