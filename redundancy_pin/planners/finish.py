@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.limits import check_limits
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import robot_record
+from redundancy_pin.robot import CarrierLimits
 
 BALANCE_TOLERANCE = 1e-6
 """Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""
@@ -29,6 +31,7 @@ def finish_plan(
     parameters: Mapping[str, object],
     diagnostics: Mapping[str, object],
     prescribed: Array | None = None,
+    carrier_limits: tuple[CarrierLimits, ...] | None = None,
 ) -> Plan:
     """Evaluate the backend once more along the planned motion and collect everything a plan carries.
 
@@ -42,6 +45,7 @@ def finish_plan(
         diagnostics: what it found.
         prescribed: (N, m) main efforts the planner decided on, NaN where W τ = f decides. Their imbalance is checked
             and reported, never corrected.
+        carrier_limits: limits to judge the plan by in place of the robot's own, one for each carrier.
     """
     robot = along.robot
     reduced = along.reduce(carriers)
@@ -55,7 +59,8 @@ def finish_plan(
         residual[given] = imbalance[given]
         size = float(np.abs(reduced.f / reduced.row_scale).max())
         status[given] = _status_of_prescribed(imbalance[given] <= BALANCE_TOLERANCE * size)
-    limits = check_limits(robot, along.motion.t, carriers, reduced.carrier_force)
+    judged = robot if carrier_limits is None else replace(robot, carrier_limits=carrier_limits)
+    limits = check_limits(judged, along.motion.t, carriers, reduced.carrier_force)
     return Plan(
         motion=along.motion,
         carriers=carriers,

@@ -1,0 +1,172 @@
+"""The limits a stepwise plan keeps, and the box they leave for the carriers' accelerations in one step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.planners.carrier_stop import stoppable_speed
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.types import CarrierLimits
+
+_EMPTY = 1e-9
+"""A box that is empty by less than this fraction of the accelerations involved is one point: a limit that is met
+exactly leaves a rounding error."""
+
+
+@dataclass(frozen=True)
+class StepLimits:
+    """What the carriers must keep to at every step.
+
+    Attributes:
+        carriers: (k,) names.
+        limits: (k,) track, speed, acceleration and force of each; the planner keeps to the first three.
+        anticipate: whether a carrier is kept able to stop before the end of its track.
+        rest_at: time by which all must be at rest, s; infinite for none.
+    """
+
+    carriers: tuple[str, ...]
+    limits: tuple[CarrierLimits, ...]
+    anticipate: bool
+    rest_at: float
+
+    def box(self, t: float, step: float, s: Sequence[float], sd: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Return the smallest and largest s̈ of each carrier in a step (Parsa 2014, eqs. 4.2 to 4.4).
+
+        With backward differences ṡ' = ṡ + h s̈ and s' = s + h ṡ' the limits of the track, the speed and the
+        acceleration are one box. Two more bounds may narrow it: a carrier must be able to stop before its track ends
+        (``anticipate``) and by the time ``rest_at``. Both give way to the largest deceleration, so they never empty it.
+
+        Args:
+            t: time at the end of the step, s.
+            step: length h of the step, s.
+            s: (k,) positions before the step, m.
+            sd: (k,) speeds before the step, m/s.
+
+        Raises:
+            InfeasiblePlanError: the limits leave nothing; names the carrier, the time and the amount.
+        """
+        lower, upper = [], []
+        for j, bounds in enumerate(self.limits):
+            position, speed, a = s[j], sd[j], bounds.acceleration
+            slowest, fastest = -bounds.speed, bounds.speed
+            low, high = (bounds.lower - position) / step, (bounds.upper - position) / step
+            least, most = max(slowest, low), min(fastest, high)
+            reach = a * step
+            if self.anticipate:
+                brake = max(speed - reach, 0.0)
+                most = min(most, max(stoppable_speed(bounds.upper - position, step, a), brake))
+                brake = min(speed + reach, 0.0)
+                least = max(least, min(-stoppable_speed(position - bounds.lower, step, a), brake))
+            if self.rest_at < np.inf:
+                left = a * max(self.rest_at - t, 0.0) if self.rest_at > t else 0.0
+                most = min(most, max(left, speed - reach))
+                least = max(least, min(-left, speed + reach))
+            below, above = max(-a, (least - speed) / step), min(a, (most - speed) / step)
+            if below > above:
+                above = below = self._single(j, t, step, position, speed, below, above)
+            lower.append(below)
+            upper.append(above)
+        return lower, upper
+
+    def _single(self, j: int, t: float, step: float, s: float, sd: float, lower: float, upper: float) -> float:
+        """Return the one acceleration left where rounding emptied the box.
+
+        Raises:
+            InfeasiblePlanError: it is empty by more than rounding.
+        """
+        bounds = self.limits[j]
+        if lower - upper <= _EMPTY * (abs(lower) + abs(upper)):
+            return min(max(0.5 * (lower + upper), -bounds.acceleration), bounds.acceleration)
+        a = bounds.acceleration
+        braked = sd - np.sign(sd) * min(abs(sd), a * step)
+        reached = s + step * braked
+        beyond = max(reached - bounds.upper, bounds.lower - reached)
+        excess = abs(braked) - bounds.speed
+        if beyond > excess:
+            what, amount, unit = "track", float(beyond), "m"
+            text = f"braked by {a:g} m/s² it would still be {beyond:.3g} m beyond the end of its track"
+        else:
+            what, amount, unit = "speed", float(excess), "m/s"
+            text = f"braked by {a:g} m/s² it would still be {excess:.3g} m/s above its speed limit"
+        raise InfeasiblePlanError(
+            f"{self.carriers[j]} cannot keep its limits at t = {t:.6g} s: it arrives at s = {s:.6g} m with "
+            f"{sd:.6g} m/s, and {text}.",
+            remedy="Use anticipate=True, a larger lam, higher limits, or a gentler motion.",
+            constraint=what,
+            carrier=self.carriers[j],
+            time=t,
+            amount=amount,
+            unit=unit,
+        )
+
+
+def resolve_limits(
+    robot: Robot, speed: ArrayLike | None, acceleration: ArrayLike | None, track: ArrayLike | None
+) -> tuple[CarrierLimits, ...]:
+    """Return the robot's carrier limits with those given in their place.
+
+    Args:
+        robot: the robot.
+        speed: scalar or (k,) largest |ṡ|, m/s, or None for the robot's own.
+        acceleration: scalar or (k,) largest |s̈|, m/s², or None.
+        track: (2,) or (k, 2) ends of the tracks, m, or None.
+
+    Raises:
+        InputError: a limit that is not positive, a track whose ends are not in order, wrong shapes.
+    """
+    k = robot.k
+    limits = list(robot.carrier_limits)
+    for name, given in (("speed", speed), ("acceleration", acceleration)):
+        if given is None:
+            continue
+        values = _each(given, name, (k,))
+        if not (values > 0.0).all():
+            raise InputError(
+                f"{name} limits must be positive: {given}.", remedy="Pass inf for no limit.", name=name, value=given
+            )
+        limits = [replace(limit, **{name: float(value)}) for limit, value in zip(limits, values, strict=True)]
+    if track is not None:
+        ends = _each(track, "track", (k, 2))
+        if not (ends[:, 0] < ends[:, 1]).all():
+            raise InputError(f"The ends of a track must increase: {track}.", remedy="Pass (lower, upper).", value=track)
+        limits = [replace(limit, lower=float(a), upper=float(b)) for limit, (a, b) in zip(limits, ends, strict=True)]
+    return tuple(limits)
+
+
+def _each(given: ArrayLike, name: str, shape: tuple[int, ...]) -> np.ndarray:  # type: ignore[type-arg]
+    try:
+        values = np.broadcast_to(np.asarray(given, dtype=float), shape)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is {given!r}, expected shape {shape} or less.", name=name) from error
+    if np.isnan(values).any():
+        raise InputError(f"{name} contains NaN.", name=name)
+    return values
+
+
+def require_inside(values: ArrayLike, name: str, robot_limits: StepLimits) -> np.ndarray:  # type: ignore[type-arg]
+    """Return (k,) positions on the tracks.
+
+    Raises:
+        InputError: wrong shape.
+        InfeasiblePlanError: a position off its track.
+    """
+    k = len(robot_limits.carriers)
+    places = np.array(_each(values, name, (k,)))
+    for carrier, limit, place in zip(robot_limits.carriers, robot_limits.limits, places, strict=True):
+        beyond = max(place - limit.upper, limit.lower - place)
+        if not beyond <= 0.0:
+            raise InfeasiblePlanError(
+                f"{name} puts {carrier} at {place:g} m, {beyond:.3g} m off its track "
+                f"[{limit.lower:g}, {limit.upper:g}] m.",
+                remedy="Start on the track.",
+                constraint="track",
+                carrier=carrier,
+                time=0.0,
+                amount=float(beyond),
+            )
+    return places
