@@ -3,7 +3,8 @@
 At each sample ṡ and s̈ are backward differences of s, which makes f(s, ṡ, s̈) = W τ_ref k nonlinear equations for the k
 positions (Parsa 2014, eqs 3.5 and 3.6). They are solved exactly, so every sample is in balance; but the speed is that
 of half a step earlier and the acceleration that of a whole step, an error of first order. The first sample after
-switch-on, on the return polynomial, asks for efforts in one step: a jump in proportion to the step. It is here to reproduce the thesis and to show where its jumps come from.
+switch-on, on the return polynomial, asks for efforts in one step: a jump in proportion to the step. It is here
+to reproduce the thesis and to show where its jumps come from.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class CarrierSamples:
         at = np.abs(np.asarray(times)[:, None] - self.t).argmin(axis=1)
         return CarrierMotion(self.motion.s[at], self.motion.sd[at], self.motion.sdd[at])
 
-    def extremes(self) -> Array:
+    def peaks(self) -> Array:
         """Return nothing: between the samples there is no motion."""
         return np.empty(0)
 

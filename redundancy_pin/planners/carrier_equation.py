@@ -29,8 +29,8 @@ DEGREE = 13
 POINTS = 20
 """Points of a step at which the equation is satisfied."""
 
-DEFECT_TOLERANCE = 1e-11
-"""Largest defect of the equation, relative to the largest f along the crossing."""
+DEFECTS = 10.0
+"""Largest defect of the equation, relative to the largest f along the crossing, in tolerances of the model."""
 
 LEAST_STEP = 1e-6
 """A step shorter than this fraction of the interval is given up."""
@@ -71,6 +71,11 @@ class CarrierEquation:
     row_scale: Array
     size: float
 
+    @property
+    def allowed(self) -> float:
+        """Largest defect of an accepted step, N."""
+        return DEFECTS * self.model.tolerance * self.size
+
     def solve(self, start: float, end: float, s: Array, sd: Array) -> CarrierPath:
         """Integrate from a state (k,), (k,) at ``start`` to ``end``.
 
@@ -85,7 +90,7 @@ class CarrierEquation:
             pending = [stop]
             while pending:
                 position, defect = self._step(t, pending[-1], s, sd)
-                if defect <= DEFECT_TOLERANCE * self.size:
+                if defect <= self.allowed:
                     half = 0.5 * (pending[-1] - t)
                     t = pending.pop()
                     edges.append(t)
@@ -117,7 +122,7 @@ class CarrierEquation:
             residual -= np.einsum("nik,nk->ni", by_sdd, sdd)
             residual = np.concatenate([residual, -np.einsum("nik,nk->ni", idle, sdd)], axis=1)
             previous, defect = defect, float(np.abs(residual).max())
-            if not defect < 0.5 * previous and defect < DEFECT_TOLERANCE * self.size:
+            if not defect < 0.5 * previous and defect < self.allowed:
                 break
             stiffness = by_s + 2.0 * by_s2 * s[:, None] + by_ssd * sd[:, None]
             damping = by_sd + by_ssd * s[:, None]

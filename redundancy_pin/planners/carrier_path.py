@@ -59,13 +59,34 @@ class CarrierPath:
         return CarrierMotion(*parts)
 
     def extremes(self) -> Array:
-        """Return the inner times, s, at which some s, ṡ or s̈ has an extreme."""
-        found = []
-        for a, b, series in zip(self.edges[:-1], self.edges[1:], self.series, strict=True):
-            for order in (1, 2, 3):
-                for column in legendre.legder(series, order, axis=0).T:
-                    found.append(0.5 * (a + b) + 0.5 * (b - a) * _real_roots(column))
+        """Return the inner times, s, at which some s, ṡ or s̈ has a local extreme."""
+        found = [self._stationary(order, i) for order in range(3) for i in range(self.series.shape[2])]
         return np.unique(np.concatenate(found))
+
+    def peaks(self) -> Array:
+        """Return the inner times, s, at which some s, ṡ or s̈ is largest or smallest, if it is so inside only."""
+        found = []
+        for order in range(3):
+            for i in range(self.series.shape[2]):
+                times = np.concatenate([[self.start, self.end], self._stationary(order, i)])
+                motion = self(times)
+                value = (motion.s, motion.sd, motion.sdd)[order][:, i]
+                for signed in (value, -value):
+                    best = int(signed.argmax())
+                    if signed[best] > signed[:2].max() + _STANDS_OUT * np.abs(value).max():
+                        found.append(times[best])
+        return np.unique(found)
+
+    def _stationary(self, order: int, carrier: int) -> Array:
+        """Return the inner times at which the derivative of that order of one carrier has a zero rate."""
+        rates = np.asarray(legendre.legder(self.series[:, :, carrier], order + 1, axis=1))
+        middle, half = 0.5 * (self.edges[1:] + self.edges[:-1]), 0.5 * np.diff(self.edges)
+        found = [m + h * _real_roots(rate) for m, h, rate in zip(middle, half, rates, strict=True)]
+        return np.concatenate(found)
+
+
+_STANDS_OUT = 1e-6
+"""A peak counts if it exceeds both ends by this fraction; less is no peak worth a sample."""
 
 
 def _real_roots(series: Array) -> Array:

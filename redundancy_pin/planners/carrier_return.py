@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.carrier_path import CarrierPath
 from redundancy_pin.robot import Robot
@@ -23,8 +23,13 @@ SHORTEST_FRACTION = 1e-3
 SAMPLES = 65
 """Samples of a candidate; the chosen one is judged at its extremes."""
 
-ON_THE_LIMIT = 1e-12
-"""Relative excess at which a return counts as on its limit; the shortest one is built to lie there."""
+ALLOWED = 1.0 + 1e-12
+"""Largest use of a limit that keeps it: the shortest return lies on one, to rounding."""
+
+QUANTITIES = ("track", "speed", "acceleration", "force")
+
+_TIME_TOLERANCE = 1e-11
+"""Relative, of the shortest duration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,27 +86,19 @@ def return_polynomial(state: CarrierState, duration: float, datum: Array) -> Pol
     return boundary_polynomial(state.t, state.t + duration, start, [datum, zero, zero, zero])
 
 
-def limit_use(robot: Robot, force: CarrierForce, path: CarrierPath, times: Array) -> LimitUse:
-    """Return which limit a path uses most at (N,) times."""
-    motion = path(times)
-    efforts = force(times, np.asarray(motion.s), np.asarray(motion.sd), np.asarray(motion.sdd))
-    worst = LimitUse(0.0, "track", robot.carriers[0], float(times[0]), float(motion.s[0, 0]), np.inf)
-    for i, (name, limits) in enumerate(zip(robot.carriers, robot.carrier_limits, strict=True)):
-        bounds = (
-            ("track", motion.s[:, i], limits.lower, limits.upper),
-            ("speed", motion.sd[:, i], -limits.speed, limits.speed),
-            ("acceleration", motion.sdd[:, i], -limits.acceleration, limits.acceleration),
-            ("force", efforts[:, i], -limits.force, limits.force),
-        )
-        for quantity, value, lower, upper in bounds:
-            middle = 0.5 * (lower + upper) if np.isfinite(lower + upper) else 0.0
-            side = np.where(value >= middle, upper, lower)
-            with np.errstate(invalid="ignore"):
-                use = np.where(np.isinf(side), 0.0, (value - middle) / (side - middle))
-            at = int(use.argmax())
-            if use[at] > worst.use:
-                worst = LimitUse(float(use[at]), quantity, name, float(times[at]), float(value[at]), float(side[at]))
-    return worst
+def limit_uses(robot: Robot, s: Array, sd: Array, sdd: Array, force: Array) -> Array:
+    """Return the fraction of each limit that is used (..., 4, k): track, speed, acceleration, force; each (..., k).
+
+    Above 1 the limit is broken. Tracks are measured from their middle; a limit that is not declared is never used.
+    """
+    lower = np.array([[c.lower, -c.speed, -c.acceleration, -c.force] for c in robot.carrier_limits]).T
+    upper = np.array([[c.upper, c.speed, c.acceleration, c.force] for c in robot.carrier_limits]).T
+    with np.errstate(invalid="ignore"):
+        middle = np.where(np.isfinite(lower) & np.isfinite(upper), 0.5 * (lower + upper), 0.0)
+    value = np.stack([s, sd, sdd, force], axis=-2)
+    side = np.where(value >= middle, upper, lower)
+    use: Array = np.where(np.isfinite(side), (value - middle) / (side - middle), 0.0)
+    return use
 
 
 def shortest_return(
@@ -110,8 +107,8 @@ def shortest_return(
     """Search the shortest return that keeps every limit of the carriers.
 
     The overshoot of the polynomial grows with its duration and its acceleration with the inverse, so the durations
-    that keep the limits form an interval if there are any; it is bracketed on a logarithmic grid, and where no
-    candidate lies in it the best ones are refined before it is called empty.
+    that keep the limits form an interval if there are any. It is bracketed on a logarithmic grid; where no candidate
+    lies in it, the neighbourhood of the best ones is searched before it is called empty.
 
     Args:
         robot: the robot, for the limits.
@@ -125,40 +122,60 @@ def shortest_return(
     """
 
     def use(duration: float) -> LimitUse:
-        path = CarrierPath.of_polynomial(return_polynomial(state, duration, datum))
-        samples = np.linspace(path.start, path.end, SAMPLES)
-        return limit_use(robot, force, path, np.union1d(samples, path.extremes()))
+        return _limit_use(robot, force, CarrierPath.of_polynomial(return_polynomial(state, duration, datum)))
 
     durations = np.geomspace(SHORTEST_FRACTION * available, available, CANDIDATES)
-    uses = np.array([use(duration).use for duration in durations])
-    allowed = 1.0 + ON_THE_LIMIT
-    good = int(np.argmax(uses <= allowed)) if (uses <= allowed).any() else CANDIDATES
-    for i in _dips(uses[: good + 1]):
-        low, high = durations[max(i - 1, 0)], durations[min(i + 1, CANDIDATES - 1)]
-        best = minimize_scalar(lambda T: use(float(T)).use, bounds=(low, high), method="bounded")
-        if best.fun <= allowed:
-            return _first_allowed(use, float(low), float(best.x), allowed)
-        if best.fun < uses.min():
-            durations, uses = np.append(durations, best.x), np.append(uses, best.fun)
-    if good < CANDIDATES:
-        return _first_allowed(use, float(durations[max(good - 1, 0)]), float(durations[good]), allowed)
+    uses = _sampled_uses(robot, force, state, datum, durations)
+    padded = np.concatenate([[np.inf], uses, [np.inf]])
+    dips = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]) & (uses > ALLOWED)
+    for i in np.flatnonzero(dips | (uses <= ALLOWED)).tolist():
+        low, high = float(durations[max(i - 1, 0)]), float(durations[i])
+        if uses[i] > ALLOWED:  # the limits may be kept between two candidates
+            bounds = (low, float(durations[min(i + 1, CANDIDATES - 1)]))
+            found = minimize_scalar(lambda T: use(float(T)).use, bounds=bounds, method="bounded")
+            high, uses[i] = float(found.x), float(found.fun)
+            durations[i] = high
+        if use(high).use <= ALLOWED:
+            return _first_allowed(use, low, high)
     return None, use(float(durations[uses.argmin()]))
 
 
-def _dips(values: Array) -> IntArray:
-    """Return the indices of the local minima that lie before the last value."""
-    padded = np.concatenate([[np.inf], values, [-np.inf if len(values) < CANDIDATES else np.inf]])
-    lowest: IntArray = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]))
-    return lowest
+def _sampled_uses(robot: Robot, force: CarrierForce, state: CarrierState, datum: Array, durations: Array) -> Array:
+    """Return (T,) the largest limit use of the samples of each return."""
+    paths = [CarrierPath.of_polynomial(return_polynomial(state, duration, datum)) for duration in durations]
+    times = np.array([np.linspace(path.start, path.end, SAMPLES) for path in paths])
+    motions = [path(t) for path, t in zip(paths, times, strict=True)]
+    s, sd, sdd = (np.concatenate([getattr(motion, name) for motion in motions]) for name in ("s", "sd", "sdd"))
+    flat = times.ravel()
+    uses = limit_uses(robot, s, sd, sdd, force(flat, s, sd, sdd))
+    largest: Array = uses.reshape(len(durations), -1).max(axis=1)
+    return largest
 
 
-def _first_allowed(use: Callable[[float], LimitUse], low: float, high: float, allowed: float) -> tuple[float, LimitUse]:
+def _limit_use(robot: Robot, force: CarrierForce, path: CarrierPath) -> LimitUse:
+    """Return the limit that a path uses most, at its samples and at its extremes."""
+    times = np.union1d(np.linspace(path.start, path.end, SAMPLES), path.extremes())
+    motion = path(times)
+    s, sd, sdd = (np.asarray(part) for part in (motion.s, motion.sd, motion.sdd))
+    efforts = force(times, s, sd, sdd)
+    uses = limit_uses(robot, s, sd, sdd, efforts)
+    at, which, i = (int(index) for index in np.unravel_index(int(uses.argmax()), uses.shape))
+    value = float((s, sd, sdd, efforts)[which][at, i])
+    limits = robot.carrier_limits[i]
+    bound = (limits.upper, limits.speed, limits.acceleration, limits.force)[which]
+    other = (limits.lower, -limits.speed, -limits.acceleration, -limits.force)[which]
+    limit = bound if abs(value - bound) <= abs(value - other) else other
+    return LimitUse(float(uses[at, which, i]), QUANTITIES[which], robot.carriers[i], float(times[at]), value, limit)
+
+
+def _first_allowed(use: Callable[[float], LimitUse], low: float, high: float) -> tuple[float, LimitUse]:
     """Bisect between a duration that is not allowed (or the shortest of all) and one that is."""
-    if use(low).use <= allowed:
-        return low, use(low)
-    while high - low > 1e-12 * high:
+    at_low = use(low)
+    if at_low.use <= ALLOWED:
+        return low, at_low
+    while high - low > _TIME_TOLERANCE * high:
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if use(middle).use <= allowed else (middle, high)
+        low, high = (low, middle) if use(middle).use <= ALLOWED else (middle, high)
     return high, use(high)
 
 

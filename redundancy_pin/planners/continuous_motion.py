@@ -39,6 +39,7 @@ class ContinuousMotion:
         start, end: first and last time, s.
         breaks: (b,) inner times at which the acceleration jumps, s.
         knots: (c,) inner times at which a higher derivative jumps, s, as far as they are known.
+        exact: whether it is smooth between breaks and knots to rounding; not so a sampled motion.
         sample_at: from (N,) increasing times, s, to the motion there. A break that occurs twice gets the acceleration
             before and after the jump, a single one that after it.
     """
@@ -47,6 +48,7 @@ class ContinuousMotion:
     end: float
     breaks: Array
     knots: Array
+    exact: bool
     sample_at: Callable[[Array], PlatformMotion]
 
 
@@ -67,7 +69,7 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMot
     knots = []
     if isinstance(timing, SpeedProfile):  # the jerk jumps where a ramp meets the cruise
         knots = [t for t in (timing.ramp_time, timing.ramp_time + timing.cruise_time) if 0.0 < t < end]
-    return ContinuousMotion(0.0, end, frozen(inner), frozen(knots), trajectory.sample_at)
+    return ContinuousMotion(0.0, end, frozen(inner), frozen(knots), True, trajectory.sample_at)
 
 
 def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
@@ -106,4 +108,4 @@ def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
         return PlatformMotion(times, position(times), velocity(times), xdd)
 
     inner = np.setdiff1d(edges[1:-1], breaks)
-    return ContinuousMotion(float(edges[0]), float(edges[-1]), breaks, frozen(inner), sample_at)
+    return ContinuousMotion(float(edges[0]), float(edges[-1]), breaks, frozen(inner), False, sample_at)

@@ -49,7 +49,7 @@ def ramp_down(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: f
         tau = distribute(along.reduce(CarrierMotion.parked(len(times), dynamics.robot.k, datum))).tau
         return np.asarray(tau)
 
-    kinks = np.concatenate([[motion.start], motion.breaks, _relevant(motion.knots, end - start), [motion.end]])
+    kinks = np.concatenate([[motion.start], motion.breaks, motion.knots if motion.exact else [], [motion.end]])
     width = end - start
     before, after = kinks[kinks < start - 1e-3 * width], kinks[kinks > start + 1e-3 * width]
     left, right = max(before.max(initial=-np.inf), start - width), min(after.min(initial=np.inf), start + 0.5 * width)
@@ -64,8 +64,3 @@ def ramp_down(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: f
     at = parked(np.array([start, end]))
     zero = np.zeros(dynamics.robot.m)
     return RampDown(boundary_polynomial(start, end, [at[0], *rates], [zero, zero, zero]), at[1])
-
-
-def _relevant(knots: Array, width: float) -> Array:
-    """Return the knots of a trajectory; those of a sampled motion, many in a ramp, are too small to matter."""
-    return knots if len(knots) < 20 else knots[:0]

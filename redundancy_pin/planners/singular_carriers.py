@@ -108,7 +108,7 @@ def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> 
         force: uᵀ(f − W τ_ref), N.
         circumstance: for which motion of the carriers.
     """
-    direction = instant.direction if force >= 0.0 else -instant.direction
+    direction = np.round(np.sign(force) * instant.direction, 12) + 0.0  # no negative zeros
     along = ", ".join(f"{component:.6f}" for component in direction)
     return InfeasiblePlanError(
         f"At the singular pose, t = {instant.t:.6g} s, nothing can carry the inertial force of {abs(force):.6g} N "

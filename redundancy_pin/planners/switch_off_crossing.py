@@ -36,8 +36,8 @@ class CarriersOverTime(Protocol):
     def __call__(self, times: Array, side: Side = "right") -> CarrierMotion:
         """Return the motion at (N,) times."""
 
-    def extremes(self) -> Array:
-        """Return the inner times, s, at which some s, ṡ or s̈ has an extreme."""
+    def peaks(self) -> Array:
+        """Return the inner times, s, at which some s, ṡ or s̈ is largest or smallest."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,14 +91,14 @@ def assemble_plan(
 
 
 def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Array:
-    """Return a uniform grid with events and extremes of the carriers' motion, and each jump twice."""
+    """Return a uniform grid with events and peaks of the carriers' motion, and each jump twice."""
     steps = int(np.ceil((source.end - source.start) / settings.dt - 1e-9))
     uniform = np.append(source.start + settings.dt * np.arange(steps), source.end)
     extra: list[ArrayLike] = [source.breaks]
     for leg in legs:
         crossing = leg.crossing
         extra += [[crossing.path.start, crossing.window.start, crossing.path.end, min(leg.back.end, source.end)]]
-        extra += [crossing.path.extremes(), leg.back.extremes()]
+        extra += [crossing.path.peaks(), leg.back.peaks()]
     events = np.unique(np.concatenate([np.asarray(part, dtype=float) for part in extra]))
     # a sample that differs from an event by rounding only would make a step as short as rounding
     near = np.abs(uniform[:, None] - events[None, :]).min(axis=1, initial=np.inf) < 1e-9 * settings.dt
@@ -133,9 +133,10 @@ def _diagnostics(
     return {
         "windows": [_window(dynamics, source, leg, singular, settings) for leg in legs],
         "no_window": not legs,
-        "nearest_to_singular": measured.largest(),
+        "worst_measure": measured.worst(),
         "singular_instants": singular,
-        "peak_effort": peaks,
+        "peak_effort": efforts,
+        "peak_position": positions,
         "largest_imbalance": float(np.nanmax(imbalance, initial=0.0)),
     }
 

@@ -59,12 +59,13 @@ class Measured:
         """Return the times, s, at which the motion crosses or touches a type II singularity."""
         return [t for t, value in minima(self._relative_margin, self._times, SINGULAR) if value < SINGULAR]
 
-    def largest(self) -> float:
-        """Return the largest condition number, or the smallest margin, along the motion."""
-        best = min((value for _, value in minima(self._excess, self._times, np.inf)), default=np.nan)
+    def worst(self) -> float:
+        """Return the largest condition number (infinite at a singularity), or the smallest margin, along the motion."""
+        lowest = min(value for _, value in minima(self._excess, self._times, np.inf))
         if self._measure == "margin":
-            return float(best + self._threshold)
-        return float(1.0 / max(best + 1.0 / self._threshold, 1e-300))
+            return lowest + self._threshold
+        relative_margin = lowest + 1.0 / self._threshold
+        return 1.0 / relative_margin if relative_margin > SINGULAR else float("inf")
 
     def _relative_margin(self, times: Array) -> Array:
         spectrum = spectrum_of(scaled(self._actuation.at(times), *self._scales))

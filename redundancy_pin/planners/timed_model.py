@@ -23,6 +23,10 @@ ACTUATION_TOLERANCE = 1e-11
 MODEL_TOLERANCE = 1e-12
 """Of each group of coefficients, relative to its largest entry."""
 
+SAMPLED_TOLERANCE = 1e-9
+"""Of the same where the motion was sampled: the quintics between samples a few milliseconds apart meet with kinks below
+this, and resolving every one of them would be of no use."""
+
 _LEAST_GROUP = 1e-4
 """A group smaller than this fraction of the largest is held to the tolerance of this size: the rounding of a backend
 does not shrink with the group."""
@@ -44,7 +48,8 @@ class TimedActuation:
             return W.reshape(len(times), -1)
 
         edges = _edges(motion, motion.start, motion.end)
-        found = fit(values, edges, motion.knots, lambda v: np.full(v.shape[1], np.abs(v).max()), ACTUATION_TOLERANCE)
+        tolerance = ACTUATION_TOLERANCE if motion.exact else SAMPLED_TOLERANCE
+        found = fit(values, edges, motion.knots, lambda v: np.full(v.shape[1], np.abs(v).max()), tolerance)
         return TimedActuation(found, (dynamics.robot.n, dynamics.robot.m))
 
     def at(self, times: Array) -> Array:
@@ -61,6 +66,7 @@ class TimedModel:
         breaks: (b,) inner times at which f may jump, s.
         knots: (c,) further ends of the pieces, s.
         interpolant: all coefficients side by side.
+        tolerance: of the coefficients, relative.
         n, m, k: numbers of coordinates, main actuators and carriers.
     """
 
@@ -69,6 +75,7 @@ class TimedModel:
     breaks: Array
     knots: Array
     interpolant: PiecewiseChebyshev
+    tolerance: float
     n: int
     m: int
     k: int
@@ -93,10 +100,11 @@ class TimedModel:
             limited: Array = np.maximum(largest, _LEAST_GROUP * largest.max())[group]
             return limited
 
-        interpolant = fit(values, _edges(motion, start, end), motion.knots, scale, MODEL_TOLERANCE)
+        tolerance = MODEL_TOLERANCE if motion.exact else SAMPLED_TOLERANCE
+        interpolant = fit(values, _edges(motion, start, end), motion.knots, scale, tolerance)
         inner = motion.breaks[(motion.breaks > start) & (motion.breaks < end)]
         knots = np.setdiff1d(interpolant.edges[1:-1], inner)
-        return TimedModel(start, end, inner, knots, interpolant, robot.n, robot.m, robot.k)
+        return TimedModel(start, end, inner, knots, interpolant, tolerance, robot.n, robot.m, robot.k)
 
     def at(self, times: Array, side: Side = "right") -> CarrierModel:
         """Return the model at (N,) times inside the interval; ``side`` decides at a break."""
@@ -116,16 +124,11 @@ class TimedModel:
 
 
 def _edges(motion: ContinuousMotion, start: float, end: float) -> Array:
-    """Return the ends of the first pieces: jumps, and kinks where they are few."""
-    inner = motion.breaks if len(motion.knots) > _FEW_KNOTS else np.concatenate([motion.breaks, motion.knots])
+    """Return the ends of the first pieces: jumps, and the few kinks of a trajectory."""
+    inner = np.concatenate([motion.breaks, motion.knots]) if motion.exact else motion.breaks
     inner = np.unique(inner[(inner > start) & (inner < end)])
     edges: Array = np.concatenate([[start], inner, [end]])
     return edges
-
-
-_FEW_KNOTS = 20
-"""A trajectory has a few kinks, and each gets an edge; a sampled motion has one a sample, most of them far too small to
-matter."""
 
 
 def _sizes(n: int, m: int, k: int) -> list[int]:
