@@ -8,6 +8,7 @@ import redundancy_pin
 from redundancy_pin.cli.errors import OneLineErrors
 from redundancy_pin.cli.info import info
 from redundancy_pin.cli.inverse_dynamics import inverse_dynamics
+from redundancy_pin.cli.plan import plan
 from redundancy_pin.cli.reproduce import reproduce
 from redundancy_pin.cli.singularities import singularities
 from redundancy_pin.cli.validate import validate
@@ -24,9 +25,18 @@ __all__ = ["main"]
 def main() -> None:
     """Dynamics of parallel robots with internal redundancy.
 
-    Exit codes: 0 done, 1 a check failed, 2 bad input (one line on stderr says what).
+    Exit codes: 0 done, 1 a check failed, 2 bad input, 3 a plan breaks limits (one line on stderr says what).
     """
 
 
-for _command in (reproduce, inverse_dynamics, singularities, validate, info):
+def _keep_lines(command: click.Command) -> None:
+    """Turn the two characters that raw docstrings have into the one that keeps a paragraph's lines as they stand."""
+    command.help = command.help and command.help.replace("\\b\n", "\b\n")
+    if isinstance(command, click.Group):
+        for part in command.commands.values():
+            _keep_lines(part)
+
+
+for _command in (reproduce, inverse_dynamics, singularities, plan, validate, info):
     main.add_command(_command)
+_keep_lines(main)

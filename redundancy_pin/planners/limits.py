@@ -8,7 +8,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import CarrierLimits, Robot
 
 BINDING = 1e-6
 """A quantity within this fraction of its limit counts as touching it."""
@@ -43,10 +43,17 @@ class LimitEvent:
 
 @dataclass(frozen=True)
 class LimitReport:
-    """Limits that a plan breaks, and those it only touches."""
+    """Limits that a plan breaks, and those it only touches.
+
+    Attributes:
+        violated: limits that are broken, by time.
+        binding: limits that are touched, by time.
+        judged_by: (k,) the limits of each carrier that the plan was compared with.
+    """
 
     violated: tuple[LimitEvent, ...]
     binding: tuple[LimitEvent, ...]
+    judged_by: tuple[CarrierLimits, ...]
 
 
 def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force: Array) -> LimitReport:
@@ -76,7 +83,9 @@ def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force:
                 touched = (excess > -BINDING * size) & ~broken
                 violated += _events(name, quantity, t, value, limit, excess, broken)
                 binding += _events(name, quantity, t, value, limit, excess, touched)
-    return LimitReport(tuple(sorted(violated, key=_by_time)), tuple(sorted(binding, key=_by_time)))
+    return LimitReport(
+        tuple(sorted(violated, key=_by_time)), tuple(sorted(binding, key=_by_time)), robot.carrier_limits
+    )
 
 
 def _by_time(event: LimitEvent) -> float:

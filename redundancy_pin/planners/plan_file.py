@@ -76,7 +76,9 @@ def _plan(record: Mapping[str, Any]) -> Plan:
     values["motion"] = _make(PlatformMotion, values["motion"])
     values["carriers"] = _make(CarrierMotion, values["carriers"])
     values["limits"] = LimitReport(
-        **{name: tuple(_make(LimitEvent, event) for event in events) for name, events in limits.items()}
+        violated=tuple(_make(LimitEvent, event) for event in limits["violated"]),
+        binding=tuple(_make(LimitEvent, event) for event in limits["binding"]),
+        judged_by=tuple(_make(CarrierLimits, entry) for entry in limits["judged_by"]),
     )
     values["status"] = PlanStatus(values["status"])
     values["robot"] = RobotRecord(**robot)
@@ -107,8 +109,9 @@ def _check(plan: Plan) -> None:
         ("phase", plan.phase, "i", (samples,)),
     ):
         _require_array(name, value, kind, shape)
-    if len(plan.robot.carrier_limits) != carriers:
-        raise InputError(f"it has limits of {len(plan.robot.carrier_limits)} carriers, but {carriers} carriers")
+    for entries in (plan.robot.carrier_limits, plan.limits.judged_by):
+        if len(entries) != carriers:
+            raise InputError(f"it has limits of {len(entries)} carriers, but {carriers} carriers")
     _require_codes("phase", plan.phase, range(len(plan.phases)))
     _require_codes("sample_status", plan.sample_status, [int(status) for status in SampleStatus])
 

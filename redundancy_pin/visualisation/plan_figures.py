@@ -28,38 +28,40 @@ if TYPE_CHECKING:
 _CONDITION_TOP = 1e3
 """Largest condition number of the axis: at a singular instant it is infinite."""
 
+_CONDITION_LINEAR = 10.0
+"""Up to this condition number the axis is linear."""
+
 
 def plot_plan(
     plan: Plan,
     *,
     title: str | None = None,
-    threshold: float | None = None,
-    instants: Sequence[float] = (),
     reference: Array | None = None,
     reference_name: str = "baseline",
 ) -> Figure:
     """Draw a plan: six panels over time, readable without colour.
 
     Left: main efforts, carrier forces, condition number. Right: position, speed and acceleration of the carriers, with
-    what their limits forbid hatched and every broken limit marked. Grey shades tell the phases of the planner.
+    what their limits forbid hatched and every broken limit marked. Grey shades tell the phases of the planner. Drawn if
+    the planner has them: its threshold (parameters ``threshold`` and ``measure``) and the singular instants
+    (diagnostics ``singular_instants``).
 
     Args:
         plan: the plan.
         title: of the figure; made from the plan when left out.
-        threshold: condition number at which the planner acts, drawn as a line.
-        instants: singular instants, s, drawn as dotted lines.
         reference: (N, m) main efforts to compare with, thin lines, N or N·m.
         reference_name: what the legend calls them.
 
     Raises:
         RedundancyPinError: matplotlib is not installed.
     """
+    instants = _numbers(plan.diagnostics.get("singular_instants"))
     with figure(9.6, 7.2) as drawn:
         panels = drawn.subplots(3, 2, sharex=True, squeeze=False)
         drawn.suptitle(title or plan_title(plan), fontsize=10.5)
         _draw_efforts(panels[0, 0], plan, reference, reference_name)
         _draw_forces(panels[1, 0], plan)
-        _draw_condition(panels[2, 0], plan, threshold)
+        _draw_condition(panels[2, 0], plan, _condition_threshold(plan))
         length, time = ("rad" if set(plan.robot.carriers) <= set(plan.robot.rotating) else "m"), "s"
         for panel, label, quantity, values, limit in (
             (panels[0, 1], f"position s [{length}]", "track", plan.carriers.s, _track),
@@ -78,7 +80,7 @@ def plot_plan(
             panel.set_xlabel("time t [s]")
         for column in panels.T:
             drawn.align_ylabels(column)
-        _legend_of_phases(drawn, plan, bool(len(instants)))
+        _legend_of_phases(drawn, plan, bool(instants))
         return drawn
 
 
@@ -108,7 +110,7 @@ def _draw_forces(axes: Axes, plan: Plan) -> None:
     names = [f"carrier {i + 1}" for i in range(len(plan.robot.carriers))]
     if names:
         draw_series(axes, plan.t, plan.carrier_force, names)
-        draw_limits(axes, plan.carrier_force, [_force(limits) for limits in plan.robot.carrier_limits])
+        draw_limits(axes, plan.carrier_force, [_force(limits) for limits in plan.limits.judged_by])
         mark_broken(axes, plan, "force")
         legend_above(axes, len(names))
     axes.set_ylabel(f"carrier {_effort(plan, plan.robot.carriers)}")
@@ -121,7 +123,7 @@ def _draw_motion(
     if not names:
         return
     draw_series(axes, plan.t, values, names)
-    draw_limits(axes, values, [limit(limits) for limits in plan.robot.carrier_limits])
+    draw_limits(axes, values, [limit(limits) for limits in plan.limits.judged_by])
     mark_broken(axes, plan, quantity)
     if quantity == "track":
         legend_above(axes, len(names))
@@ -129,13 +131,15 @@ def _draw_motion(
 
 def _draw_condition(axes: Axes, plan: Plan, threshold: float | None) -> None:
     shown = np.minimum(np.where(np.isnan(plan.condition), np.inf, plan.condition), 10.0 * _CONDITION_TOP)
-    axes.semilogy(plan.t, shown, color="#000000", linewidth=1.2, zorder=2.0)
+    axes.plot(plan.t, shown, color="#000000", linewidth=1.2, zorder=2.0)
+    top = max(float(shown.max()), 2.0 * (threshold or 1.0))
+    axes.set_yscale("log" if top > _CONDITION_LINEAR else "linear")
+    axes.set_ylim(1.0, min(_CONDITION_TOP, 1.5 * top) if top > _CONDITION_LINEAR else 1.1 * top)
     if threshold is not None:
         axes.axhline(
             threshold, color="#D55E00", linewidth=1.1, linestyle="--", zorder=1.9, label=f"threshold {threshold:g}"
         )
         legend_above(axes, 1)
-    axes.set_ylim(1.0, min(_CONDITION_TOP, 1.5 * max(float(shown.max()), 2.0 * (threshold or 1.0))))
     axes.set_ylabel("condition number of W [–]")
 
 
@@ -151,6 +155,17 @@ def _legend_of_phases(drawn: Figure, plan: Plan, with_instants: bool) -> None:
     if plan.robot.carriers:
         handles.append(Patch(facecolor="none", edgecolor="#8C8C8C", hatch="/////", linewidth=0, label="beyond a limit"))
     drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+
+
+def _condition_threshold(plan: Plan) -> float | None:
+    found = _numbers([plan.parameters.get("threshold")])
+    return found[0] if found and plan.parameters.get("measure") == "condition" else None
+
+
+def _numbers(values: object) -> list[float]:
+    """Return the numbers of a list in plain data; none where it is something else."""
+    listed = values if isinstance(values, (list, tuple)) else ()
+    return [float(value) for value in listed if isinstance(value, (int, float))]
 
 
 def _effort(plan: Plan, names: Sequence[str]) -> str:

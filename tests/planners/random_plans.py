@@ -93,7 +93,11 @@ def plans(draw: st.DrawFn) -> Plan:
         condition=floats(samples),
         phase=codes(len(phases)),
         phases=phases,
-        limits=LimitReport(tuple(draw(st.lists(EVENTS, max_size=2))), tuple(draw(st.lists(EVENTS, max_size=2)))),
+        limits=LimitReport(
+            tuple(draw(st.lists(EVENTS, max_size=2))),
+            tuple(draw(st.lists(EVENTS, max_size=2))),
+            tuple(draw(limits) for _ in range(k)),
+        ),
         status=draw(st.sampled_from(PlanStatus)),
         planner=draw(TEXT),
         backend=draw(TEXT),

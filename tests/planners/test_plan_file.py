@@ -287,6 +287,10 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
         _record(lambda r: r["robot"]["carrier_limits"]["$tuple"].pop()),
         "limits of 2 carriers, but 3",
     ),
+    "judged by limits of two": (
+        _record(lambda r: r["limits"]["judged_by"]["$tuple"].pop()),
+        "limits of 2 carriers, but 3",
+    ),
     "an unknown status": (_record(lambda r: r.update(status="splendid")), "splendid"),
     "an array that is a number": (_record(lambda r: r.update(tau=3)), "tau is an int"),
     "a motion that is text": (_record(lambda r: r.update(motion="fast")), "fields"),

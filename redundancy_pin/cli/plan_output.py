@@ -1,0 +1,174 @@
+"""What ``redundancy-pin plan`` writes and prints."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.table import Table
+
+from redundancy_pin.cli.output import console, number, print_json
+from redundancy_pin.errors import OutputError
+from redundancy_pin.files import replacing_file, require_writable
+from redundancy_pin.planners.limits import LimitEvent
+from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.visualisation.plan_figures import plot_plan
+from redundancy_pin.visualisation.style import picture_format, require_matplotlib, save
+
+UNITS = {"track": "m", "speed": "m/s", "acceleration": "m/s²", "force": "N"}
+"""Units of the limits of a carrier that slides, by quantity."""
+
+_LISTED = 6
+"""Broken limits that a table and a warning list; the rest is counted."""
+
+
+def require_outputs(out: str | None, plot: str | None, inputs: Sequence[str] = ()) -> None:
+    """Check that both files can be written and are none of the inputs, before the work is done.
+
+    Raises:
+        OutputError: one of them cannot be.
+        RedundancyPinError: a picture without matplotlib.
+    """
+    if out:
+        require_writable(out)
+    if plot:
+        require_matplotlib()
+        picture_format(plot)
+        require_writable(plot)
+    for flag, path in (("--out", out), ("--plot", plot)):
+        if path and any(_same_file(path, given) for given in inputs):
+            raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
+    if out and plot and Path(out).expanduser().resolve() == Path(plot).expanduser().resolve():
+        raise OutputError("--out and --plot are the same file.", remedy="Give one of them another name.", path=out)
+
+
+def write_outputs(plan: Plan, out: str | None, plot: str | None) -> None:
+    """Write the plan and its picture: both or neither.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    with ExitStack() as stack:
+        if plot:
+            save(plot_plan(plan), stack.enter_context(replacing_file(plot)))
+        if out:
+            plan.save(out)
+
+
+def print_plan(plan: Plan, out: str | None, plot: str | None, *, as_json: bool) -> None:
+    """Print what is worth knowing of a plan on stdout."""
+    if as_json:
+        print_json({**summary(plan), "out": out, "plot": plot})
+    else:
+        console().print(_table(plan, out, plot))
+
+
+def warn(plan: Plan) -> None:
+    """Say in one line on stderr what is wrong with a plan; nothing if it is within its limits."""
+    if plan.status is PlanStatus.VIOLATES_LIMITS:
+        said = "; ".join(_event(event, broken=True) for event in plan.limits.violated[:_LISTED])
+        more = len(plan.limits.violated) - _LISTED
+        click.echo(f"warning: limits broken: {said}{f'; and {more} more' if more > 0 else ''}.", err=True)
+    if plan.status is PlanStatus.UNBOUNDED_EFFORT:
+        bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
+        where = f" first at t = {plan.t[bad[0]]:.6g} s," if len(bad) else ""
+        click.echo(
+            f"warning: no finite main efforts:{where} at {len(bad)} of {len(plan.t)} samples, where W is singular.",
+            err=True,
+        )
+
+
+def summary(plan: Plan) -> dict[str, Any]:
+    """Return what is worth knowing of a plan as plain data."""
+    return {
+        "robot": plan.robot.name,
+        "planner": plan.planner,
+        "backend": plan.backend,
+        "status": plan.status.value,
+        "samples": len(plan.t),
+        "start": float(plan.t[0]),
+        "end": float(plan.t[-1]),
+        "peak_effort": plan.peak_effort,
+        "rms_effort": plan.rms_effort,
+        "peak_carrier_force": np.abs(plan.carrier_force).max(axis=0, initial=0.0),
+        "main_energy": plan.main_energy,
+        "carrier_energy": plan.carrier_energy,
+        "smallest_margin": float(np.fmin.reduce(plan.margin)),
+        "phases": _phase_times(plan),
+        "limits": {
+            "violated": [vars(event) for event in plan.limits.violated],
+            "binding": [vars(event) for event in plan.limits.binding],
+        },
+        "parameters": plan.parameters,
+        "diagnostics": plan.diagnostics,
+    }
+
+
+def _same_file(first: str, second: str) -> bool:
+    try:
+        return os.path.samefile(Path(first).expanduser(), Path(second).expanduser())
+    except OSError:
+        return False
+
+
+def _phase_times(plan: Plan) -> list[dict[str, Any]]:
+    """Return name, first and last time of every stretch of samples in one phase."""
+    edges = np.flatnonzero(np.diff(plan.phase)) + 1
+    starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(plan.phase)]]) - 1
+    return [
+        {"name": plan.phases[plan.phase[a]], "start": float(plan.t[a]), "end": float(plan.t[b])}
+        for a, b in zip(starts, stops, strict=True)
+    ]
+
+
+def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
+    found = summary(plan)
+    table = Table(title=f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {plan.backend}", show_header=False)
+    table.add_row("status", plan.status.value.replace("_", " "))
+    table.add_row("time [s]", f"{found['start']:.6g} to {found['end']:.6g}, {found['samples']} samples")
+    table.add_row("phases [s]", _phases(found["phases"]))
+    main = _effort_unit(plan, plan.robot.actuated)
+    table.add_row(f"peak main effort [{main}]", _row(found["peak_effort"]))
+    table.add_row(f"rms main effort [{main}]", _row(found["rms_effort"]))
+    table.add_row(f"peak carrier effort [{_effort_unit(plan, plan.robot.carriers)}]", _row(found["peak_carrier_force"]))
+    table.add_row("energy, main actuators [J]", number(plan.main_energy))
+    table.add_row("energy, carriers [J]", number(plan.carrier_energy))
+    table.add_row("smallest margin", number(found["smallest_margin"]))
+    table.add_row("limits broken", _events(plan.limits.violated, broken=True))
+    table.add_row("limits touched", _events(plan.limits.binding, broken=False))
+    for name, path in (("plan", out), ("picture", plot)):
+        if path:
+            table.add_row(f"{name} written to", path)
+    return table
+
+
+def _phases(phases: list[dict[str, Any]]) -> str:
+    shown = [f"{phase['name'].replace('_', ' ')} {phase['start']:.4g}–{phase['end']:.4g}" for phase in phases]
+    return ", ".join(shown[:10]) + (f", and {len(shown) - 10} more" if len(shown) > 10 else "")
+
+
+def _events(events: tuple[LimitEvent, ...], *, broken: bool) -> str:
+    if not events:
+        return "none"
+    lines = [_event(event, broken=broken) for event in events[:_LISTED]]
+    return "\n".join(lines) + (f"\nand {len(events) - _LISTED} more" if len(events) > _LISTED else "")
+
+
+def _event(event: LimitEvent, *, broken: bool) -> str:
+    unit = UNITS.get(event.quantity, "")
+    much = f"by {event.amount:.3g} {unit}" if broken else f"at its limit {event.limit:.3g} {unit}"
+    return f"{event.quantity} of {event.carrier} {much} at t = {event.worst:.4g} s"
+
+
+def _effort_unit(plan: Plan, names: tuple[str, ...]) -> str:
+    turning = [name in plan.robot.rotating for name in names]
+    return "N·m" if turning and all(turning) else "N or N·m" if any(turning) else "N"
+
+
+def _row(values: Any) -> str:
+    return ", ".join(number(float(value)) for value in values)
