@@ -19,8 +19,8 @@ from redundancy_pin.kinematics.projection import project
 from redundancy_pin.kinematics.search import search
 from redundancy_pin.robot import Closure, Robot
 from redundancy_pin.robot.build import build
-from redundancy_pin.robot.declaration import parse, read_yaml
-from redundancy_pin.robot.description import declaration_path, render
+from redundancy_pin.robot.declaration import parse, read_yaml, require_conditions
+from redundancy_pin.robot.description import declaration_path, render, resolve_arguments
 
 
 def load_robot(
@@ -47,7 +47,10 @@ def load_robot(
     """
     path = declaration_path(source)
     data = read_yaml(path)
-    urdf, parameters = render(path.parent / data["urdf"], arguments)
+    source_file = path.parent / data["urdf"]
+    parameters = resolve_arguments(source_file, arguments)
+    require_conditions(data, parameters)
+    urdf = render(source_file, parameters)
     declaration = parse(path, data, parameters)
     robot = build(declaration, urdf, parameters, gravity, working_mode)
     system = ConstraintSystem(robot)

@@ -12,7 +12,7 @@ from typing import Any
 import simpleeval
 import yaml
 
-from redundancy_pin.errors import DeclarationError, ModelFileError
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.robot.description import Argument
 from redundancy_pin.robot.types import AXES, Closure, Platform, WorkingModes
 
@@ -20,6 +20,7 @@ _KEYS = (
     "name",
     "description",
     "urdf",
+    "requires",
     "closed_form",
     "gravity",
     "closures",
@@ -93,6 +94,32 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return data
 
 
+def require_conditions(data: Mapping[str, Any], parameters: Mapping[str, Argument]) -> None:
+    """Check the conditions under ``requires``, such as ``base_radius > 0``, on the xacro arguments.
+
+    Raises:
+        DeclarationError: a condition is not one.
+        InputError: a condition does not hold; carries it and the arguments it names.
+    """
+    evaluator = simpleeval.SimpleEval(functions=dict(_FUNCTIONS), names={"pi": math.pi, **parameters})
+    for condition in _sequence(data.get("requires", []), "requires"):
+        try:
+            holds = evaluator.eval(str(condition))
+        except (simpleeval.InvalidExpression, SyntaxError, TypeError, ValueError, ArithmeticError) as error:
+            raise _bad("requires", condition, f"a condition on the xacro arguments ({error})") from error
+        if not isinstance(holds, bool):
+            raise _bad("requires", condition, "a condition, such as `length > 0`")
+        if not holds:
+            given = {name: value for name, value in parameters.items() if name in str(condition).split()}
+            values = ", ".join(f"{name} = {value}" for name, value in given.items())
+            raise InputError(
+                f"The arguments do not make a machine: {condition} does not hold ({values}).",
+                remedy="Change them so that it does.",
+                condition=str(condition),
+                **given,
+            )
+
+
 def parse(path: Path, data: Mapping[str, Any], parameters: Mapping[str, Argument]) -> Declaration:
     """Turn the raw mapping into a declaration, with the expressions in it evaluated.
 
@@ -138,9 +165,7 @@ class _Numbers:
     """Numbers of a declaration: plain, or expressions in the xacro arguments."""
 
     def __init__(self, parameters: Mapping[str, Argument]) -> None:
-        self._evaluator = simpleeval.SimpleEval(
-            functions=dict(_FUNCTIONS), names={"pi": math.pi, **parameters}
-        )
+        self._evaluator = simpleeval.SimpleEval(functions=dict(_FUNCTIONS), names={"pi": math.pi, **parameters})
 
     def __call__(self, value: object, key: str) -> float:
         if isinstance(value, str):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
 
 from redundancy_pin.errors import InputError, ModelFileError
+from redundancy_pin.robot.inertias import require_inertias
 
 Argument = float | bool | str
 """A xacro argument: a number, a flag, or text (such as ``"auto"``)."""
@@ -43,6 +45,12 @@ def declaration_path(source: str | Path) -> Path:
         return path / "robot.yaml"
     if path.is_file():
         return path
+    if path.is_dir():
+        raise ModelFileError(
+            f"The folder {path} holds no robot.yaml.",
+            remedy="Name the declaration itself, or the folder that holds it.",
+            source=str(source),
+        )
     names = ", ".join(shipped_robots())
     close = difflib.get_close_matches(str(source), shipped_robots(), n=1)
     hint = f"Did you mean {close[0]!r}? " if close else ""
@@ -60,37 +68,56 @@ def source_of(path: Path) -> str:
     return absolute.parent.name if shipped else str(absolute)
 
 
-def render(path: Path, arguments: Mapping[str, object]) -> tuple[str, dict[str, Argument]]:
-    """Render a URDF or xacro file.
+def resolve_arguments(path: Path, arguments: Mapping[str, object]) -> dict[str, Argument]:
+    """Return the xacro arguments of a file with the values that will be used.
 
     Args:
         path: a ``.urdf`` or ``.xacro`` file.
-        arguments: xacro arguments by name; those left out keep their defaults.
-
-    Returns:
-        The URDF text and all arguments with the values used.
+        arguments: values by name; those left out keep their defaults.
 
     Raises:
-        ModelFileError: missing file, broken XML, or a xacro expression that fails.
-        InputError: an argument the file does not declare, or of a type xacro cannot take.
+        ModelFileError: missing file or broken XML.
+        InputError: an argument the file does not declare, or a value of another kind than its default.
     """
+    root = _parsed(path)
+    defaults = {arg.attrib["name"]: arg.attrib.get("default") for arg in root.iter(_XACRO_ARG) if "name" in arg.attrib}
+    _require_known(arguments, tuple(defaults), path)
+    values = {name: _as_argument(name, arguments.get(name, default), path) for name, default in defaults.items()}
+    for name, default in defaults.items():
+        _require_kind(name, values[name], default)
+    return values
+
+
+def render(path: Path, values: Mapping[str, Argument]) -> str:
+    """Render a URDF or xacro file and return the URDF.
+
+    Args:
+        path: a ``.urdf`` or ``.xacro`` file.
+        values: from ``resolve_arguments``.
+
+    Raises:
+        ModelFileError: missing file, broken XML, a xacro expression that fails, or masses and inertias that are none.
+    """
+    _parsed(path)
+    if path.suffix == ".xacro":
+        urdf = _run_xacro(path, {name: _as_text(value) for name, value in values.items()})
+    else:
+        urdf = path.read_text(encoding="utf-8")
+    require_inertias(path, urdf)
+    return urdf
+
+
+def _parsed(path: Path) -> ElementTree.Element:
     if not path.is_file():
         raise ModelFileError(
             f"The URDF {path} does not exist.", remedy="Correct `urdf` in the declaration.", path=str(path)
         )
     try:
-        text = path.read_text(encoding="utf-8")
-        root = ElementTree.fromstring(text)
+        return ElementTree.fromstring(path.read_text(encoding="utf-8"))
     except (ElementTree.ParseError, UnicodeDecodeError, OSError) as error:
         raise ModelFileError(
             f"{path} is not well-formed XML: {error}.", remedy="Repair the file at that place.", path=str(path)
         ) from error
-    defaults = {arg.attrib["name"]: arg.attrib.get("default") for arg in root.iter(_XACRO_ARG) if "name" in arg.attrib}
-    _require_known(arguments, tuple(defaults), path)
-    values = {name: _as_argument(name, arguments.get(name, default), path) for name, default in defaults.items()}
-    if path.suffix != ".xacro":
-        return text, values
-    return _run_xacro(path, {name: _as_text(value) for name, value in values.items()}), values
 
 
 def _require_known(arguments: Mapping[str, object], known: tuple[str, ...], path: Path) -> None:
@@ -104,6 +131,33 @@ def _require_known(arguments: Mapping[str, object], known: tuple[str, ...], path
             )
 
 
+def _require_kind(name: str, value: Argument, default: str | None) -> None:
+    """Check that a number stays a number and a flag a flag: xacro would write any text into the URDF."""
+    if default is None:
+        return
+    expected = _from_text(default)
+    if isinstance(expected, str):
+        return
+    if isinstance(value, str) or isinstance(value, bool) != isinstance(expected, bool):
+        allowed = "true or false" if isinstance(expected, bool) else "a finite number"
+        raise InputError(
+            f"The argument {name!r} is {value!r}.",
+            remedy=f"It must be {allowed}, like its default {default}.",
+            argument=name,
+        )
+
+
+def _from_text(text: str) -> Argument:
+    lowered = text.strip().lower()
+    if lowered in ("true", "false"):
+        return lowered == "true"
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return number if math.isfinite(number) else text
+
+
 def _as_argument(name: str, value: object, path: Path) -> Argument:
     if value is None:
         raise InputError(
@@ -114,13 +168,7 @@ def _as_argument(name: str, value: object, path: Path) -> Argument:
     if isinstance(value, bool):
         return value
     if isinstance(value, str):
-        lowered = value.strip().lower()
-        if lowered in ("true", "false"):
-            return lowered == "true"
-        try:
-            return float(value)
-        except ValueError:
-            return value
+        return _from_text(value)
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError) as error:

@@ -1,0 +1,199 @@
+"""Loading a robot of one's own: what is accepted, and one clear error for everything that is not."""
+
+import numpy as np
+import pytest
+import yaml
+
+import redundancy_pin as rp
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, RedundancyPinError
+
+URDF = """<?xml version="1.0"?>
+<robot name="bar">
+  <link name="base"/>
+  {links}
+</robot>
+"""
+
+
+def body(name, parent, joint, kind="revolute", origin="0 0 0", axis="0 0 1", mass=1.0):
+    return f"""
+  <link name="{name}"><inertial><origin xyz="0.25 0 0"/><mass value="{mass}"/>
+    <inertia ixx="0" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="{joint}" type="{kind}"><parent link="{parent}"/><child link="{name}"/>
+    <origin xyz="{origin}"/><axis xyz="{axis}"/><limit lower="-9" upper="9" velocity="9" effort="9"/></joint>"""
+
+
+FIVE_BAR = URDF.format(
+    links=body("l1", "base", "a1")
+    + body("l2", "l1", "b1", origin="0.5 0 0")
+    + body("tip1", "l2", "m1", kind="fixed", origin="0.5 0 0", mass=0.1)
+    + body("r1", "base", "a2", origin="0.5 0 0")
+    + body("r2", "r1", "b2", origin="0.5 0 0")
+    + body("tip2", "r2", "m2", kind="fixed", origin="0.5 0 0", mass=0.1)
+    + body("bob", "l2", "slider", kind="prismatic", axis="1 0 0", mass=0.5)
+)
+DECLARATION = {
+    "name": "my_five_bar",
+    "urdf": "bar.urdf",
+    "closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "y"]}],
+    "actuated": ["a1", "a2"],
+    "carriers": [{"joint": "slider", "position": [-0.2, 0.4], "acceleration": 5.0}],
+    "independent": {"platform": "tip1", "axes": ["x", "y"]},
+    "reference": {"platform": [0.25, 0.7], "guess": {"a1": 2.0, "b1": -1.0, "a2": 1.0, "b2": 1.0}},
+}
+
+
+def write(folder, tree=FIVE_BAR, **changes):
+    data = {**DECLARATION, **changes}
+    (folder / "bar.urdf").write_text(tree)
+    (folder / "robot.yaml").write_text(yaml.safe_dump({k: v for k, v in data.items() if v is not None}))
+    return folder / "robot.yaml"
+
+
+def test_a_robot_of_ones_own_runs_to_torques(tmp_path):
+    robot = rp.load_robot(write(tmp_path))
+    assert (robot.n, robot.m, robot.k, robot.closed_form) == (2, 2, 1, None)
+    assert robot.carrier_limits[0].lower == -0.2
+    assert robot.carrier_limits[0].speed == 9.0
+    motion = rp.PlatformMotion([0.0], [[0.25, 0.7]], [[0.1, 0.0]], [[0.0, -1.0]])
+    efforts = rp.distribute(rp.RneaDynamics(robot).reduce(motion))
+    assert np.isfinite(efforts.tau).all()
+
+
+def test_gravity_and_folder_and_default_mode(tmp_path):
+    write(tmp_path)
+    robot = rp.load_robot(tmp_path, gravity=(0.0, -9.81, 0.0))
+    np.testing.assert_array_equal(robot.gravity, [0.0, -9.81, 0.0])
+    assert robot.working_mode == ()
+    assert rp.load_robot("3rrr").working_mode == (1, 1, 1)
+    assert rp.load_robot("3rrr", working_mode=(1, -1, 1)).working_mode == (1, -1, 1)
+
+
+BAD_DECLARATIONS = {
+    "misspelt joint": ({"actuated": ["a1", "a22"]}, r"no moving joint 'a22'\. Did you mean 'a2'\?"),
+    "misspelt frame": (
+        {"closures": [{"frames": ["tip1", "tipp2"], "axes": ["x", "y"]}]},
+        r"no link 'tipp2'\. Did you mean 'tip2'\?",
+    ),
+    "misspelt platform": ({"independent": {"platform": "tipp", "axes": ["x", "y"]}}, "no link 'tipp'"),
+    "misspelt indicator": ({"working_modes": {"joints": ["bb1"], "signs": [1]}}, "no moving joint 'bb1'"),
+    "unknown key": ({"acutated": ["a1"]}, "Unknown key `acutated`. Did you mean `actuated`?"),
+    "unknown key inside": ({"closures": [{"frame": [], "axes": []}]}, "Unknown key `frame` in `closures"),
+    "over-constrained": (
+        {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "y", "z"]}]},
+        "over-constrained: 4 joint velocities less 3 closure rows leave 1 freedoms, but 2 .*redundant: z of 'tip1 = tip2'",
+    ),
+    "under-constrained": (
+        {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x"]}]},
+        "under-constrained: 4 joint velocities less 1 closure rows leave 3 freedoms, but only 2",
+    ),
+    "rank and count disagree": (
+        {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "z"]}]},
+        r"count gives my_five_bar 2 freedoms, but its closure rows have rank 1 of 2 .* 3 freedoms\. Redundant: z of",
+    ),
+    "two roles": ({"actuated": ["a1", "slider"]}, "'slider' is declared in two roles"),
+    "carrier twice": ({"carriers": [{"joint": "slider"}, {"joint": "slider"}]}, "'slider' is declared in two roles"),
+    "carrier in the load path": (
+        {"carriers": [{"joint": "b2"}], "actuated": ["a1", "a2"]},
+        "carrier 'b2' moves the frame 'tip2'",
+    ),
+    "one body": ({"closures": [{"frames": ["tip1", "l2"], "axes": ["x", "y"]}]}, "two frames of one rigid body"),
+    "wrong axis": ({"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "q"]}]}, "subset of x, y, z, rx, ry, rz"),
+    "axis twice": ({"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "x"]}]}, "without repetitions"),
+    "three frames": ({"closures": [{"frames": ["tip1", "tip2", "l1"], "axes": ["x"]}]}, "two different frames"),
+    "two rotations": ({"independent": {"platform": "tip1", "axes": ["rx", "ry"]}}, "no rotation, one rotation, or all"),
+    "platform and joints": (
+        {"independent": {"platform": "tip1", "axes": ["x"], "joints": ["a1"]}},
+        "either `joints`, or `platform`",
+    ),
+    "bad expression": ({"reference": {"platform": ["1 +", 0.7]}}, r"`reference.platform` is '1 \+'"),
+    "expression with unknown name": ({"reference": {"platform": ["radius", 0.7]}}, "'radius' is not defined"),
+    "wrong number of coordinates": ({"reference": {"platform": [0.25]}}, "a list of 2"),
+    "reference out of reach": ({"reference": {"platform": [0.25, 5.0]}}, "does not close.* leaves a gap of"),
+    "guess of an unknown joint": (
+        {"reference": {"platform": [0.25, 0.7], "guess": {"elbow": 1.0}}},
+        "no moving joint 'elbow'",
+    ),
+    "no actuator": ({"actuated": []}, "a list of names, not empty"),
+    "gravity": ({"gravity": [0, -9.81]}, "`gravity` is .* a list of 3"),
+    "gravity text": ({"gravity": [0, "down", 0]}, "`gravity` is 'down'"),
+    "track turned round": ({"carriers": [{"joint": "slider", "position": [0.4, -0.2]}]}, "lower < upper"),
+    "negative limit": ({"carriers": [{"joint": "slider", "speed": -1}]}, "positive, or left out"),
+    "when": ({"carriers": [{"joint": "slider", "when": "carriers"}]}, "name of a xacro argument that is true or false"),
+    "mode signs": ({"working_modes": {"joints": ["b1"], "signs": [2]}}, "a list of 1 and -1"),
+    "closed form": ({"closed_form": "delta"}, "one of 2rpr, 3rrr"),
+    "characteristic length": ({"characteristic_length": -1}, "a positive length"),
+    "no urdf": ({"urdf": None}, "names no `urdf`"),
+    "condition that is none": ({"requires": ["1 + 1"]}, "a condition, such as"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_DECLARATIONS)
+def test_bad_declarations_are_refused(tmp_path, name):
+    changes, message = BAD_DECLARATIONS[name]
+    with pytest.raises(DeclarationError, match=message) as caught:
+        rp.load_robot(write(tmp_path, **changes))
+    assert caught.value.remedy
+
+
+def test_files_that_are_missing_or_broken(tmp_path):
+    with pytest.raises(ModelFileError, match="does not exist"):
+        rp.load_robot(_without_urdf(tmp_path))
+    path = write(tmp_path)
+    path.write_text("closures: [}")
+    with pytest.raises(ModelFileError, match="not readable YAML"):
+        rp.load_robot(path)
+    path.write_text("- 1\n- 2\n")
+    with pytest.raises(DeclarationError, match="holds no mapping"):
+        rp.load_robot(path)
+    path = write(tmp_path, tree=FIVE_BAR.replace("</robot>", ""))
+    with pytest.raises(ModelFileError, match="not well-formed XML"):
+        rp.load_robot(path)
+    path = write(tmp_path, tree=FIVE_BAR.replace('<parent link="l1"/>', '<parent link="nowhere"/>'))
+    with pytest.raises(ModelFileError, match="Pinocchio cannot read the URDF"):
+        rp.load_robot(path)
+
+
+def _without_urdf(folder):
+    path = write(folder)
+    (folder / "bar.urdf").unlink()
+    return path
+
+
+def test_arguments_that_make_no_machine():
+    with pytest.raises(InputError, match="base_radius > 0 does not hold"):
+        rp.load_robot("3rrr", base_radius=0.0)
+    with pytest.raises(InputError, match="carrier_mass >= 0 does not hold"):
+        rp.load_robot("2rpr", carrier_mass=-1.0)
+    with pytest.raises(InputError, match="no argument 'carier_mass'. Did you mean 'carrier_mass'"):
+        rp.load_robot("3rrr", carier_mass=2.0)
+    with pytest.raises(DeclarationError, match=r"does not close in working mode \+\+\+.*gap of"):
+        rp.load_robot("3rrr", proximal_length=0.1, distal_length=0.1)
+
+
+@pytest.mark.parametrize("mode", [(1, 1), (1, 1, 0), "+++", (1, 1, 1, 1)])
+def test_bad_working_modes(mode):
+    with pytest.raises(InputError, match="a tuple of 3 signs"):
+        rp.load_robot("3rrr", working_mode=mode)
+
+
+def test_a_mode_for_a_robot_without_modes(tmp_path):
+    with pytest.raises(InputError, match="declares no modes"):
+        rp.load_robot(write(tmp_path), working_mode=(1, 1))
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -9.81), (0.0, float("nan"), 0.0), "down"])
+def test_bad_gravity(gravity):
+    with pytest.raises(InputError, match="gravity"):
+        rp.load_robot("3rrr", gravity=gravity)
+
+
+def test_every_error_is_one_of_ours_and_survives_pickling():
+    import pickle
+
+    with pytest.raises(RedundancyPinError) as caught:
+        rp.load_robot("3rrr", base_radius=0.0)
+    copy = pickle.loads(pickle.dumps(caught.value))
+    assert str(copy) == str(caught.value)
+    assert copy.details == caught.value.details
+    assert type(copy) is type(caught.value)
