@@ -81,7 +81,7 @@ BAD_DECLARATIONS = {
     "unknown key inside": ({"closures": [{"frame": [], "axes": []}]}, "Unknown key `frame` in `closures"),
     "over-constrained": (
         {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "y", "z"]}]},
-        "over-constrained: 4 joint velocities less 3 closure rows leave 1 freedoms, but 2 .*redundant: z of 'tip1 = tip2'",
+        "over-constrained: 4 joint velocities less 3 closure rows leave 1 freedoms, but 2 .*redundant: z of 'tip1",
     ),
     "under-constrained": (
         {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x"]}]},
@@ -165,7 +165,7 @@ def test_arguments_that_make_no_machine():
         rp.load_robot("3rrr", base_radius=0.0)
     with pytest.raises(InputError, match="carrier_mass >= 0 does not hold"):
         rp.load_robot("2rpr", carrier_mass=-1.0)
-    with pytest.raises(InputError, match="no argument 'carier_mass'. Did you mean 'carrier_mass'"):
+    with pytest.raises(InputError, match=r"no argument 'carier_mass'\. Did you mean 'carrier_mass'"):
         rp.load_robot("3rrr", carier_mass=2.0)
     with pytest.raises(DeclarationError, match=r"does not close in working mode \+\+\+.*gap of"):
         rp.load_robot("3rrr", proximal_length=0.1, distal_length=0.1)
