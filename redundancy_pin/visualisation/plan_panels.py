@@ -65,36 +65,45 @@ def draw_series(axes: Axes, t: Array, values: Array, names: Sequence[str]) -> No
 
 
 def draw_limits(axes: Axes, values: Array, limits: Sequence[tuple[float, float]]) -> None:
-    """Hatch what the carriers may not do, and fit the axis to it and to the values.
+    """Draw the limits of the carriers, hatch what none of them may do, and fit the axis to it and to the values.
 
-    Carriers with different limits get a line each in their own stroke, and no hatching. Limits far beyond the values
-    are said in the corner instead of drawn.
+    Where the carriers' limits differ, each line says whose it is. Limits far beyond the values are not drawn, as they
+    would flatten the curves; if all are, and all carriers share them, they are said in the corner.
 
     Args:
         axes: the axes.
         values: (N, k) what is drawn.
         limits: lower and upper limit of each carrier; infinite where there is none.
     """
-    lower, upper = min(low for low, _ in limits), max(high for _, high in limits)
     least, most = float(values.min(initial=0.0)), float(values.max(initial=0.0))
-    shown = [edge for edge, value in ((lower, least), (upper, most)) if _is_visible(edge, value)]
-    edges = [least, most, *shown]
+    lower = [low if _is_visible(low, least) else None for low, _ in limits]
+    upper = [high if _is_visible(high, most) else None for _, high in limits]
+    edges = [least, most, *(edge for edge in (*lower, *upper) if edge is not None)]
     room = (_HEADROOM - 1.0) * ((max(edges) - min(edges)) or 1.0)
     bottom, top = min(edges) - room, max(edges) + room
-    common = len(set(limits)) == 1
-    for edge, far in ((lower, bottom), (upper, top)):
-        if edge in shown and common:
+    for side, far, outermost in ((lower, bottom, min), (upper, top, max)):
+        drawn = {edge for edge in side if edge is not None}
+        for edge in sorted(drawn):
+            axes.axhline(edge, color="#000000", linewidth=0.8, zorder=1.5)
+            whose = [i + 1 for i, other in enumerate(side) if other == edge]
+            if len(whose) < len(limits):
+                _say_whose(axes, edge, whose)
+        if drawn and None not in side:
+            edge = outermost(drawn)
             band = axes.axhspan(min(edge, far), max(edge, far), facecolor="none", edgecolor=_FORBIDDEN, linewidth=0)
             band.set(hatch="/////", zorder=0.4)
-            axes.axhline(edge, color="#000000", linewidth=0.8, zorder=1.5)
-    if not common:
-        for i, pair in enumerate(limits):
-            for edge in filter(np.isfinite, pair):
-                axes.axhline(edge, color=STROKES[i % len(STROKES)].color, linewidth=0.8, zorder=1.5)
     axes.set_ylim(bottom, top)
-    if common and not shown and np.isfinite([lower, upper]).any():
-        text = f"limits ±{upper:g}" if lower == -upper else f"limits {lower:g}, {upper:g}"
+    if len(set(limits)) == 1 and not {*lower, *upper} - {None} and np.isfinite(limits[0]).any():
+        low, high = limits[0]
+        text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
         axes.text(0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#444444")
+
+
+def _say_whose(axes: Axes, edge: float, whose: Sequence[int]) -> None:
+    text = f"limit of {', '.join(str(number) for number in whose)}"
+    box = {"facecolor": "#FFFFFF", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}
+    place = axes.get_yaxis_transform()
+    axes.text(0.985, edge, text, transform=place, ha="right", va="center", fontsize=7.0, zorder=1.6, bbox=box)
 
 
 def mark_broken(axes: Axes, plan: Plan, quantity: str) -> None:
