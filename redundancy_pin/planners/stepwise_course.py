@@ -68,8 +68,8 @@ def run_course(
     for first, last in runs:
         steps = slice(first + 1, last + 1)
         if active[first]:
-            limits = settings.limits
-            found = optimise(problems, first, last, s[first], sd[first], sdd[first], limits)
+            state = CarrierState(float(t[first]), s[first], sd[first], sdd[first])
+            found = optimise(problems, int(first), int(last), state, settings.limits)
             s[steps], sd[steps], sdd[steps] = found.s, found.sd, found.sdd
             course.phase[steps] = OPTIMISE
             course.stretches.append((int(first), found))

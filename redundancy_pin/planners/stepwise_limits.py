@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -53,24 +54,27 @@ class StepLimits:
         lower, upper = [], []
         for j, bounds in enumerate(self.limits):
             position, speed, a = s[j], sd[j], bounds.acceleration
-            slowest, fastest = -bounds.speed, bounds.speed
-            low, high = (bounds.lower - position) / step, (bounds.upper - position) / step
-            least, most = max(slowest, low), min(fastest, high)
             reach = a * step
+            least, most = max(speed - reach, -bounds.speed), min(speed + reach, bounds.speed)
+            behind, ahead = position - bounds.lower, bounds.upper - position
+            if most * step > ahead:
+                most = ahead / step
+            if -least * step > behind:
+                least = -behind / step
             if self.anticipate:
-                brake = max(speed - reach, 0.0)
-                most = min(most, max(stoppable_speed(bounds.upper - position, step, a), brake))
-                brake = min(speed + reach, 0.0)
-                least = max(least, min(-stoppable_speed(position - bounds.lower, step, a), brake))
-            if self.rest_at < np.inf:
-                left = a * max(self.rest_at - t, 0.0) if self.rest_at > t else 0.0
+                if most > 0.0 and (step + 0.5 * most / a) * most > ahead:
+                    most = min(most, max(stoppable_speed(ahead, step, a), speed - reach))
+                if least < 0.0 and (step - 0.5 * least / a) * -least > behind:
+                    least = max(least, min(-stoppable_speed(behind, step, a), speed + reach))
+            if self.rest_at < math.inf:
+                left = a * max(self.rest_at - t, 0.0)
                 most = min(most, max(left, speed - reach))
                 least = max(least, min(-left, speed + reach))
-            below, above = max(-a, (least - speed) / step), min(a, (most - speed) / step)
-            if below > above:
-                above = below = self._single(j, t, step, position, speed, below, above)
-            lower.append(below)
-            upper.append(above)
+            low, high = max((least - speed) / step, -a), min((most - speed) / step, a)
+            if low > high:
+                low = high = self._single(j, t, step, position, speed, low, high)
+            lower.append(low)
+            upper.append(high)
         return lower, upper
 
     def _single(self, j: int, t: float, step: float, s: float, sd: float, lower: float, upper: float) -> float:
@@ -83,7 +87,7 @@ class StepLimits:
         if lower - upper <= _EMPTY * (abs(lower) + abs(upper)):
             return min(max(0.5 * (lower + upper), -bounds.acceleration), bounds.acceleration)
         a = bounds.acceleration
-        braked = sd - np.sign(sd) * min(abs(sd), a * step)
+        braked = sd - math.copysign(min(abs(sd), a * step), sd)
         reached = s + step * braked
         beyond = max(reached - bounds.upper, bounds.lower - reached)
         excess = abs(braked) - bounds.speed

@@ -3,44 +3,55 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import mul
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, IntArray
-from redundancy_pin.planners.box_least_squares import minimise
+from redundancy_pin.planners.box_least_squares import damping_of, minimise
+from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.effort_model import EffortModel
 from redundancy_pin.planners.stepwise_limits import StepLimits
 
-_TOLERANCE = 1e-13
-"""Of the gradient at a minimum, as a fraction of the efforts that the carriers can make."""
+_TOLERANCE = 1e-9
+"""Of the gradient at a minimum, as a fraction of the efforts along the motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepProblems:
-    """The least-squares problem of every step, as far as it does not depend on the state before the step.
+    """The least-squares problem of every step.
 
-    A step of length h from (s, ṡ) with the acceleration u ends at ṡ' = ṡ + h u, s' = s̄ + h² u, with s̄ = s + h ṡ. Put
-    into τ this is c + B u + C (u ∘ u), with c and B linear in φ = (1, s̄, s̄², ṡ, s̄ ṡ) and C a function of time.
+    A step of length h from (s, ṡ) with the acceleration u ends at ṡ' = ṡ + h u, s' = s + h ṡ'. The efforts there less
+    their target are r, and J = ∂r/∂u; both are linear in φ = (1, s', s'², ṡ', s' ṡ', u), so one product gives both. The
+    second derivatives do not depend on the state: r(u + d) = r + J d + C (d ∘ d).
 
     J steps; step j ends at instant j + 1.
 
     Attributes:
         t: (J + 1,) instants, s.
         h: (J,) lengths of the steps, s.
-        c_and_B: (J, m (1 + k), 1 + 4 k) the map from φ to c and B, row by row.
+        maps: (J, m (k + 1), 1 + 5 k) from φ to [J r], row by row.
         C: (J, m, k) curvatures.
-        slope: (J,) size of B with the carriers at rest in the middle.
+        slope: (J,) size of J.
         curvature: (J,) size of C.
         tolerance: of the gradient, divided by the slope, N or N·m.
     """
 
     t: Array
     h: Array
-    c_and_B: Array
+    maps: Array
     C: Array
     slope: Array
     curvature: Array
     tolerance: float
+
+    def linearised(self, first: int, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
+        """Return r (P, m) and J (P, m, k) at the ends (P, k) of the steps from ``first`` on."""
+        features = np.concatenate([np.ones((len(s), 1)), s, s * s, sd, s * sd, sdd], axis=1)
+        steps, m, k = self.C[first : first + len(s)].shape
+        values = np.einsum("jvf,jf->jv", self.maps[first : first + steps], features)
+        both = values.reshape(steps, m, k + 1)
+        return both[:, :, k], both[:, :, :k]
 
 
 def step_problems(model: EffortModel, target: Array, at: IntArray) -> StepProblems:
@@ -57,25 +68,25 @@ def step_problems(model: EffortModel, target: Array, at: IntArray) -> StepProble
     by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(model.tau_terms[ends], -1, 0)
     steps, m, k = by_s.shape
     H = h[:, None, None]
-    maps = np.zeros((steps, m, 1 + k, 1 + 4 * k))
-    maps[:, :, 0, 0] = model.tau0[ends] - target[ends]
-    maps[:, :, 0, 1:] = np.concatenate([by_s, by_s2, by_sd, by_ssd], axis=2)
-    slope = H * H * by_s + H * by_sd + by_sdd
+    maps = np.zeros((steps, m, k + 1, 1 + 5 * k))
+    maps[:, :, k, 0] = model.tau0[ends] - target[ends]
+    maps[:, :, k, 1:] = np.concatenate([by_s, by_s2, by_sd, by_ssd, by_sdd], axis=2)
     each = np.arange(k)
-    maps[:, :, 1 + each, 0] = slope
-    maps[:, :, 1 + each, 1 + each] = 2.0 * H * H * by_s2 + H * by_ssd
-    maps[:, :, 1 + each, 1 + 2 * k + each] = H * H * by_ssd
+    slope = H * H * by_s + H * by_sd + by_sdd
+    maps[:, :, each, 0] = slope
+    maps[:, :, each, 1 + each] = 2.0 * H * H * by_s2 + H * by_ssd
+    maps[:, :, each, 1 + 2 * k + each] = H * H * by_ssd
     C = H**4 * by_s2 + H**3 * by_ssd
     size = np.abs(slope).max(axis=(1, 2), initial=np.finfo(float).tiny)
-    efforts = np.abs(maps[:, :, 0, 0]).max(initial=0.0) + size.max(initial=0.0)
+    efforts = np.abs(maps[:, :, k, 0]).max(initial=0.0)
     return StepProblems(
         t,
         h,
-        np.concatenate([maps[:, :, 0], maps[:, :, 1:].reshape(steps, m * k, -1)], axis=1),
+        maps.reshape(steps, m * (k + 1), -1),
         C,
         size,
         np.abs(C).max(axis=(1, 2), initial=0.0),
-        float(_TOLERANCE * efforts),
+        float(_TOLERANCE * (efforts or size.max(initial=0.0))),
     )
 
 
@@ -84,11 +95,12 @@ class Stretch:
     """Consecutive steps of the optimiser.
 
     Attributes:
-        s, sd, sdd: (J, k) positions, speeds and accelerations at the end of each step.
-        lower, upper: (J, k) box of the accelerations.
-        c: (J, m) efforts less their target at s̈ = 0.
-        B: (J, m, k) slopes.
-        iterations: (J,) iterations of each step.
+        s: (P, k) positions at the end of each step, m.
+        sd: (P, k) speeds there, m/s.
+        sdd: (P, k) accelerations, m/s².
+        lower: (P, k) smallest accelerations the limits allow.
+        upper: (P, k) largest.
+        iterations: (P,) iterations of each step.
     """
 
     s: Array
@@ -96,71 +108,58 @@ class Stretch:
     sdd: Array
     lower: Array
     upper: Array
-    c: Array
-    B: Array
     iterations: IntArray
 
 
-def optimise(
-    problems: StepProblems, first: int, last: int, s: Array, sd: Array, sdd: Array, limits: StepLimits
-) -> Stretch:
+def optimise(problems: StepProblems, first: int, last: int, start: CarrierState, limits: StepLimits) -> Stretch:
     """Solve steps first ... last − 1, each from where the one before it ended.
 
     Args:
         problems: the prepared steps.
         first: index of the first step.
         last: one past the last.
-        s, sd: (k,) state before the first step, m and m/s.
-        sdd: (k,) acceleration before it, m/s²: the first guess.
+        start: the carriers before the first step; their accelerations are the first guess.
         limits: what to keep to.
 
     Raises:
         InfeasiblePlanError: the box of a step is empty; names carrier, time and amount.
     """
     m, k = problems.C.shape[1:]
+
+    def linearised(u: list[float]) -> Array:
+        rate = [v + h * a for v, a in zip(sd, u)]  # noqa: B905 (strict costs time here)
+        place = [x + h * v for x, v in zip(s, rate)]  # noqa: B905
+        features = [1.0, *place, *map(mul, place, place), *rate, *map(mul, place, rate), *u]
+        both: Array = step_map.dot(features).reshape(m, k + 1)
+        return both
+
+    damping = damping_of(k, float(problems.slope.max()))
     lengths, times = problems.h.tolist(), problems.t.tolist()
     slopes, curvatures = problems.slope.tolist(), problems.curvature.tolist()
-    features = np.ones(1 + 4 * k)
-    coasted, coasted2, speed, product = (features[1 + j * k : 1 + (j + 1) * k] for j in range(4))
-    found: tuple[list[Array], ...] = ([], [], [], [])
-    positions, speeds, accelerations, values = found
-    lower, upper, iterations = [], [], []
-    guess = u = sdd
+    positions, speeds, accelerations, lower, upper, iterations = [], [], [], [], [], []
+    s, sd, u = start.s.tolist(), start.sd.tolist(), start.sdd.tolist()
+    guess = u
     for j in range(first, last):
-        h = lengths[j]
-        np.multiply(sd, h, coasted)
-        np.add(coasted, s, coasted)
-        np.multiply(coasted, coasted, coasted2)
-        speed[:] = sd
-        np.multiply(coasted, sd, product)
-        value = problems.c_and_B[j] @ features
-        low, high = limits.box(times[j + 1], h, s.tolist(), sd.tolist())
-        before = u
+        h, step_map, before = lengths[j], problems.maps[j], u
+        low, high = limits.box(times[j + 1], h, s, sd)
         u, count = minimise(
-            value[:m],
-            value[m:].reshape(m, k),
-            problems.C[j],
+            linearised,
             low,
             high,
             guess,
             slope=slopes[j],
             curvature=curvatures[j],
+            damping=damping,
             tolerance=problems.tolerance,
         )
-        guess = u + (u - before)
-        sd = sd + h * u
-        s = s + h * sd
+        guess = [2.0 * now - then for now, then in zip(u, before, strict=True)]
+        sd = [v + h * a for v, a in zip(sd, u, strict=True)]
+        s = [x + h * v for x, v in zip(s, sd, strict=True)]
         positions.append(s)
         speeds.append(sd)
         accelerations.append(u)
-        values.append(value)
         lower.append(low)
         upper.append(high)
         iterations.append(count)
-    stacked = np.array(values).reshape(-1, m * (1 + k))
-    return Stretch(
-        *(np.array(part).reshape(-1, k) for part in (positions, speeds, accelerations, lower, upper)),
-        stacked[:, :m],
-        stacked[:, m:].reshape(-1, m, k),
-        np.array(iterations, dtype=np.intp),
-    )
+    found = (np.array(part).reshape(-1, k) for part in (positions, speeds, accelerations, lower, upper))
+    return Stretch(*found, np.array(iterations, dtype=np.intp))

@@ -32,9 +32,9 @@ def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits:
     counts = [found.iterations for _, found in course.stretches]
     gradients, curvatures = [], []
     for first, found in course.stretches:
-        C = problems.C[first : first + len(found.s)]
-        gradients.append(optimality(found.c, found.B, C, found.lower, found.upper, found.sdd))
-        curvatures.append(definiteness(found.c, found.B, C, found.sdd))
+        residual, jacobian = problems.linearised(first, found.s, found.sd, found.sdd)
+        gradients.append(optimality(residual, jacobian, found.lower, found.upper, found.sdd))
+        curvatures.append(definiteness(residual, jacobian, problems.C[first : first + len(residual)]))
     return {
         "steps": len(problems.h) + len(ending.t),
         "optimised_steps": int(sum(len(count) for count in counts)),
