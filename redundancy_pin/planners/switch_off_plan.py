@@ -128,7 +128,10 @@ def _diagnostics(
     tau = np.where(np.isfinite(prescribed), prescribed, distribute(reduced).tau)
     balance = (np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f) / reduced.row_scale
     imbalance = np.linalg.norm(balance, axis=1)
-    peaks = {name: np.nanmax(np.abs(tau[phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
+    efforts, positions = (
+        {name: np.nanmax(np.abs(part[phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
+        for part in (tau, carriers.s)
+    )
     singular = measured.singular_instants()
     return {
         "windows": [_window(dynamics, source, leg, singular, settings) for leg in legs],
