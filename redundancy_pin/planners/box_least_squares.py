@@ -8,6 +8,7 @@ needed. The problems are tiny and solved by the thousand: plain floats where the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from operator import add, mul, sub
 from typing import TypeAlias
@@ -68,7 +69,7 @@ def minimise(
     u, k = start, len(start)
     for iteration in range(1, MOST_ITERATIONS + 1):
         both = linearised(u)
-        squared = both.T @ both
+        squared = both.T.dot(both)
         hessian, gradient = squared[:k, :k] + damping, squared[:k, k]
         step = [-d for d in dposv(hessian, gradient)[1].tolist()]
         reached = list(map(add, u, step))
@@ -79,7 +80,7 @@ def minimise(
             ends = zip(u, step, lower, upper, low, high, strict=True)
             reached = [a if d == least else b if d == most else x + d for x, d, a, b, least, most in ends]
         u = reached
-        largest, remains = max(map(abs, step)), max(map(abs, both[:, k].tolist()))
+        largest, remains = max(map(abs, step)), math.sqrt(squared.item(k, k))
         if curvature * largest * (largest + 2.0 * remains / slope) <= tolerance:
             return u, iteration
     raise RedundancyPinError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,6 +34,12 @@ class StepLimits:
     limits: tuple[CarrierLimits, ...]
     anticipate: bool
     rest_at: float
+    _bounds: tuple[tuple[float, float, float, float], ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # plain tuples: the box is asked for at every step
+        bounds = tuple((limit.lower, limit.upper, limit.speed, limit.acceleration) for limit in self.limits)
+        object.__setattr__(self, "_bounds", bounds)
 
     def box(self, t: float, step: float, s: Sequence[float], sd: Sequence[float]) -> tuple[list[float], list[float]]:
         """Return the smallest and largest s̈ of each carrier in a step (Parsa 2014, eqs. 4.2 to 4.4).
@@ -52,11 +58,11 @@ class StepLimits:
             InfeasiblePlanError: the limits leave nothing; names the carrier, the time and the amount.
         """
         lower, upper = [], []
-        for j, bounds in enumerate(self.limits):
-            position, speed, a = s[j], sd[j], bounds.acceleration
+        for j, (first, last, fastest, a) in enumerate(self._bounds):
+            position, speed = s[j], sd[j]
             reach = a * step
-            least, most = max(speed - reach, -bounds.speed), min(speed + reach, bounds.speed)
-            behind, ahead = position - bounds.lower, bounds.upper - position
+            least, most = max(speed - reach, -fastest), min(speed + reach, fastest)
+            behind, ahead = position - first, last - position
             if most * step > ahead:
                 most = ahead / step
             if -least * step > behind:

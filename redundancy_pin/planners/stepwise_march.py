@@ -136,7 +136,12 @@ def optimise(problems: StepProblems, first: int, last: int, start: CarrierState,
     damping = damping_of(k, float(problems.slope.max()))
     lengths, times = problems.h.tolist(), problems.t.tolist()
     slopes, curvatures = problems.slope.tolist(), problems.curvature.tolist()
-    positions, speeds, accelerations, lower, upper, iterations = [], [], [], [], [], []
+    positions: list[float] = []
+    speeds: list[float] = []
+    accelerations: list[float] = []
+    lower: list[float] = []
+    upper: list[float] = []
+    iterations: list[int] = []
     s, sd, u = start.s.tolist(), start.sd.tolist(), start.sdd.tolist()
     guess = u
     for j in range(first, last):
@@ -152,14 +157,14 @@ def optimise(problems: StepProblems, first: int, last: int, start: CarrierState,
             damping=damping,
             tolerance=problems.tolerance,
         )
-        guess = [2.0 * now - then for now, then in zip(u, before, strict=True)]
-        sd = [v + h * a for v, a in zip(sd, u, strict=True)]
-        s = [x + h * v for x, v in zip(s, sd, strict=True)]
-        positions.append(s)
-        speeds.append(sd)
-        accelerations.append(u)
-        lower.append(low)
-        upper.append(high)
+        guess = [2.0 * now - then for now, then in zip(u, before)]  # noqa: B905
+        sd = [v + h * a for v, a in zip(sd, u)]  # noqa: B905
+        s = [x + h * v for x, v in zip(s, sd)]  # noqa: B905
+        positions += s
+        speeds += sd
+        accelerations += u
+        lower += low
+        upper += high
         iterations.append(count)
     found = (np.array(part).reshape(-1, k) for part in (positions, speeds, accelerations, lower, upper))
     return Stretch(*found, np.array(iterations, dtype=np.intp))
