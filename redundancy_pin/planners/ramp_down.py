@@ -17,6 +17,9 @@ from redundancy_pin.trajectory import Polynomial, boundary_polynomial
 _NODES = 16
 """Nodes of the interpolant from which the parked efforts are differentiated."""
 
+_NARROW = 1e-3
+"""Of the ramp: a smooth stretch shorter than this is not differentiated on."""
+
 
 @dataclass(frozen=True, eq=False)
 class RampDown:
@@ -50,12 +53,7 @@ def ramp_down(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: f
         return np.asarray(tau)
 
     kinks = np.concatenate([[motion.start], motion.breaks, motion.knots if motion.exact else [], [motion.end]])
-    width = end - start
-    before, after = kinks[kinks < start - 1e-3 * width], kinks[kinks > start + 1e-3 * width]
-    left, right = max(before.max(initial=-np.inf), start - width), min(after.min(initial=np.inf), start + 0.5 * width)
-    left = start if not np.isfinite(left) else left
-    if np.any(np.abs(kinks - start) <= 1e-3 * width):
-        right, left = (right, start) if left == start else (start, left)
+    left, right = _smooth_around(kinks, start, end - start)
     nodes = np.sort(chebyshev.chebpts1(_NODES))
     values = parked(0.5 * (left + right) + 0.5 * (right - left) * nodes)
     series = np.linalg.solve(chebyshev.chebvander(nodes, _NODES - 1), values)
@@ -64,3 +62,15 @@ def ramp_down(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: f
     at = parked(np.array([start, end]))
     zero = np.zeros(dynamics.robot.m)
     return RampDown(boundary_polynomial(start, end, [at[0], *rates], [zero, zero, zero]), at[1])
+
+
+def _smooth_around(kinks: Array, t: float, width: float) -> tuple[float, float]:
+    """Return the stretch without kinks around a time, at most ``width`` before and half of it after, s."""
+    before = min(t - float(kinks[kinks <= t].max()), width)
+    after = min(float(kinks[kinks > t].min()) - t, 0.5 * width)
+    narrow = _NARROW * width  # derivatives from so short a stretch would be rounding; that on the other side will do
+    if before < narrow:
+        before = 0.0
+    elif after < narrow:
+        after = 0.0
+    return t - before, t + after

@@ -274,10 +274,8 @@ def test_any_circle(base, aside, radius, dip, speed, threshold, mass, ramp, back
     try:
         plan = plan_switch_off(dynamics, trajectory, threshold=threshold, ramp_down=ramp, return_time=back, dt=2e-3)
     except InfeasiblePlanError as error:
-        assume(error.details["constraint"] == "return_time")
-        late = error.details["t"] + back - trajectory.duration
-        assert error.details["amount"] == pytest.approx(late, abs=1e-9)
-        return
+        assume(error.details["constraint"] not in ("return_time", "ramp_down"))
+        raise
     require_exact(plan, trajectory, mass, base)
     legs = legs_of(plan, base)
     beyond = condition(legs) > threshold * (1.0 + 1e-9)

@@ -1,0 +1,142 @@
+"""The return of the carriers: boundary conditions, and the shortest duration against brute force."""
+
+import numpy as np
+import pytest
+import zoo
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from redundancy_pin.planners.carrier_path import CarrierPath
+from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
+
+ROBOT = zoo.robot_of("2rpr")
+TRACK, SPEED, ACCELERATION = 0.2, 2.5, 10.0
+"""As declared in models/2rpr."""
+
+AVAILABLE = 2.0
+
+
+def no_force(t, s, sd, sdd):
+    return np.zeros_like(s)
+
+
+def largest_use(state, duration, datum, samples=4001):
+    """Largest fraction of a limit by brute force: the boundary system solved in monomials of time."""
+    rows, right = [], []
+    for at, values in (
+        (0.0, (state.s, state.sd, state.sdd, 0 * datum)),
+        (duration, (datum, 0 * datum, 0 * datum, 0 * datum)),
+    ):
+        for order, value in enumerate(values):
+            powers = np.arange(8)
+            factor = np.array([np.prod(np.arange(p - order + 1, p + 1)) if p >= order else 0.0 for p in powers])
+            rows.append(np.where(powers >= order, factor * at ** np.maximum(powers - order, 0), 0.0))
+            right.append(value)
+    coefficients = np.linalg.solve(np.array(rows), np.array(right))
+    t = np.linspace(0.0, duration, samples)
+    uses = []
+    for order, limit in ((0, TRACK), (1, SPEED), (2, ACCELERATION)):
+        derived = np.polynomial.polynomial.polyder(coefficients, order, axis=0)
+        uses.append(np.abs(np.polynomial.polynomial.polyval(t, derived)).max() / limit)
+    return max(uses)
+
+
+def state_of(s, sd, sdd):
+    return CarrierState(1.0, *(np.array(part, dtype=float) for part in (s, sd, sdd)))
+
+
+def test_boundary_conditions_and_path():
+    state, datum = state_of([-0.1, 0.05], [-0.4, 0.3], [-1.0, 2.0]), np.array([0.02, 0.0])
+    polynomial = return_polynomial(state, 0.3, datum)
+    for t, expected in ((1.0, (state.s, state.sd, state.sdd, 0.0)), (1.3, (datum, 0.0, 0.0, 0.0))):
+        for order, value in enumerate(expected):
+            np.testing.assert_allclose(polynomial(t, order), np.broadcast_to(value, 2), atol=1e-9)
+    path, t = CarrierPath.of_polynomial(polynomial), np.linspace(1.0, 1.3, 101)
+    motion = path(t)
+    for part, order in ((motion.s, 0), (motion.sd, 1), (motion.sdd, 2)):
+        np.testing.assert_allclose(part, polynomial(t, order), atol=1e-12)
+
+
+def test_extremes_are_found():
+    state = state_of([-0.1, 0.05], [-0.4, 0.3], [-1.0, 2.0])
+    path = CarrierPath.of_polynomial(return_polynomial(state, 0.3, np.zeros(2)))
+    dense = path(np.linspace(path.start, path.end, 200_001))
+    at = path(np.concatenate([[path.start, path.end], path.extremes()]))
+    for name in ("s", "sd", "sdd"):
+        ours, theirs = getattr(at, name), getattr(dense, name)
+        np.testing.assert_allclose(ours.max(axis=0), theirs.max(axis=0), rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(ours.min(axis=0), theirs.min(axis=0), rtol=1e-8, atol=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    s=st.tuples(*[st.floats(-0.19, 0.19)] * 2),
+    sd=st.tuples(*[st.floats(-1.5, 1.5)] * 2),
+    sdd=st.tuples(*[st.floats(-9.5, 9.5)] * 2),
+    datum=st.floats(-0.1, 0.1),
+)
+def test_shortest_against_brute_force(s, sd, sdd, datum):
+    state, place = state_of(s, sd, sdd), np.full(2, datum)
+    duration, use = shortest_return(ROBOT, no_force, state, place, AVAILABLE)
+    durations = np.geomspace(2e-3, AVAILABLE, 400)
+    uses = np.array([largest_use(state, T, place, 201) for T in durations])
+    if duration is None:
+        assert use.use > 1.0
+        assert uses.min() > 1.0 - 1e-3  # 201 samples miss an extreme by less than this
+        assert use.use <= uses.min() * (1.0 + 2e-2)  # and the best duration was looked for between 160 candidates
+        return
+    assert largest_use(state, duration, place) <= 1.0 + 1e-6
+    shorter = durations < duration * (1.0 - 1e-6)
+    assert (uses[shorter] > 1.0 - 1e-3).all()
+    if duration > 3e-3:  # not the shortest candidate: it lies on a limit
+        assert use.use == pytest.approx(1.0, abs=1e-6)
+
+
+def test_carrier_at_rest_at_its_datum_returns_at_once():
+    duration, use = shortest_return(ROBOT, no_force, state_of([0, 0], [0, 0], [0, 0]), np.zeros(2), AVAILABLE)
+    assert duration == pytest.approx(1e-3 * AVAILABLE)
+    assert use.use == 0.0
+
+
+def test_narrow_interval_of_durations_is_found():
+    """Shorter returns break the acceleration limit, longer ones leave the track: between them less than a candidate.
+
+    Along a family of states of growing speed the interval shrinks to nothing; the planner finds it up to where brute
+    force on a grid a thousand times as fine no longer does.
+    """
+    seen = []
+    for speed in np.linspace(1.0, 1.3, 121):
+        state = state_of([0.05, 0.0], [speed, 0.0], [0.0, 0.0])
+        found, _ = shortest_return(ROBOT, no_force, state, np.zeros(2), AVAILABLE)
+        seen.append(found is not None)
+    last = int(np.flatnonzero(seen)[-1]) if any(seen) else -1
+    assert all(seen[: last + 1])
+    if 0 <= last < 120:
+        speed = np.linspace(1.0, 1.3, 121)[last + 1]
+        state = state_of([0.05, 0.0], [speed, 0.0], [0.0, 0.0])
+        fine = np.linspace(0.05, 0.8, 4000)
+        assert min(largest_use(state, T, np.zeros(2), 401) for T in fine) > 1.0 - 1e-4
+
+
+def test_forces_count():
+    state = state_of([-0.08, -0.03], [-0.3, -0.25], [-0.5, -2.0])
+
+    def force(t, s, sd, sdd):
+        return 150.0 * sdd  # reaches the declared 1000 N before s̈ reaches 10 m/s²
+
+    free, _ = shortest_return(ROBOT, no_force, state, np.zeros(2), AVAILABLE)
+    limited, use = shortest_return(ROBOT, force, state, np.zeros(2), AVAILABLE)
+    assert limited > free
+    assert use.quantity == "force"
+    path = CarrierPath.of_polynomial(return_polynomial(state, limited, np.zeros(2)))
+    dense = path(np.linspace(path.start, path.end, 20_001))
+    assert 150.0 * np.abs(dense.sdd).max() == pytest.approx(1000.0, rel=1e-6)
+
+
+def test_state_off_the_track_has_no_return():
+    duration, use = shortest_return(ROBOT, no_force, state_of([-0.25, 0], [0, 0], [0, 0]), np.zeros(2), AVAILABLE)
+    assert duration is None
+    assert use.quantity == "track"
+    assert use.carrier == "carrier_1"
+    assert use.limit == -0.2
+    assert use.amount == pytest.approx(0.05, abs=1e-9)
