@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from math import comb
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -27,10 +29,7 @@ class CarrierPath:
     @staticmethod
     def of_polynomial(polynomial: Polynomial) -> CarrierPath:
         """Return the path of a polynomial with values (k,)."""
-        power = polynomial.coefficients  # of κ = (x + 1) / 2
-        binomial = np.polynomial.Polynomial([0.5, 0.5])
-        in_x = sum(np.pad((binomial**j).coef, (0, len(power) - j - 1))[:, None] * power[j] for j in range(len(power)))
-        series = np.apply_along_axis(legendre.poly2leg, 0, np.asarray(in_x))
+        series = _legendre_from_bernstein(polynomial.degree) @ polynomial.control
         return CarrierPath(read_only(np.array([polynomial.t0, polynomial.t1])), read_only(series[None]))
 
     @property
@@ -99,3 +98,12 @@ def _real_roots(series: Array) -> Array:
     real = roots.real[np.abs(roots.imag) < 1e-9]
     inside: Array = real[np.abs(real) < 1.0]
     return inside
+
+
+@lru_cache(maxsize=8)
+def _legendre_from_bernstein(degree: int) -> Array:
+    """Return the (d, d) matrix from the Bernstein to the Legendre coefficients of a polynomial: it interpolates it."""
+    x, _ = legendre.leggauss(degree + 1)
+    kappa, j = 0.5 * (x[:, None] + 1.0), np.arange(degree + 1)
+    bernstein = np.array([comb(degree, i) for i in j]) * kappa**j * (1.0 - kappa) ** (degree - j)
+    return read_only(np.linalg.solve(legendre.legvander(x, degree), bernstein))

@@ -17,6 +17,12 @@ from redundancy_pin.trajectory import Polynomial, boundary_polynomial
 _NODES = 16
 """Nodes of the interpolant from which the parked efforts are differentiated."""
 
+_TAIL = 1e-11
+"""Of the interpolant's last coefficients, relative to the largest; the stretch is halved until they are as small."""
+
+_MOST_HALVINGS = 8
+"""After them rounding would cost the derivatives more than the interpolation does."""
+
 _NARROW = 1e-3
 """Of the ramp: a smooth stretch shorter than this is not differentiated on."""
 
@@ -55,8 +61,12 @@ def ramp_down(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: f
     kinks = np.concatenate([[motion.start], motion.breaks, motion.knots if motion.exact else [], [motion.end]])
     left, right = _smooth_around(kinks, start, end - start)
     nodes = np.sort(chebyshev.chebpts1(_NODES))
-    values = parked(0.5 * (left + right) + 0.5 * (right - left) * nodes)
-    series = np.linalg.solve(chebyshev.chebvander(nodes, _NODES - 1), values)
+    to_series = np.linalg.inv(chebyshev.chebvander(nodes, _NODES - 1))
+    for _ in range(_MOST_HALVINGS):
+        series = to_series @ parked(0.5 * (left + right) + 0.5 * (right - left) * nodes)
+        if np.abs(series[-3:]).max() <= _TAIL * np.abs(series).max():
+            break
+        left, right = 0.5 * (left + start), 0.5 * (right + start)
     x, per_second = (2.0 * start - left - right) / (right - left), 2.0 / (right - left)
     rates = [chebyshev.chebval(x, chebyshev.chebder(series, order)) * per_second**order for order in (1, 2)]
     at = parked(np.array([start, end]))

@@ -1,0 +1,82 @@
+"""The interpolants of the planners: exact against the backend, and dips that hide between samples."""
+
+import numpy as np
+import pytest
+import zoo
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from redundancy_pin import VirtualWork
+from redundancy_pin.planners.carrier_model import carrier_model
+from redundancy_pin.planners.continuous_motion import continuous_motion
+from redundancy_pin.planners.dips import below_zero, minima
+from redundancy_pin.planners.piecewise_chebyshev import fit
+from redundancy_pin.planners.timed_model import TimedActuation, TimedModel
+from redundancy_pin.trajectory import reference
+
+
+def test_model_is_that_of_the_backend():
+    """At random times: relative to each group of coefficients, ten times the tolerance of the interpolation."""
+    dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", cylinder_mass=0.3, piston_mass=0.2)), reference.circle()
+    motion = continuous_motion(trajectory)
+    times = np.sort(np.random.default_rng(3).uniform(0.0, trajectory.duration, 2000))
+    model = TimedModel.of(dynamics, motion, 0.0, trajectory.duration).at(times)
+    exact = carrier_model(dynamics.along(trajectory.sample_at(times)))
+    for name in ("W", "f0", "f_terms", "force0", "force_terms"):
+        ours, theirs = getattr(model, name), getattr(exact, name)
+        assert np.abs(ours - theirs).max() <= 1e-11 * np.abs(theirs).max()
+    W = TimedActuation.of(dynamics, motion).at(times)
+    assert np.abs(W - exact.W).max() <= 1e-10
+
+
+def test_jump_has_two_sides():
+    """The 3-RRR corner: the acceleration jumps where the straight meets the arc, and f with it."""
+    dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner()
+    t = trajectory.breaks[:1]
+    model = TimedModel.of(dynamics, continuous_motion(trajectory), 0.6, 1.2)
+    both = dynamics.along(trajectory.sample_at(np.repeat(t, 2))).reduce()
+    for side, expected in (("left", both.f[0]), ("right", both.f[1])):
+        np.testing.assert_allclose(model.at(t, side).f0[0], expected, atol=1e-10)
+    assert np.abs(both.f[0] - both.f[1]).max() > 0.1
+
+
+def test_undeclared_kink_is_resolved():
+    def function(t):
+        return np.stack([np.abs(t - 0.3217), np.exp(t)], axis=1)
+
+    found = fit(function, np.array([0.0, 1.0]), np.empty(0), lambda v: np.abs(v).max(axis=0), 1e-12)
+    t = np.linspace(0.0, 1.0, 10_001)
+    assert np.abs(found(t) - function(t)).max() < 1e-7  # the width of the narrowest piece
+    away = np.abs(t - 0.3217) > 1e-6
+    assert np.abs(found(t) - function(t))[away].max() < 1e-11
+
+
+@settings(max_examples=100, deadline=None)
+@given(centre=st.floats(0.05, 0.95), width=st.floats(1e-7, 0.02), slope=st.floats(0.1, 10.0))
+def test_short_window_is_not_missed(centre, width, slope):
+    """A sharp dip, as the smallest singular value makes it: below zero over a width far below the sampling."""
+
+    def function(t):
+        return slope * (np.abs(t - centre) - width)
+
+    found = below_zero(function, np.linspace(0.0, 1.0, 33))
+    assert len(found) == 1
+    assert found[0].start == pytest.approx(centre - width, abs=1e-12)
+    assert found[0].end == pytest.approx(centre + width, abs=1e-12)
+    ((t, value),) = minima(lambda times: np.abs(times - centre), np.linspace(0.0, 1.0, 33), 1e-9)
+    assert t == pytest.approx(centre, abs=1e-14)
+    assert value < 1e-14
+
+
+@settings(max_examples=100, deadline=None)
+@given(centre=st.floats(0.1, 0.9), depth=st.floats(1e-9, 1e-3))
+def test_shallow_smooth_dip_is_not_missed(centre, depth):
+    found = below_zero(lambda t: (t - centre) ** 2 - depth, np.linspace(0.0, 1.0, 33))
+    assert len(found) == 1
+    assert found[0].end - found[0].start == pytest.approx(2.0 * np.sqrt(depth), rel=1e-6)
+
+
+def test_intervals_at_the_ends_are_open():
+    found = below_zero(lambda t: 0.25 - np.abs(t - 0.5), np.linspace(0.0, 1.0, 33))
+    assert [(i.open_start, i.open_end) for i in found] == [(True, False), (False, True)]
+    assert found[0].end == pytest.approx(0.25, abs=1e-14)
