@@ -18,9 +18,10 @@ from redundancy_pin.kinematics.modes import mode_name
 from redundancy_pin.kinematics.projection import project
 from redundancy_pin.kinematics.search import search
 from redundancy_pin.robot import Closure, Robot
+from redundancy_pin.robot.arguments import known_values
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_yaml, require_conditions
-from redundancy_pin.robot.description import declaration_path, render, resolve_arguments
+from redundancy_pin.robot.description import declaration_path, render
 
 
 def load_robot(
@@ -48,9 +49,9 @@ def load_robot(
     path = declaration_path(source)
     data = read_yaml(path)
     source_file = path.parent / data["urdf"]
-    parameters = resolve_arguments(source_file, arguments)
+    require_conditions(data, known_values(source_file, arguments))
+    urdf, parameters = render(source_file, arguments)
     require_conditions(data, parameters)
-    urdf = render(source_file, parameters)
     declaration = parse(path, data, parameters)
     robot = build(declaration, urdf, parameters, gravity, working_mode)
     system = ConstraintSystem(robot)

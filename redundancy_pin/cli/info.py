@@ -21,7 +21,7 @@ from redundancy_pin.kinematics.state import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.declaration import read_yaml
-from redundancy_pin.robot.description import declaration_path, resolve_arguments, shipped_robots
+from redundancy_pin.robot.description import declaration_path, render, shipped_robots
 
 
 @click.command()
@@ -58,7 +58,7 @@ def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
         declaration: path of its ``robot.yaml``, for the defaults of its parameters.
     """
     data = read_yaml(declaration)
-    defaults = resolve_arguments(declaration.parent / data["urdf"], {})
+    _, defaults = render(declaration.parent / data["urdf"], {})
     model = robot.model
     return {
         "name": robot.name,

@@ -13,7 +13,7 @@ import simpleeval
 import yaml
 
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
-from redundancy_pin.robot.description import Argument
+from redundancy_pin.robot.arguments import Argument
 from redundancy_pin.robot.types import AXES, Closure, Platform, WorkingModes
 
 _KEYS = (

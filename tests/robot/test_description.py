@@ -1,9 +1,13 @@
 """Files and arguments of a robot: each mistake gets one clear error that names it."""
 
+import subprocess
+import sys
+
 import pytest
 
 from redundancy_pin.errors import InputError, ModelFileError
-from redundancy_pin.robot.description import declaration_path, render, resolve_arguments, shipped_robots
+from redundancy_pin.robot.arguments import known_values
+from redundancy_pin.robot.description import declaration_path, render, shipped_robots
 
 XACRO = """<?xml version="1.0"?>
 <robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -28,16 +32,16 @@ def xacro(tmp_path):
 
 
 def test_arguments_keep_their_defaults_and_kinds(xacro):
-    values = resolve_arguments(xacro, {"length": 1})
+    values = known_values(xacro, {"length": 1})
     assert values == {"length": 1.0, "heavy": True, "label": "auto"}
     assert isinstance(values["length"], float)
-    assert resolve_arguments(xacro, {"heavy": "False"})["heavy"] is False
-    assert resolve_arguments(xacro, {"label": 0.5})["label"] == 0.5
+    assert known_values(xacro, {"heavy": "False"})["heavy"] is False
+    assert known_values(xacro, {"label": 0.5})["label"] == 0.5
 
 
 def test_rendering_uses_the_values(xacro):
-    assert 'mass value="4.5"' in render(xacro, resolve_arguments(xacro, {"length": 1.5}))
-    assert "bob" not in render(xacro, resolve_arguments(xacro, {"heavy": False}))
+    assert 'mass value="4.5"' in render(xacro, {"length": 1.5})[0]
+    assert "bob" not in render(xacro, {"heavy": False})[0]
 
 
 @pytest.mark.parametrize(
@@ -54,26 +58,26 @@ def test_rendering_uses_the_values(xacro):
 )
 def test_arguments_that_do_not_fit_are_refused(xacro, arguments, message):
     with pytest.raises(InputError, match=message):
-        resolve_arguments(xacro, arguments)
+        known_values(xacro, arguments)
 
 
 def test_an_argument_without_default_must_be_given(tmp_path):
     path = tmp_path / "r.urdf.xacro"
     path.write_text(XACRO.replace(' default="2.0"', ""))
     with pytest.raises(InputError, match="needs a value for the argument 'length'"):
-        resolve_arguments(path, {})
-    assert resolve_arguments(path, {"length": 3})["length"] == 3.0
+        known_values(path, {})
+    assert known_values(path, {"length": 3})["length"] == 3.0
 
 
 def test_missing_and_broken_files(tmp_path, xacro):
     with pytest.raises(ModelFileError, match="does not exist"):
-        resolve_arguments(tmp_path / "no.urdf", {})
+        known_values(tmp_path / "no.urdf", {})
     xacro.write_text(XACRO.replace("</robot>", ""))
     with pytest.raises(ModelFileError, match="not well-formed XML"):
-        resolve_arguments(xacro, {})
+        known_values(xacro, {})
     xacro.write_text(XACRO.replace("3 * $(arg length)", "3 * undefined_name"))
     with pytest.raises(ModelFileError, match=r"xacro cannot render .*undefined_name"):
-        render(xacro, resolve_arguments(xacro, {}))
+        render(xacro, {})[0]
 
 
 @pytest.mark.parametrize(
@@ -89,7 +93,7 @@ def test_missing_and_broken_files(tmp_path, xacro):
 def test_masses_and_inertias_that_are_none(xacro, old, new, message):
     xacro.write_text(XACRO.replace(old, new))
     with pytest.raises(ModelFileError, match=message):
-        render(xacro, resolve_arguments(xacro, {}))
+        render(xacro, {})[0]
 
 
 def test_robots_are_found_by_name_file_and_folder(tmp_path):
@@ -102,3 +106,52 @@ def test_robots_are_found_by_name_file_and_folder(tmp_path):
         declaration_path("3rr")
     with pytest.raises(ModelFileError, match=r"holds no robot\.yaml"):
         declaration_path(tmp_path)
+
+
+def test_defaults_are_evaluated_by_xacro_and_whole_numbers_stay_whole(tmp_path):
+    path = tmp_path / "r.urdf.xacro"
+    path.write_text("""<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
+      <xacro:arg name="a" default="0.5"/><xacro:arg name="b" default="$(arg a)"/>
+      <xacro:arg name="c" default="${2 * 0.25}"/><xacro:arg name="n" default="1"/>
+      <link name="leg_$(arg n)"/><link name="${'b' * $(arg n)}_${2 * $(arg b)}_${2 * $(arg c)}"/></robot>""")
+    urdf, parameters = render(path, {})
+    assert parameters == {"a": 0.5, "b": 0.5, "c": 0.5, "n": 1.0}
+    assert 'name="leg_1"' in urdf
+    assert 'name="b_1.0_1.0"' in urdf
+    urdf, parameters = render(path, {"a": 2, "n": 3})
+    assert parameters == {"a": 2.0, "b": 2.0, "c": 0.5, "n": 3.0}
+    assert 'name="leg_3"' in urdf
+
+
+def test_includes_are_found_beside_the_file_from_any_folder(tmp_path):
+    """In a process of its own: xacro remembers the last file it read."""
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "inner.xacro").write_text(
+        """<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="inner" default="4"/>
+        <link name="link_$(arg inner)"/></robot>"""
+    )
+    path = tmp_path / "r.urdf.xacro"
+    path.write_text(
+        """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
+        <xacro:include filename="sub/inner.xacro"/></robot>"""
+    )
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from redundancy_pin.robot.description import render\n"
+        "from redundancy_pin.robot.arguments import known_values\n"
+        "path = Path(sys.argv[1]); print(known_values(path, {'inner': 5}))\n"
+        "print('link_5' in render(path, {'inner': 5})[0], render(path, {})[1])"
+    )
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    result = subprocess.run(
+        [sys.executable, "-c", code, str(path)], cwd=elsewhere, capture_output=True, text=True, check=True
+    )
+    assert result.stdout.splitlines() == ["{'inner': 5.0}", "True {'inner': 4.0}"]
+    with pytest.raises(InputError, match=r"no argument 'iner'\. Did you mean 'inner'"):
+        known_values(path, {"iner": 5})
+
+
+def test_a_robot_is_not_named_by_a_number():
+    with pytest.raises(ModelFileError, match="not by 5"):
+        declaration_path(5)
