@@ -52,7 +52,10 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
         InputError: not numeric, wrong number of axes, wrong length, or a NaN or infinity.
     """
     try:
-        array = frozen(values)
+        given = np.asarray(values)
+        if given.dtype.kind in "cSU":
+            raise TypeError(f"it holds {'complex numbers' if given.dtype.kind == 'c' else 'text'}")
+        array = frozen(given)
     except (TypeError, ValueError) as error:
         raise InputError(
             f"{name} is not an array of numbers: {error}.",
@@ -60,8 +63,7 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
             name=name,
         ) from error
     matches = array.ndim == len(shape) and all(
-        isinstance(want, str) or got == want
-        for got, want in zip(array.shape, shape, strict=True)
+        isinstance(want, str) or got == want for got, want in zip(array.shape, shape, strict=True)
     )
     if not matches:
         expected = "(" + ", ".join(str(length) for length in shape) + ("," if len(shape) == 1 else "") + ")"

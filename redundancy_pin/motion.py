@@ -37,7 +37,7 @@ class PlatformMotion:
     def __init__(self, t: ArrayLike, x: ArrayLike, xd: ArrayLike, xdd: ArrayLike) -> None:
         time = checked(t, "t", ("N",))
         rate = checked(xd, "xd", (len(time), "n"))
-        is_pose = np.ndim(x) == 3
+        is_pose = _dimensions(x) == 3
         position_shape = (len(time), 4, 4) if is_pose else (len(time), rate.shape[1])
         position = checked(x, "x", position_shape)
         acceleration = checked(xdd, "xdd", (len(time), rate.shape[1]))
@@ -106,9 +106,13 @@ class CarrierMotion:
             at: scalar or (k,) position on each track, m.
 
         Raises:
-            InputError: ``at`` does not fit k carriers.
+            InputError: ``at`` does not fit k carriers, or a count is negative.
         """
-        place = checked(np.atleast_1d(np.asarray(at, dtype=float)), "at", ("k",))
+        if min(samples, carriers) < 0:
+            raise InputError(
+                f"The number of samples ({samples}) or of carriers ({carriers}) is negative.", remedy="Pass counts."
+            )
+        place = checked([at] if _dimensions(at) == 0 else at, "at", ("k",))
         if len(place) not in (1, carriers):
             raise InputError(
                 f"at has {len(place)} values for {carriers} carriers.",
@@ -120,6 +124,14 @@ class CarrierMotion:
     def __getitem__(self, index: slice) -> CarrierMotion:
         """Return the motion of a slice of the samples."""
         return CarrierMotion(self.s[index], self.sd[index], self.sdd[index])
+
+
+def _dimensions(values: ArrayLike) -> int:
+    """Return the number of axes, −1 where there is no such number; ``checked`` says what is wrong then."""
+    try:
+        return np.ndim(values)
+    except ValueError:
+        return -1
 
 
 def _require_increasing(t: Array, x: Array, xd: Array) -> None:

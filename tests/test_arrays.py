@@ -1,0 +1,67 @@
+"""Validation at the door and read-only results."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from redundancy_pin.arrays import checked, frozen, read_only
+from redundancy_pin.errors import InputError
+
+
+def test_frozen_copies_and_locks() -> None:
+    source = np.array([1, 2, 3])
+    copy = frozen(source)
+    source[0] = 9
+    assert copy.tolist() == [1.0, 2.0, 3.0]
+    assert copy.dtype == np.float64
+    with pytest.raises(ValueError, match="read-only"):
+        copy[0] = 0.0
+
+
+def test_read_only_locks_in_place() -> None:
+    fresh = np.zeros(3)
+    assert read_only(fresh) is fresh
+    assert not fresh.flags.writeable
+
+
+@given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2), elements=st.floats(-1e300, 1e300)))
+def test_finite_arrays_of_the_right_shape_pass_unchanged(values: np.ndarray) -> None:
+    rows, columns = values.shape
+    np.testing.assert_array_equal(checked(values, "x", ("N", columns)), values)
+    np.testing.assert_array_equal(checked(values.tolist(), "x", (rows, "n")), values)
+    with pytest.raises(InputError, match=rf"x has shape \({rows}, {columns}\), expected \(N, {columns + 1}\)"):
+        checked(values, "x", ("N", columns + 1))
+
+
+@pytest.mark.parametrize(
+    ("values", "shape", "message"),
+    [
+        ("down", ("N",), "x is not an array of numbers"),
+        ([[1.0], [1.0, 2.0]], ("N", "n"), "x is not an array of numbers"),
+        ([1.0, None], ("N",), "not finite, the first at index"),
+        ([1j, 2.0], ("N",), "x is not an array of numbers"),
+        (np.array([1j, 2.0]), ("N",), "x is not an array of numbers"),
+        (["1", "2"], ("N",), "x is not an array of numbers"),
+        (3.0, ("N",), r"shape \(\), expected \(N,\)"),
+        ([1.0, 2.0], (3,), r"shape \(2,\), expected \(3,\)"),
+        ([[1.0, 2.0]], ("N",), r"shape \(1, 2\), expected \(N,\)"),
+    ],
+)
+def test_bad_arrays_are_refused_by_name(values: object, shape: tuple[int | str, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        checked(values, "x", shape)  # type: ignore[arg-type]
+    assert caught.value.details["name"] == "x"
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_counted_and_located(bad: float) -> None:
+    values = np.zeros((3, 2))
+    values[1, 1] = values[2, 0] = bad
+    with pytest.raises(InputError, match=r"2 value\(s\).*index \(1, 1\)") as caught:
+        checked(values, "xdd", ("N", 2))
+    assert caught.value.details["index"] == (1, 1)

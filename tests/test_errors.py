@@ -1,0 +1,52 @@
+"""The error tree: one root, message with remedy, numbers that survive another process."""
+
+from __future__ import annotations
+
+import inspect
+import pickle
+
+import pytest
+
+from redundancy_pin import errors
+from redundancy_pin.errors import InputError, RedundancyPinError, UnreachablePoseError
+
+KINDS = [
+    kind
+    for _, kind in inspect.getmembers(errors, inspect.isclass)
+    if issubclass(kind, Exception) and kind.__module__ == errors.__name__
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_error_has_the_one_root(kind: type[RedundancyPinError]) -> None:
+    assert issubclass(kind, RedundancyPinError)
+    assert kind.__doc__
+
+
+def test_text_is_message_then_remedy() -> None:
+    error = UnreachablePoseError("It is out of reach by 0.2 m.", remedy="Move it.", gap=0.2)
+    assert str(error) == "It is out of reach by 0.2 m. Move it."
+    assert str(UnreachablePoseError("It is out of reach.")) == "It is out of reach."
+    assert (error.message, error.remedy) == ("It is out of reach by 0.2 m.", "Move it.")
+
+
+def test_details_cannot_be_changed() -> None:
+    error = UnreachablePoseError("Out of reach.", gap=0.2)
+    with pytest.raises(TypeError):
+        error.details["gap"] = 0.0  # type: ignore[index]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_errors_survive_pickling(kind: type[RedundancyPinError]) -> None:
+    error = kind("Wrong by 3.", remedy="Do this.", sample=3, gap=0.1)
+    copy = pickle.loads(pickle.dumps(error))
+    assert type(copy) is kind
+    assert str(copy) == str(error)
+    assert copy.message == error.message
+    assert copy.remedy == error.remedy
+    assert dict(copy.details) == {"sample": 3, "gap": 0.1}
+
+
+def test_bad_arguments_are_value_errors_for_callers_who_know_python_only() -> None:
+    with pytest.raises(ValueError, match="Wrong"):
+        raise InputError("Wrong.")
