@@ -112,7 +112,7 @@ class CarrierMotion:
             raise InputError(
                 f"The number of samples ({samples}) or of carriers ({carriers}) is negative.", remedy="Pass counts."
             )
-        place = checked([at] if _dimensions(at) == 0 else at, "at", ("k",))
+        place = checked(np.atleast_1d(at) if _dimensions(at) == 0 else at, "at", ("k",))
         if len(place) not in (1, carriers):
             raise InputError(
                 f"at has {len(place)} values for {carriers} carriers.",
