@@ -1,0 +1,267 @@
+"""RNEA on closed chains: power, round trips through forward dynamics, structure in the carriers, base wrench.
+
+Judges are energy, momentum, Pinocchio's constrained forward dynamics, finite differences and scaling laws; none of
+them goes through Γ or rnea the way the backend does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import zoo
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from redundancy_pin import CarrierMotion, PlatformMotion
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.robot import Robot
+
+MASSIVE = {
+    "2rpr": {"end_effector_mass": 0.4, "cylinder_mass": 0.5, "piston_mass": 0.3, "gravity": (0.0, -9.81, 0.0)},
+    "3rrr": {"gravity": (0.0, -9.81, 0.0)},
+    "five_bar": {"gravity": (1.0, -9.81, 0.0)},
+    "four_bar": {},
+    "gough": {"payload_mass": 2.0},
+}
+"""Arguments under which every link has mass and gravity acts: nothing can hide."""
+
+ROBOTS = sorted(MASSIVE)
+
+STEP = 1e-3
+SIXTH_ORDER = ((1, 0.75), (2, -0.15), (3, 1.0 / 60.0))
+"""Weights of the central difference of sixth order: its truncation at STEP is 1e-18 times the seventh derivative."""
+
+
+def robot_of(name: str) -> Robot:
+    return zoo.robot_of(name, **MASSIVE[name])
+
+
+def rate_of(function: object, t: np.ndarray) -> np.ndarray:
+    """Return the time derivative of function(t) by central differences of sixth order."""
+    return sum(w * (function(t + k * STEP) - function(t - k * STEP)) for k, w in SIXTH_ORDER) / STEP  # type: ignore[operator]
+
+
+def assert_close(actual: np.ndarray, expected: np.ndarray, relative: float) -> None:
+    """Compare relative to the largest entry: small entries are differences of large ones."""
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=relative * np.abs(expected).max())
+
+
+# --- energy and momentum ---
+
+
+@settings(max_examples=15, deadline=None)
+@given(name=st.sampled_from(ROBOTS), seed=st.integers(0, 2**16))
+def test_power_of_all_actuators_is_the_rate_of_energy(name: str, seed: int) -> None:
+    robot = robot_of(name)
+    dynamics, motion = RneaDynamics(robot, threads=1), zoo.smooth_motion(robot, seed)
+    t = np.linspace(0.0, 1.0, 5)
+    reduced = dynamics.reduce(motion.at(t), zoo.carriers_at(robot, t, seed))
+    platform, carriers = motion.at(t), zoo.carriers_at(robot, t, seed)
+    power = (reduced.f * platform.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
+    rate = rate_of(lambda at: dynamics.along(motion.at(at)).energy(zoo.carriers_at(robot, at, seed)), t)
+    # energies of up to 1e2 J differenced over STEP: roundings of 1e-11 W against powers of 1 to 1e2 W
+    np.testing.assert_allclose(power, rate, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_force_at_rest_is_the_gradient_of_potential_energy(name: str) -> None:
+    robot = robot_of(name)
+    dynamics, motion = RneaDynamics(robot, threads=1), zoo.smooth_motion(robot, 4)
+    t = np.linspace(0.0, 1.0, 4)
+    moving = motion.at(t)
+    zero = np.zeros_like(moving.xd)
+    still = dynamics.reduce(PlatformMotion(t, moving.x, zero, zero))
+
+    def potential(at: np.ndarray) -> np.ndarray:
+        x = motion.at(at)
+        none = np.zeros_like(x.xd)
+        return dynamics.along(PlatformMotion(at, x.x, none, none)).energy()
+
+    np.testing.assert_allclose((still.f * moving.xd).sum(axis=1), rate_of(potential, t), atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_acceleration_meets_the_mass_matrix_of_kinetic_energy(name: str) -> None:
+    """f(ẍ + e_j) − f(ẍ) is column j of M, and ½ ẋᵀ M ẋ the kinetic energy: symmetric, positive definite."""
+    robot = robot_of(name)
+    dynamics, motion = RneaDynamics(robot, threads=1), zoo.smooth_motion(robot, 5).at(np.linspace(0.0, 1.0, 4))
+
+    def force(xdd: np.ndarray) -> np.ndarray:
+        return dynamics.reduce(PlatformMotion(motion.t, motion.x, motion.xd, xdd)).f
+
+    base = force(motion.xdd)
+    mass = np.stack([force(motion.xdd + unit) - base for unit in np.eye(robot.n)], axis=2)
+    assert_close(mass, mass.transpose(0, 2, 1), 1e-10)
+    assert np.linalg.eigvalsh(mass).min() > 0.0
+    still = PlatformMotion(motion.t, motion.x, np.zeros_like(motion.xd), motion.xdd)
+    kinetic = dynamics.along(motion).energy() - dynamics.along(still).energy()
+    assert_close(0.5 * np.einsum("ni,nij,nj->n", motion.xd, mass, motion.xd), kinetic, 1e-9)
+
+
+def momentum(robot: Robot, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return (N, 6) total linear momentum and angular momentum about the world origin, body by body."""
+    data, result = robot.model.createData(), np.zeros((q.shape[1], 6))
+    for k in range(q.shape[1]):
+        pin.forwardKinematics(robot.model, data, q[:, k], v[:, k])
+        for joint in range(1, robot.model.njoints):
+            result[k] += data.oMi[joint].act(robot.model.inertias[joint] * data.v[joint]).vector
+    return result
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_base_wrench_is_weight_less_the_rate_of_momentum(name: str) -> None:
+    robot = robot_of(name)
+    dynamics, motion = RneaDynamics(robot, threads=1), zoo.smooth_motion(robot, 6)
+    t = np.linspace(0.0, 1.0, 4)
+    wrench = dynamics.along(motion.at(t)).base_wrench(zoo.carriers_at(robot, t))
+
+    def momentum_at(at: np.ndarray) -> np.ndarray:
+        q, v, _ = dynamics.along(motion.at(at)).tree_motion(zoo.carriers_at(robot, at))
+        return momentum(robot, q, v)
+
+    q, _, _ = dynamics.along(motion.at(t)).tree_motion(zoo.carriers_at(robot, t))
+    mass = sum(inertia.mass for inertia in list(robot.model.inertias)[1:])
+    centre = np.array([pin.centerOfMass(robot.model, robot.model.createData(), q[:, k]) for k in range(len(t))])
+    weight = np.concatenate(
+        [np.tile(mass * robot.gravity, (len(t), 1)), np.cross(centre, mass * robot.gravity)], axis=1
+    )
+    np.testing.assert_allclose(wrench, weight - rate_of(momentum_at, t), atol=1e-8)
+
+
+# --- round trip ---
+
+
+def forward(robot: Robot, q: np.ndarray, v: np.ndarray, effort: np.ndarray) -> np.ndarray:
+    """Return v̇ (nv,) by Pinocchio's constrained forward dynamics with 3D point constraints."""
+    model = robot.model
+    constraints, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+    for closure in robot.closures:
+        a, b = (model.frames[model.getFrameId(name)] for name in (closure.frame_a, closure.frame_b))
+        constraints.append(
+            pin.RigidConstraintModel(
+                pin.ContactType.CONTACT_3D,
+                model,
+                a.parentJoint,
+                a.placement,
+                b.parentJoint,
+                b.placement,
+                pin.ReferenceFrame.LOCAL,
+            )
+        )
+    for constraint in constraints:
+        datas.append(constraint.createData())
+    data = model.createData()
+    pin.initConstraintDynamics(model, data, constraints, datas)
+    # planar loops have a redundant z row each: the proximal term copes with it, given its iterations
+    proximal = pin.ProximalSettings(1e-14, 1e-8, 50)
+    return np.array(pin.constraintDynamics(model, data, q, v, effort, constraints, datas, proximal))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_forward_dynamics_under_the_computed_efforts_gives_the_motion_back(name: str, seed: int) -> None:
+    robot = robot_of(name)
+    t = np.linspace(0.0, 1.0, 6)
+    along = RneaDynamics(robot, threads=1).along(zoo.smooth_motion(robot, seed).at(t))
+    carriers = zoo.carriers_at(robot, t, seed)
+    reduced = along.reduce(carriers)
+    tau = np.linalg.solve(reduced.W, reduced.f[:, :, None])[:, :, 0]
+    q, v, a = along.tree_motion(carriers)
+    for k in range(len(t)):
+        effort = np.zeros(robot.model.nv)
+        effort[robot.actuated_velocity] = tau[k]
+        effort[robot.carrier_velocity] = reduced.carrier_force[k]
+        # accelerations of 1e1 to 1e3 through a mass matrix of condition 1e4: 1e-8 keeps four digits of reserve
+        assert_close(forward(robot, q[:, k], v[:, k], effort), a[:, k], 1e-8)
+
+
+# --- structure in the carriers ---
+
+WITH_CARRIERS = ["2rpr", "3rrr", "five_bar"]
+
+
+def shifted(carriers: CarrierMotion, which: str, amount: np.ndarray) -> CarrierMotion:
+    parts = {"s": carriers.s, "sd": carriers.sd, "sdd": carriers.sdd}
+    parts[which] = parts[which] + amount
+    return CarrierMotion(**parts)
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "gough"])
+def test_carrier_derivatives_are_derivatives(name: str) -> None:
+    robot = robot_of(name)
+    t = np.linspace(0.0, 1.0, 5)
+    along, carriers = RneaDynamics(robot).along(zoo.smooth_motion(robot, 7).at(t)), zoo.carriers_at(robot, t)
+    derivatives = along.carrier_derivatives(carriers)
+    assert derivatives.f_s.shape == (5, robot.n, robot.k)
+    assert derivatives.force_s.shape == (5, robot.k, robot.k)
+    step = 1e-3  # f is quadratic in the carriers: central differences have no truncation error at all
+    for which in ("s", "sd", "sdd"):
+        for j in range(robot.k):
+            up, down = (along.reduce(shifted(carriers, which, sign * step * np.eye(robot.k)[j])) for sign in (1, -1))
+            f_by, force_by = getattr(derivatives, f"f_{which}"), getattr(derivatives, f"force_{which}")
+            np.testing.assert_allclose(f_by[:, :, j], (up.f - down.f) / (2 * step), atol=1e-9)
+            expected = (up.carrier_force - down.carrier_force) / (2 * step)
+            np.testing.assert_allclose(force_by[:, :, j], expected, atol=1e-9)
+
+
+@settings(max_examples=15, deadline=None)
+@given(name=st.sampled_from(WITH_CARRIERS), seed=st.integers(0, 2**16))
+def test_forces_are_quadratic_in_the_carriers_and_affine_in_their_acceleration(name: str, seed: int) -> None:
+    robot = robot_of(name)
+    t = np.linspace(0.0, 1.0, 3)
+    along = RneaDynamics(robot, threads=1).along(zoo.smooth_motion(robot, 3).at(t))
+    base = zoo.carriers_at(robot, t, seed)
+    rng = np.random.default_rng(seed)
+    way = rng.uniform(-1.0, 1.0, (3, robot.k))
+
+    def at(amount: float, *, only_acceleration: bool = False) -> np.ndarray:
+        keep = np.array([0.0, 0.0, 1.0]) if only_acceleration else np.ones(3)
+        moved = (
+            part + amount * factor * line
+            for part, factor, line in zip((base.s, base.sd, base.sdd), keep, way, strict=True)
+        )
+        reduced = along.reduce(CarrierMotion(*moved))
+        return np.concatenate([reduced.f, reduced.carrier_force], axis=1)
+
+    size = np.abs(at(0.0)).max()
+    third = at(3.0) - 3 * at(2.0) + 3 * at(1.0) - at(0.0)
+    assert np.abs(third).max() < 1e-11 * max(size, 1.0) * 8
+    second = at(2.0, only_acceleration=True) - 2 * at(1.0, only_acceleration=True) + at(0.0)
+    assert np.abs(second).max() < 1e-11 * max(size, 1.0)
+    # and they are not just affine: the case would show a lost term
+    assert np.abs(at(2.0) - 2 * at(1.0) + at(0.0)).max() > 1e-6
+
+
+@pytest.mark.parametrize("name", zoo.SHIPPED)
+def test_without_gravity_forces_go_with_the_square_of_speed(name: str) -> None:
+    robot = zoo.robot_of(name, gravity=(0.0, 0.0, 0.0))
+    t = np.linspace(0.0, 1.0, 6)
+    motion, carriers, c = zoo.smooth_motion(robot, 9).at(t), zoo.carriers_at(robot, t), 3.0
+    slow = RneaDynamics(robot).reduce(motion, carriers)
+    fast = RneaDynamics(robot).reduce(
+        PlatformMotion(t / c, motion.x, c * motion.xd, c**2 * motion.xdd),
+        CarrierMotion(carriers.s, c * carriers.sd, c**2 * carriers.sdd),
+    )
+    assert_close(fast.f, c**2 * slow.f, 1e-12)
+    if robot.k:
+        assert_close(fast.carrier_force, c**2 * slow.carrier_force, 1e-12)
+
+
+def test_the_2rprs_force_is_the_rate_of_the_legs_angular_momentum() -> None:
+    """Parsa 2014, eq. 2.17, collapsed: Jᵀτ = Σ n h / d with h = m[(L² + s²) θ̈ + 2 s ṡ θ̇ + σ L s̈]."""
+    robot = zoo.robot_of("2rpr")
+    t = np.linspace(0.0, 1.0, 7)
+    motion, carriers = zoo.smooth_motion(robot, 10).at(t), zoo.carriers_at(robot, t)
+    expected = np.zeros((7, 2))
+    for leg, (hinge, sigma) in enumerate((((0.0, 0.0), 1.0), ((0.5, 0.0), -1.0))):
+        away = motion.x - hinge
+        d = np.linalg.norm(away, axis=1)
+        u = away / d[:, None]
+        n = np.stack([-u[:, 1], u[:, 0]], axis=1)
+        turn = (n * motion.xd).sum(axis=1) / d
+        turn_rate = ((n * motion.xdd).sum(axis=1) - 2 * (u * motion.xd).sum(axis=1) * turn) / d
+        s, sd, sdd = carriers.s[:, leg], carriers.sd[:, leg], carriers.sdd[:, leg]
+        h = (0.1**2 + s**2) * turn_rate + 2 * s * sd * turn + sigma * 0.1 * sdd
+        expected += n * (h / d)[:, None]
+    np.testing.assert_allclose(RneaDynamics(robot).reduce(motion, carriers).f, expected, atol=1e-12)
