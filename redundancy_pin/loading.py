@@ -12,14 +12,14 @@ from scipy.linalg import qr
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, frozen
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble
-from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
 from redundancy_pin.kinematics.modes import mode_name
 from redundancy_pin.kinematics.projection import project
 from redundancy_pin.kinematics.search import search
-from redundancy_pin.robot import Closure, Robot
+from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.arguments import known_values
-from redundancy_pin.robot.build import build
+from redundancy_pin.robot.build import build, characteristic_length
 from redundancy_pin.robot.declaration import parse, read_yaml, require_conditions
 from redundancy_pin.robot.description import declaration_path, render
 
@@ -66,7 +66,8 @@ def load_robot(
             remedy="Correct `reference` in the declaration, or the lengths given as arguments.",
             gap=gap,
         )
-    robot = replace(robot, q_reference=frozen(q_reference))
+    length = declaration.characteristic_length or characteristic_length(robot.model, q_reference, robot.carriers)
+    robot = replace(robot, q_reference=frozen(q_reference), characteristic_length=length)
     _check_reference_rank(robot)
     return robot
 
@@ -116,12 +117,39 @@ def _check_reference_rank(robot: Robot) -> None:
             remedy="Take the redundant axes out of the closures and add the ones that are missing.",
             rank=rank,
         )
-    if project(system, state).margin[0] == 0.0:
+    projection = project(system, state)
+    if projection.margin[0] == 0.0:
         raise DeclarationError(
             f"The reference of {robot.name} is a type I singularity: its independent velocities do not determine the "
             "joint velocities.",
             remedy="Move the reference, or declare other independent velocities.",
         )
+    _check_platform_stays_level(system, state, projection.gamma)
+
+
+def _check_platform_stays_level(system: ConstraintSystem, state: ConstraintState, gamma: Array) -> None:
+    """A platform with one rotation as coordinate must turn about that axis alone, or the angle is no integral of it."""
+    platform = system.robot.platform
+    rotations = [axis for axis in platform.axes if axis.startswith("r")] if platform else []
+    if platform is None or len(rotations) != 1:
+        return
+    columns = system.tree.frame_columns(state.pose, platform.frame)
+    omega = np.zeros((3, system.robot.n))
+    for column, (_, angular) in columns.items():
+        if angular is not None:
+            omega += np.outer(angular[:, 0], gamma[0, column])
+    omega[AXES.index(rotations[0]) - 3] = 0.0
+    if np.abs(omega).max() > _LEVEL_TOLERANCE:
+        raise DeclarationError(
+            f"The platform {platform.frame!r} of {system.robot.name} tilts: {rotations[0]} is declared as its only "
+            "rotation, but it turns about other axes too.",
+            remedy="Declare all three rotations, or none.",
+            tilt=float(np.abs(omega).max()),
+        )
+
+
+_LEVEL_TOLERANCE = 1e-9
+"""rad/s per unit of an independent velocity; rounding of the closed configuration stays below 1e-12."""
 
 
 def _dependent_rows(jacobian: Array) -> tuple[int, list[int]]:

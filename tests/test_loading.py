@@ -94,7 +94,7 @@ BAD_DECLARATIONS = {
     "two roles": ({"actuated": ["a1", "slider"]}, "'slider' is declared in two roles"),
     "carrier twice": ({"carriers": [{"joint": "slider"}, {"joint": "slider"}]}, "'slider' is declared in two roles"),
     "carrier in the load path": (
-        {"carriers": [{"joint": "b2"}], "actuated": ["a1", "a2"]},
+        {"carriers": [{"joint": "b2"}], "reference": {"platform": [0.25, 0.7]}},
         "carrier 'b2' moves the frame 'tip2'",
     ),
     "one body": ({"closures": [{"frames": ["tip1", "l2"], "axes": ["x", "y"]}]}, "two frames of one rigid body"),
@@ -114,6 +114,12 @@ BAD_DECLARATIONS = {
         {"reference": {"platform": [0.25, 0.7], "guess": {"elbow": 1.0}}},
         "no moving joint 'elbow'",
     ),
+    "guess of a carrier": (
+        {"reference": {"platform": [0.25, 0.7], "guess": {"slider": 0.1}}},
+        "`reference.guess` sets the carrier 'slider'",
+    ),
+    "index error in an expression": ({"reference": {"platform": ["'a'[5]", 0.7]}}, r"`reference.platform` is \"'a'"),
+    "number beyond floats": ({"reference": {"platform": [10**400, 0.7]}}, "a finite number"),
     "no actuator": ({"actuated": []}, "a list of names, not empty"),
     "gravity": ({"gravity": [0, -9.81]}, "`gravity` is .* a list of 3"),
     "gravity text": ({"gravity": [0, "down", 0]}, "`gravity` is 'down'"),
@@ -171,7 +177,7 @@ def test_arguments_that_make_no_machine():
         rp.load_robot("3rrr", proximal_length=0.1, distal_length=0.1)
 
 
-@pytest.mark.parametrize("mode", [(1, 1), (1, 1, 0), "+++", (1, 1, 1, 1)])
+@pytest.mark.parametrize("mode", [1, (1, 1), (1, 1, 0), "+++", (1, 1, 1, 1)])
 def test_bad_working_modes(mode):
     with pytest.raises(InputError, match="a tuple of 3 signs"):
         rp.load_robot("3rrr", working_mode=mode)
@@ -197,3 +203,88 @@ def test_every_error_is_one_of_ours_and_survives_pickling():
     assert str(copy) == str(caught.value)
     assert copy.details == caught.value.details
     assert type(copy) is type(caught.value)
+
+
+def test_the_size_of_a_machine_does_not_depend_on_the_guess_or_the_carriers(tmp_path):
+    lengths = []
+    for index, guess in enumerate(({"a1": 2.0, "b1": -1.0, "a2": 1.0, "b2": 1.0}, {"a1": 2.5, "b1": -2.5, "a2": 0.5})):
+        (tmp_path / str(index)).mkdir()
+        robot = rp.load_robot(
+            write(
+                tmp_path / str(index),
+                working_modes={"joints": ["b1", "b2"], "signs": [-1, 1]},
+                reference={"platform": [0.25, 0.7], "guess": guess},
+            )
+        )
+        lengths.append(robot.characteristic_length)
+    assert lengths[0] == pytest.approx(lengths[1], rel=1e-12)
+    with_carriers, without = rp.load_robot("3rrr"), rp.load_robot("3rrr", carriers=False)
+    assert with_carriers.characteristic_length == pytest.approx(without.characteristic_length, rel=1e-12)
+
+
+def test_a_joint_may_have_the_name_of_its_link(tmp_path):
+    tree = FIVE_BAR.replace('<joint name="m1"', '<joint name="tip1"').replace('<joint name="m2"', '<joint name="tip2"')
+    assert rp.load_robot(write(tmp_path, tree=tree)).n == 2
+
+
+def test_coupled_joints_are_refused(tmp_path):
+    tree = FIVE_BAR.replace('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="a1"/>')
+    with pytest.raises(ModelFileError, match=r"'slider' of bar\.urdf mimics another"):
+        rp.load_robot(write(tmp_path, tree=tree))
+
+
+def test_limits_of_carriers_left_open_in_the_urdf(tmp_path):
+    tree = FIVE_BAR.replace('velocity="9" effort="9"', 'velocity="0" effort="0"')
+    limits = rp.load_robot(write(tmp_path, tree=tree)).carrier_limits[0]
+    assert limits.speed == limits.force == float("inf")
+    carriers = [{"joint": "slider"}]
+    no_track = FIVE_BAR.replace('lower="-9" upper="9" ', "")
+    with pytest.raises(DeclarationError, match="track of the carrier 'slider' runs from 0 to 0"):
+        rp.load_robot(write(tmp_path, tree=no_track, carriers=carriers))
+
+
+PLANAR_ARM = """<?xml version="1.0"?><robot name="arm"><link name="base"/>
+  <link name="root"/><joint name="up" type="fixed"><parent link="base"/><child link="root"/>
+    <origin rpy="{turn} 0 0"/></joint>{links}</robot>"""
+
+
+@pytest.mark.parametrize("turn", [np.pi / 2, -np.pi / 2])
+def test_a_platform_may_be_mounted_any_way_round(tmp_path, turn):
+    """A planar arm in the x-z plane: its frames have their z axis along the axis of rotation."""
+    links = body("l1", "root", "a1") + body("l2", "l1", "a2", origin="1 0 0") + body("ee", "l2", "a3", origin="1 0 0")
+    (tmp_path / "bar.urdf").write_text(PLANAR_ARM.format(turn=turn, links=links))
+    declaration = {
+        "urdf": "bar.urdf",
+        "actuated": ["a1", "a2", "a3"],
+        "independent": {"platform": "ee", "axes": ["x", "z", "ry"]},
+        "reference": {"platform": [1.2, 1.0, 0.3], "guess": {"a1": 0.2, "a2": 0.8}},
+    }
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(declaration))
+    robot = rp.load_robot(tmp_path)
+    t = np.linspace(0.0, 1.0, 2001)
+    x = np.stack([1.2 + 0.1 * np.sin(t), 1.0 + 0.1 * t, 0.3 + 0.5 * np.sin(2 * t)], axis=1)
+    xd = np.stack([0.1 * np.cos(t), 0.1 + 0 * t, np.cos(2 * t)], axis=1)
+    xdd = np.stack([-0.1 * np.sin(t), 0 * t, -2 * np.sin(2 * t)], axis=1)
+    tree = rp.lift(robot, rp.PlatformMotion(t, x, xd, xdd))
+    numeric = np.gradient(np.asarray(tree.q), t, axis=0, edge_order=2)
+    # second-order differences with a step of 5e-4 of motions of order 1 to 10
+    np.testing.assert_allclose(numeric, tree.v, atol=1e-5)
+
+
+def test_a_platform_that_tilts_is_refused(tmp_path):
+    arm = (
+        body("l1", "base", "px", kind="prismatic", axis="1 0 0")
+        + body("l2", "l1", "py", kind="prismatic", axis="0 1 0")
+        + body("l3", "l2", "pz", kind="prismatic", axis="0 0 1")
+        + body("ee", "l3", "turn", axis="0 0.6 0.8")
+    )
+    (tmp_path / "bar.urdf").write_text(URDF.format(links=arm))
+    declaration = {
+        "urdf": "bar.urdf",
+        "actuated": ["px", "py", "pz", "turn"],
+        "independent": {"platform": "ee", "axes": ["x", "y", "z", "rz"]},
+        "reference": {"platform": [0.0, 0.0, 0.0, 0.0]},
+    }
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(declaration))
+    with pytest.raises(DeclarationError, match=r"platform 'ee' of .* tilts"):
+        rp.load_robot(tmp_path)

@@ -13,6 +13,16 @@ _TRACK_ROUNDING = 1e-12
 """A carrier parked at the very end of its track may overshoot it by rounding, m."""
 
 
+def require_choice(unreachable: str) -> None:
+    """Check what to do with unreachable poses.
+
+    Raises:
+        InputError: neither "raise" nor "mark".
+    """
+    if unreachable not in ("raise", "mark"):
+        raise InputError(f"unreachable is {unreachable!r}.", remedy='Pass "raise" or "mark".')
+
+
 def require_matching(robot: Robot, carriers: CarrierMotion | None, samples: int) -> CarrierMotion:
     """Return the carrier motion, parked at s = 0 when there is none.
 

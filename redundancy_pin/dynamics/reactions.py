@@ -54,8 +54,9 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     """
     robot, tree = along.robot, along.tree
     effort = np.asarray(tau, dtype=float)
-    usable = np.isfinite(effort).all(axis=-1) & tree.reachable if effort.ndim == 2 else np.ones(1, dtype=bool)
-    checked(np.where(usable[:, None], effort, 0.0), "tau", (len(along.motion), robot.m))
+    holes = np.isnan(effort).any(axis=-1, keepdims=True) if effort.ndim == 2 else np.zeros(1, dtype=bool)
+    checked(np.where(holes, 0.0, effort), "tau", (len(along.motion), robot.m))
+    usable = ~holes[:, 0] & tree.reachable
     system = ConstraintSystem(robot)
     state = system.evaluate(tree.q)
     rest = along.tree_effort(carriers).T.copy()

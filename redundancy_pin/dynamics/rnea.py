@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.dynamics.base import CarrierDerivatives, OnUnreachable, ReducedDynamics
-from redundancy_pin.dynamics.carriers import require_matching, require_on_track
+from redundancy_pin.dynamics.carriers import require_choice, require_matching, require_on_track
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.state import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -51,6 +51,7 @@ class RneaDynamics:
             InputError: the motion does not have the robot's coordinates.
             UnreachablePoseError, SingularPoseError, WorkingModeError: see ``kinematics.state.lift``.
         """
+        require_choice(unreachable)
         return RneaAlongMotion(lift(self._robot, motion, mark_unreachable=unreachable == "mark"), self._threads)
 
     def reduce(
@@ -67,8 +68,8 @@ class RneaDynamics:
             CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
         """
-        if check_track and carriers is not None:
-            require_on_track(self._robot, carriers, motion.t)
+        if check_track:
+            require_on_track(self._robot, require_matching(self._robot, carriers, len(motion)), motion.t)
         return self.along(motion, unreachable=unreachable).reduce(carriers)
 
 

@@ -155,12 +155,18 @@ _ROUNDING = 1e-7
 """Changes of q below this (rad, m) are rounding of the closure solution between all but equal poses."""
 
 
+_MOST_ANCHORS = 20_000
+"""Anchors laid along one path beyond one a sample: eight hundred characteristic lengths of path."""
+
+
 def _lay_anchors(system: ConstraintSystem, x: Array, every_sample: bool) -> tuple[Array, Array]:
     robot = system.robot
     if len(x) == 1:
         return np.zeros(1), x
     increments = difference(robot, x[1:], x[:-1])
     lengths = np.linalg.norm(increments * row_scale(robot), axis=1) / (ANCHOR_SPACING * robot.characteristic_length)
+    # a path of many thousand machine sizes is out of reach somewhere, and that is found with long steps too
+    lengths /= max(1.0, float(lengths.sum()) / _MOST_ANCHORS)
     pieces = np.maximum(np.ceil(lengths), 1).astype(np.intp)
     bins = np.floor(np.concatenate([[0.0], np.cumsum(lengths)]))
     chosen = np.concatenate([[True], (np.diff(bins) > 0) | every_sample])

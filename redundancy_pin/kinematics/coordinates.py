@@ -17,7 +17,9 @@ from redundancy_pin.robot import AXES, Robot
 def coordinates(robot: Robot, state: ConstraintState) -> Array:
     """Return the independent coordinates of configurations: (N, n), or poses (N, 4, 4).
 
-    A single rotation is the angle of the platform frame about that base axis, in (−π, π].
+    A single rotation is the angle, in (−π, π], by which the platform frame is turned about that base axis: for rz the
+    angle of the frame's x axis from the base's x axis. Where that axis is normal to the plane the next one in the
+    plane serves, so that any mounting of the frame will do.
     """
     if robot.platform is None:
         return np.stack([joint_position(robot, name, state.q) for name in robot.independent_joints], axis=1)
@@ -33,14 +35,28 @@ def coordinates(robot: Robot, state: ConstraintState) -> Array:
     for axis in robot.platform.axes:
         is_rotation, k = divmod(AXES.index(axis), 3)
         i, j = (k + 1) % 3, (k + 2) % 3
-        columns.append(np.arctan2(rotation[j, i], rotation[i, i]) if is_rotation else origin[k])
+        columns.append(_turned(rotation, i, j) if is_rotation else origin[k])
     return np.stack(columns, axis=1)
+
+
+def _turned(rotation: Array, i: int, j: int) -> Array:
+    """Return the angle (N,) of rotations (3, 3, N) in the plane of the base axes i and j."""
+    in_plane = np.hypot(rotation[i], rotation[j])[:, :1].max(axis=1, initial=0.0) > _IN_PLANE
+    column = next((axis for axis in (i, j) if in_plane[axis]), 3 - i - j)
+    angle: Array = np.arctan2(rotation[j, column], rotation[i, column])
+    return angle
+
+
+_IN_PLANE = 0.5
+"""Length of the part of a unit axis in the plane of rotation from which it serves to measure the angle. It does not
+change as the platform turns: a platform with one rotation does not tilt."""
 
 
 def difference(robot: Robot, target: Array, start: Array) -> Array:
     """Return (N, n) the increment from ``start`` to ``target``.
 
-    Angles go the short way round; between poses it is a translation of the origin and a world-aligned rotation vector.
+    Angles of the platform and of continuous joints go the short way round; between poses it is a translation of the
+    origin and a world-aligned rotation vector.
     """
     if target.ndim == 3:
         rotation = Rotation.from_matrix(target[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1))
@@ -141,6 +157,8 @@ def _is_revolute(robot: Robot, name: str) -> bool:
 
 
 def _angle_columns(robot: Robot) -> list[int]:
+    """Columns known up to full turns: platform angles and continuous joints; a bounded joint counts its turns."""
     if robot.platform is not None:
         return [k for k, axis in enumerate(robot.platform.axes) if axis.startswith("r")]
-    return [k for k, name in enumerate(robot.independent_joints) if _is_revolute(robot, name)]
+    model = robot.model
+    return [k for k, name in enumerate(robot.independent_joints) if model.joints[model.getJointId(name)].nq == 2]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import Anchors, continuous, follow
 from redundancy_pin.kinematics.modes import in_working_mode, mode_indicator, mode_name
@@ -110,20 +110,39 @@ def require_continuous(system: ConstraintSystem, motion: PlatformMotion, q: Arra
     Raises:
         WorkingModeError: naming the samples between which the branch changes.
     """
+    breaks = branch_breaks(system, motion, q, gamma)
+    if len(breaks):
+        k = int(breaks[0]) - 1
+        raise WorkingModeError(
+            f"The motion cannot be followed continuously from sample {k} to {k + 1} (t = {motion.t[k]:.6g} to "
+            f"{motion.t[k + 1]:.6g} s): another branch of the kinematics is nearer.",
+            remedy="Keep away from type I singularities, or sample the motion more finely.",
+            sample=k + 1,
+        )
+
+
+def branch_breaks(system: ConstraintSystem, motion: PlatformMotion, q: Array, gamma: Array) -> IntArray:
+    """Return the samples whose configuration does not continue the branch of the sample before.
+
+    Args:
+        system: closures and platform rows.
+        motion: N samples.
+        q: (N, nq) configurations; a pair with NaN is no break.
+        gamma: (N, nv, n) velocities per unit of each independent velocity.
+    """
     if len(q) < 2:
-        return
-    jumps = np.flatnonzero(~continuous(system, q, gamma, motion.x))
-    if len(jumps):
-        # a step between sparse samples may be long without being a jump: go there again in small steps
-        for k in (int(j) for j in jumps):
-            again = follow(system, motion.x[k : k + 2], q[k])
-            if not again.valid.all() or np.abs(again.q[-1] - q[k + 1]).max() > _SAME_CONFIGURATION:
-                raise WorkingModeError(
-                    f"The motion cannot be followed continuously from sample {k} to {k + 1} (t = {motion.t[k]:.6g} to "
-                    f"{motion.t[k + 1]:.6g} s): another branch of the kinematics is nearer.",
-                    remedy="Keep away from type I singularities, or sample the motion more finely.",
-                    sample=k + 1,
-                )
+        return np.zeros(0, dtype=np.intp)
+    comparable = np.isfinite(q[1:]).all(axis=1) & np.isfinite(q[:-1]).all(axis=1)
+    suspects = np.flatnonzero(comparable & ~continuous(system, q, gamma, motion.x))
+    # a step between sparse samples may be long without being a break: go there again in small steps
+    broken = [k + 1 for k in suspects if not _reached_again(system, motion.x[k : k + 2], q[k], q[k + 1])]
+    return np.array(broken, dtype=np.intp)
+
+
+def _reached_again(system: ConstraintSystem, x: Array, start: Array, end: Array) -> bool:
+    again = follow(system, x, start)
+    apart = configuration_difference(system.robot.model, again.q[-1:], end[None])
+    return bool(again.valid.all()) and float(np.abs(apart).max()) <= _SAME_CONFIGURATION
 
 
 _SAME_CONFIGURATION = 1e-6

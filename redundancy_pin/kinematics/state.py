@@ -15,6 +15,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follow, initial_guess, take_up
 from redundancy_pin.kinematics.coordinates import require_matching
 from redundancy_pin.kinematics.lift_checks import (
+    branch_breaks,
     require_branch,
     require_closed,
     require_continuous,
@@ -69,7 +70,8 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
         robot: the robot.
         motion: N samples of the independent coordinates.
         mark_unreachable: instead of raising, mark samples without a configuration in the working mode, and type I
-            singularities, with NaN. Behind them the motion is taken up again in the working mode.
+            singularities, with NaN. Behind them the motion is taken up again in the working mode; a robot that
+            declares no modes may come back on another branch, but never without a marked sample in between.
 
     Raises:
         InputError: the motion does not have the robot's coordinates.
@@ -90,6 +92,9 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
         require_continuous(system, motion, solution.q, projection.gamma)
     good = solution.closed & ~singular & in_working_mode(robot, solution.q)
     gamma = projection.gamma
+    if mark_unreachable:
+        lost = np.where(good[:, None], solution.q, np.nan)
+        good[branch_breaks(system, motion, lost, gamma)] = False
     v = np.einsum("nvi,ni->nv", gamma, motion.xd)
     bias_c, bias_x = system.bias(solution.state, v)
     rate = np.concatenate([-bias_c, motion.xdd - bias_x], axis=1)

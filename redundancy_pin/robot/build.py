@@ -26,7 +26,8 @@ def build(
 ) -> Robot:
     """Build the robot and check every name and role of the declaration against the URDF.
 
-    The reference configuration is the declared guess; it is not closed yet.
+    The reference configuration is the declared guess; it is not closed yet, and an undeclared characteristic length is
+    provisional.
 
     Raises:
         ModelFileError: Pinocchio refuses the URDF.
@@ -45,6 +46,7 @@ def build(
     model.gravity.linear = np.array(vector, dtype=float)
     carriers = tuple(entry.joint for entry in declaration.carriers)
     _check_roles(declaration, model)
+    guess = _guess(model, declaration)
     robot = Robot(
         name=declaration.name,
         parameters=MappingProxyType(dict(parameters)),
@@ -59,15 +61,20 @@ def build(
         actuated_velocity=read_only(np.array([_joint(model, j).idx_v for j in declaration.actuated], dtype=np.intp)),
         carrier_velocity=read_only(np.array([_joint(model, j).idx_v for j in carriers], dtype=np.intp)),
         carrier_position=read_only(np.array([_joint(model, j).idx_q for j in carriers], dtype=np.intp)),
-        q_reference=read_only(_guess(model, declaration)),
+        q_reference=read_only(guess),
         working_modes=declaration.working_modes,
         working_mode=_mode(declaration, working_mode),
-        characteristic_length=declaration.characteristic_length or _characteristic_length(model, declaration),
+        characteristic_length=declaration.characteristic_length or characteristic_length(model, guess, carriers),
         closed_form=declaration.closed_form,
         source=source_of(declaration.path),
     )
     _check_carriers_carry(robot)
     return robot
+
+
+def _body_of(model: pin.Model, frame: str) -> int:
+    # a joint may have the name of a link: ask for the link
+    return int(model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint)
 
 
 def _joint(model: pin.Model, name: str) -> pin.JointModel:
@@ -108,7 +115,7 @@ def _check_roles(declaration: Declaration, model: pin.Model) -> None:
     for closure in declaration.closures:
         for name in (closure.frame_a, closure.frame_b):
             _require_name(name, frames, "link")
-        bodies = {int(model.frames[model.getFrameId(f)].parentJoint) for f in (closure.frame_a, closure.frame_b)}
+        bodies = {_body_of(model, name) for name in (closure.frame_a, closure.frame_b)}
         if len(bodies) == 1:
             raise DeclarationError(
                 f"The closure {closure.name!r} joins two frames of one rigid body.",
@@ -116,6 +123,13 @@ def _check_roles(declaration: Declaration, model: pin.Model) -> None:
             )
     if declaration.platform:
         _require_name(declaration.platform.frame, frames, "link")
+    for name in carriers:
+        if name in declaration.guess:
+            raise DeclarationError(
+                f"`reference.guess` sets the carrier {name!r}.",
+                remedy="Leave it out: the reference has the carriers at zero.",
+                name=name,
+            )
 
 
 def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
@@ -129,6 +143,12 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
         float(model.lowerPositionLimit[joint.idx_q]),
         float(model.upperPositionLimit[joint.idx_q]),
     )
+    if not lower < upper:
+        raise DeclarationError(
+            f"The track of the carrier {entry.joint!r} runs from {lower:g} to {upper:g}.",
+            remedy="Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`.",
+            name=entry.joint,
+        )
     return CarrierLimits(
         lower,
         upper,
@@ -138,15 +158,18 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
     )
 
 
-def _first(declared: float | None, otherwise: float) -> float:
-    return otherwise if declared is None else declared
+def _first(declared: float | None, from_urdf: float) -> float:
+    """Return the declared limit, or that of the URDF, where zero stands for "not known"."""
+    if declared is not None:
+        return declared
+    return from_urdf if from_urdf > 0.0 else float("inf")
 
 
 def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, ...]:
     if wanted is None:
         return declaration.default_mode
     legs = len(declaration.default_mode)
-    mode = tuple(wanted)
+    mode = tuple(wanted) if isinstance(wanted, Sequence) else ()
     if declaration.working_modes is None or len(mode) != legs or not all(sign in (1, -1) for sign in mode):
         allowed = f"a tuple of {legs} signs, 1 or -1, one a leg" if legs else "left out: this robot declares no modes"
         raise InputError(f"The working mode is {wanted!r}.", remedy=f"It must be {allowed}.", working_mode=wanted)
@@ -169,11 +192,18 @@ def _guess(model: pin.Model, declaration: Declaration) -> Array:
     return q
 
 
-def _characteristic_length(model: pin.Model, declaration: Declaration) -> float:
-    """Return the root mean square distance of the joints from their mean, at the guess: one size for one machine."""
+def characteristic_length(model: pin.Model, q: Array, carriers: Sequence[str]) -> float:
+    """Return one size for one machine: the root mean square distance of its joints from their mean.
+
+    Args:
+        model: the tree.
+        q: (nq,) closed configuration.
+        carriers: joints that do not count, so that the machine has one size with and without its carriers.
+    """
     data = model.createData()
-    pin.forwardKinematics(model, data, _guess(model, declaration))
-    origins = np.array([placement.translation for placement in list(data.oMi)[1:]])
+    pin.forwardKinematics(model, data, q)
+    counted = [index for index in range(1, model.njoints) if model.names[index] not in carriers]
+    origins = np.array([data.oMi[index].translation for index in counted])
     spread = float(np.sqrt(((origins - origins.mean(axis=0)) ** 2).sum(axis=1).mean()))
     return spread if spread > 0 else 1.0
 
@@ -185,7 +215,7 @@ def _check_carriers_carry(robot: Robot) -> None:
     if robot.platform:
         frames.add(robot.platform.frame)
     for frame in sorted(frames):
-        support = [int(j) for j in model.supports[model.frames[model.getFrameId(frame)].parentJoint]]
+        support = [int(j) for j in model.supports[_body_of(model, frame)]]
         for carrier in robot.carriers:
             if model.getJointId(carrier) in support:
                 raise DeclarationError(

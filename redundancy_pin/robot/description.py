@@ -8,7 +8,7 @@ from pathlib import Path
 
 from redundancy_pin.errors import ModelFileError
 from redundancy_pin.robot.arguments import Argument, as_text, from_text, parsed
-from redundancy_pin.robot.inertias import require_inertias
+from redundancy_pin.robot.inertias import require_inertias, require_no_mimics
 
 
 def models_root() -> Path:
@@ -78,7 +78,8 @@ def render(path: Path, arguments: Mapping[str, object]) -> tuple[str, dict[str, 
         The URDF, and every xacro argument with the value that was used.
 
     Raises:
-        ModelFileError: missing file, broken XML, a xacro expression that fails, or masses and inertias that are none.
+        ModelFileError: missing file, broken XML, a xacro expression that fails, masses and inertias that are none, or a
+            joint that mimics another.
     """
     parsed(path)
     if path.suffix == ".xacro":
@@ -86,6 +87,7 @@ def render(path: Path, arguments: Mapping[str, object]) -> tuple[str, dict[str, 
     else:
         urdf, parameters = path.read_text(encoding="utf-8"), {}
     require_inertias(path, urdf)
+    require_no_mimics(path, urdf)
     return urdf, parameters
 
 

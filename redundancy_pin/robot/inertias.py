@@ -1,4 +1,4 @@
-"""Check the masses and inertias of a rendered URDF: the parser drops a broken one and goes on without it."""
+"""Check what the parser of a rendered URDF passes over in silence: broken masses and inertias, coupled joints."""
 
 from __future__ import annotations
 
@@ -47,6 +47,21 @@ def require_inertias(path: Path, urdf: str) -> None:
                 path,
                 name,
                 f"principal moments of inertia {np.array2string(moments, precision=4)} that no body can have",
+            )
+
+
+def require_no_mimics(path: Path, urdf: str) -> None:
+    """Check that no joint follows another: the tree would be given a freedom it does not have.
+
+    Raises:
+        ModelFileError: naming the joint.
+    """
+    for joint in ElementTree.fromstring(urdf).iter("joint"):
+        if joint.find("mimic") is not None:
+            raise ModelFileError(
+                f"The joint {joint.get('name')!r} of {path.name} mimics another, which closed chains do not cover.",
+                remedy="Build the coupling as a loop, or make the joint free or fixed.",
+                path=str(path),
             )
 
 

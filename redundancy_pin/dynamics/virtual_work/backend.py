@@ -8,7 +8,7 @@ import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, read_only
 from redundancy_pin.dynamics.base import CarrierDerivatives, OnUnreachable, ReducedDynamics
-from redundancy_pin.dynamics.carriers import require_matching, require_on_track
+from redundancy_pin.dynamics.carriers import require_choice, require_matching, require_on_track
 from redundancy_pin.dynamics.virtual_work.model import Mechanism, MechanismAlongMotion, MechanismLegs
 from redundancy_pin.dynamics.virtual_work.planar import base_wrench, energy
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrMechanism, ThreeRrrParameters
@@ -61,8 +61,7 @@ class VirtualWork:
             UnreachablePoseError: a leg does not reach (unless marked).
             SingularPoseError: a leg is at a type I singularity (unless marked).
         """
-        if unreachable not in ("raise", "mark"):
-            raise InputError(f"unreachable is {unreachable!r}.", remedy='Pass "raise" or "mark".')
+        require_choice(unreachable)
         rows = len(self._mechanism.angular_rows)
         if motion.is_pose or motion.xd.shape[1] != rows:
             raise InputError(
@@ -103,8 +102,8 @@ class VirtualWork:
             CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
             InputError, UnreachablePoseError, SingularPoseError: as in ``along``.
         """
-        if check_track and carriers is not None:
-            require_on_track(self._robot, carriers, motion.t)
+        if check_track:
+            require_on_track(self._robot, require_matching(self._robot, carriers, len(motion)), motion.t)
         return self.along(motion, unreachable=unreachable).reduce(carriers)
 
 
