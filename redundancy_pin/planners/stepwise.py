@@ -15,7 +15,7 @@ from redundancy_pin.planners.effort_model import effort_model
 from redundancy_pin.planners.finish import finish_plan
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise_braking import Braking, brake
-from redundancy_pin.planners.stepwise_course import PARKED, PHASES, RETURN, Course, run_course
+from redundancy_pin.planners.stepwise_course import PHASES, RETURN, Course, run_course
 from redundancy_pin.planners.stepwise_march import StepProblems, step_problems
 from redundancy_pin.planners.stepwise_report import between_samples, diagnostics
 from redundancy_pin.planners.stepwise_settings import Active, Stop, checked_settings, target_effort
@@ -175,7 +175,6 @@ def _samples(motion: PlatformMotion, course: Course, ending: Braking) -> tuple[C
         phase[0] = phase[1]
     follows = np.minimum(np.arange(len(phase)) + 1, len(phase) - 1)
     after = np.where((phase[follows] == RETURN)[:, None], sdd, sdd[follows])
-    after[phase[follows] == PARKED] = 0.0
     instant = np.cumsum(~motion.jumps) - 1
     added = np.arange(len(course.t), len(course.t) + len(ending.t))
     which = np.concatenate([instant, added])

@@ -89,6 +89,31 @@ def test_quadratic_programme_against_all_faces(seed, k, extra, stiffness, half):
     np.testing.assert_allclose(got, expected, atol=SAME * np.linalg.cond(H), rtol=0)
 
 
+@pytest.mark.parametrize(
+    ("A", "g", "lower", "upper"),
+    [
+        ([[3, 1, 1], [-3, -1, 0], [3, 3, 2]], [4, -6, -3], [0, -1, -2], [2, 1, 0]),
+        ([[-2, -1, 3], [-1, 1, 3], [2, 0, -3]], [9, -7, -6], [0, 0, 0], [2, 1, 2]),
+        (
+            [[0, 1, 0, -2], [-1, -2, -2, 2], [-1, -3, 0, 2], [0, 2, 0, 3]],
+            [-7, -3, 4, 4],
+            [-1, -2, 0, 0],
+            [1, -1, 2, 1],
+        ),
+    ],
+)
+def test_programmes_on_which_changing_all_wrong_guesses_at_once_never_ends(A, g, lower, upper):
+    # found by random search
+    H, g, lower, upper = (
+        np.array(A) @ np.transpose(A) * 1.0,
+        *(np.array(part, dtype=float) for part in (g, lower, upper)),
+    )
+    expected = best_of_all_faces(H, g, lower, upper)
+    guess = np.linalg.solve(H, -g)
+    got = minimise_quadratic(H.tolist(), g.tolist(), lower.tolist(), upper.tolist(), guess.tolist())
+    np.testing.assert_allclose(got, expected, atol=SAME * np.linalg.cond(H), rtol=0)
+
+
 @settings(max_examples=80, deadline=None)
 @given(seed=st.integers(0, 10**6), k=st.integers(1, 4), extra=st.integers(0, 2))
 def test_affine_problem_against_lsq_linear(seed, k, extra):

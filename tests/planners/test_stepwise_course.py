@@ -37,6 +37,16 @@ def test_the_optimiser_works_exactly_while_the_platform_accelerates():
     np.testing.assert_array_equal(phase_names(plan)[1:] == "optimise", moves[1:])
 
 
+def test_rounding_in_the_reference_is_no_acceleration():
+    motion = reference.square().sample(0.01, two_sided=False)
+    noise = 1e-13 * np.sin(1000.0 * motion.t)[:, None] * [1.0, -1.0, 0.0]
+    plans = [
+        plan_stepwise(dynamics_of(), PlatformMotion(motion.t, motion.x, motion.xd, xdd), active="accelerating")
+        for xdd in (motion.xdd, motion.xdd + noise)
+    ]
+    np.testing.assert_array_equal(plans[0].phase, plans[1].phase)
+
+
 def test_returns_are_the_septic_from_the_last_optimised_state():
     plan = square_plan(return_time=0.4)
     names = phase_names(plan)
@@ -126,6 +136,33 @@ def test_stopping_within_the_motion_keeps_its_samples():
     np.testing.assert_allclose(plan.carriers.s[untouched], free.carriers.s[: len(motion)][untouched], atol=1e-12)
 
 
+@pytest.mark.parametrize(("stop", "brake_time"), [("after", 0.2), ("after", 0.5), ("within", 0.5)])
+def test_braking_begins_when_the_platform_comes_to_rest(stop, brake_time):
+    """A motion that stands still for its last 0.3 s: the carriers are braked there, on time for ``within``."""
+    motion = reference.corner().sample(0.01, two_sided=False)
+    tail = np.arange(1, 31) * 0.01
+    still = PlatformMotion(
+        np.concatenate([motion.t, motion.t[-1] + tail]),
+        np.vstack([motion.x, np.repeat(motion.x[-1:], 30, axis=0)]),
+        np.vstack([motion.xd, np.zeros((30, 3))]),
+        np.vstack([motion.xdd, np.zeros((30, 3))]),
+    )
+    settings = {"active": "accelerating", "lam": 0.5, "baseline": dynamics_of((1, -1, 1), carriers=False)}
+    plan = plan_stepwise(dynamics_of((1, -1, 1)), still, stop=stop, brake_time=brake_time, **settings)
+    begun, ended = plan.diagnostics["braking"]
+    assert begun == pytest.approx(motion.t[-2])  # the last sample at which the platform decelerates
+    duration = min(brake_time, still.t[-1] - begun) if stop == "within" else brake_time
+    assert ended == pytest.approx(begun + duration)
+    assert plan.t[-1] == pytest.approx(
+        max(still.t[-1], np.ceil((ended - still.t[-1]) / 0.01 - 1e-6) * 0.01 + still.t[-1])
+    )
+    assert not plan.carriers.sd[plan.t > ended - 1e-9].any()
+    begins = int(np.searchsorted(plan.t, begun))
+    first = (plan.t > begun) & (plan.t < ended - 0.01)
+    expected = np.tile(-plan.carriers.sd[begins] / duration, (first.sum(), 1))
+    np.testing.assert_allclose(plan.carriers.sdd[first], expected, atol=1e-9)
+
+
 def test_anticipation_changes_nothing_until_a_carrier_must_stop():
     motion = reference.corner().sample(0.005, two_sided=False)
     with_it, without = (plan_stepwise(dynamics_of(), motion, anticipate=choice) for choice in (True, False))
@@ -211,6 +248,11 @@ def test_a_two_sided_sample_has_one_state_and_two_accelerations():
         np.testing.assert_array_equal(plan.carriers.sd[j], plan.carriers.sd[j - 1])
         np.testing.assert_array_equal(plan.carriers.sdd[j], plan.carriers.sdd[j + 1])
         assert np.abs(plan.carriers.sdd[j] - plan.carriers.sdd[j - 1]).max() > 1.0
+    # out of the corner into a return, which begins with the acceleration the optimiser left
+    plan = plan_stepwise(dynamics_of((1, -1, 1)), trajectory.sample(0.005), active="accelerating")
+    out = np.flatnonzero(plan.motion.jumps)[1]
+    assert phase_names(plan)[out - 1 : out + 1].tolist() == ["optimise", "return"]
+    np.testing.assert_array_equal(plan.carriers.sdd[out], plan.carriers.sdd[out - 1])
 
 
 def test_halving_the_step_converges_at_first_order():
@@ -227,3 +269,21 @@ def test_halving_the_step_converges_at_first_order():
     rates = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (rates > 0.8).all()
     assert (rates < 1.3).all()  # the fine plan has a tenth of the last error of its own
+
+
+def test_between_samples_follows_the_polynomials_of_the_returns():
+    trajectory, dynamics = reference.square(), dynamics_of((1, -1, 1))
+    plan = square_plan(return_time=0.4)
+    expected = []
+    for begun, ended in plan.diagnostics["returns"]:
+        start = int(np.searchsorted(plan.t, begun))
+        inside = np.flatnonzero((plan.t >= begun - 1e-9) & (plan.t < ended - 0.0101))
+        t = (plan.t[inside][:, None] + 0.01 * np.array([0.25, 0.5, 0.75])).ravel()
+        zero = np.zeros(3)
+        state = [getattr(plan.carriers, part)[start] for part in ("s", "sd", "sdd")]
+        septic = boundary_polynomial(begun, ended, [*state, zero], [zero] * 4)
+        carriers = CarrierMotion(septic(t), septic(t, 1), septic(t, 2))
+        expected.append(np.abs(distribute(dynamics.reduce(trajectory.sample_at(t), carriers)).tau).max(axis=0))
+    found = between_samples(dynamics, plan, 3, trajectory)
+    # quintics through s, ṡ, s̈ of the septic every 10 ms
+    np.testing.assert_allclose(found["peak_effort"], np.max(expected, axis=0), rtol=1e-5)
