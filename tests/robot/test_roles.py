@@ -1,0 +1,180 @@
+"""Roles of joints and frames against the URDF: kinds of joints that cannot play them, names met twice, references."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from written import J, urdf_of, write_robot
+
+from redundancy_pin import load_robot
+from redundancy_pin.errors import DeclarationError, ModelFileError
+from redundancy_pin.robot import Robot
+
+FIVE_BAR = [
+    J("base_1", "revolute", "base", "upper_1"),
+    J("elbow_1", "revolute", "upper_1", "lower_1", (0.5, 0, 0)),
+    J("tip_1_mount", "fixed", "lower_1", "tip_1", (0.5, 0, 0)),
+    J("base_2", "revolute", "base", "upper_2", (0.5, 0, 0)),
+    J("elbow_2", "revolute", "upper_2", "lower_2", (0.5, 0, 0)),
+    J("tip_2_mount", "fixed", "lower_2", "tip_2", (0.5, 0, 0)),
+]
+RIDER = J("rider", "prismatic", "lower_1", "mass", axis=(1, 0, 0))
+DECLARATION: dict[str, Any] = {
+    "closures": [{"frames": ["tip_1", "tip_2"], "axes": ["x", "y"]}],
+    "actuated": ["base_1", "base_2"],
+    "independent": {"platform": "tip_1", "axes": ["x", "y"]},
+    "reference": {"platform": [0.25, 0.7], "guess": {"base_1": 2.0, "elbow_1": -1.0, "base_2": 1.0, "elbow_2": 1.0}},
+}
+
+
+def load(folder: Path, joints: list[J], **changes: object) -> Robot:
+    return load_robot(write_robot(folder, urdf_of(joints), {**DECLARATION, **changes}))
+
+
+def test_the_sound_robot_loads(tmp_path: Path) -> None:
+    robot = load(tmp_path, [*FIVE_BAR, RIDER], carriers=[{"joint": "rider"}])
+    assert (robot.n, robot.m, robot.k) == (2, 2, 1)
+    limits = robot.carrier_limits[0]
+    assert (limits.lower, limits.upper, limits.speed, limits.force) == (-100.0, 100.0, 10.0, 10.0)
+    assert limits.acceleration == np.inf
+    assert not robot.q_reference.flags.writeable
+
+
+@pytest.mark.parametrize("role", ["actuated", "carriers", "independent"])
+def test_a_joint_of_many_freedoms_cannot_be_driven(tmp_path: Path, role: str) -> None:
+    floating = J("ball", "floating", "lower_1", "satellite")
+    changes: dict[str, dict[str, object]] = {
+        "actuated": {"actuated": ["base_1", "ball"]},
+        "carriers": {"carriers": [{"joint": "ball", "position": [-1, 1]}]},
+        "independent": {
+            "independent": {"joints": ["base_1", "ball"]},
+            "reference": {"joints": {"base_1": 0, "ball": 0}},
+        },
+    }
+    with pytest.raises(DeclarationError, match="'ball' has 6 freedoms") as caught:
+        load(tmp_path, [*FIVE_BAR, floating], **changes[role])
+    assert caught.value.details["name"] == "ball"
+
+
+def test_a_carrier_without_ends_is_refused(tmp_path: Path) -> None:
+    spinner = J("spinner", "continuous", "lower_1", "wheel")
+    with pytest.raises(DeclarationError, match="'spinner' is a continuous joint") as caught:
+        load(tmp_path, [*FIVE_BAR, spinner], carriers=[{"joint": "spinner"}])
+    assert "bounded" in caught.value.remedy
+
+
+def test_a_carrier_whose_urdf_gives_no_track_is_refused(tmp_path: Path) -> None:
+    urdf = urdf_of([*FIVE_BAR, RIDER])
+    name = '<joint name="rider"'
+    urdf = urdf[: urdf.index(name)] + urdf[urdf.index(name) :].replace('lower="-100" upper="100" ', "", 1)
+    path = write_robot(tmp_path, urdf, {**DECLARATION, "carriers": [{"joint": "rider"}]})
+    with pytest.raises(DeclarationError, match="'rider' runs from 0 to 0"):
+        load_robot(path)
+    path = write_robot(tmp_path, urdf, {**DECLARATION, "carriers": [{"joint": "rider", "position": [-0.1, 0.1]}]})
+    assert load_robot(path).carrier_limits[0].upper == 0.1
+
+
+def test_the_guess_may_not_move_a_carrier(tmp_path: Path) -> None:
+    reference = {"platform": [0.25, 0.7], "guess": {**DECLARATION["reference"]["guess"], "rider": 0.1}}
+    with pytest.raises(DeclarationError, match="sets the carrier 'rider'"):
+        load(tmp_path, [*FIVE_BAR, RIDER], carriers=[{"joint": "rider"}], reference=reference)
+
+
+def test_the_guess_may_set_continuous_joints_but_not_floating_ones(tmp_path: Path) -> None:
+    endless = [J(j.name, "continuous" if j.name == "base_1" else j.kind, j.parent, j.child, j.xyz) for j in FIVE_BAR]
+    robot = load(tmp_path, endless)
+    joint = robot.model.joints[robot.model.getJointId("base_1")]
+    cosine, sine = robot.q_reference[joint.idx_q : joint.idx_q + 2]
+    assert np.arctan2(sine, cosine) == pytest.approx(2.0, abs=0.3)
+    floating = J("ball", "floating", "lower_1", "satellite")
+    reference = {"platform": [0.25, 0.7], "guess": {"ball": 0.1}}
+    with pytest.raises(DeclarationError, match="cannot set joint 'ball': it has 7 coordinates"):
+        load(tmp_path, [*FIVE_BAR, floating], reference=reference)
+
+
+def test_links_and_joints_may_share_their_names(tmp_path: Path) -> None:
+    """The joint frame of ``tip_1`` lies elsewhere on another body: only the link of that name counts."""
+    renamed = [J("tip_1", j.kind, j.parent, j.child, j.xyz) if j.name == "base_2" else j for j in FIVE_BAR]
+    robot = load(tmp_path, renamed, actuated=["base_1", "tip_1"], reference={"platform": [0.25, 0.7], "guess": {
+        "base_1": 2.0, "elbow_1": -1.0, "tip_1": 1.0, "elbow_2": 1.0}})  # fmt: skip
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, np.array(robot.q_reference))
+    tip = data.oMf[robot.model.getFrameId("tip_1", pin.FrameType.BODY)].translation
+    np.testing.assert_allclose(tip, [0.25, 0.7, 0.0], atol=1e-11)
+
+
+def test_a_mimic_joint_is_refused_not_ignored(tmp_path: Path) -> None:
+    urdf = urdf_of(FIVE_BAR)
+    name = '<joint name="elbow_2"'
+    cut = urdf.index(name)
+    urdf = urdf[:cut] + urdf[cut:].replace("</joint>", '<mimic joint="elbow_1"/></joint>', 1)
+    with pytest.raises(ModelFileError, match=r"'elbow_2'.* mimics another"):
+        load_robot(write_robot(tmp_path, urdf, DECLARATION))
+
+
+def test_a_reference_at_a_type_i_singularity_is_refused(tmp_path: Path) -> None:
+    stretched = {"platform": [0.25, float(np.sqrt(1 - 0.25**2))], "guess": DECLARATION["reference"]["guess"]}
+    with pytest.raises(DeclarationError, match="is a type I singularity") as caught:
+        load(tmp_path, FIVE_BAR, reference=stretched)
+    assert "Move the reference" in caught.value.remedy
+
+
+def test_a_platform_that_tilts_needs_all_its_rotations(tmp_path: Path) -> None:
+    """A hinge about a slanted axis cannot be told by its rz alone."""
+    slanted = [J("arm", "revolute", "base", "arm_link", axis=(0, 0.6, 0.8)), J("mount", "fixed", "arm_link", "hand")]
+    with pytest.raises(DeclarationError, match=r"'hand' of .* tilts: rz is declared as its only rotation"):
+        load(
+            tmp_path,
+            slanted,
+            closures=[],
+            actuated=["arm"],
+            independent={"platform": "hand", "axes": ["rz"]},
+            reference={"platform": [0.0]},
+        )
+
+
+def test_an_open_chain_is_the_closed_chain_without_closures(tmp_path: Path) -> None:
+    robot = load(
+        tmp_path,
+        FIVE_BAR[:3],
+        closures=[],
+        actuated=["base_1", "elbow_1"],
+        independent={"platform": "tip_1", "axes": ["x", "y"]},
+        reference={"platform": [0.3, 0.6], "guess": {"base_1": 2.0, "elbow_1": -1.0}},
+    )
+    from redundancy_pin import PlatformMotion, RneaDynamics
+
+    motion = PlatformMotion([0.0], [[0.3, 0.6]], [[0.1, -0.2]], [[0.5, 1.0]])
+    reduced = RneaDynamics(robot).reduce(motion)
+    q, v, a = (part[:, 0] for part in RneaDynamics(robot).along(motion).tree_motion())
+    tau = np.linalg.solve(reduced.W[0], reduced.f[0])
+    np.testing.assert_allclose(tau, pin.rnea(robot.model, robot.model.createData(), q, v, a), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"requires": ["length >"]}, r"`requires` is 'length >'.*a condition on the xacro arguments"),
+        ({"independent": ["tip_1"]}, r"`independent` is \['tip_1'\].*a mapping with the keys"),
+        ({"independent": {"axes": ["x"]}}, "`independent.platform` is None.*the name of a frame"),
+        ({"carriers": [{"position": [0, 1]}]}, r"`carriers\[0\].joint` is None.*the name of a joint"),
+        (
+            {"independent": {"joints": ["base_1", "base_2"]}, "reference": {"joints": {"base_1": 1.0}}},
+            "`reference.joints` is .*a value for each of base_1, base_2",
+        ),
+        ({"reference": {"platform": [0.25, 0.7], "guess": [1.0]}}, "`reference.guess` is .*a mapping of joint names"),
+        ({"reference": {"platform": [0.25, 10**400]}}, "`reference.platform` is .*a finite number"),
+        ({"reference": {"platform": ["9**9**9", 0.7]}}, "`reference.platform` is '9.*a number or an expression"),
+        ({"reference": {"platform": [True, 0.7]}}, "`reference.platform` is True.*a finite number"),
+        ({"closures": {"frames": []}}, "`closures` is .*a list"),
+    ],
+)
+def test_declarations_of_the_wrong_form_say_what_is_allowed(
+    tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
+    with pytest.raises(DeclarationError, match=message):
+        load(tmp_path, FIVE_BAR, **changes)
