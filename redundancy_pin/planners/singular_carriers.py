@@ -21,6 +21,10 @@ BALANCED = 1e-7
 1e-8 of the motion where it only touches the singularity, f is still off by a multiple of that."""
 
 
+ACTUATED = 1e-6
+"""Fraction of W along a direction below which the main actuators have no effect in it."""
+
+
 @dataclass(frozen=True, eq=False)
 class LostDirection:
     """An instant at which the accelerations of the carriers have no effect in one direction.
@@ -31,12 +35,15 @@ class LostDirection:
         parked: uᵀ(f − W τ_ref) with the carriers at rest at s = 0, N.
         by_motion: largest coefficient of uᵀ f by s, s², ṡ or s ṡ of a carrier; where it is zero the carriers cannot
             change what is left, whatever they do.
+        by_main: whether the main actuators, were they on, would have an effect along u. They have on the 2-RPR, whose
+            legs push where its carriers cannot; not where carriers and actuators act through the same joints.
     """
 
     t: float
     direction: Array
     parked: float
     by_motion: float
+    by_main: bool
 
     def left(self, equation: CarrierEquation, s: Array, sd: Array) -> float:
         """Return uᵀ(f − W τ_ref), N, for carriers at s with speed ṡ, (k,) each."""
@@ -84,7 +91,9 @@ def lost_directions(equation: CarrierEquation, start: float, end: float) -> list
         here = model.at(np.array([t]))
         parked = (here.f0 - np.einsum("nij,nj->ni", here.W, equation.effort(here.t)))[0] / equation.row_scale
         by_motion = np.einsum("i,ikj->kj", u / equation.row_scale, here.f_terms[0, :, :, :4])
-        found.append(LostDirection(t, frozen(u), float(u @ parked), float(np.abs(by_motion).max())))
+        W = here.W[0] / equation.row_scale[:, None]
+        by_main = bool(np.abs(u @ W).max() > ACTUATED * np.abs(W).max())
+        found.append(LostDirection(t, frozen(u), float(u @ parked), float(np.abs(by_motion).max()), by_main))
     return found
 
 
@@ -111,12 +120,14 @@ def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> 
     direction = np.round(np.sign(force) * instant.direction, 12) + 0.0  # no negative zeros
     along = ", ".join(f"{component:.6f}" for component in direction)
     return InfeasiblePlanError(
-        f"At the singular pose, t = {instant.t:.6g} s, nothing can carry the inertial force of {abs(force):.6g} N "
-        f"along ({along}): there the main actuators have no effect in this direction, and neither has any "
-        f"acceleration of the carriers ({circumstance}).",
-        remedy="Pass the singularity with no acceleration along this direction, or remove the masses that need one.",
+        f"At the singular pose, t = {instant.t:.6g} s, nothing can carry the inertial force: the motion needs "
+        f"{abs(force):.6g} N along ({along}), but the main actuators are off there and no acceleration of the carriers "
+        f"has an effect in this direction ({circumstance}).",
+        remedy="Pass the singularity without acceleration along this direction or without the masses that need it"
+        + (", or leave the main actuators on: they could carry it." if instant.by_main else "."),
         constraint="singular_pose",
         t=instant.t,
         amount=abs(force),
+        main_actuators_could=instant.by_main,
         direction=tuple(float(component) for component in direction),
     )
