@@ -112,7 +112,7 @@ def _reference(robot: Robot) -> dict[str, Any]:
     distribution = distribute(RneaDynamics(robot).reduce(motion))
     return {
         "coordinates": x[0].tolist(),
-        "type_i_margin": float(lift(robot, motion).serial_margin[0]),
+        "type_i_margin": float(lift(robot, motion).serial_margin_bound[0]),
         "type_ii_margin": float(distribution.margin[0]),
         "condition": float(distribution.condition[0]),
     }

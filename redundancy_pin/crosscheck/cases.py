@@ -174,7 +174,7 @@ def random_robot(
 def regular(case: Case, motion: PlatformMotion, margin: float = 0.05) -> BoolArray:
     """Return (N,) whether states lie away from type I singularities by a scaled margin."""
     tree = lift(case.robot, motion)
-    result: BoolArray = tree.serial_margin > margin
+    result: BoolArray = tree.serial_margin_bound > margin
     return result
 
 

@@ -26,7 +26,7 @@ def check_parity(tally: Tally, case: Case) -> None:
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     rnea = RneaDynamics(case.robot).along(motion)
     manual = VirtualWork(case.robot).along(motion)
-    keep = rnea.tree.serial_margin > AWAY_FROM_TYPE_ONE
+    keep = rnea.tree.serial_margin_bound > AWAY_FROM_TYPE_ONE
     name = case.robot.name
     first, second = rnea.reduce(carriers), manual.reduce(carriers)
     for label, a, b in (
@@ -63,7 +63,7 @@ def check_parity_on_singularities(tally: Tally, case: Case) -> None:
             rnea = RneaDynamics(case.robot).along(here)
         except RedundancyPinError:
             continue  # not reached from the reference without crossing type I
-        if rnea.tree.serial_margin[0] < AWAY_FROM_TYPE_ONE:
+        if rnea.tree.serial_margin_bound[0] < AWAY_FROM_TYPE_ONE:
             continue
         first = rnea.reduce(carriers[k : k + 1])
         second = VirtualWork(case.robot).along(here).reduce(carriers[k : k + 1])

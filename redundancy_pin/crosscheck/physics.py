@@ -87,7 +87,7 @@ def check_round_trip(tally: Tally, case: Case, dynamics: Dynamics, label: str) -
     rnea = RneaDynamics(robot).along(motion)
     reduced = dynamics.along(motion).reduce(carriers)
     tau, solvable = _efforts(reduced)
-    keep = np.flatnonzero(solvable & (rnea.tree.serial_margin > NEAR_SINGULAR_MARGIN))
+    keep = np.flatnonzero(solvable & (rnea.tree.serial_margin_bound > NEAR_SINGULAR_MARGIN))
     q, v, a = rnea.tree_motion(carriers)
     effort = np.zeros_like(v)
     effort[robot.actuated_velocity] = tau.T
@@ -136,7 +136,7 @@ def _apart(t: Array) -> Array:
 
 def _away(case: Case, t: Array) -> BoolArray:
     tree = RneaDynamics(case.robot).along(case.motion(t)).tree
-    result: BoolArray = tree.serial_margin > NEAR_SINGULAR_MARGIN
+    result: BoolArray = tree.serial_margin_bound > NEAR_SINGULAR_MARGIN
     return result
 
 

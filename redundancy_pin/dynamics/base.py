@@ -85,8 +85,8 @@ class DynamicsAlongMotion(Protocol):
     def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N, 6) the wrench of the robot on its base.
 
-        Shaking force (3, N) and moment (3, N·m) about the world origin, world axes: gravity of all bodies
-        less the rate of change of the total momentum.
+        Shaking force (3, N) and moment (3, N·m) about the world origin, world axes: gravity of all moving bodies
+        less the rate of change of their momentum. What is fixed to the base does not count.
         """
 
     def energy(self, carriers: CarrierMotion | None = None) -> Array:
