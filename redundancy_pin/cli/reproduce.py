@@ -7,7 +7,7 @@ import click
 from redundancy_pin.cli.options import json_option
 from redundancy_pin.cli.output import console, print_json, progress
 from redundancy_pin.experiments import reproduce as run_job
-from redundancy_pin.experiments.report import terminal_table, thesis_table
+from redundancy_pin.experiments.report import judged_table, terminal_table, thesis_table
 
 
 @click.command()
@@ -16,7 +16,8 @@ from redundancy_pin.experiments.report import terminal_table, thesis_table
 def reproduce(out: str, as_json: bool) -> None:
     r"""Run the experiments of the thesis.
 
-    Both backends compute every case; CSV, figures, summary.json and report.md go into the folder.
+    Both backends compute every case; CSV, figures, summary.json, report.md and
+    report.html go into the folder.
 
     First the backends are checked against each other; if they disagree the job stops (exit code 1). The folder appears
     when everything is done. One of earlier results is replaced; one that holds anything else is left alone.
@@ -33,5 +34,7 @@ def reproduce(out: str, as_json: bool) -> None:
     screen = console()
     screen.print(terminal_table(done.results))
     screen.print(thesis_table(done.compared))
+    if done.study is not None:
+        screen.print(judged_table(done.study))
     passed = f"cross-check passed: {len(done.check.rows)} checks"
-    screen.print(f"{passed}. Results are in {done.folder} (start with report.md).")
+    screen.print(f"{passed}. Results are in {done.folder} (start with report.html or report.md).")

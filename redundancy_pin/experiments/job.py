@@ -1,4 +1,4 @@
-"""The main job: cross-check, run every experiment, write all results or none."""
+"""The main job: cross-check, run every experiment with and without planners, write all results or none."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.experiments.csv_text import csv_text
 from redundancy_pin.experiments.experiment import Experiment
 from redundancy_pin.experiments.figures import comparison_figure, effort_figure, path_figure
+from redundancy_pin.experiments.html import html
+from redundancy_pin.experiments.markdown import markdown
+from redundancy_pin.experiments.planned.settings import FULL, StudySettings
+from redundancy_pin.experiments.planned.study import PARTS, Study, run_study
+from redundancy_pin.experiments.planned.thesis_figures import FIGURES
 from redundancy_pin.experiments.report import report
 from redundancy_pin.experiments.result import Result
 from redundancy_pin.experiments.run import run
@@ -48,6 +53,7 @@ class Reproduction:
         check: the cross-check.
         results: of each experiment.
         compared: statements of the thesis beside our numbers.
+        study: the planned experiments; None if they were left out.
         summary: what ``summary.json`` holds.
     """
 
@@ -55,6 +61,7 @@ class Reproduction:
     check: CrossCheckReport
     results: tuple[Result, ...]
     compared: tuple[Compared, ...]
+    study: Study | None
     summary: dict[str, object]
 
 
@@ -62,6 +69,7 @@ def reproduce(
     folder: str | Path,
     experiments: Sequence[Experiment] = EXPERIMENTS,
     *,
+    study: StudySettings | None = FULL,
     samples: int = CROSS_CHECK_SAMPLES,
     progress: Progress | None = None,
 ) -> Reproduction:
@@ -71,7 +79,8 @@ def reproduce(
 
     Args:
         folder: where to put the results.
-        experiments: what to run.
+        experiments: what to run without a planner.
+        study: extent of the planned experiments; None leaves them out.
         samples: random states of each robot in the cross-check.
         progress: told how far the job is.
 
@@ -82,7 +91,8 @@ def reproduce(
     """
     require_matplotlib()
     require_replaceable(folder)
-    steps = _Steps(2 * len(experiments) + _CROSS_CHECK_STEPS, progress)
+    planned = PARTS + len(FIGURES) if study else 0
+    steps = _Steps(2 * len(experiments) + planned + _CROSS_CHECK_STEPS, progress)
     robots = sorted({experiment.robot for experiment in experiments})
     check = require_agreement(robots, samples, lambda done, total: steps.part("cross-check", done / total))
     results = []
@@ -90,15 +100,20 @@ def reproduce(
         results.append(run(experiment))
         steps.next(experiment.name)
     compared = compare_with_thesis(results)
+    found = run_study(study, steps.next) if study else None
     with replacing_folder(folder) as temporary:
         for result in results:
             write_result(temporary, result)
             steps.next(f"figures of {result.experiment.name}")
         write_comparisons(temporary, results)
-        write_text(temporary / "report.md", report(results, check, compared))
-        data = summary(results, check, compared, [path.name for path in temporary.iterdir()])
+        if found:
+            write_thesis_figures(temporary, found, steps.next)
+        blocks = report(results, check, compared, found)
+        write_text(temporary / "report.md", markdown(blocks))
+        write_text(temporary / "report.html", html(blocks, temporary))
+        data = summary(results, check, compared, found, [path.name for path in temporary.iterdir()])
         write_text(temporary / MANIFEST, json.dumps(data, indent=2, allow_nan=False) + "\n")
-    return Reproduction(Path(folder), check, tuple(results), compared, data)
+    return Reproduction(Path(folder), check, tuple(results), compared, found, data)
 
 
 def require_agreement(
@@ -150,6 +165,17 @@ def write_comparisons(folder: Path, results: Sequence[Result]) -> None:
         if len(cases) > 1:
             drawn = comparison_figure(cases)
             save(drawn, *(folder / f"{motion_name}-comparison{suffix}" for suffix in PICTURE_SUFFIXES))
+
+
+def write_thesis_figures(folder: Path, study: Study, told: Callable[[str], None]) -> None:
+    """Write the result figures of the thesis.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    for figure in FIGURES:
+        save(figure.draw(study.store), *(folder / f"{figure.stem}{suffix}" for suffix in PICTURE_SUFFIXES))
+        told(figure.title)
 
 
 def result_csv(result: Result) -> str:

@@ -1,77 +1,110 @@
-"""The results in words: a table for the terminal and ``report.md``."""
+"""The results in words: tables for the terminal, and the blocks of the report."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.table import Table
+from rich.table import Table as TerminalTable
 
 from redundancy_pin.crosscheck import CrossCheckReport
+from redundancy_pin.experiments.document import (
+    Block,
+    Bullets,
+    Cell,
+    FileLink,
+    Heading,
+    Paragraph,
+    Picture,
+    Table,
+    table,
+)
+from redundancy_pin.experiments.planned.sections import figures, findings
+from redundancy_pin.experiments.planned.study import Study
 from redundancy_pin.experiments.result import Result
 from redundancy_pin.experiments.stated import Compared
 from redundancy_pin.experiments.summary import NOTES, numbers, versions
 
 
-def terminal_table(results: Sequence[Result]) -> Table:
+def terminal_table(results: Sequence[Result]) -> TerminalTable:
     """Return the results as a table, one row an experiment."""
-    table = Table(title="experiments: Pinocchio (RNEA) against virtual work")
-    table.add_column("experiment")
-    table.add_column("samples", justify="right")
-    table.add_column("parity", justify="right")
-    table.add_column("smallest margin", justify="right")
-    table.add_column("efforts")
+    found = TerminalTable(title="experiments: Pinocchio (RNEA) against virtual work")
+    found.add_column("experiment")
+    found.add_column("samples", justify="right")
+    found.add_column("parity", justify="right")
+    found.add_column("smallest margin", justify="right")
+    found.add_column("efforts")
     for result in results:
-        table.add_row(
+        found.add_row(
             result.experiment.name,
             str(len(result.motion)),
             f"{result.parity.worst:.1e}",
             f"{result.rnea.distribution.margin.min():.3g}",
             result.statement,
         )
-    return table
+    return found
 
 
-def thesis_table(compared: Sequence[Compared]) -> Table:
+def thesis_table(compared: Sequence[Compared]) -> TerminalTable:
     """Return the statements of the thesis beside our numbers as a table."""
-    table = Table(title="what the thesis states (Parsa 2014), and what comes out here")
+    found = TerminalTable(title="what the thesis states (Parsa 2014), and what comes out here")
     for heading in ("where", "experiment", "quantity"):
-        table.add_column(heading)
+        found.add_column(heading)
     for heading in ("stated", "computed"):
-        table.add_column(heading, justify="right")
-    table.add_column("unit")
+        found.add_column(heading, justify="right")
+    found.add_column("unit")
     for row in compared:
         stated = row.stated
-        table.add_row(
+        found.add_row(
             stated.source, stated.experiment, stated.quantity, numbers(stated.values), numbers(row.ours), stated.unit
         )
-    return table
+    return found
 
 
-def report(results: Sequence[Result], check: CrossCheckReport, compared: Sequence[Compared]) -> str:
-    """Return the report as Markdown."""
-    parts = [
-        "# Results",
-        _versions(),
-        "## Cross-check",
+def judged_table(study: Study) -> TerminalTable:
+    """Return the verdicts of the planned experiments as a table."""
+    found = TerminalTable(title="planned experiments against the thesis (Parsa 2014)")
+    for heading in ("where", "quantity", "stated", "ours", "verdict"):
+        found.add_column(heading)
+    for row in study.judged:
+        found.add_row(row.source, row.quantity, row.stated, row.ours, row.said)
+    return found
+
+
+def report(
+    results: Sequence[Result], check: CrossCheckReport, compared: Sequence[Compared], study: Study | None = None
+) -> list[Block]:
+    """Return the report as blocks, to be written as Markdown or HTML.
+
+    Args:
+        results: of the motions without a planner.
+        check: the cross-check.
+        compared: statements about these motions.
+        study: the planned experiments; None if they were not run.
+    """
+    return [
+        Heading("Results: internal redundancy in parallel manipulators", 1),
+        Paragraph(
+            "The experiments of S. S. Parsa's thesis (University of New Brunswick, 2014) repeated. Every number comes "
+            "from this run but for those in columns named 'stated'."
+        ),
+        Paragraph("Made with " + ", ".join(f"{name} {version}" for name, version in versions().items()) + "."),
+        *(findings(study) if study else ()),
+        Heading("Cross-check of the backends on random states"),
         _cross_check(check),
-        "## Experiments",
-        "\n".join(f"- {note}" for note in NOTES),
+        Heading("Motions without a planner"),
+        Bullets(NOTES),
         _experiments(results),
-        "## Against the thesis",
-        "Stated values are those in the text of Parsa 2014; computed ones come from this run.",
+        Heading("Motions without a planner, against the thesis"),
+        Paragraph("Stated values are those in the text of Parsa 2014; computed ones come from this run."),
         _thesis(compared),
-        "## Figures",
-        *(_figures(result) for result in results),
+        *(figures(study) if study else ()),
+        Heading("Figures of the motions without a planner"),
+        *(block for result in results for block in _figures(result)),
         *_comparisons(results),
     ]
-    return "\n\n".join(parts) + "\n"
 
 
-def _versions() -> str:
-    return "Made with " + ", ".join(f"{name} {version}" for name, version in versions().items()) + "."
-
-
-def _cross_check(check: CrossCheckReport) -> str:
+def _cross_check(check: CrossCheckReport) -> Table:
     rows = [
         [
             row.robot,
@@ -83,13 +116,13 @@ def _cross_check(check: CrossCheckReport) -> str:
         ]
         for row in check.rows
     ]
-    return _table(["robot", "check", "states", "worst", "allowed", ""], rows)
+    return table(["robot", "check", "states", "worst", "allowed", ""], rows)
 
 
-def _experiments(results: Sequence[Result]) -> str:
-    rows = [
+def _experiments(results: Sequence[Result]) -> Table:
+    rows: list[list[Cell]] = [
         [
-            f"[{result.experiment.name}]({result.experiment.name}.csv)",
+            FileLink(result.experiment.name, f"{result.experiment.name}.csv"),
             f"{result.trajectory.duration:.3f}",
             f"{result.parity.worst:.1e}",
             ", ".join(f"{name} {count}" for name, count in result.status_counts.items()),
@@ -97,10 +130,10 @@ def _experiments(results: Sequence[Result]) -> str:
         ]
         for result in results
     ]
-    return _table(["experiment", "time [s]", "parity of the backends", "samples by status", "efforts"], rows)
+    return table(["experiment", "time [s]", "parity of the backends", "samples by status", "efforts"], rows)
 
 
-def _thesis(compared: Sequence[Compared]) -> str:
+def _thesis(compared: Sequence[Compared]) -> Table:
     rows = [
         [
             row.stated.source,
@@ -112,21 +145,21 @@ def _thesis(compared: Sequence[Compared]) -> str:
         ]
         for row in compared
     ]
-    return _table(["where", "experiment", "quantity", "stated", "computed", "remark"], rows)
+    return table(["where", "experiment", "quantity", "stated", "computed", "remark"], rows)
 
 
-def _figures(result: Result) -> str:
-    name = result.experiment.name
-    lines = [f"### {result.experiment.title}", f"![efforts]({name}-efforts.png)", f"![path]({name}-path.png)"]
-    return "\n\n".join(lines)
+def _figures(result: Result) -> tuple[Block, ...]:
+    name, title = result.experiment.name, result.experiment.title
+    return (
+        Heading(title, 3),
+        Picture(f"{name}-efforts.png", f"Efforts of run {name} by both backends: {result.statement}."),
+        Picture(f"{name}-path.png", f"Mechanism, path and condition number of run {name}."),
+    )
 
 
-def _comparisons(results: Sequence[Result]) -> list[str]:
+def _comparisons(results: Sequence[Result]) -> list[Block]:
     names = [result.experiment.motion_name for result in results]
-    compared = dict.fromkeys(name for name in names if names.count(name) > 1)
-    return [f"### {name}: with and without carriers\n\n![comparison]({name}-comparison.png)" for name in compared]
-
-
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return [
+        Picture(f"{name}-comparison.png", f"{name}: efforts with parked carriers and without carriers.")
+        for name in dict.fromkeys(name for name in names if names.count(name) > 1)
+    ]

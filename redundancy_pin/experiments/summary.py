@@ -1,4 +1,4 @@
-"""The results as data (``summary.json``), as a table for the terminal, and as a report in words."""
+"""The results as data (``summary.json``), with the versions that made them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import redundancy_pin
 from redundancy_pin.crosscheck import CrossCheckReport
+from redundancy_pin.experiments.planned.study import Study
 from redundancy_pin.experiments.result import Result
 from redundancy_pin.experiments.stated import Compared
 
@@ -20,7 +21,11 @@ _PACKAGES = ("pin", "numpy", "scipy", "xacrodoc", "matplotlib")
 
 
 def summary(
-    results: Sequence[Result], check: CrossCheckReport, compared: Sequence[Compared], files: Sequence[str]
+    results: Sequence[Result],
+    check: CrossCheckReport,
+    compared: Sequence[Compared],
+    study: Study | None,
+    files: Sequence[str],
 ) -> dict[str, Any]:
     """Return everything worth keeping of a run as plain data.
 
@@ -28,6 +33,7 @@ def summary(
         results: in the order they were run.
         check: the cross-check that came first.
         compared: statements of the thesis beside our numbers.
+        study: the planned experiments; None if they were not run.
         files: every file of the results folder, relative to it; a later run replaces the folder only if these are all.
     """
     return {
@@ -37,6 +43,7 @@ def summary(
         "cross_check": check.as_dict(),
         "experiments": {result.experiment.name: _case(result) for result in results},
         "thesis": [row.as_dict() for row in compared],
+        "planned": study.as_dict() if study else None,
         "notes": list(NOTES),
         "files": sorted(files),
     }

@@ -22,6 +22,7 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     picked = [entry for entry in EXPERIMENTS if entry.name in ("circle-0.5-parked", "corner-r0.025-baseline")]
     small = tuple(replace(entry, dt=0.02) for entry in picked)
     monkeypatch.setattr(job.reproduce, "__defaults__", (small,))
+    monkeypatch.setitem(job.reproduce.__kwdefaults__, "study", None)
 
 
 def test_tables(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import json
 from pathlib import Path
 
@@ -13,8 +14,11 @@ import pytest
 from redundancy_pin import crosscheck
 from redundancy_pin.dynamics.virtual_work import VirtualWorkAlongMotion
 from redundancy_pin.errors import CrossCheckError, OutputError
-from redundancy_pin.experiments import Reproduction, job, reproduce
+from redundancy_pin.experiments import Reproduction, job
 from redundancy_pin.experiments.stated import STATEMENTS, compare_with_thesis
+
+reproduce = functools.partial(job.reproduce, study=None)
+"""The job without the planned experiments, which have tests of their own."""
 
 SAMPLES = 20
 """Random states of the cross-check: it has tests of its own."""
@@ -29,7 +33,13 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Reproduction:
 
 
 def test_every_promised_file_is_there(done: Reproduction) -> None:
-    expected = {"summary.json", "report.md", "corner-r0.025-comparison.png", "corner-r0.025-comparison.svg"}
+    expected = {
+        "summary.json",
+        "report.md",
+        "report.html",
+        "corner-r0.025-comparison.png",
+        "corner-r0.025-comparison.svg",
+    }
     for name in NAMES:
         expected |= {f"{name}.csv"}
         expected |= {f"{name}-{kind}{suffix}" for kind in ("efforts", "path") for suffix in (".png", ".svg")}
