@@ -7,7 +7,7 @@ import pytest
 import zoo
 
 from redundancy_pin.kinematics.assembly import assemble
-from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, continuous, follow, initial_guess, take_up
+from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Anchors, continuous, follow, initial_guess, take_up
 from redundancy_pin.kinematics.coordinates import difference, row_scale
 from redundancy_pin.kinematics.modes import in_working_mode
 from redundancy_pin.kinematics.projection import project
@@ -58,6 +58,19 @@ def test_guesses_between_anchors_are_cubic(shipped: Robot) -> None:
     guess = initial_guess(system, motion.x, anchors)
     step = np.abs(np.diff(anchors.q, axis=0)).max()
     assert np.abs(guess - tree.q).max() < 0.1 * step**2
+
+
+def test_behind_a_gap_the_guess_comes_from_the_near_side() -> None:
+    """A sample between a lost anchor, which holds the last good configuration from far away, and one found again."""
+    robot = zoo.robot_of("five_bar")
+    x = np.array([zoo.home_of(robot)] * 3) + np.array([[0.0, 0.5], [0.0, 0.01], [0.0, 0.0]])
+    far, near = np.array(robot.q_reference) + 2.0, np.array(robot.q_reference)
+    gamma = np.zeros((2, robot.model.nv, robot.n))
+    anchors = Anchors(np.array([0.0, 2.0]), x[[0, 2]], np.stack([far, near]), gamma, np.array([False, True]))
+    guess = initial_guess(zoo.system_of(robot), x, anchors)
+    np.testing.assert_array_equal(guess[1], near)
+    lost = Anchors(np.array([0.0, 2.0]), x[[0, 2]], np.stack([near, far]), gamma, np.array([True, False]))
+    np.testing.assert_array_equal(initial_guess(zoo.system_of(robot), x, lost)[1], near)
 
 
 def test_the_end_of_the_branch_leaves_the_rest_invalid() -> None:

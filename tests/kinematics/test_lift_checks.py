@@ -9,6 +9,7 @@ import zoo
 from redundancy_pin import PlatformMotion, load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.kinematics import state
 from redundancy_pin.kinematics.modes import mode_indicator
 from redundancy_pin.kinematics.state import lift
 from redundancy_pin.robot import Robot
@@ -61,13 +62,14 @@ def test_out_of_reach_in_the_middle_is_marked_and_right_again_behind() -> None:
     np.testing.assert_allclose(tree.q[within], tree.q[::-1][within], atol=1e-7)
 
 
-def test_marked_motion_may_come_back_elsewhere() -> None:
+@pytest.mark.parametrize("samples", [61, 3001])
+def test_marked_motion_may_come_back_elsewhere(samples: int) -> None:
     """Out over the top on the left, in again on the right: far from the last good configuration."""
     robot = zoo.robot_of("five_bar")
-    angle = np.linspace(np.pi, 0.0, 61)
+    angle = np.linspace(np.pi, 0.0, samples)
     x = np.array([0.25, 0.45]) + np.stack([0.45 * np.cos(angle), 0.75 * np.sin(angle)], axis=1)
     within = (np.linalg.norm(x, axis=1) < 1.0) & (np.linalg.norm(x - [0.5, 0.0], axis=1) < 1.0)
-    assert 5 < np.argmin(within) < np.flatnonzero(~within)[-1] < 55
+    assert samples / 12 < np.argmin(within) < np.flatnonzero(~within)[-1] < samples * 11 / 12
     tree = lift(robot, along(x), mark_unreachable=True)
     np.testing.assert_array_equal(tree.reachable, within)
 
@@ -155,14 +157,28 @@ def test_a_leg_through_its_base_hinge_leaves_the_mode_and_is_named() -> None:
     assert "working mode ++" in caught.value.message
 
 
-def test_a_leg_through_its_base_hinge_is_marked_and_taken_up_in_the_mode() -> None:
+@pytest.mark.parametrize("samples", [20, 21])
+def test_a_leg_through_its_base_hinge_is_marked_and_taken_up_in_the_mode(samples: int) -> None:
+    """Of 21 samples one is at the hinge, of 20 none: behind it the branch has d < 0, the mode has d > 0."""
     robot = zoo.robot_of("2rpr")
-    motion = line([0.1, 0.2], [-0.1, -0.2], 21)  # sample 10 is at the hinge
+    motion = line([0.1, 0.2], [-0.1, -0.2], samples)
     tree = lift(robot, motion, mark_unreachable=True)
-    np.testing.assert_array_equal(tree.reachable, np.arange(21) != 10)
-    good = np.delete(tree.q, 10, axis=0)
+    length = np.linalg.norm(motion.x, axis=1)
+    away = length > 1e-9
+    assert np.count_nonzero(tree.reachable != away) <= 1  # the change over itself may be marked too
     slide = robot.model.joints[robot.model.getJointId("slide_1")].idx_q
-    np.testing.assert_allclose(good[:, slide], np.delete(np.linalg.norm(motion.x, axis=1), 10), atol=1e-10)
+    np.testing.assert_allclose(tree.q[tree.reachable, slide], length[tree.reachable], atol=1e-10)
+
+
+def test_samples_before_the_first_one_found_are_followed_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Found at the far end only, the motion is followed back past the base hinge, around which the leg turns."""
+    robot = zoo.robot_of("2rpr")
+    motion = line([0.101, 0.2], [-0.099, -0.2], 21)
+    expected = lift(robot, motion)
+    monkeypatch.setattr(state, "_first_reachable", lambda *_: (20, expected.q[20]))
+    tree = lift(robot, motion, mark_unreachable=True)
+    assert tree.reachable.all()
+    np.testing.assert_allclose(tree.q, expected.q, atol=1e-9)
 
 
 def test_the_four_bars_crossed_mode_is_not_left_for_the_open_one() -> None:
