@@ -45,7 +45,8 @@ class TreeMotion:
         gap: (N,) closure gap, m or rad.
         reachable: (N,) false where no configuration was found in the working mode, and at a type I singularity; q, v,
             a, gamma and W are NaN there.
-        serial_margin_bound: (N,) lower bound of the distance to a type I singularity, scaled; see ``projection.Projection``.
+        serial_margin_bound: (N,) lower bound of the distance to a type I singularity, scaled; see
+            ``projection.Projection``.
     """
 
     robot: Robot
