@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+import planners_stepwise
+import planners_switch_off
 from plain_loop import PlainLoop
 
 import redundancy_pin as rp
@@ -129,6 +131,8 @@ def main():
         row = {"what": f"peak memory, {name}", "bytes_a_sample": peaks, "growth": peaks[1] / peaks[0]}
         print(f"{row['what']}: {peaks[0]:.0f} bytes a sample at {SAMPLES}, {peaks[1]:.0f} at {4 * SAMPLES}")
         rows.append(row)
+    rows += planners_stepwise.rows()
+    rows += planners_switch_off.rows()
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(json.dumps(rows, indent=2) + "\n")
 

@@ -11,10 +11,14 @@ from redundancy_pin.kinematics.singularity import classify, classify_motion
 from redundancy_pin.kinematics.state import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_plan, load_robot_of
+from redundancy_pin.planners.stepwise import plan_stepwise
+from redundancy_pin.planners.switch_off import plan_switch_off
 
 __all__ = [
     "CarrierMotion",
+    "Plan",
     "PlatformMotion",
     "RneaDynamics",
     "VirtualWork",
@@ -27,6 +31,8 @@ __all__ = [
     "load_plan",
     "load_robot",
     "load_robot_of",
+    "plan_stepwise",
+    "plan_switch_off",
     "singular_locus",
     "trajectory",
 ]

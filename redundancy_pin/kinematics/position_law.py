@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import difference, require_matching
 from redundancy_pin.motion import PlatformMotion
@@ -77,11 +77,11 @@ def _coordinates(robot: Robot, motion: PlatformMotion) -> Callable[[Array], Arra
 
 def _quintic(
     motion: PlatformMotion,
-    left: np.ndarray,
+    left: IntArray,
     x0: Array,
     x1: Array,
     xd: Array,
-    xdd: Array,  # type: ignore[type-arg]
+    xdd: Array,
 ) -> Callable[[Array], Array]:
     """Return the piecewise quintic through (I, n) interval ends, in Bernstein form."""
     right = left + 1

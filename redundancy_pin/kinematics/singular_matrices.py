@@ -48,14 +48,15 @@ def actuation_matrix(system: ConstraintSystem, serial: Array) -> Array:
     right = np.zeros((serial.shape[1], robot.n))
     right[len(system.rows) :] = np.eye(robot.n)
     try:
-        gamma = np.linalg.solve(serial, np.broadcast_to(right, (len(serial), *right.shape)))
+        gamma = np.asarray(np.linalg.solve(serial, np.broadcast_to(right, (len(serial), *right.shape))), dtype=float)
     except np.linalg.LinAlgError:
         # LAPACK gives up on the whole stack for one exactly singular sample
         singular = np.linalg.matrix_rank(serial) < serial.shape[1]
         safe = np.where(singular[:, None, None], np.eye(serial.shape[1]), serial)
-        gamma = np.linalg.solve(safe, np.broadcast_to(right, (len(serial), *right.shape)))
+        gamma = np.asarray(np.linalg.solve(safe, np.broadcast_to(right, (len(safe), *right.shape))), dtype=float)
         gamma[singular] = np.nan
-    return gamma[:, columns].transpose(0, 2, 1)
+    by_row: Array = gamma[:, columns].transpose(0, 2, 1)
+    return by_row
 
 
 def signed_margin(W: Array) -> Array:

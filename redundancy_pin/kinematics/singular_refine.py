@@ -95,7 +95,7 @@ def refine(
             break
     state = system.evaluate(q)
     x = coordinates(robot, state)
-    sigma = np.linalg.svd(matrix(system, state), compute_uv=False)[:, -1]
+    sigma = np.asarray(np.linalg.svd(matrix(system, state), compute_uv=False)[:, -1], dtype=np.float64)
     away = difference(robot, x, start)
     edge = difference(robot, end, start)
     fraction = away[everyone, free] / edge[everyone, free]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,10 +27,18 @@ ACCELERATING = 1e-9
 """Of the largest reference acceleration; what is below counts as zero. The straights of a path leave rounding."""
 
 
+class SampledOnDemand(Protocol):
+    """A trajectory that can be sampled at a time step."""
+
+    def sample(self, dt: float) -> PlatformMotion:
+        """Return samples ``dt`` seconds apart, with both sides of each jump of the acceleration."""
+
+
 def plan_stepwise(
     dynamics: Dynamics,
-    motion: PlatformMotion,
+    motion: PlatformMotion | SampledOnDemand,
     *,
+    dt: float = 5e-3,
     lam: float = 0.0,
     baseline: Dynamics | ArrayLike | None = None,
     active: Active = "always",
@@ -73,7 +81,8 @@ def plan_stepwise(
 
     Args:
         dynamics: either backend.
-        motion: N samples of the platform motion; the steps need not be equal.
+        motion: N samples of the platform motion, whose steps need not be equal; or a trajectory, which is sampled.
+        dt: the time step of a trajectory, s. Jumps of its acceleration are sampled from both sides.
         lam: λ, fraction of the baseline effort to aim at, 0 to 1.
         baseline: backend of the baseline robot, or its efforts τ̂ (N, m), N or N·m. Needed where λ > 0.
         active: "always", or "accelerating": while the reference acceleration is not zero.
@@ -103,6 +112,8 @@ def plan_stepwise(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
     robot = dynamics.robot
+    if not isinstance(motion, PlatformMotion):
+        motion = motion.sample(dt=dt)
     settings = checked_settings(
         robot,
         motion,

@@ -61,7 +61,7 @@ def brake(settings: StepwiseSettings, course: Course, step: float, platform_rest
     longest = float(stopping.max())
     _require_time(settings, course, stopping, last - start, platform_rests)
     added = max(0, int(np.ceil((longest - (last - start)) / step - 1e-9))) if settings.stop == "after" else 0
-    extra = last + step * np.arange(1, added + 1)
+    extra: Array = last + step * np.arange(1, added + 1, dtype=float)
     times = np.concatenate([course.t[first:], extra])
     h = np.diff(times)[:, None]
     speeds = braked_speeds(sd, stopping, times[1:] - start)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_stop import stoppable_speed
 from redundancy_pin.robot import Robot
@@ -148,7 +149,7 @@ def resolve_limits(
     return tuple(limits)
 
 
-def _each(given: ArrayLike, name: str, shape: tuple[int, ...]) -> np.ndarray:  # type: ignore[type-arg]
+def _each(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
     try:
         values = np.broadcast_to(np.asarray(given, dtype=float), shape)
     except (TypeError, ValueError) as error:
@@ -158,7 +159,7 @@ def _each(given: ArrayLike, name: str, shape: tuple[int, ...]) -> np.ndarray:  #
     return values
 
 
-def require_inside(values: ArrayLike, name: str, robot_limits: StepLimits) -> np.ndarray:  # type: ignore[type-arg]
+def require_inside(values: ArrayLike, name: str, robot_limits: StepLimits) -> Array:
     """Return (k,) positions on the tracks.
 
     Raises:

@@ -166,5 +166,7 @@ def optimise(problems: StepProblems, first: int, last: int, start: CarrierState,
         lower += low
         upper += high
         iterations.append(count)
-    found = (np.array(part).reshape(-1, k) for part in (positions, speeds, accelerations, lower, upper))
-    return Stretch(*found, np.array(iterations, dtype=np.intp))
+    s, sd, sdd, low_box, high_box = (
+        np.array(part).reshape(-1, k) for part in (positions, speeds, accelerations, lower, upper)
+    )
+    return Stretch(s, sd, sdd, low_box, high_box, np.array(iterations, dtype=np.intp))

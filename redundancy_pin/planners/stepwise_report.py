@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
@@ -61,7 +61,7 @@ def _bounds_met(course: Course, limits: StepLimits) -> list[dict[str, object]]:
                         {"carrier": name, "bound": bound, "side": side, "start": float(t[a]), "end": float(t[b - 1])}
                         for a, b in zip(edges[::2], edges[1::2], strict=True)
                     ]
-    return sorted(found, key=lambda event: (event["start"], event["carrier"]))  # type: ignore[arg-type, return-value]
+    return sorted(found, key=lambda event: (event["start"], event["carrier"]))
 
 
 def _which(stretch: Stretch, limits: StepLimits, j: int, side: str) -> dict[str, BoolArray]:
@@ -121,7 +121,7 @@ def between_samples(
     }
 
 
-def _between(plan: Plan, left: Array, fraction: Array) -> tuple[CarrierMotion, float]:
+def _between(plan: Plan, left: IntArray, fraction: Array) -> tuple[CarrierMotion, float]:
     """Return the carriers inside the steps from samples ``left``, and the largest lag of their positions, m."""
     s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
     right = left + 1

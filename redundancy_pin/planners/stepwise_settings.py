@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, TypeGuard, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -149,7 +149,7 @@ def target_effort(
                 remedy='Pass baseline=VirtualWork(load_robot("3rrr", carriers=False)) or an array (N, m).',
             )
         return np.zeros(shape), None
-    if hasattr(baseline, "reduce"):
+    if is_dynamics(baseline):
         other = baseline.robot
         if (other.n, other.m) != (robot.n, robot.m):
             raise InputError(
@@ -166,8 +166,13 @@ def target_effort(
                 time=float(motion.t[bad[0]]),
             )
     else:
-        tau = checked(baseline, "baseline", shape)
+        tau = checked(cast(ArrayLike, baseline), "baseline", shape)
     return lam * tau, tau
+
+
+def is_dynamics(baseline: Dynamics | ArrayLike) -> TypeGuard[Dynamics]:
+    """Return whether a baseline is a backend, rather than efforts."""
+    return isinstance(getattr(baseline, "robot", None), Robot)
 
 
 def _number(value: float, name: str) -> float:
