@@ -160,7 +160,9 @@ class _ForwardDynamics:
         self._constraints = pin.StdVec_RigidConstraintModel()
         self._constraint_data = pin.StdVec_RigidConstraintData()
         for closure in case.robot.closures:
-            frame_a, frame_b = (model.frames[model.getFrameId(f, pin.FrameType.BODY)] for f in (closure.frame_a, closure.frame_b))
+            frame_a, frame_b = (
+                model.frames[model.getFrameId(f, pin.FrameType.BODY)] for f in (closure.frame_a, closure.frame_b)
+            )
             constraint = pin.RigidConstraintModel(
                 pin.ContactType.CONTACT_3D,
                 model,
