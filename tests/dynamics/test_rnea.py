@@ -6,14 +6,17 @@ them goes through Γ or rnea the way the backend does.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from written import J, urdf_of, write_robot
 
-from redundancy_pin import CarrierMotion, PlatformMotion
+from redundancy_pin import CarrierMotion, PlatformMotion, load_robot
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.robot import Robot
 
@@ -187,9 +190,9 @@ def shifted(carriers: CarrierMotion, which: str, amount: np.ndarray) -> CarrierM
     return CarrierMotion(**parts)
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "gough"])
-def test_carrier_derivatives_are_derivatives(name: str) -> None:
-    robot = robot_of(name)
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "gough", "stacked"])
+def test_carrier_derivatives_are_derivatives(name: str, tmp_path: Path) -> None:
+    robot = stacked_carriers(tmp_path) if name == "stacked" else robot_of(name)
     t = np.linspace(0.0, 1.0, 5)
     along, carriers = RneaDynamics(robot).along(zoo.smooth_motion(robot, 7).at(t)), zoo.carriers_at(robot, t)
     derivatives = along.carrier_derivatives(carriers)
@@ -203,6 +206,25 @@ def test_carrier_derivatives_are_derivatives(name: str) -> None:
             np.testing.assert_allclose(f_by[:, :, j], (up.f - down.f) / (2 * step), atol=1e-9)
             expected = (up.carrier_force - down.carrier_force) / (2 * step)
             np.testing.assert_allclose(force_by[:, :, j], expected, atol=1e-9)
+
+
+def stacked_carriers(folder: Path) -> Robot:
+    """Return a two-link arm with a carrier that carries a second one: their accelerations load each other."""
+    tree = [
+        J("shoulder", "revolute", "base", "upper"),
+        J("elbow", "revolute", "upper", "lower", (0.5, 0, 0)),
+        J("mount", "fixed", "lower", "hand", (0.5, 0, 0)),
+        J("slide_1", "prismatic", "lower", "mass_1", axis=(1, 0, 0)),
+        J("slide_2", "prismatic", "mass_1", "mass_2", axis=(0.6, 0.8, 0)),
+    ]
+    carriers = [{"joint": joint, "position": [-0.2, 0.2]} for joint in ("slide_1", "slide_2")]
+    declaration = {
+        "actuated": ["shoulder", "elbow"],
+        "carriers": carriers,
+        "independent": {"platform": "hand", "axes": ["x", "y"]},
+        "reference": {"platform": [0.3, 0.6], "guess": {"shoulder": 1.8, "elbow": -1.5}},
+    }
+    return load_robot(write_robot(folder, urdf_of(tree), declaration))
 
 
 @settings(max_examples=15, deadline=None)
