@@ -29,6 +29,7 @@ th, td { text-align: left; vertical-align: top; padding: .28rem .6rem; border-bo
 thead th { border-bottom: 2px solid #888; background: #fff; }
 tbody tr:nth-child(even) { background: #fafafa; }
 td.good { box-shadow: inset 4px 0 #009e73; }
+td.partly { box-shadow: inset 4px 0 #8fd3bf; }
 td.bad { box-shadow: inset 4px 0 #d55e00; }
 figure { margin: 1.2rem 0 1.8rem; }
 figure img { max-width: 100%; height: auto; }
@@ -36,6 +37,17 @@ figcaption { color: #333; font-size: .88rem; max-width: 50rem; }
 @media (max-width: 45rem) { nav { columns: 1; } }
 @media print { nav { display: none; } h2 { break-after: avoid; } figure, tr { break-inside: avoid; } }
 """
+
+
+_VERDICTS = {
+    "reproduced": ' class="good"',
+    "reproduced:": ' class="partly"',
+    "differs:": ' class="bad"',
+    "stands": ' class="good"',
+    "stands with conditions": ' class="partly"',
+    "does not stand": ' class="bad"',
+}
+"""Colour of a cell by its verdict; a colon is followed by a condition or reason."""
 
 
 def html(blocks: Sequence[Block], folder: Path) -> str:
@@ -96,8 +108,7 @@ def _block(block: Block, folder: Path, index: int) -> str:
 
 def _cell(cell: Cell) -> str:
     text = cell.text if isinstance(cell, FileLink) else cell
-    kind = ' class="good"' if text.startswith("reproduced") else ' class="bad"' if text.startswith("differs") else ""
-    return f"<td{kind}>{_text(text)}</td>"
+    return f"<td{_VERDICTS.get(text.partition(':')[0] + text.partition(':')[1], '')}>{_text(text)}</td>"
 
 
 def _text(text: str) -> str:

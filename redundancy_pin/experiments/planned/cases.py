@@ -21,6 +21,12 @@ from redundancy_pin.trajectory import Trajectory
 Mode = tuple[int, ...]
 """Working mode, ±1 a leg."""
 
+
+def mode_text(mode: Mode) -> str:
+    """Return a working mode as text that no line break splits: ``"++−"``."""
+    return "".join("+" if sign > 0 else "\u2212" for sign in mode)
+
+
 CIRCLE_RETURN_TIME = 0.4
 """Duration of the carriers' return on the circle and the line, s; the thesis does not state it."""
 

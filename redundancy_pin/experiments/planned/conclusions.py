@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from redundancy_pin.experiments.planned.cases import mode_text
 from redundancy_pin.experiments.planned.crossings import CrossingRow, Infeasible
 from redundancy_pin.experiments.planned.fair import MOVING, NONE, PARKED, FairRow
 from redundancy_pin.experiments.planned.mode_table import ClaimRow
@@ -84,6 +85,9 @@ def _limits(crossings: Sequence[CrossingRow]) -> Conclusion:
     for row in out:
         parts.append(f"{row.case} is {row.beyond_track_at_exit:.3f} m beyond its track already when switched on")
     here = f"{len(broken)} of {len(crossings)} plans break a limit" + (": " + "; ".join(parts) + "." if parts else ".")
+    cured = [f"{row.case} ({row.shortest:.3f} s)" for row in broken if not row.no_shortest]
+    if cured:
+        here += f" Another duration of the return cures {', '.join(cured)}."
     if never:
         here += f" For {', '.join(row.case for row in never)} no duration of the return keeps the limits."
     return Conclusion(
@@ -102,6 +106,12 @@ def _exit_forces(crossings: Sequence[CrossingRow]) -> Conclusion:
             f"Solved exactly, forces are continuous on switching on (largest jump {jumps:.1g} N); by backward "
             f"differences with a step of {1e3 * crossings[0].step:g} ms they jump by up to {steps:.2g} N. The jumps "
             "come from the discretisation, not from the inverse of the Jacobian."
+        )
+        same_motion = [max(row.jump_of_differences) for row in crossings if row.case.startswith("circle-0.5-")]
+        listed = ", ".join(f"{value:.2g}" for value in same_motion)
+        grows = len(same_motion) > 1 and sorted(same_motion) == same_motion
+        here += (
+            f" With that step they {'grow' if grows else 'do not grow'} with the threshold: {listed} N on the circle."
         )
     else:
         here = f"Also solved exactly, forces jump by up to {jumps:.2g} N (backward differences: {steps:.2g} N)."
@@ -180,7 +190,7 @@ def _shared(fair: Sequence[FairRow]) -> Conclusion:
     here = (
         f"At both corners with λ = 0 the base actuators move {main} times the energy they need without carriers, and "
         f"are relieved in peak and energy in {relieved} of {len(pairs)} plans. With the carriers' own actuators, which "
-        f"need up to {_times([moving.carrier_force for moving, _ in pairs])} N, it is {_times(total)} times the energy"
+        f"need {_times([moving.carrier_force for moving, _ in pairs])} N, it is {_times(total)} times the energy"
     )
     here += "." if min(total) < 1.0 else ": the effort is not shared but multiplied."
     return Conclusion(
@@ -194,9 +204,10 @@ def _agreement(claims: Sequence[ClaimRow]) -> Conclusion:
     modes = list(claims[0].outcomes)
     counts = [sum(row.outcomes[mode][0] for row in claims) for mode in modes]
     best, total = max(counts), len(claims)
-    signs = ["".join("+" if sign > 0 else "−" for sign in mode) for mode in modes]
-    which = ", ".join(f"({sign})" for sign, count in zip(signs, counts, strict=True) if count == best)
-    here = f"The best working modes, {which}, reproduce {best} of the {total} statements made in words; "
+    which = ", ".join(mode_text(mode) for mode, count in zip(modes, counts, strict=True) if count == best)
+    several = sum(count == best for count in counts) > 1
+    who = f"The best working modes, {which}, reproduce" if several else f"The best working mode, {which}, reproduces"
+    here = f"{who} {best} of the {total} statements made in words; "
     here += "one working mode gives them all." if best == total else "no single working mode gives them all."
     return Conclusion(
         "The figures of chapter 4 show one machine in one working mode (not stated).",

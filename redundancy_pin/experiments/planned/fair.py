@@ -9,10 +9,9 @@ import numpy as np
 
 from redundancy_pin.dynamics.status import SampleStatus
 from redundancy_pin.experiments.planned import measures as m
-from redundancy_pin.experiments.planned.cases import CORNERS, CROSSINGS, Mode, StepwiseCase
+from redundancy_pin.experiments.planned.cases import CORNERS, CROSSINGS, Mode, StepwiseCase, mode_text
 from redundancy_pin.experiments.planned.mode_claims import MODE_CASES
 from redundancy_pin.experiments.planned.store import PlanStore
-from redundancy_pin.kinematics.modes import mode_name
 from redundancy_pin.planners.plan import Plan, PlanStatus
 
 NONE, PARKED, MOVING = "no carriers", "carriers parked", "carriers moving"
@@ -116,4 +115,4 @@ def _row(motion: str, mode: Mode, what: str, unit: str, plan: Plan) -> FairRow:
 
 def label(row: FairRow) -> str:
     """Return motion and working mode as text."""
-    return f"{row.motion}, {mode_name(row.mode)}" if row.mode else row.motion
+    return f"{row.motion}, {mode_text(row.mode)}" if row.mode else row.motion

@@ -23,6 +23,7 @@ MODE_CASES: Mapping[str, StepwiseCase] = {
     "wide": corner(0.025, 0.0),
     "wide half": corner(0.025, 0.5),
     "sharp": corner(0.013, 0.0),
+    "sharp half": corner(0.013, 0.5),
     "sharp 12": replace(corner(0.013, 0.0), name="corner-r0.013-lam0-a12", acceleration=12.0),
     "square half": square(0.5),
     "square": square(0.0),

@@ -9,11 +9,10 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.experiments.planned import measures as m
-from redundancy_pin.experiments.planned.cases import Mode
+from redundancy_pin.experiments.planned.cases import Mode, mode_text
 from redundancy_pin.experiments.planned.judged import ROWS, Judged
 from redundancy_pin.experiments.planned.mode_claims import CLAIMS, MODE_CASES, Beside, Claim, runs_of
 from redundancy_pin.experiments.planned.store import PlanStore
-from redundancy_pin.kinematics.modes import mode_name
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class ClaimRow:
         first = next(iter(self.outcomes))
         holding, total = self.holding, len(self.outcomes)
         if holding:
-            reason = f"in {len(holding)} of {total} working modes: {', '.join(mode_name(mode) for mode in holding)}"
+            reason = f"in {len(holding)} of {total} working modes: {', '.join(mode_text(mode) for mode in holding)}"
         else:
             reason = f"in none of {total} working modes ({self.claim.criterion})"
         return Judged(
@@ -72,7 +71,7 @@ class ClaimRow:
             ROWS[self.claim.row],
             self.claim.text,
             "said",
-            f"{mode_name(first)}: {self.outcomes[first][1]}",
+            f"{mode_text(first)}: {self.outcomes[first][1]}",
             "",
             "",
             "reproduced" if holding else "differs",
@@ -82,7 +81,7 @@ class ClaimRow:
 
     def as_dict(self) -> dict[str, object]:
         """Return plain data, for JSON."""
-        modes = {mode_name(mode): {"holds": holds, "found": said} for mode, (holds, said) in self.outcomes.items()}
+        modes = {mode_text(mode): {"holds": holds, "found": said} for mode, (holds, said) in self.outcomes.items()}
         return {"row": self.claim.row, "claim": self.claim.text, "criterion": self.claim.criterion, "modes": modes}
 
 

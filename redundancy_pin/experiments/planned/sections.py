@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from redundancy_pin.experiments.document import Block, Bullets, Heading, Paragraph, Picture, Table, table
+from redundancy_pin.experiments.planned.between import POINTS
+from redundancy_pin.experiments.planned.cases import mode_text
 from redundancy_pin.experiments.planned.fair import label
 from redundancy_pin.experiments.planned.mode_claims import MODE_CASES
 from redundancy_pin.experiments.planned.sensitivity import SensitivityRow
@@ -14,7 +16,6 @@ from redundancy_pin.experiments.planned.statements import number
 from redundancy_pin.experiments.planned.study import Study
 from redundancy_pin.experiments.planned.thesis_figures import FIGURES
 from redundancy_pin.experiments.planned.verdict import RULE
-from redundancy_pin.kinematics.modes import mode_name
 
 
 def findings(study: Study) -> list[Block]:
@@ -46,7 +47,7 @@ def _conclusions(study: Study) -> list[Block]:
             "Conclusions are given in our words. What is said of them is computed from this run: sentences and "
             "verdicts change with the numbers."
         ),
-        table(("conclusion (Parsa 2014)", "", "here"), rows),
+        table(("conclusion (Parsa 2014)", "verdict", "here"), rows),
     ]
 
 
@@ -76,7 +77,7 @@ def _against_thesis(study: Study) -> list[Block]:
 def _modes(study: Study) -> list[Block]:
     rows = [
         (
-            mode_name(row.mode),
+            mode_text(row.mode),
             MODE_CASES[row.case].name,
             _list(row.baseline_peak),
             _list(row.peak),
@@ -112,7 +113,15 @@ def _modes(study: Study) -> list[Block]:
             ),
             rows,
         ),
-        table(("where", "statement holds in", *(mode_name(mode) for mode in modes)), marks),
+        table(("where", "statement holds in", *(mode_text(mode) for mode in modes)), marks),
+        Paragraph(
+            f"Samples flatter the method, as the accelerations are chosen for them. Between the samples, {POINTS} "
+            f"points a step, the optimised stretches in mode {mode_text(modes[0])} have these peaks:"
+        ),
+        table(
+            ("run", "peak |τ| without carriers [N·m]", "at the samples [N·m]", "between them [N·m]"),
+            [(row.case, _list(row.baseline), _list(row.at_samples), _list(row.between)) for row in study.between],
+        ),
     ]
 
 

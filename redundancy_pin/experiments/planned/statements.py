@@ -14,7 +14,7 @@ import numpy as np
 
 from redundancy_pin.experiments.planned import grids
 from redundancy_pin.experiments.planned import measures as m
-from redundancy_pin.experiments.planned.cases import CORNERS, CROSSINGS, Case
+from redundancy_pin.experiments.planned.cases import CORNERS, CROSSINGS, Case, mode_text
 from redundancy_pin.experiments.planned.grids import Grid
 from redundancy_pin.experiments.planned.judged import Judged
 from redundancy_pin.experiments.planned.settings import StudySettings
@@ -140,22 +140,27 @@ def _difference(case: Case, variation: Case) -> str:
             continue
         if name == "path_options":
             options = {key: entry for key, entry in value.items() if case.path_options.get(key) != entry}
-            parts += [f"{_SYMBOLS.get(key, key)} = {entry:.3g}" for key, entry in options.items()]
+            parts += [_named(key, entry) for key, entry in options.items()]
         elif name == "mode":
-            parts.append("mode " + "".join("+" if sign > 0 else "−" for sign in value))
+            parts.append(f"mode {mode_text(value)}")
         else:
-            parts.append(f"{_SYMBOLS.get(name, name)} = {value:g}")
+            parts.append(_named(name, value))
     return ", ".join(parts)
 
 
+def _named(name: str, value: float) -> str:
+    symbol, unit = _SYMBOLS.get(name, (name, ""))
+    return f"{symbol} = {value:.3g} {unit}".rstrip()
+
+
 _SYMBOLS = {
-    "dt": "δt",
-    "alpha": "α",
-    "ramp_length": "p",
-    "return_time": "return time",
-    "ramp_down": "ramp-down",
+    "dt": ("δt", "s"),
+    "alpha": ("α", "rad"),
+    "ramp_length": ("p", "m"),
+    "return_time": ("return time", "s"),
+    "ramp_down": ("ramp-down", "s"),
 }
-"""What fields of a case are called in the report; SI units."""
+"""What fields of a case are called in the report, and their units."""
 
 
 def _condition_at(instant: float) -> Reason:
@@ -171,14 +176,21 @@ def _printed(*texts: str) -> tuple[Printed, ...]:
 
 
 def _circle(
-    index: int, figure: str, times: tuple[str, str], entry: tuple[str, str], leave: tuple[str, ...], ramps: Grid
+    index: int,
+    figure: str,
+    times: tuple[str, str],
+    entry: tuple[str, str],
+    leave: tuple[str, ...],
+    ramps: Grid,
+    settings: StudySettings,
 ) -> tuple[Statement, ...]:
+    """Return what is stated about one switch-off on the circle."""
     case = CROSSINGS[index]
     on, off = f"{figure} entry", f"{figure} exit"
     place = f"fig. {figure}"
     both = leave if len(leave) == 2 else leave * 2
     forces = (ramps, grids.ramp_down_samples((0.02, 0.025, 0.03)))
-    jumps = (grids.steps_and_returns(STEPS, RETURNS),)
+    jumps = (grids.steps_and_returns(*steps_and_returns(settings)),)
     first, last = (float(text) for text in times)
     return (
         Statement(on, place, "threshold met", "s", _printed(times[0]), case, m.entry_time, (ramps,), LARGEST_STEP,
@@ -198,6 +210,11 @@ def _steep(plan: Plan) -> str:
     return f"forces rise by {rise:.2g} N in the 0.03 s before the threshold"
 
 
+def steps_and_returns(settings: StudySettings) -> tuple[Sequence[float], Sequence[float]]:
+    """Return the time steps and return times, s, over which the forces on switching on are sought."""
+    return (STEPS, RETURNS) if settings.sensitivity else (STEPS[1::3], RETURNS[1:3])
+
+
 _SAME_RAMP = grids.ramp_lengths((0.74, 0.765, 0.775))
 """Ramps for which the other stated times of the circle at 0.5 m/s are met: all its figures share one motion."""
 
@@ -210,10 +227,10 @@ def statements(settings: StudySettings) -> tuple[Statement, ...]:
     line = CROSSINGS[4]
     line_grids = (grids.thresholds((3.0, 4.0, 5.0, 10.0)), grids.ramp_lengths((0.4, 0.5, 0.6)))
     return (
-        *_circle(0, "3.11", ("0.38", "0.97"), ("2.6", "3.0"), ("0.20", "0.23"), _SAME_RAMP),
-        *_circle(1, "3.13", ("0.42", "0.93"), ("5.4", "5.7"), ("1",), _SAME_RAMP),
-        *_circle(2, "3.14", ("0.47", "0.89"), ("7.9", "8.1"), ("2.4",), _SAME_RAMP),
-        *_circle(3, "3.16", ("0.26", "0.67"), ("4.2", "5.0"), ("0.46", "0.50"), _OWN_RAMP),
+        *_circle(0, "3.11", ("0.38", "0.97"), ("2.6", "3.0"), ("0.20", "0.23"), _SAME_RAMP, settings),
+        *_circle(1, "3.13", ("0.42", "0.93"), ("5.4", "5.7"), ("1",), _SAME_RAMP, settings),
+        *_circle(2, "3.14", ("0.47", "0.89"), ("7.9", "8.1"), ("2.4",), _SAME_RAMP, settings),
+        *_circle(3, "3.16", ("0.26", "0.67"), ("4.2", "5.0"), ("0.46", "0.50"), _OWN_RAMP, settings),
         Statement("3.18-3.20", "section 3.3", "forces begin to fall", "s", _printed("3.5"), line, m.ramp_start,
                   line_grids),
         Statement("3.18-3.20", "section 3.5", "forces as they begin to fall", "N", (Printed("0.01", order=True),) * 2,

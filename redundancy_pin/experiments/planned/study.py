@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from redundancy_pin.experiments.planned.between import BetweenRow, between_rows
 from redundancy_pin.experiments.planned.conclusions import Conclusion, conclusions
 from redundancy_pin.experiments.planned.crossings import CrossingRow, Infeasible, crossing_rows, with_heavy_end_effector
 from redundancy_pin.experiments.planned.fair import FairRow, fair_comparison
@@ -33,6 +34,7 @@ class Study:
         store: the plans, for figures.
         parity: of the plans by both backends.
         judged: the statements of the thesis, judged, by ``ROWS``.
+        between: stepwise plans between their samples.
         modes: the working modes.
         claims: statements in words, in every working mode.
         crossings: what became of the crossings.
@@ -46,6 +48,7 @@ class Study:
     store: PlanStore
     parity: tuple[PlanParity, ...]
     judged: tuple[Judged, ...]
+    between: tuple[BetweenRow, ...]
     modes: tuple[ModeRow, ...]
     claims: tuple[ClaimRow, ...]
     crossings: tuple[CrossingRow, ...]
@@ -60,6 +63,7 @@ class Study:
             "rule": RULE,
             "parity": [row.as_dict() for row in self.parity],
             "against_thesis": [row.as_dict() for row in self.judged],
+            "between_samples": [row.as_dict() for row in self.between],
             "working_modes": [row.as_dict() for row in self.modes],
             "claims": [row.as_dict() for row in self.claims],
             "crossings": [row.as_dict() for row in self.crossings],
@@ -92,8 +96,9 @@ def run_study(settings: StudySettings = FULL, told: Told | None = None) -> Study
         parity.append(plan_parity(store, case))
         tell(case.name)
     judged = [statement.judged(store, ROWS[statement.row]) for statement in statements(settings)]
-    judged += [same_step(store), growth_with_threshold(store), same_before_the_corner(store)]
+    judged += [same_step(store, settings), growth_with_threshold(store), same_before_the_corner(store)]
     tell("statements")
+    between = between_rows(store)
     modes, claims = mode_rows(store, settings.modes)
     judged += [row.judged() for row in claims]
     tell("working modes")
@@ -109,6 +114,7 @@ def run_study(settings: StudySettings = FULL, told: Told | None = None) -> Study
         store,
         tuple(parity),
         tuple(sorted(judged, key=lambda row: order.index(row.row))),
+        between,
         modes,
         claims,
         crossings,

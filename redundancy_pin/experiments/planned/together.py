@@ -9,7 +9,8 @@ import numpy as np
 from redundancy_pin.experiments.planned import measures as m
 from redundancy_pin.experiments.planned.cases import CORNERS, CROSSINGS
 from redundancy_pin.experiments.planned.judged import Judged
-from redundancy_pin.experiments.planned.statements import DIFFERENCES, RETURNS, STEPS
+from redundancy_pin.experiments.planned.settings import StudySettings
+from redundancy_pin.experiments.planned.statements import DIFFERENCES, steps_and_returns
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.experiments.planned.verdict import Printed
 
@@ -20,11 +21,12 @@ FACTOR = 1.25
 """By what factor all four pairs of forces may be missed if one step and one return time are to explain them."""
 
 
-def same_step(store: PlanStore) -> Judged:
+def same_step(store: PlanStore, settings: StudySettings) -> Judged:
     """Judge whether one time step and one return time give all stated forces on switching on."""
     best: tuple[float, str] = (np.inf, "")
-    for step in STEPS:
-        for duration in RETURNS:
+    steps, durations = steps_and_returns(settings)
+    for step in steps:
+        for duration in durations:
             worst = 1.0
             for case, stated in zip(CROSSINGS, _EXITS, strict=False):
                 plan = store.plan(replace(case, scheme=DIFFERENCES, dt=step, return_time=duration))
@@ -41,7 +43,7 @@ def same_step(store: PlanStore) -> Judged:
         "; ".join(", ".join(pair) for pair in _EXITS),
         f"missed by a factor of {best[0]:.2g} at best",
         "",
-        f"{len(STEPS)} steps × {len(RETURNS)} return times",
+        f"{len(steps)} steps × {len(durations)} return times",
         "reproduced" if holds else "differs",
         f"best with {best[1]}; a factor of {FACTOR:g} would pass",
         False,
