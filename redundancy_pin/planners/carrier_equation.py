@@ -30,7 +30,10 @@ POINTS = 20
 """Points of a step at which the equation is satisfied."""
 
 DEFECTS = 10.0
-"""Largest defect of the equation, relative to the largest f along the crossing, in tolerances of the model."""
+"""Largest defect of the equation in tolerances of the model, relative to the largest f along the crossing."""
+
+FORCE_SHARE = 1e-3
+"""Of the largest F s̈ on a step, that counts as well where it is more than that f: its rounding has to pass."""
 
 LEAST_STEP = 1e-6
 """A step shorter than this fraction of the interval is given up."""
@@ -71,11 +74,6 @@ class CarrierEquation:
     row_scale: Array
     size: float
 
-    @property
-    def allowed(self) -> float:
-        """Largest defect of an accepted step, N."""
-        return DEFECTS * self.model.tolerance * self.size
-
     def solve(self, start: float, end: float, s: Array, sd: Array) -> CarrierPath:
         """Integrate from a state (k,), (k,) at ``start`` to ``end``.
 
@@ -89,8 +87,8 @@ class CarrierEquation:
         for stop in ends:
             pending = [stop]
             while pending:
-                position, defect = self._step(t, pending[-1], s, sd)
-                if defect <= self.allowed:
+                position, defect, force = self._step(t, pending[-1], s, sd)
+                if defect <= DEFECTS * self.model.tolerance * max(self.size, FORCE_SHARE * force):
                     half = 0.5 * (pending[-1] - t)
                     t = pending.pop()
                     edges.append(t)
@@ -102,8 +100,8 @@ class CarrierEquation:
                     raise StepGivenUpError(t, s, sd, defect)
         return CarrierPath(read_only(np.array(edges)), read_only(np.array(series)))
 
-    def _step(self, a: float, b: float, s0: Array, sd0: Array) -> tuple[Array, float]:
-        """Return the Legendre series (d, k) of s on one step, and the largest defect, N."""
+    def _step(self, a: float, b: float, s0: Array, sd0: Array) -> tuple[Array, float, float]:
+        """Return the Legendre series (d, k) of s on one step, the largest defect and the largest F s̈, N."""
         basis, half, k = _basis(), 0.5 * (b - a), self.model.k
         t = a + half * (basis.x + 1.0)
         model = self.model.at(t)
@@ -114,15 +112,19 @@ class CarrierEquation:
         value, first, second = basis.value, half * basis.first, half**2 * basis.second
         start = s0 + half * (basis.x[:, None] + 1.0) * sd0
         c = np.zeros((DEGREE + 1, k))
-        defect = np.inf
+        defect = force = np.inf
         for _ in range(_MOST_ITERATIONS):
             s, sd, sdd = start + second @ c, sd0 + first @ c, value @ c
             residual = load - np.einsum("nik,nk->ni", by_s, s) - np.einsum("nik,nk->ni", by_s2, s * s)
             residual -= np.einsum("nik,nk->ni", by_sd, sd) + np.einsum("nik,nk->ni", by_ssd, s * sd)
-            residual -= np.einsum("nik,nk->ni", by_sdd, sdd)
+            accelerating = np.einsum("nik,nk->ni", by_sdd, sdd)
+            residual -= accelerating
             residual = np.concatenate([residual, -np.einsum("nik,nk->ni", idle, sdd)], axis=1)
             previous, defect = defect, float(np.abs(residual).max())
-            if not defect < 0.5 * previous and defect < self.allowed:
+            force = float(np.abs(accelerating).max())
+            if not defect < 0.5 * previous and defect <= DEFECTS * self.model.tolerance * max(
+                self.size, FORCE_SHARE * force
+            ):
                 break
             stiffness = by_s + 2.0 * by_s2 * s[:, None] + by_ssd * sd[:, None]
             damping = by_sd + by_ssd * s[:, None]
@@ -131,13 +133,13 @@ class CarrierEquation:
             slope = np.concatenate([slope, np.einsum("nik,nd->nidk", idle, value)], axis=1)
             change = np.linalg.lstsq(slope.reshape(residual.size, -1), residual.ravel(), rcond=None)[0]
             if not np.isfinite(change).all():
-                return c, np.inf
+                return c, np.inf, 0.0
             c = c + change.reshape(c.shape)
         rate = half * legendre.legint(c, lbnd=-1.0, axis=0)
         rate[0] += sd0
         position = half * legendre.legint(rate, lbnd=-1.0, axis=0)
         position[0] += s0
-        return position, defect
+        return position, defect, force
 
 
 class _Basis(NamedTuple):

@@ -80,3 +80,28 @@ def test_intervals_at_the_ends_are_open():
     found = below_zero(lambda t: 0.25 - np.abs(t - 0.5), np.linspace(0.0, 1.0, 33))
     assert [(i.open_start, i.open_end) for i in found] == [(True, False), (False, True)]
     assert found[0].end == pytest.approx(0.25, abs=1e-14)
+
+
+def test_sampled_motion_keeps_both_sides_of_a_jump():
+    trajectory = reference.corner()
+    exact = trajectory.sample(1e-2)
+    t = np.repeat(trajectory.breaks, 2)
+    jump = exact.xdd[np.flatnonzero(exact.jumps)] - exact.xdd[np.flatnonzero(exact.jumps) - 1]
+    motion = continuous_motion(exact)
+    both = motion.sample_at(t)
+    np.testing.assert_allclose(both.xdd[1::2] - both.xdd[::2], jump, atol=1e-9)  # rounding of x over Δt²
+    np.testing.assert_array_equal(motion.breaks, trajectory.breaks)
+    assert np.abs(jump).max() > 1.0
+
+
+@pytest.mark.parametrize("dt", [1e-4, 1e-3, 1e-2])
+def test_samples_however_dense_give_the_acceleration(dt):
+    """Between the samples, on an exact circle: Δt³ x⁗' or the rounding of x over Δt², whichever the form leaves."""
+    trajectory = reference.circle()
+    motion = continuous_motion(trajectory.sample(dt))
+    t = np.random.default_rng(1).uniform(0.5, 2.3, 500)
+    t.sort()
+    exact, ours = trajectory.sample_at(t), motion.sample_at(t)
+    assert np.abs(ours.x - exact.x).max() < 1e-12
+    assert np.abs(ours.xd - exact.xd).max() < 1e-10
+    assert np.abs(ours.xdd - exact.xdd).max() < 3e-9

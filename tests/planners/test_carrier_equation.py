@@ -1,0 +1,122 @@
+"""The integration of F s̈ = W τ_ref − f(s, ṡ, 0) on equations whose solutions are known."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from redundancy_pin.planners.carrier_equation import CarrierEquation, StepGivenUpError
+from redundancy_pin.planners.carrier_model import CarrierModel
+
+S, S2, SD, SSD, SDD = range(5)
+
+
+@dataclass
+class Written:
+    """A carrier model written down as functions of time: ``load`` (N, n), ``terms`` by (row, carrier, term)."""
+
+    n: int
+    k: int
+    load: object
+    terms: dict
+    breaks: np.ndarray = field(default_factory=lambda: np.empty(0))
+    knots: np.ndarray = field(default_factory=lambda: np.empty(0))
+    tolerance: float = 1e-12
+
+    def at(self, t, side="right"):
+        f_terms = np.zeros((len(t), self.n, self.k, 5))
+        for (row, carrier, term), function in self.terms.items():
+            f_terms[:, row, carrier, term] = function(t)
+        f0 = -np.stack([function(t) for function in self.load], axis=1)
+        return CarrierModel(
+            t, np.zeros((len(t), self.n, 1)), f0, f_terms, np.zeros((len(t), self.k)), np.zeros((len(t), self.k, 5))
+        )
+
+
+def one(t):
+    return np.ones_like(t)
+
+
+def zero(t):
+    return np.zeros_like(t)
+
+
+def equation(model):
+    return CarrierEquation(model, lambda t: np.zeros((len(t), 1)), np.ones(model.n), 1.0)
+
+
+def test_oscillator():
+    """s̈ + s = 0 from s = 1 at rest is cos t."""
+    model = Written(1, 1, [zero], {(0, 0, SDD): one, (0, 0, S): one})
+    path = equation(model).solve(0.0, 10.0, np.array([1.0]), np.array([0.0]))
+    t = np.linspace(0.0, 10.0, 1001)
+    motion = path(t)
+    for part, exact in ((motion.s, np.cos(t)), (motion.sd, -np.sin(t)), (motion.sdd, -np.cos(t))):
+        assert np.abs(part[:, 0] - exact).max() < 1e-9
+
+
+def test_all_nonlinear_terms():
+    """s = 1/(1 + t): ṡ = −s², s̈ = 2 s³, so s̈ + 2 s ṡ = 0; and s̈ + 2 ṡ s + ṡ + s² = 0 as well."""
+    for terms in (
+        {(0, 0, SSD): lambda t: 2.0 * one(t)},
+        {(0, 0, SSD): lambda t: 2.0 * one(t), (0, 0, SD): one, (0, 0, S2): one},
+    ):
+        model = Written(1, 1, [zero], {(0, 0, SDD): one, **terms})
+        path = equation(model).solve(0.0, 5.0, np.array([1.0]), np.array([-1.0]))
+        t = np.linspace(0.0, 5.0, 501)
+        assert np.abs(path(t).s[:, 0] - 1.0 / (1.0 + t)).max() < 1e-9
+
+
+@pytest.mark.parametrize("start", [-1.0, -0.3, -1.0 / 3.0])
+def test_removable_singularity(start):
+    """t s̈ = t cos t: divided by t it is s̈ = cos t, right through t = 0."""
+    model = Written(1, 1, [lambda t: t * np.cos(t)], {(0, 0, SDD): lambda t: t})
+    path = equation(model).solve(start, 1.0, np.array([-np.cos(start)]), np.array([np.sin(start)]))
+    t = np.linspace(start, 1.0, 401)
+    motion = path(t)
+    assert np.abs(motion.s[:, 0] + np.cos(t)).max() < 1e-10
+    assert np.abs(motion.sdd[:, 0] - np.cos(t)).max() < 1e-8
+
+
+def test_two_singularities_close_to_each_other():
+    """(t² − 1e-6) s̈ = (t² − 1e-6) eᵗ."""
+    model = Written(1, 1, [lambda t: (t**2 - 1e-6) * np.exp(t)], {(0, 0, SDD): lambda t: t**2 - 1e-6})
+    path = equation(model).solve(-1.0, 1.0, np.array([np.exp(-1.0)]), np.array([np.exp(-1.0)]))
+    t = np.linspace(-1.0, 1.0, 2001)
+    assert np.abs(path(t).sdd[:, 0] - np.exp(t)).max() < 1e-6
+    assert np.abs(path(t).s[:, 0] - np.exp(t)).max() < 1e-9
+
+
+@pytest.mark.parametrize("force", [1.0, 1e-3])
+def test_unbounded_acceleration_is_given_up_beside_its_pole(force):
+    """t s̈ = force has no bounded solution through 0."""
+    model = Written(1, 1, [lambda t: force * one(t)], {(0, 0, SDD): lambda t: t})
+    with pytest.raises(StepGivenUpError) as caught:
+        equation(model).solve(-1.0, 1.0, np.zeros(1), np.zeros(1))
+    assert -1e-3 < caught.value.t < 1e-9
+    # until then it is the solution: ṡ = force ln |t|
+    assert caught.value.sd[0] == pytest.approx(force * np.log(-caught.value.t), rel=1e-3)
+
+
+def test_finite_time_escape_is_given_up():
+    """s̈ = 2 s ṡ from (1, 1): s = 1/(1 − t) leaves for infinity at t = 1."""
+    model = Written(1, 1, [zero], {(0, 0, SDD): one, (0, 0, SSD): lambda t: -2.0 * one(t)})
+    with pytest.raises(StepGivenUpError) as caught:
+        equation(model).solve(0.0, 2.0, np.ones(1), np.ones(1))
+    assert 0.99 < caught.value.t < 1.01
+
+
+def test_spare_carriers_share_by_least_norm():
+    """s̈₁ + 2 s̈₂ = sin t: of all solutions the one along (1, 2)."""
+    model = Written(1, 2, [np.sin], {(0, 0, SDD): one, (0, 1, SDD): lambda t: 2.0 * one(t)})
+    path = equation(model).solve(0.0, 2.0, np.zeros(2), np.zeros(2))
+    t = np.linspace(0.0, 2.0, 201)
+    np.testing.assert_allclose(path(t).sdd, np.sin(t)[:, None] * [0.2, 0.4], atol=1e-9)
+
+
+def test_jump_of_the_load_makes_a_jump_of_the_acceleration():
+    model = Written(1, 1, [lambda t: np.where(t < 0.37, 1.0, -2.0)], {(0, 0, SDD): one}, breaks=np.array([0.37]))
+    path = equation(model).solve(0.0, 1.0, np.zeros(1), np.zeros(1))
+    for side, value in (("left", 1.0), ("right", -2.0)):
+        assert path(np.array([0.37]), side).sdd[0, 0] == pytest.approx(value, abs=1e-10)
+    assert path(np.array([1.0])).sd[0, 0] == pytest.approx(0.37 - 2.0 * 0.63, abs=1e-11)
