@@ -12,6 +12,7 @@ from redundancy_pin.kinematics.state import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.plan_file import load_plan, load_robot_of
+from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
 
 __all__ = [
     "CarrierMotion",
@@ -27,6 +28,7 @@ __all__ = [
     "load_plan",
     "load_robot",
     "load_robot_of",
+    "plan_whole_trajectory",
     "singular_locus",
     "trajectory",
 ]

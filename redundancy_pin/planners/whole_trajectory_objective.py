@@ -39,12 +39,16 @@ def add_objective(
             if name == "tracking":
                 program.charge(tau, -2.0 * share * w * scales.tau * problem.target)
         elif name == "peak":
-            top = program.variable("peak", (1,), 0.0)
+            # one copy a node, all equal: a single variable in every row would fill the solver's factors
+            top = program.variable("peak", (len(tau),), 0.0)
             for sign in (1.0, -1.0):
                 rows = program.rows(tau.shape, -np.inf, 0.0)
                 program.add(rows, tau, sign)
-                program.add(rows, top[0], -1.0)
-            program.charge(top, share * scales.tau)
+                program.add(rows, top[:, None], -1.0)
+            same = program.rows((len(tau) - 1,))
+            program.add(same, top[1:], 1.0)
+            program.add(same, top[:-1], -1.0)
+            program.charge(top[:1], share * scales.tau)
         elif name == "carrier_acceleration":
             program.charge_square(A, share * w * scales.sdd**2)
         elif force is not None and name == "carrier_force":

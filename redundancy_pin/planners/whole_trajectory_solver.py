@@ -71,14 +71,14 @@ class Solver:
             "ipopt.bound_relax_factor": 0.0,
             "ipopt.max_iter": 1000,
             "ipopt.max_wall_time": seconds,
-            "ipopt.mu_strategy": "adaptive",
+            "ipopt.mu_strategy": "monotone",
             **derivatives,
             **(options or {}),
         }
         self._function = casadi().nlpsol("whole_trajectory", "ipopt", functions, settings)
 
     def solve(self, guess: dict[str, Array]) -> Solution:
-        """Solve from one first guess, blocks by name."""
+        """Solve from one first guess, blocks by name; those left out start at zero."""
         began = time.perf_counter()
         found = self._function(x0=self._program.join(guess), **self._bounds)
         stats = self._function.stats()
@@ -88,7 +88,7 @@ class Solver:
         )
         return Solution(
             values=self._program.split(x),
-            optimal=bool(stats["success"]),
+            optimal=str(stats["return_status"]) in ("Solve_Succeeded", "Feasible_Point_Found"),
             feasible=violation <= FEASIBLE,
             message=str(stats["return_status"]),
             cost=float(found["f"]),
