@@ -1,4 +1,4 @@
-"""Carriers and main efforts planned together over the whole trajectory, through singularities and within every limit."""
+"""Carriers and main efforts planned together over a whole trajectory, through singularities and within every limit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import BoolArray
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import PlatformMotion
@@ -51,14 +51,14 @@ def plan_whole_trajectory(
 ) -> Plan:
     """Plan the carriers' motion and the main efforts together, over the whole motion of the platform.
 
-    The efforts τ are unknowns and W τ = f(s, ṡ, s̈) is a constraint, so W may lose rank. Type II singularities on the way
-    are found exactly and lie on nodes. There f has to lie in the range of W (compatibility), τ is what W⁻¹ f tends to
-    (``whole_trajectory_singular``), and the carriers' jerk is continuous, which makes both limits the same.
+    The efforts τ are unknowns and W τ = f(s, ṡ, s̈) is a constraint, so W may lose rank. Type II singularities on the
+    way are found exactly and lie on nodes. There f has to lie in the range of W (compatibility), τ is what W⁻¹ f tends
+    to (``whole_trajectory_singular``), and the carriers' jerk is continuous, which makes both limits the same.
 
     s̈ is linear between the nodes and may jump only where the reference acceleration jumps; s and ṡ follow exactly.
     Track and speed limits hold between the nodes as well, by their Bézier hulls. For carriers on straight tracks f is
-    quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone (``carrier_model``): they are read off
-    the backend in a fixed number of calls, and the solver (IPOPT) works on them.
+    quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone (``carrier_model``): they are read
+    off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
 
     The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
     included. Where efforts between the nodes exceed the peak at the nodes by more than 5 %, the steps get a node in the
@@ -78,7 +78,9 @@ def plan_whole_trajectory(
         end: "free", "rest", "datum" (at rest there), or "periodic" (s, ṡ, s̈ as at the start).
         datum: scalar or (k,) where the carriers park, m.
         track: (2,) or (k, 2) track ends in place of the robot's own, m.
-        speed, acceleration, carrier_force: scalar or (k,) limits in place of the robot's own, m/s, m/s², N.
+        speed: scalar or (k,) limits of |ṡ| in place of the robot's own, m/s.
+        acceleration: the same for |s̈|, m/s².
+        carrier_force: the same for the forces of the carriers' actuators, N.
         jerk: scalar or (k,) limit of |s⃛|, m/s³; with it s̈ cannot jump.
         effort: scalar or (m,) limit of |τ|, N or N·m.
         dt: largest step between nodes, s.
@@ -89,8 +91,8 @@ def plan_whole_trajectory(
         progress: called with a line of text at each stage.
 
     Returns:
-        A plan whose samples are the nodes. ``status`` is stopped_early where the solver ran out of time with every
-        limit kept; ``diagnostics["optimal"]`` says the same.
+        A plan whose samples are the nodes. ``status`` is stopped_early where the solver stopped before the conditions
+        of a minimum held, with every limit kept; ``diagnostics["optimal"]`` says the same.
 
     Raises:
         InputError: a setting out of its domain.
@@ -147,7 +149,7 @@ def _watched(task: Task, grid: Grid) -> Grid:
         return grid
     reduced = task.dynamics.along(task.source.sample_at(grid.t)).reduce()
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
-    near: Array = values[:, -1] < NEAR * values[:, 0]
+    near: BoolArray = values[:, -1] < NEAR * values[:, 0]
     return with_middles(grid, np.logical_or(near[1:], near[:-1]))
 
 

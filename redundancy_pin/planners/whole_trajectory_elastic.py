@@ -11,7 +11,10 @@ from redundancy_pin.planners.whole_trajectory_limits import KINDS, scaled_bounds
 from redundancy_pin.planners.whole_trajectory_solver import Solution
 
 NOTHING = 1e-5
-"""A relaxation below this fraction of a limit is none: the price of the objective and the reserve leave about so much."""
+"""A relaxation below this fraction of a limit is none: the price of the objective and the reserve leave as much."""
+
+OUT_OF_TIME = "Maximum_WallTime_Exceeded"
+"""The solver's word for it."""
 
 _UNITS = {"track": "m", "speed": "m/s", "acceleration": "m/s²", "jerk": "m/s³", "effort": "N or N·m", "force": "N"}
 
@@ -32,10 +35,18 @@ def explain(
         message: how the solver ended on the ordinary one.
     """
     if not elastic.feasible:
+        if elastic.message == OUT_OF_TIME:
+            return InfeasiblePlanError(
+                "The time ran out before any plan was found, and before any limit was shown to be in the way.",
+                remedy="Allow more seconds, or a longer dt.",
+                constraint="seconds",
+                time=float(problem.grid.t[0]),
+                amount=elastic.violation,
+            )
         return InfeasiblePlanError(
-            "No plan was found, nor one with relaxed limits in the same time "
+            "No plan was found, nor one with relaxed limits "
             f"(the solver says {message}, then {elastic.message}; unbalanced by {elastic.violation:.2g} of f).",
-            remedy="Allow more seconds. If that does not help, the actuators cannot balance this motion at all.",
+            remedy="The actuators and carriers cannot balance this motion at all: lead the platform elsewhere.",
             constraint="balance",
             time=float(problem.grid.t[0]),
             amount=elastic.violation,

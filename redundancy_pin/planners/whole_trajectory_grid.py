@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -67,8 +68,7 @@ def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
     others = [float(t) for t in [source.start, *source.breaks, *kinks, source.end] if _apart(t, on, least)]
     events = np.unique(np.array([*on, *others]))
     pieces = [
-        np.linspace(a, b, max(int(np.ceil((b - a) / dt - 1e-9)), LEAST_STEPS) + 1)[:-1]
-        for a, b in zip(events[:-1], events[1:], strict=True)
+        np.linspace(a, b, max(int(np.ceil((b - a) / dt - 1e-9)), LEAST_STEPS) + 1)[:-1] for a, b in pairwise(events)
     ]
     times = np.concatenate([*pieces, events[-1:]])
     t = np.repeat(times, 1 + np.isin(times, source.breaks))

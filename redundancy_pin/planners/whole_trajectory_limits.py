@@ -1,4 +1,4 @@
-"""Limits of a whole trajectory: bounds at the nodes, hulls between them, ends; or, elastic, the prices of leaving them."""
+"""Limits of a whole trajectory: bounds at the nodes, hulls between them, ends; or, elastic, prices of leaving them."""
 
 from __future__ import annotations
 

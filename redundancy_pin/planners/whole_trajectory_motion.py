@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.motion import CarrierMotion
 
 
@@ -42,7 +42,7 @@ class CarrierCourse:
         times = np.where(share == 1.0, self.t[at + 1], self.t[at] + share * np.diff(self.t)[at])
         return times[order], self._inside(at[order], share[order])
 
-    def _inside(self, step: Array, fraction: Array) -> CarrierMotion:
+    def _inside(self, step: IntArray, fraction: Array) -> CarrierMotion:
         h = np.diff(self.t)[step, None]
         x = fraction[:, None] * h
         jerk = np.diff(self.sdd, axis=0)[step] / h

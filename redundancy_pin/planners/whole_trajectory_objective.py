@@ -9,8 +9,8 @@ from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_program import Program
 
 REGULARISATION = 1e-6
-"""Weight of the mean square of s̈ over its limit beside an objective of size one: where the objective leaves the carriers
-open they take the gentlest motion, and the plan is unique."""
+"""Weight of the mean square of s̈ over its limit beside an objective of size one: where the objective leaves the
+carriers open they take the gentlest motion, and the plan is unique."""
 
 
 def add_objective(

@@ -51,6 +51,7 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
             "nodes": len(problem.grid.t),
             "singular_instants": problem.grid.t[problem.grid.singular].tolist(),
             "singular_nodes": [int(i) for i in problem.grid.singular],
+            "smooth_nodes": [int(i) for i in np.flatnonzero(problem.grid.smooth)],
             "dense_check": checks[-1].summary,
             "dense_ratios": [check.ratio for check in checks],
             "solver_seconds": best.seconds,
@@ -63,6 +64,4 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
     at = problem.grid.singular
     status[at] = np.where(status[at] == SampleStatus.REGULAR, SampleStatus.SINGULAR_CONSISTENT, status[at])
     early = not best.optimal and plan.status == PlanStatus.WITHIN_LIMITS
-    return replace(
-        plan, sample_status=read_only(status), status=PlanStatus.STOPPED_EARLY if early else plan.status
-    )
+    return replace(plan, sample_status=read_only(status), status=PlanStatus.STOPPED_EARLY if early else plan.status)

@@ -138,7 +138,10 @@ class Program:
 
         # entries of the Jacobian: those of A, and for each product the one factor at the place of the other
         nonzero, where = _pattern(
-            np.concatenate([rows, product_rows, product_rows]), np.concatenate([at, first, second]), self.row_count, self.size
+            np.concatenate([rows, product_rows, product_rows]),
+            np.concatenate([at, first, second]),
+            self.row_count,
+            self.size,
         )
         fixed = np.bincount(where[: len(slope)], slope, nonzero.nnz())
         moving = csc_matrix(

@@ -171,7 +171,7 @@ def _weights(objective: Objective | Mapping[Objective, float]) -> dict[Objective
 def _bounds(values: ArrayLike, name: str, length: int) -> Array:
     bounds = _vector(values, name, length, finite=False)
     if not (bounds > 0.0).all():
-        raise InputError(f"{name} limits must be positive: {values}.", remedy="Pass inf for none.", name=name)
+        raise InputError(f"{name} limits must be positive: {values!r}.", remedy="Pass inf for none.", name=name)
     return bounds
 
 

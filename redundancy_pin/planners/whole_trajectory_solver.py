@@ -72,6 +72,7 @@ class Solver:
             "ipopt.max_iter": 1000,
             "ipopt.max_wall_time": seconds,
             "ipopt.mu_strategy": "monotone",
+            "no_nlp_grad": True,  # multipliers of parameters, of which there are none
             **derivatives,
             **(options or {}),
         }
