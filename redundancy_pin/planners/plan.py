@@ -32,7 +32,7 @@ class PlanStatus(Enum):
     UNBOUNDED_EFFORT = "unbounded_effort"
     """Some sample has no finite main effort: see ``sample_status``."""
     STOPPED_EARLY = "stopped_early"
-    """Every limit holds, but the optimiser stopped before the conditions of an optimum did: there may be a better plan."""
+    """Every limit holds, but the optimiser stopped before it had an optimum: there may be a better plan."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
-from redundancy_pin.planners.whole_trajectory_limits import KINDS, scaled_bounds
-from redundancy_pin.planners.whole_trajectory_solver import Solution
+from redundancy_pin.planners.whole_trajectory_limits import KINDS, scaled_bounds, slack_name
+from redundancy_pin.planners.whole_trajectory_nlp import build
+from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution, Solver
 
 NOTHING = 1e-5
 """A relaxation below this fraction of a limit is none: the price of the objective and the reserve leave as much."""
@@ -19,60 +22,80 @@ OUT_OF_TIME = "Maximum_WallTime_Exceeded"
 _UNITS = {"track": "m", "speed": "m/s", "acceleration": "m/s²", "jerk": "m/s³", "effort": "N or N·m", "force": "N"}
 
 
-def explain(
-    problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, message: str
-) -> InfeasiblePlanError | None:
-    """Return the error that says which limits are in the way, or None where the elastic problem finds none.
+def relax(
+    problem: WholeProblem, carriers: tuple[str, ...], guess: dict[str, Array], seconds: float, message: str
+) -> Solution:
+    """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
 
-    The error carries ``constraint`` (the limit let out most), ``time``, ``amount`` by which it is exceeded there,
-    ``limit`` that would suffice, and ``relaxations``: the same for every limit that was let out. Together they suffice;
-    their sum, as fractions of the limits, is as small as was found.
+    First all limits may give way together, then each of those that did by itself.
 
     Args:
         problem: the numbers.
         carriers: (k,) names.
-        elastic: solution of the elastic problem.
-        message: how the solver ended on the ordinary one.
+        guess: first guess.
+        seconds: time bound, s.
+        message: how the solver ended on the ordinary problem.
+
+    Raises:
+        InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
+            ``time`` and ``carrier`` where it is exceeded most, ``amount`` of that, and ``limit`` that would suffice;
+            ``relaxations``, the same for every limit that gave way; and ``together``, whether all of these are needed
+            or one of them is enough. Or nothing admits a plan, or the time ran out.
     """
+    deadline = time.perf_counter() + seconds
+    elastic = Solver(build(problem, elastic=KINDS), seconds).solve(guess)
     if not elastic.feasible:
-        if elastic.message == OUT_OF_TIME:
-            return InfeasiblePlanError(
-                "The time ran out before any plan was found, and before any limit was shown to be in the way.",
-                remedy="Allow more seconds, or a longer dt.",
-                constraint="seconds",
-                time=float(problem.grid.t[0]),
-                amount=elastic.violation,
-            )
-        return InfeasiblePlanError(
-            "No plan was found, nor one with relaxed limits "
-            f"(the solver says {message}, then {elastic.message}; unbalanced by {elastic.violation:.2g} of f).",
-            remedy="The actuators and carriers cannot balance this motion at all: lead the platform elsewhere.",
-            constraint="balance",
-            time=float(problem.grid.t[0]),
-            amount=elastic.violation,
-        )
-    slack = dict(zip(KINDS, elastic.values["slack"].tolist(), strict=True))
-    let_out = sorted((kind for kind in KINDS if slack[kind] > NOTHING), key=lambda kind: -slack[kind])
+        raise _nothing_helps(problem, elastic, message)
+    let_out = [kind for kind in KINDS if _slack(elastic, kind) > NOTHING]
     if not let_out:
-        return None
-    events = [_event(problem, carriers, elastic, kind, slack[kind]) for kind in let_out]
-    first = events[0]
-    text = "; ".join(str(event["text"]) for event in events)
+        return elastic
+    alone = {}
+    for kind in let_out if len(let_out) > 1 else []:
+        left = max(deadline - time.perf_counter(), LEAST_SECONDS)
+        found = Solver(build(problem, elastic=(kind,)), left).solve(elastic.values)
+        if found.optimal:
+            alone[kind] = found
+    relaxed = alone or dict.fromkeys(let_out, elastic)
+    order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
+    events = [_event(problem, carriers, relaxed[kind], kind) for kind in order]
+    text = ("; or " if alone else "; and ").join(str(event["text"]) for event in events)
     relaxations = tuple({name: value for name, value in event.items() if name != "text"} for event in events)
-    details = {name: value for name, value in relaxations[0].items() if name != "constraint"}
-    return InfeasiblePlanError(
-        f"No motion of the carriers keeps every limit. A plan exists with these let out: {text}.",
-        remedy="Relax these limits by as much, slow the motion down, or leave the end free.",
-        constraint=str(first["constraint"]),
+    raise InfeasiblePlanError(
+        f"No motion of the carriers keeps every limit. What would suffice: {text}.",
+        remedy="Widen these limits, slow the motion down, or leave the end free.",
         relaxations=relaxations,
-        **details,
+        together=not alone and len(let_out) > 1,
+        **relaxations[0],
     )
 
 
-def _event(
-    problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, kind: str, fraction: float
-) -> dict[str, object]:
+def _slack(solution: Solution, kind: str) -> float:
+    return float(solution.values[slack_name(kind)][0])
+
+
+def _nothing_helps(problem: WholeProblem, elastic: Solution, message: str) -> InfeasiblePlanError:
+    start = float(problem.grid.t[0])
+    if elastic.message == OUT_OF_TIME:
+        return InfeasiblePlanError(
+            "The time ran out before any plan was found, and before any limit was shown to be in the way.",
+            remedy="Allow more seconds, or a longer dt.",
+            constraint="seconds",
+            time=start,
+            amount=elastic.violation,
+        )
+    return InfeasiblePlanError(
+        "No plan was found, nor one with relaxed limits "
+        f"(the solver says {message}, then {elastic.message}; unbalanced by {elastic.violation:.2g} of f).",
+        remedy="The actuators and carriers cannot balance this motion at all: lead the platform elsewhere.",
+        constraint="balance",
+        time=start,
+        amount=elastic.violation,
+    )
+
+
+def _event(problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, kind: str) -> dict[str, object]:
     """Return what is exceeded most, where, and what would suffice."""
+    fraction = _slack(elastic, kind)
     t = problem.grid.t
     if kind == "end":
         missed = np.abs(elastic.values["s"][-1] - problem.settings.datum / problem.scales.s) * problem.scales.s

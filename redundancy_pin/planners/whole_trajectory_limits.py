@@ -23,22 +23,30 @@ KINDS = ("track", "speed", "acceleration", "jerk", "effort", "force", "end")
 _KIND_OF = {"s": "track", "sd": "speed", "sdd": "acceleration", "tau": "effort", "force": "force"}
 
 
+def slack_name(kind: str) -> str:
+    """Return the name of the block of variables by which a kind of limit gives way."""
+    return f"slack_{kind}"
+
+
 class Limiter:
     """Adds variables within their limits, and the other limits, to a programme.
 
     In an elastic problem each kind of limit has one fraction e ≥ 0 by which all of its bounds are let out.
     """
 
-    def __init__(self, program: Program, problem: WholeProblem, elastic: bool) -> None:
-        self._program, self._problem, self._elastic = program, problem, elastic
+    def __init__(self, program: Program, problem: WholeProblem, elastic: tuple[str, ...]) -> None:
+        self._program, self._problem = program, problem
         self._bounds = scaled_bounds(problem)
-        self._slack: dict[str, int] = {}
-        self.price = 1.0
-        if elastic:
-            slack = program.variable("slack", (len(KINDS),), 0.0)
-            self._slack = {kind: int(i) for kind, i in zip(KINDS, slack, strict=True)}
-            program.charge(slack, ELASTIC_PRICE)
-            self.price = ELASTIC_OBJECTIVE
+        self._slack: dict[str, IntArray] = {}
+        self.price = ELASTIC_OBJECTIVE if elastic else 1.0
+        for kind in elastic:
+            # one copy a node, all equal: a single variable in every row would fill the solver's factors
+            slack = program.variable(slack_name(kind), (len(problem.grid.t),), 0.0)
+            same = program.rows((len(slack) - 1,))
+            program.add(same, slack[1:], 1.0)
+            program.add(same, slack[:-1], -1.0)
+            program.charge(slack[:1], ELASTIC_PRICE)
+            self._slack[kind] = slack
 
     @property
     def limits_force(self) -> bool:
@@ -48,7 +56,7 @@ class Limiter:
     def variable(self, name: str, shape: tuple[int, ...]) -> IntArray:
         """Add s, ṡ, s̈, τ or the carriers' force at all nodes, within their limits."""
         low, high = self._bounds[name]
-        if not self._elastic:
+        if _KIND_OF[name] not in self._slack:
             return self._program.variable(name, shape, low, high)
         block = self._program.variable(name, shape)
         self._within([(block, np.ones(1))], low, high, _KIND_OF[name])
@@ -93,10 +101,11 @@ class Limiter:
             return
         pieces = [(block[bounded], np.broadcast_to(factor, shape)[bounded]) for block, factor in parts]
         lower, upper = low[bounded], high[bounded]
-        if not self._elastic:
+        if kind not in self._slack:
             self._fill(self._program.rows(lower.shape, lower, upper), pieces)
             return
-        slack = self._slack[kind]
+        own = self._slack[kind]
+        slack = np.broadcast_to(own[: shape[0], None], shape)[bounded] if len(shape) > 1 else own[-1]
         half = np.where(np.isfinite(upper - lower) & (upper > lower), 0.5 * (upper - lower), 1.0)
         for bounds, sign in (((lower, np.inf), 1.0), ((-np.inf, upper), -1.0)):
             rows = self._program.rows(lower.shape, *bounds)

@@ -15,12 +15,12 @@ from redundancy_pin.planners.whole_trajectory_objective import add_objective
 from redundancy_pin.planners.whole_trajectory_program import Program
 
 
-def build(problem: WholeProblem, elastic: bool = False) -> Program:
+def build(problem: WholeProblem, elastic: tuple[str, ...] = ()) -> Program:
     """Return the programme of a problem.
 
     Args:
         problem: the numbers.
-        elastic: whether limits may be exceeded, at a price, to find out which of them are in the way.
+        elastic: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way.
     """
     program = Program()
     limiter = Limiter(program, problem, elastic)

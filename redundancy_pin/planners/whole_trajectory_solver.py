@@ -20,6 +20,10 @@ FEASIBLE = 1e-7
 """Violation of the scaled constraints below which a point that is not optimal may still be presented, as such."""
 
 
+LEAST_SECONDS = 1e-3
+"""Time the solver is given when there is none left; it accepts none of zero."""
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """What the solver found.
@@ -43,6 +47,11 @@ class Solution:
     violation: float
     iterations: int
     seconds: float
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether the solver is convinced that no point keeps every constraint (nearby, as for any such solver)."""
+        return self.message == "Infeasible_Problem_Detected"
 
     def course(self, problem: WholeProblem) -> CarrierCourse:
         """Return the carriers' motion in units."""

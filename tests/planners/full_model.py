@@ -1,8 +1,8 @@
 """Whole-trajectory plans found another way, on the nodes of a plan: what the planner's optimum is judged by.
 
-The carriers' accelerations at the nodes are the only unknowns of the motion; s and ṡ are summed up from them. For the
-2-RPR the model is its closed form, written out in casadi and differentiated by it. For any other robot without a
-singularity on the way it is a backend, asked at every iteration of scipy's SLSQP, with τ = W⁻¹ f.
+For the 2-RPR the model is its closed form, written out in casadi and differentiated by it. For any other robot without
+a singularity on the way it is a backend, asked at every iteration of scipy's SLSQP, with τ = W⁻¹ f and the carriers'
+accelerations as the only unknowns.
 """
 
 from __future__ import annotations
@@ -65,9 +65,8 @@ def solve_2rpr(trajectory, plan, objective, limits):
     A = casadi.SX.sym("a", nodes, k)
     tau = casadi.SX.sym("tau", nodes, k)
     top = casadi.SX.sym("top")
-    rate, place = integration(t)
-    speeds, places = hull(t, rate, place)
-    V, S = casadi.DM(rate) @ A, casadi.DM(place) @ A
+    S, V = casadi.SX.sym("s", nodes, k), casadi.SX.sym("v", nodes, k)
+    h = casadi.repmat(casadi.DM(np.diff(t)), 1, k)
     g, low, high = [], [], []
 
     def require(expression, lower, upper):
@@ -75,8 +74,12 @@ def solve_2rpr(trajectory, plan, objective, limits):
         low.extend([lower] * expression.numel())
         high.extend([upper] * expression.numel())
 
-    require(casadi.DM(speeds) @ A, -limits["speed"], limits["speed"])
-    require(casadi.DM(places) @ A, -limits["track"], limits["track"])
+    s0, s1, v0, v1, a0, a1 = S[:-1, :], S[1:, :], V[:-1, :], V[1:, :], A[:-1, :], A[1:, :]
+    require(s1 - (s0 + h * v0 + h * h * (2.0 * a0 + a1) / 6.0), 0.0, 0.0)
+    require(v1 - (v0 + h * (a0 + a1) / 2.0), 0.0, 0.0)
+    require(v0 + h * a0 / 2.0, -limits["speed"], limits["speed"])
+    require(casadi.vertcat(s0 + h * v0 / 3.0, s1 - h * v1 / 3.0), -limits["track"], limits["track"])
+    require(casadi.vertcat(S[0, :], V[0, :]), 0.0, 0.0)
     require(V[-1, :], 0.0, 0.0)
     require(S[-1, :], 0.0, 0.0)
     legs = legs_along(plan.motion.x, plan.motion.xd, plan.motion.xdd)
@@ -108,8 +111,9 @@ def solve_2rpr(trajectory, plan, objective, limits):
         cost = top / size
     else:
         cost = casadi.sum1(casadi.sum2(tau**2) * w) / duration / size**2
-    x = casadi.vertcat(casadi.vec(A), casadi.vec(tau), top)
-    bound = np.concatenate([np.full(nodes * k, limits["acceleration"]), np.full(nodes * k + 1, np.inf)])
+    x = casadi.vertcat(casadi.vec(A), casadi.vec(tau), casadi.vec(V), casadi.vec(S), top)
+    most = (limits["acceleration"], np.inf, limits["speed"], limits["track"])
+    bound = np.append(np.repeat(most, nodes * k), np.inf)
     solver = casadi.nlpsol(
         "oracle",
         "ipopt",
@@ -163,9 +167,7 @@ def solve_by_backend(dynamics, plan, objective, limits):
         )
         assert found.success, found.message
         return float(found.fun) * size**2
-    padded = [
-        LinearConstraint(np.hstack([part.A, np.zeros((len(part.A), 1))]), part.lb, part.ub) for part in linear
-    ]
+    padded = [LinearConstraint(np.hstack([part.A, np.zeros((len(part.A), 1))]), part.lb, part.ub) for part in linear]
 
     def room(x):
         tau = efforts(x[:-1])[0].ravel()
