@@ -15,6 +15,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_plan, load_robot_of
 from redundancy_pin.planners.stepwise import plan_stepwise
 from redundancy_pin.planners.switch_off import plan_switch_off
+from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
 
 __all__ = [
     "CarrierMotion",
@@ -33,6 +34,7 @@ __all__ = [
     "load_robot_of",
     "plan_stepwise",
     "plan_switch_off",
+    "plan_whole_trajectory",
     "singular_locus",
     "trajectory",
 ]

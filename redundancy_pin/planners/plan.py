@@ -31,6 +31,8 @@ class PlanStatus(Enum):
     """Efforts are finite, but a limit of a carrier is broken: see ``limits.violated``."""
     UNBOUNDED_EFFORT = "unbounded_effort"
     """Some sample has no finite main effort: see ``sample_status``."""
+    STOPPED_EARLY = "stopped_early"
+    """Every limit holds, but the optimiser stopped before it had an optimum: there may be a better plan."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,74 @@
+"""The optimisation problem of a whole trajectory as numbers: what the solver is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.planners.carrier_model import CarrierModel
+from redundancy_pin.planners.whole_trajectory_grid import Grid
+from redundancy_pin.planners.whole_trajectory_settings import WholeSettings
+from redundancy_pin.planners.whole_trajectory_singular import SingularNode
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Sizes that the variables and equations are divided by.
+
+    Attributes:
+        s, sd, sdd: (k,) of the carriers' motion, m, m/s, m/s².
+        tau: of the main efforts, N or N·m.
+        row: (n,) of the rows of W τ = f, N or N·m.
+        force: (k,) of the carriers' forces, N.
+    """
+
+    s: Array
+    sd: Array
+    sdd: Array
+    tau: float
+    row: Array
+    force: Array
+
+
+@dataclass(frozen=True, eq=False)
+class WholeProblem:
+    """Everything the solver needs; M nodes, n coordinates, m main actuators, k carriers.
+
+    Attributes:
+        grid: the nodes.
+        model: coefficients of W, f and the carrier forces at the nodes.
+        singular: the nodes on type II singularities.
+        actuated_rate: (M, m) rates of the main actuators.
+        target: (M, m) efforts that the objective "tracking" aims at.
+        settings: limits, ends and objective.
+        scales: sizes.
+    """
+
+    grid: Grid
+    model: CarrierModel
+    singular: tuple[SingularNode, ...]
+    actuated_rate: Array
+    target: Array
+    settings: WholeSettings
+    scales: Scales
+
+
+def scales_of(model: CarrierModel, settings: WholeSettings, row_scale: Array, duration: float) -> Scales:
+    """Return sizes from the limits, and from the parked robot where there are none."""
+    limits = settings.limits
+    s = np.array([_finite(0.5 * (bounds.upper - bounds.lower), 1.0) for bounds in limits])
+    sd = np.array([_finite(bounds.speed, 10.0 * s[i] / duration) for i, bounds in enumerate(limits)])
+    sdd = np.array([_finite(bounds.acceleration, 10.0 * sd[i] / duration) for i, bounds in enumerate(limits)])
+    size = float(np.abs(model.f0 / row_scale).max())
+    if size == 0.0:
+        size = float(np.abs(model.f_terms[..., 4] / row_scale[:, None] * sdd).max()) or 1.0
+    largest = np.linalg.svd(model.W / row_scale[:, None], compute_uv=False)[:, 0]
+    tau = size / float(np.median(largest))
+    force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., 4]).max(axis=0) * sdd
+    return Scales(s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0))
+
+
+def _finite(value: float, otherwise: float) -> float:
+    return value if np.isfinite(value) else otherwise

@@ -1,0 +1,147 @@
+"""Why there is no plan: the smallest relaxation of the limits that admits one."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.whole_trajectory_data import WholeProblem
+from redundancy_pin.planners.whole_trajectory_limits import KINDS, scaled_bounds, slack_name
+from redundancy_pin.planners.whole_trajectory_nlp import build
+from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution, Solver
+
+NOTHING = 1e-5
+"""A relaxation below this fraction of a limit is none: the price of the objective and the reserve leave as much."""
+
+OUT_OF_TIME = "Maximum_WallTime_Exceeded"
+"""The solver's word for it."""
+
+_UNITS = {"track": "m", "speed": "m/s", "acceleration": "m/s²", "jerk": "m/s³", "effort": "N or N·m", "force": "N"}
+
+
+def relax(
+    problem: WholeProblem, carriers: tuple[str, ...], guess: dict[str, Array], seconds: float, message: str
+) -> Solution:
+    """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
+
+    First all limits may give way together, then each of those that did by itself.
+
+    Args:
+        problem: the numbers.
+        carriers: (k,) names.
+        guess: first guess.
+        seconds: time bound, s.
+        message: how the solver ended on the ordinary problem.
+
+    Raises:
+        InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
+            ``time`` and ``carrier`` where it is exceeded most, ``amount`` of that, and ``limit`` that would suffice;
+            ``relaxations``, the same for every limit that gave way; and ``together``, whether all of these are needed
+            or one of them is enough. Or nothing admits a plan, or the time ran out.
+    """
+    deadline = time.perf_counter() + seconds
+    elastic = Solver(build(problem, elastic=KINDS), seconds).solve(guess)
+    if not elastic.feasible:
+        raise _nothing_helps(problem, elastic, message)
+    let_out = [kind for kind in KINDS if _slack(elastic, kind) > NOTHING]
+    if not let_out:
+        return elastic
+    alone = {}
+    for kind in let_out if len(let_out) > 1 else []:
+        left = max(deadline - time.perf_counter(), LEAST_SECONDS)
+        found = Solver(build(problem, elastic=(kind,)), left).solve(elastic.values)
+        if found.optimal:
+            alone[kind] = found
+    relaxed = alone or dict.fromkeys(let_out, elastic)
+    order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
+    events = [_event(problem, carriers, relaxed[kind], kind) for kind in order]
+    text = ("; or " if alone else "; and ").join(str(event["text"]) for event in events)
+    relaxations = tuple({name: value for name, value in event.items() if name != "text"} for event in events)
+    raise InfeasiblePlanError(
+        f"No motion of the carriers keeps every limit. What would suffice: {text}.",
+        remedy="Widen these limits, slow the motion down, or leave the end free.",
+        relaxations=relaxations,
+        together=not alone and len(let_out) > 1,
+        **relaxations[0],
+    )
+
+
+def _slack(solution: Solution, kind: str) -> float:
+    return float(solution.values[slack_name(kind)][0])
+
+
+def _nothing_helps(problem: WholeProblem, elastic: Solution, message: str) -> InfeasiblePlanError:
+    start = float(problem.grid.t[0])
+    if elastic.message == OUT_OF_TIME:
+        return InfeasiblePlanError(
+            "The time ran out before any plan was found, and before any limit was shown to be in the way.",
+            remedy="Allow more seconds, or a longer dt.",
+            constraint="seconds",
+            time=start,
+            amount=elastic.violation,
+        )
+    return InfeasiblePlanError(
+        "No plan was found, nor one with relaxed limits "
+        f"(the solver says {message}, then {elastic.message}; unbalanced by {elastic.violation:.2g} of f).",
+        remedy="The actuators and carriers cannot balance this motion at all: lead the platform elsewhere.",
+        constraint="balance",
+        time=start,
+        amount=elastic.violation,
+    )
+
+
+def _event(problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, kind: str) -> dict[str, object]:
+    """Return what is exceeded most, where, and what would suffice."""
+    fraction = _slack(elastic, kind)
+    t = problem.grid.t
+    if kind == "end":
+        missed = np.abs(elastic.values["s"][-1] - problem.settings.datum / problem.scales.s) * problem.scales.s
+        if problem.settings.end == "datum":
+            text = f"the carriers end up to {missed.max():.4g} m from the datum"
+        else:
+            text = f"the end state by {fraction:.3g} of its size"
+        return {"constraint": kind, "time": float(t[-1]), "amount": float(missed.max()), "text": text}
+    values, low, high, names = _quantity(problem, carriers, elastic, kind)
+    excess = np.maximum(values - high, low - values)
+    i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess, -np.inf))), excess.shape)
+    upper = bool(values[i, j] - high[j] >= low[j] - values[i, j])
+    limit, amount, unit = float((high if upper else low)[j]), float(excess[i, j]), _UNITS[kind]
+    enough = limit + (amount if upper else -amount)
+    text = (
+        f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({100.0 * fraction:.3g} %), "
+        f"most at t = {t[i]:.6g} s"
+    )
+    return {
+        "constraint": kind,
+        "carrier": names[j],
+        "time": float(t[i]),
+        "amount": amount,
+        "limit": enough,
+        "unit": unit,
+        "fraction": fraction,
+        "text": text,
+    }
+
+
+def _quantity(
+    problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, kind: str
+) -> tuple[Array, Array, Array, tuple[str, ...]]:
+    """Return the values of a limited quantity at the nodes, its bounds, and whose they are."""
+    u = problem.scales
+    if kind == "jerk":
+        h = np.maximum(problem.grid.h, np.finfo(float).tiny)[:, None]
+        jerk = np.where(problem.grid.h[:, None] > 0.0, np.diff(elastic.values["sdd"], axis=0) * u.sdd / h, 0.0)
+        return jerk, -problem.settings.jerk, problem.settings.jerk, carriers
+    name, size = {
+        "track": ("s", u.s),
+        "speed": ("sd", u.sd),
+        "acceleration": ("sdd", u.sdd),
+        "effort": ("tau", np.full(problem.model.W.shape[2], u.tau)),
+        "force": ("force", u.force),
+    }[kind]
+    low, high = (bound * size for bound in scaled_bounds(problem)[name])
+    names = carriers if kind != "effort" else tuple(f"main actuator {j + 1}" for j in range(len(size)))
+    return elastic.values[name] * size, low, high, names

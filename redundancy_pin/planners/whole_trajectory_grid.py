@@ -1,0 +1,103 @@
+"""The nodes of a whole-trajectory plan: exactly on jumps, kinks and singular instants, denser beside the latter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.planners.continuous_motion import ContinuousMotion
+from redundancy_pin.planners.switch_off_windows import Measured
+from redundancy_pin.planners.timed_model import TimedActuation
+
+LEAST_STEPS = 2
+"""Steps between two events; fewer would tie the carriers' jerk to the distance of the events."""
+
+_NO_THRESHOLD = 5.0
+"""``Measured`` wants a threshold of its windows, which are not asked for here."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Nodes in time.
+
+    Attributes:
+        t: (M,) times, s; a time at which the reference acceleration jumps occurs twice.
+        singular: (q,) indices of the nodes on type II singularities.
+        smooth: (M,) nodes across which the jerk of the carriers is continuous: the singular ones, and the middles of
+            steps in which the efforts would otherwise differ from those at both ends.
+    """
+
+    t: Array
+    singular: IntArray
+    smooth: BoolArray
+
+    @property
+    def h(self) -> Array:
+        """(M − 1,) lengths of the steps, s; zero across a jump."""
+        return read_only(np.diff(self.t))
+
+    @property
+    def weights(self) -> Array:
+        """(M,) weights of the trapezoidal rule, s; they add up to the duration."""
+        half = 0.5 * np.diff(self.t)
+        return read_only(np.append(half, 0.0) + np.append(0.0, half))
+
+
+def singular_instants(dynamics: Dynamics, source: ContinuousMotion) -> list[float]:
+    """Return the times, s, at which the motion crosses or touches a type II singularity."""
+    actuation = TimedActuation.of(dynamics, source)
+    sample = dynamics.along(source.sample_at(np.array([source.start]))).reduce()
+    return Measured(actuation, sample, "condition", _NO_THRESHOLD).singular_instants()
+
+
+def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
+    """Return nodes at most ``dt`` apart, with every event on a node.
+
+    Args:
+        source: the platform motion.
+        singular: times on a type II singularity, s.
+        dt: largest step, s.
+    """
+    least = 1e-9 * (source.end - source.start)
+    on = [t for t in singular if source.start <= t <= source.end]
+    kinks = source.knots if source.exact else np.empty(0)
+    others = [float(t) for t in [source.start, *source.breaks, *kinks, source.end] if _apart(t, on, least)]
+    events = np.unique(np.array([*on, *others]))
+    pieces = [
+        np.linspace(a, b, max(int(np.ceil((b - a) / dt - 1e-9)), LEAST_STEPS) + 1)[:-1] for a, b in pairwise(events)
+    ]
+    times = np.concatenate([*pieces, events[-1:]])
+    t = np.repeat(times, 1 + np.isin(times, source.breaks))
+    return _grid(t, np.isin(t, on), np.zeros(len(t), dtype=bool))
+
+
+def with_middles(grid: Grid, steps: BoolArray) -> Grid:
+    """Return a grid with a node in the middle of each marked step, across which the jerk is continuous.
+
+    The efforts are then seen inside these steps, while the carriers have no more freedom than before.
+
+    Args:
+        grid: the grid.
+        steps: (M − 1,) which steps; those of length zero are left alone.
+    """
+    marked = np.flatnonzero(np.asarray(steps) & (np.diff(grid.t) > 0.0))
+    middle = 0.5 * (grid.t[marked] + grid.t[marked + 1])
+    singular = np.zeros(len(grid.t), dtype=bool)
+    singular[grid.singular] = True
+    t = np.insert(grid.t, marked + 1, middle)
+    return _grid(t, np.insert(singular, marked + 1, False), np.insert(grid.smooth, marked + 1, True))
+
+
+def _grid(t: Array, singular: BoolArray, smooth: BoolArray) -> Grid:
+    h = np.diff(t)
+    inner = np.zeros(len(t), dtype=bool)
+    inner[1:-1] = (h[:-1] > 0.0) & (h[1:] > 0.0)
+    return Grid(read_only(t), read_only(np.flatnonzero(singular)), read_only((smooth | singular) & inner))
+
+
+def _apart(t: float, others: list[float], least: float) -> bool:
+    return all(abs(t - other) > least for other in others)

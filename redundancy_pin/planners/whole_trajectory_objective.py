@@ -1,0 +1,113 @@
+"""What a whole trajectory minimises: quadratic or linear in the variables of the programme."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.planners.whole_trajectory_data import WholeProblem
+from redundancy_pin.planners.whole_trajectory_program import Program
+
+REGULARISATION = 1e-6
+"""Weight of the mean square of s̈ over its limit beside an objective of size one: where the objective leaves the
+carriers open they take the gentlest motion, and the plan is unique."""
+
+
+def add_objective(
+    program: Program,
+    problem: WholeProblem,
+    A: IntArray,
+    tau: IntArray,
+    force: IntArray | None,
+    V: IntArray,
+    price: float,
+) -> None:
+    """Add the weighted objectives over their common size, times a price, and the regularisation.
+
+    Integrals are trapezoidal sums over the nodes.
+    """
+    settings, scales = problem.settings, problem.scales
+    w = problem.grid.weights[:, None]
+    duration = float(w.sum())
+    units = _units(problem, duration)
+    whole = sum(weight * units[name] for name, weight in settings.objective.items())
+    program.charge_square(A, price * REGULARISATION * w / duration)
+    for name, weight in settings.objective.items():
+        share = price * weight / whole
+        if name in ("effort", "tracking"):
+            program.charge_square(tau, share * w * scales.tau**2)
+            if name == "tracking":
+                program.charge(tau, -2.0 * share * w * scales.tau * problem.target)
+        elif name == "peak":
+            # one copy a node, all equal: a single variable in every row would fill the solver's factors
+            top = program.variable("peak", (len(tau),), 0.0)
+            for sign in (1.0, -1.0):
+                rows = program.rows(tau.shape, -np.inf, 0.0)
+                program.add(rows, tau, sign)
+                program.add(rows, top[:, None], -1.0)
+            same = program.rows((len(tau) - 1,))
+            program.add(same, top[1:], 1.0)
+            program.add(same, top[:-1], -1.0)
+            program.charge(top[:1], share * scales.tau)
+        elif name == "carrier_acceleration":
+            program.charge_square(A, share * w * scales.sdd**2)
+        elif force is not None and name == "carrier_force":
+            program.charge_square(force, share * w * scales.force**2)
+        elif force is not None:
+            _charge_energy(program, problem, tau, force, V, share)
+
+
+def _units(problem: WholeProblem, duration: float) -> dict[str, float]:
+    """Return the size of each objective, in its unit."""
+    scales = problem.scales
+    power = scales.tau * (float(np.abs(problem.actuated_rate).max()) or 1.0)
+    return {
+        "effort": duration * scales.tau**2,
+        "tracking": duration * scales.tau**2,
+        "peak": scales.tau,
+        "carrier_force": duration * float((scales.force**2).max()),
+        "carrier_acceleration": duration * float((scales.sdd**2).max()),
+        "energy": duration * power,
+    }
+
+
+def _charge_energy(
+    program: Program, problem: WholeProblem, tau: IntArray, force: IntArray, V: IntArray, share: float
+) -> None:
+    """Charge the integral of powers p with p ≥ |τ q̇| and p ≥ |F ṡ|."""
+    scales, w = problem.scales, problem.grid.weights[:, None]
+    unit = scales.tau * (float(np.abs(problem.actuated_rate).max()) or 1.0)
+    main = program.variable("main_power", tau.shape, 0.0)
+    own = program.variable("carrier_power", force.shape, 0.0)
+    for sign in (1.0, -1.0):
+        rows = program.rows(tau.shape, 0.0, np.inf)
+        program.add(rows, main, 1.0)
+        program.add(rows, tau, sign * problem.actuated_rate * scales.tau / unit)
+        rows = program.rows(force.shape, 0.0, np.inf)
+        program.add(rows, own, 1.0)
+        program.add_product(rows, force, V, sign * scales.force * scales.sd / unit)
+    for block in (main, own):
+        program.charge(block, share * w * unit)
+
+
+def value(problem: WholeProblem, values: dict[str, Array]) -> dict[str, float]:
+    """Return each weighted objective at the nodes, in its unit, unweighted."""
+    scales, w = problem.scales, problem.grid.weights[:, None]
+    tau = values["tau"] * scales.tau
+    found: dict[str, float] = {}
+    for name in problem.settings.objective:
+        if name == "effort":
+            found[name] = float((w * tau**2).sum())
+        elif name == "tracking":
+            found[name] = float((w * (tau - problem.target) ** 2).sum())
+        elif name == "peak":
+            found[name] = float(np.abs(tau).max())
+        elif name == "carrier_acceleration":
+            found[name] = float((w * (values["sdd"] * scales.sdd) ** 2).sum())
+        elif name == "carrier_force":
+            found[name] = float((w * (values["force"] * scales.force) ** 2).sum())
+        else:
+            main = np.abs(tau * problem.actuated_rate)
+            own = np.abs(values["force"] * scales.force * values["sd"] * scales.sd)
+            found[name] = float((w * main).sum() + (w * own).sum())
+    return found

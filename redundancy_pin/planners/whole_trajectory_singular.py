@@ -1,0 +1,78 @@
+"""What finite efforts ask of the carriers at an instant at which the actuation matrix lacks rank.
+
+At a singular instant t* there are directions u with uᵀ W = 0. Then W τ = f asks for uᵀ f = 0, whatever τ is
+(compatibility), and leaves the part of τ in the null space of W open. Differentiating W τ = f in time and projecting
+on u closes that gap, since uᵀ W τ̇ = 0:
+
+    uᵀ Ẇ τ = uᵀ ḟ,    ḟ = ∂f/∂t + ∂f/∂s ṡ + ∂f/∂ṡ s̈ + ∂f/∂s̈ s⃛.
+
+Where the motion crosses the singularity with a rate, (W; uᵀ Ẇ) has full rank, and both equations together give the one
+τ that W⁻¹ f tends to. The jerk of the carriers enters: that it is the same on both sides makes the limit so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.kinematics.spectrum import scaled
+from redundancy_pin.planners.carrier_model import CarrierModel
+from redundancy_pin.planners.continuous_motion import ContinuousMotion
+from redundancy_pin.planners.piecewise_chebyshev import PiecewiseChebyshev
+from redundancy_pin.planners.timed_model import TimedModel
+
+LOST = 1e-6
+"""Singular values below this fraction of the largest are lost at a singular instant; one that is only touched is known
+to the square root of rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class SingularNode:
+    """A node on a type II singularity; r directions are lost.
+
+    Attributes:
+        index: its number among the nodes.
+        t: time, s.
+        lost: (r, n) rows u with u W = 0.
+        rate: time derivatives of the coefficients of W, f and the carrier forces, one sample.
+    """
+
+    index: int
+    t: float
+    lost: Array
+    rate: CarrierModel
+
+
+def singular_node(
+    dynamics: Dynamics, source: ContinuousMotion, index: int, t: float, half_width: float
+) -> SingularNode:
+    """Read the derivatives of the model at a singular instant off a backend.
+
+    Args:
+        dynamics: either backend.
+        source: the platform motion.
+        index: number of the node.
+        t: the instant, s.
+        half_width: the model is interpolated over so much time on both sides of it, s.
+
+    Raises:
+        UnsupportedRobotError: see ``carrier_model``.
+    """
+    model = TimedModel.of(dynamics, source, max(source.start, t - half_width), min(source.end, t + half_width))
+    rate = replace(model, interpolant=_derivative(model.interpolant)).at(np.array([t]))
+    reduced = dynamics.along(source.sample_at(np.array([t]))).reduce()
+    A = scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0]
+    u, values, _ = np.linalg.svd(A)
+    kept = int((values > LOST * values[0]).sum())
+    lost = u[:, kept:].T / reduced.row_scale
+    return SingularNode(index, t, read_only(lost), rate)
+
+
+def _derivative(interpolant: PiecewiseChebyshev) -> PiecewiseChebyshev:
+    slopes = chebyshev.chebder(interpolant.coefficients, axis=1)
+    slopes = slopes * (2.0 / np.diff(interpolant.edges))[:, None, None]
+    return PiecewiseChebyshev(interpolant.edges, read_only(slopes))

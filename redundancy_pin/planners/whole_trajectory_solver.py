@@ -1,0 +1,108 @@
+"""Solving the programme of a whole trajectory with IPOPT, from one or several first guesses."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.planners.whole_trajectory_data import WholeProblem
+from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
+from redundancy_pin.planners.whole_trajectory_program import Program, casadi
+
+TOLERANCE = 1e-9
+"""Of the conditions of a minimum, in scaled variables."""
+
+FEASIBLE = 1e-7
+"""Violation of the scaled constraints below which a point that is not optimal may still be presented, as such."""
+
+
+LEAST_SECONDS = 1e-3
+"""Time the solver is given when there is none left; it accepts none of zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What the solver found.
+
+    Attributes:
+        values: the variables by name, scaled.
+        optimal: whether the conditions of a minimum hold.
+        feasible: whether every constraint holds.
+        message: the solver's own word for how it ended.
+        cost: the scaled objective.
+        violation: largest violation of a scaled constraint.
+        iterations: number of iterations.
+        seconds: time taken.
+    """
+
+    values: dict[str, Array]
+    optimal: bool
+    feasible: bool
+    message: str
+    cost: float
+    violation: float
+    iterations: int
+    seconds: float
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether the solver is convinced that no point keeps every constraint (nearby, as for any such solver)."""
+        return self.message == "Infeasible_Problem_Detected"
+
+    def course(self, problem: WholeProblem) -> CarrierCourse:
+        """Return the carriers' motion in units."""
+        u = problem.scales
+        parts = (self.values["s"] * u.s, self.values["sd"] * u.sd, self.values["sdd"] * u.sdd)
+        return CarrierCourse(problem.grid.t, *parts)
+
+    def tau(self, problem: WholeProblem) -> Array:
+        """Return (M, m) the main efforts, N or N·m."""
+        efforts: Array = self.values["tau"] * problem.scales.tau
+        return efforts
+
+
+class Solver:
+    """IPOPT on one programme, which it keeps with its derivatives for any number of first guesses."""
+
+    def __init__(self, program: Program, seconds: float, options: dict[str, Any] | None = None) -> None:
+        self._program, self._bounds = program, program.bounds()
+        functions, derivatives = program.functions()
+        settings = {
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "print_time": False,
+            "ipopt.tol": TOLERANCE,
+            "ipopt.constr_viol_tol": 1e-10,
+            "ipopt.bound_relax_factor": 0.0,
+            "ipopt.max_iter": 1000,
+            "ipopt.max_wall_time": seconds,
+            "ipopt.mu_strategy": "monotone",
+            "no_nlp_grad": True,  # multipliers of parameters, of which there are none
+            **derivatives,
+            **(options or {}),
+        }
+        self._function = casadi().nlpsol("whole_trajectory", "ipopt", functions, settings)
+
+    def solve(self, guess: dict[str, Array]) -> Solution:
+        """Solve from one first guess, blocks by name; those left out start at zero."""
+        began = time.perf_counter()
+        found = self._function(x0=self._program.join(guess), **self._bounds)
+        stats = self._function.stats()
+        x, g = np.asarray(found["x"]).ravel(), np.asarray(found["g"]).ravel()
+        violation = max(
+            float(np.max(self._bounds["lbg"] - g, initial=0.0)), float(np.max(g - self._bounds["ubg"], initial=0.0))
+        )
+        return Solution(
+            values=self._program.split(x),
+            optimal=str(stats["return_status"]) in ("Solve_Succeeded", "Feasible_Point_Found"),
+            feasible=violation <= FEASIBLE,
+            message=str(stats["return_status"]),
+            cost=float(found["f"]),
+            violation=violation,
+            iterations=int(stats["iter_count"]),
+            seconds=time.perf_counter() - began,
+        )
