@@ -16,6 +16,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 import planners_stepwise
 import planners_switch_off
+import planners_whole
 from plain_loop import PlainLoop
 
 import redundancy_pin as rp
@@ -136,6 +137,7 @@ def main():
         rows.append(row)
     rows += planners_stepwise.rows()
     rows += planners_switch_off.rows()
+    rows += planners_whole.rows()
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(json.dumps(rows, indent=2) + "\n")
 
