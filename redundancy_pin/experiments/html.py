@@ -31,6 +31,7 @@ tbody tr:nth-child(even) { background: #fafafa; }
 td.good { box-shadow: inset 4px 0 #009e73; }
 td.partly { box-shadow: inset 4px 0 #8fd3bf; }
 td.bad { box-shadow: inset 4px 0 #d55e00; }
+.mode { white-space: nowrap; }
 figure { margin: 1.2rem 0 1.8rem; }
 figure img { max-width: 100%; height: auto; }
 figcaption { color: #333; font-size: .88rem; max-width: 50rem; }
@@ -112,8 +113,9 @@ def _cell(cell: Cell) -> str:
 
 
 def _text(text: str) -> str:
-    """Return text with ``code`` between backquotes set as such."""
-    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text, quote=False))
+    """Return text with ``code`` between backquotes set as such, and working modes that no line break splits."""
+    coded = re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text, quote=False))
+    return re.sub("([+\u2212]{2,})", r'<span class="mode">\1</span>', coded)
 
 
 def _anchor(text: str, index: int) -> str:

@@ -110,7 +110,7 @@ class StepwiseCase:
         mode: working mode; the thesis does not state it.
         active: when the optimiser works: all along, or while the platform accelerates.
         speed, acceleration: limits of the carriers in place of the robot's own, m/s and m/s².
-        return_time: duration of the returns, s.
+        return_time: duration of the returns, s, or "shortest".
         dt: step, s.
         two_sided: whether instants at which the acceleration jumps are sampled from both sides.
     """
@@ -123,7 +123,7 @@ class StepwiseCase:
     active: Literal["always", "accelerating"] = "always"
     speed: float | None = None
     acceleration: float | None = None
-    return_time: float = SQUARE_RETURN_TIME
+    return_time: float | Literal["shortest"] = SQUARE_RETURN_TIME
     dt: float = STEP
     two_sided: bool = True
 

@@ -127,6 +127,11 @@ def span(found: Range) -> str:
     return "–" if np.isnan(found.low) else f"{found.low:.3g} to {found.high:.3g}"
 
 
+def listed(values: Sequence[float], digits: int = 3) -> str:
+    """Return numbers as text."""
+    return ", ".join(f"{value:.{digits}g}" for value in values)
+
+
 def _miss(printed: Sequence[Printed], values: Sequence[float]) -> float:
     miss = [abs(value - stated.value) for value, stated in zip(values, printed, strict=True)]
     return max(np.inf if np.isnan(value) else value for value in miss)

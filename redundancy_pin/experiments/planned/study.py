@@ -16,6 +16,7 @@ from redundancy_pin.experiments.planned.mode_table import ClaimRow, ModeRow, mod
 from redundancy_pin.experiments.planned.parity import MAIN_CASES, PlanParity, plan_parity
 from redundancy_pin.experiments.planned.sensitivity import SensitivityRow, sensitivity
 from redundancy_pin.experiments.planned.settings import FULL, StudySettings
+from redundancy_pin.experiments.planned.square_returns import SquareReturn, square_returns
 from redundancy_pin.experiments.planned.statements import statements
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.experiments.planned.together import growth_with_threshold, same_before_the_corner, same_step
@@ -37,6 +38,7 @@ class Study:
         between: stepwise plans between their samples.
         modes: the working modes.
         claims: statements in words, in every working mode.
+        returns: whether any returns on the square keep the limits.
         crossings: what became of the crossings.
         heavy: why a massive end-effector cannot cross; None if it can.
         fair: the comparison with both sets of actuators counted.
@@ -51,6 +53,7 @@ class Study:
     between: tuple[BetweenRow, ...]
     modes: tuple[ModeRow, ...]
     claims: tuple[ClaimRow, ...]
+    returns: tuple[SquareReturn, ...]
     crossings: tuple[CrossingRow, ...]
     heavy: Infeasible | None
     fair: tuple[FairRow, ...]
@@ -66,6 +69,7 @@ class Study:
             "between_samples": [row.as_dict() for row in self.between],
             "working_modes": [row.as_dict() for row in self.modes],
             "claims": [row.as_dict() for row in self.claims],
+            "shortest_returns_on_square": [row.as_dict() for row in self.returns],
             "crossings": [row.as_dict() for row in self.crossings],
             "heavy_end_effector": self.heavy.as_dict() if self.heavy else None,
             "fair_comparison": [row.as_dict() for row in self.fair],
@@ -101,6 +105,7 @@ def run_study(settings: StudySettings = FULL, told: Told | None = None) -> Study
     between = between_rows(store)
     modes, claims = mode_rows(store, settings.modes)
     judged += [row.judged() for row in claims]
+    returns = square_returns(store, settings.modes)
     tell("working modes")
     crossings, heavy = crossing_rows(store), with_heavy_end_effector(store)
     tell("limits of the crossings")
@@ -117,6 +122,7 @@ def run_study(settings: StudySettings = FULL, told: Told | None = None) -> Study
         between,
         modes,
         claims,
+        returns,
         crossings,
         heavy,
         fair,
