@@ -56,7 +56,7 @@ def working_modes(study: Study) -> list[Block]:
         ),
         table(("where", "statement holds in", *(mode_text(mode) for mode in modes)), marks),
         Paragraph(
-            f"Samples flatter the method, as the accelerations are chosen for them. Between the samples, {POINTS} "
+            f"Samples can flatter the method, as the accelerations are chosen for them. Between the samples, {POINTS} "
             f"points a step, the optimised stretches in mode {mode_text(modes[0])} have these peaks:"
         ),
         table(

@@ -123,8 +123,9 @@ def number(value: float) -> str:
 
 
 def span(found: Range) -> str:
-    """Return a range as text."""
-    return "–" if np.isnan(found.low) else f"{found.low:.3g} to {found.high:.3g}"
+    """Return a range as text, a single number where both ends print the same."""
+    low, high = number(found.low), number(found.high)
+    return low if low == high else f"{low} to {high}"
 
 
 def listed(values: Sequence[float], digits: int = 3) -> str:
