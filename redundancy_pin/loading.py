@@ -16,7 +16,7 @@ from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
 from redundancy_pin.kinematics.modes import mode_name
 from redundancy_pin.kinematics.projection import project
-from redundancy_pin.kinematics.search import search
+from redundancy_pin.kinematics.search import search_nearest
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.arguments import known_values
 from redundancy_pin.robot.build import build, characteristic_length
@@ -57,7 +57,11 @@ def load_robot(
     system = ConstraintSystem(robot)
     _check_mobility(system)
     target = reference_coordinates(robot, declaration.reference)
-    q_reference, gap, closed = search(system, np.array(robot.q_reference), target[0])
+    listed = [robot.model.joints[robot.model.getJointId(name)] for name in declaration.guess]
+    known = np.array(
+        [column for joint in listed for column in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp
+    )
+    q_reference, gap, closed = search_nearest(system, np.array(robot.q_reference), target[0], known)
     if not closed:
         raise DeclarationError(
             f"The reference of {robot.name} does not close"

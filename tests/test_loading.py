@@ -288,3 +288,56 @@ def test_a_platform_that_tilts_is_refused(tmp_path):
     (tmp_path / "robot.yaml").write_text(yaml.safe_dump(declaration))
     with pytest.raises(DeclarationError, match=r"platform 'ee' of .* tilts"):
         rp.load_robot(tmp_path)
+
+
+@pytest.mark.parametrize("guess", [{"a1": 2.0, "a2": 1.0}, {"a1": 2.05, "a2": 1.09}, {"a1": 0.3, "a2": 2.8}])
+def test_the_reference_is_the_configuration_nearest_to_the_guess(tmp_path, guess):
+    """The joints left out start stretched, where Newton leaves the guess; four branches to choose from."""
+    robot = rp.load_robot(write(tmp_path, reference={"platform": [0.25, 0.6], "guess": guess}))
+    at = [robot.model.joints[robot.model.getJointId(name)].idx_q for name in ("a1", "a2")]
+    # closed form: the base angles are those of the line to the tip plus or minus the angle of an isosceles triangle
+    half = np.arccos(np.hypot(0.25, 0.6) / (2 * 0.5))
+    branches = {
+        "a1": np.arctan2(0.6, 0.25) + half * np.array([1, -1]),
+        "a2": np.arctan2(0.6, -0.25) + half * np.array([1, -1]),
+    }
+    for name, column in zip(("a1", "a2"), at, strict=True):
+        nearest = branches[name][np.argmin(np.abs(branches[name] - guess[name]))]
+        assert robot.q_reference[column] == pytest.approx(nearest, abs=1e-9)
+
+
+def test_the_documented_declaration_shows_every_key_and_loads(tmp_path):
+    """docs/robot.yaml with a five-bar made for it: every key that the loader knows occurs in it."""
+    from pathlib import Path
+
+    from redundancy_pin.robot import declaration
+
+    text = (Path(__file__).resolve().parents[1] / "docs" / "robot.yaml").read_text(encoding="utf-8")
+    data = yaml.safe_load(text)
+    assert set(declaration._KEYS) - {"closed_form"} == set(data)
+    names = {"a1": "left_base", "b1": "left_elbow", "a2": "right_base", "b2": "right_elbow", "slider": "carrier"}
+    names |= {"tip1": "left_tip", "tip2": "right_tip"}
+    tree = FIVE_BAR.replace(
+        '<robot name="bar">',
+        '<robot name="bar" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="carriers" default="true"/>'
+        '<xacro:arg name="distal_length" default="0.5"/><xacro:arg name="base_distance" default="0.5"/>',
+    )
+    for old, new in names.items():
+        tree = tree.replace(f'"{old}"', f'"{new}"')
+    (tmp_path / data["urdf"]).write_text(tree)
+    (tmp_path / "robot.yaml").write_text(text)
+    robot = rp.load_robot(tmp_path)
+    assert (robot.n, robot.m, robot.k, robot.working_mode) == (2, 2, 1, (1, -1))
+    assert robot.carrier_limits[0].force == 50.0
+
+
+def test_paths_that_lead_nowhere_are_said_to(tmp_path):
+    with pytest.raises(ModelFileError, match=r"There is no file .*robot\.yaml"):
+        rp.load_robot(tmp_path / "robot.yaml")
+    path = write(tmp_path)
+    with pytest.raises(DeclarationError, match="is a URDF, not a declaration"):
+        rp.load_robot(path.parent / "bar.urdf")
+    with pytest.raises(ModelFileError, match="Did you mean '3rrr'"):
+        rp.load_robot("3RR")
+    assert "URDF" not in repr(rp.load_robot("3rrr"))
+    assert len(repr(rp.load_robot("3rrr"))) < 400

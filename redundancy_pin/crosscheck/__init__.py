@@ -41,11 +41,13 @@ def run(
         progress: told how far it is.
 
     Raises:
-        InputError: ``samples`` is not positive.
+        InputError: ``samples`` is not positive, or ``seed`` is negative.
         RedundancyPinError: a robot does not load, or no reachable motion of it is found.
     """
     if samples < 1:
         raise InputError(f"samples is {samples}.", remedy="Ask for at least one state.", samples=samples)
+    if seed < 0:
+        raise InputError(f"seed is {seed}.", remedy="Pass a whole number from zero up.", seed=seed)
     names = tuple(robots) if robots else shipped_robots()
     tally = Tally()
     done, total = 0, samples * len(names)

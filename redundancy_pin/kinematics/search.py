@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import turning_velocities
@@ -12,6 +12,9 @@ from redundancy_pin.kinematics.modes import in_working_mode
 
 _STARTS = (1, 16, 240)
 """Starts in each round of a search: the guess itself, then random ones."""
+_NEAR_STARTS = 24
+"""Random starts of each kind in the search for the nearest configuration: of four legs with two elbows each about one
+start in sixteen falls to the right branch, and the known joints do the rest."""
 _SHORTEST_STEP = 2.0**-5
 """A start that needs shorter Newton steps than this is given up: as many starts succeed, in a third of the time."""
 _SEED = 20141  # any fixed number: the search must give the same answer every time
@@ -39,8 +42,46 @@ def search(system: ConstraintSystem, guess: Array, x: Array) -> tuple[Array, flo
     return best_q, best_gap, False
 
 
+def search_nearest(system: ConstraintSystem, guess: Array, x: Array, listed: IntArray) -> tuple[Array, float, bool]:
+    """Assemble one pose in the configuration nearest to what is known of it.
+
+    Many starts are solved, half of them with the known joints at their guess, and the nearest of all solutions is
+    taken: Newton from the guess alone may leave it for another branch, above all where the joints left out start
+    stretched.
+
+    Args:
+        system: closures and platform rows.
+        guess: (nq,) configuration to start from.
+        x: (n,) coordinates or a pose.
+        listed: indices in q of the joints whose guess means something; the others do not count for the distance.
+
+    Returns:
+        As ``search``.
+    """
+    rng = np.random.default_rng(_SEED)
+    found = [_assemble_around(system, guess, x, 1, rng)]
+    found += [_assemble_around(system, guess, x, _NEAR_STARTS, rng, kept=kept) for kept in (listed, listed[:0])]
+    q = _wrapped(system, np.concatenate([solution.q for solution in found]))
+    usable = np.concatenate([solution.closed for solution in found]) & in_working_mode(system.robot, q)
+    if not usable.any():
+        return search(system, guess, x)
+    columns = listed if len(listed) else np.arange(len(guess))
+    away = q[:, columns] - guess[columns]
+    turning = np.isin(columns, _angle_positions(system))
+    away[:, turning] = (away[:, turning] + np.pi) % (2.0 * np.pi) - np.pi
+    # the joints that are not listed decide among equals, so that the answer does not hang on the order of the starts
+    distance = np.abs(away).sum(axis=1).round(9) + 1e-12 * np.abs(q - guess).sum(axis=1)
+    nearest = int(np.argmin(np.where(usable, distance, np.inf)))
+    return q[nearest], float(np.concatenate([solution.gap for solution in found])[nearest]), True
+
+
 def _assemble_around(
-    system: ConstraintSystem, guess: Array, x: Array, starts: int, rng: np.random.Generator
+    system: ConstraintSystem,
+    guess: Array,
+    x: Array,
+    starts: int,
+    rng: np.random.Generator,
+    kept: IntArray | None = None,
 ) -> Assembly:
     model, columns = system.robot.model, system.pose_columns
     steps = np.zeros((starts, model.nv))
@@ -48,6 +89,8 @@ def _assemble_around(
         spread = np.where(turning_velocities(system.robot)[columns], np.pi, system.robot.characteristic_length)
         steps[:, columns] = rng.uniform(-1.0, 1.0, (starts, len(columns))) * spread
     around = integrate(model, np.repeat(guess[None], starts, axis=0), steps)
+    if kept is not None:
+        around[:, kept] = guess[kept]
     goal = np.repeat(x[None], starts, axis=0)
     return assemble(system, around, goal, shortest_step=_SHORTEST_STEP)
 
@@ -55,9 +98,13 @@ def _assemble_around(
 def _wrapped(system: ConstraintSystem, q: Array) -> Array:
     """Return q with the angles of bounded revolute joints in (−π, π]."""
     result: Array = q.copy()
-    model = system.robot.model
-    for index in range(1, model.njoints):
-        joint = model.joints[index]
-        if joint.nq == 1 and not str(joint.shortname()).startswith("JointModelP"):
-            result[:, joint.idx_q] = np.pi - (np.pi - q[:, joint.idx_q]) % (2.0 * np.pi)
+    for column in _angle_positions(system):
+        result[:, column] = np.pi - (np.pi - q[:, column]) % (2.0 * np.pi)
     return result
+
+
+def _angle_positions(system: ConstraintSystem) -> list[int]:
+    """Return the indices in q of bounded revolute joints."""
+    joints = list(system.robot.model.joints)[1:]
+    revolute = [j for j in joints if j.nq == 1 and not str(j.shortname()).startswith("JointModelP")]
+    return [int(joint.idx_q) for joint in revolute]

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.effort_model import effort_model
 from redundancy_pin.planners.finish import finish_plan
@@ -25,6 +26,10 @@ LEAST_MARGIN = 1e-3
 
 ACCELERATING = 1e-9
 """Of the largest reference acceleration; what is below counts as zero. The straights of a path leave rounding."""
+
+
+_FEWEST_SAMPLES = 10
+"""Differences of second order over fewer steps than this have nothing to do with a motion."""
 
 
 class SampledOnDemand(Protocol):
@@ -114,6 +119,12 @@ def plan_stepwise(
     robot = dynamics.robot
     if not isinstance(motion, PlatformMotion):
         motion = motion.sample(dt=dt)
+    if 1 < len(motion) < _FEWEST_SAMPLES:
+        raise InputError(
+            f"The motion has {len(motion)} samples, too few to plan step by step.",
+            remedy=f"Sample it more finely: at least {_FEWEST_SAMPLES} samples.",
+            samples=len(motion),
+        )
     settings = checked_settings(
         robot,
         motion,

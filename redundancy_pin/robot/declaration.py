@@ -87,6 +87,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise ModelFileError(
             f"{path} is not readable YAML: {error}.", remedy="Repair the file.", path=str(path)
         ) from error
+    if isinstance(data, str) and data.lstrip().startswith("<"):
+        raise DeclarationError(
+            f"{path} is a URDF, not a declaration.", remedy="Pass the robot.yaml that names it under `urdf`."
+        )
     if not isinstance(data, dict):
         raise DeclarationError(f"{path} holds no mapping of keys.", remedy=f"Its keys: {', '.join(_KEYS)}.")
     _allow_keys(data, _KEYS, "")

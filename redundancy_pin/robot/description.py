@@ -51,7 +51,13 @@ def declaration_path(source: str | Path) -> Path:
             source=str(source),
         )
     names = ", ".join(shipped_robots())
-    close = difflib.get_close_matches(str(source), shipped_robots(), n=1)
+    if path.suffix or len(path.parts) > 1:
+        raise ModelFileError(
+            f"There is no file {path}.",
+            remedy=f"Correct the path, or name a shipped robot: {names}.",
+            source=str(source),
+        )
+    close = difflib.get_close_matches(str(source).lower(), shipped_robots(), n=1)
     hint = f"Did you mean {close[0]!r}? " if close else ""
     raise ModelFileError(
         f"There is no robot {str(source)!r}.",

@@ -80,7 +80,7 @@ class WorkingModes:
     signs: tuple[int, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Robot:
     """A closed-chain robot, loaded, checked and frozen.
 
@@ -128,6 +128,13 @@ class Robot:
     characteristic_length: float
     closed_form: str | None
     source: str = ""
+
+    def __repr__(self) -> str:
+        """Return what tells robots apart, not their whole URDF."""
+        mode = "".join("+" if sign > 0 else "-" for sign in self.working_mode)
+        shown = ", ".join(f"{name}={value}" for name, value in self.parameters.items())
+        counts = f"n={self.n}, m={self.m}, k={self.k}"
+        return f"Robot({self.name!r}, {counts}" + (f", mode {mode}" if mode else "") + (f"; {shown})" if shown else ")")
 
     @property
     def n(self) -> int:

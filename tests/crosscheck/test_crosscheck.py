@@ -139,6 +139,8 @@ def test_cases_vary_parameters_modes_and_gravity():
 def test_bad_input_is_refused():
     with pytest.raises(InputError, match="samples is 0"):
         crosscheck.run(["2rpr"], samples=0)
+    with pytest.raises(InputError, match="seed is -1"):
+        crosscheck.run(["2rpr"], samples=5, seed=-1)
     with pytest.raises(ModelFileError, match="no robot"):
         crosscheck.run(["no_such_robot"], samples=5)
 
