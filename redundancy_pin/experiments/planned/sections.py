@@ -66,8 +66,9 @@ def _against_thesis(study: Study) -> list[Block]:
             "exactly, there is no jump. Wide ranges explain much: see the rows that ask for several numbers together."
         ),
         Paragraph(
-            f"{good} of {len(study.judged)} statements are reproduced, {as_run} of them by the run itself; the others "
-            "with the value of an unstated parameter, or in the working modes, that the verdict names."
+            f"Of {len(study.judged)} statements {as_run} are reproduced by the run itself, {good - as_run} only with a value "
+            "chosen for an unstated parameter, or in the working modes, that the verdict names; "
+            f"{len(study.judged) - good} differ."
         ),
         table(("where", "condition", "quantity", "stated", "ours", "deviation", "range over", "verdict"), rows),
     ]
