@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from redundancy_pin.planners.switch_off_crossing import Crossing, cross
 from redundancy_pin.planners.switch_off_plan import Leg, Settings, assemble_plan
 from redundancy_pin.planners.switch_off_windows import Measure, Measured, require_inside
 from redundancy_pin.planners.timed_model import TimedActuation, TimedModel
+from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.domain import positive
 
 Scheme = Literal["integration", "backward_differences"]
@@ -114,12 +115,14 @@ def _settings(
         )
     if isinstance(return_time, str) and return_time != "shortest":
         raise InputError(f"return_time is {return_time!r}.", remedy="Pass a duration in seconds or 'shortest'.")
-    place = checked(np.atleast_1d(np.asarray(datum, dtype=float)), "datum", ("k",))
+    listed: Any = datum if isinstance(datum, (list, tuple, np.ndarray)) else [datum]
+    place = checked(listed, "datum", ("k",))
     if len(place) not in (1, robot.k):
         raise InputError(
             f"datum has {len(place)} values for {robot.k} carriers.",
             remedy="Pass one position, or one for each carrier.",
         )
+    _require_on_track(robot, np.zeros(robot.k) + place)
     return Settings(
         threshold=positive(threshold, "threshold", "(no unit)"),
         measure=measure,
@@ -129,6 +132,20 @@ def _settings(
         dt=positive(dt, "dt", "s"),
         scheme=scheme,
     )
+
+
+def _require_on_track(robot: Robot, place: Array) -> None:
+    for name, limit, s in zip(robot.carriers, robot.carrier_limits, place, strict=True):
+        beyond = max(float(s) - limit.upper, limit.lower - float(s))
+        if beyond > 0.0:
+            raise InfeasiblePlanError(
+                f"datum parks {name} at {s:g} m, {beyond:.3g} m off its track [{limit.lower:g}, {limit.upper:g}] m.",
+                remedy="Park the carriers on their tracks.",
+                constraint="track",
+                carrier=name,
+                t=0.0,
+                amount=beyond,
+            )
 
 
 def _leg(

@@ -205,3 +205,16 @@ def test_robot_without_carriers():
 def test_single_instant():
     with pytest.raises(InputError, match="single instant"):
         plan_switch_off(two_rpr(), reference.circle().sample(1e-2)[:1])
+
+
+@pytest.mark.parametrize("datum", [0.3, [0.0, -0.25]])
+def test_carriers_do_not_park_off_their_tracks(datum):
+    with pytest.raises(InfeasiblePlanError, match=r"parks carrier_[12] at .* off its track") as caught:
+        plan_switch_off(two_rpr(), reference.circle(), datum=datum)
+    assert caught.value.details["amount"] == pytest.approx(np.abs(datum).max() - 0.2)
+
+
+@pytest.mark.parametrize("datum", ["x", 1j, [[0.0], [0.0, 1.0]]])
+def test_a_datum_that_is_no_number(datum):
+    with pytest.raises(InputError, match="datum"):
+        plan_switch_off(two_rpr(), reference.circle(), datum=datum)

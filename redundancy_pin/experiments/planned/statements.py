@@ -19,7 +19,7 @@ from redundancy_pin.experiments.planned.grids import Grid
 from redundancy_pin.experiments.planned.judged import Judged
 from redundancy_pin.experiments.planned.settings import StudySettings
 from redundancy_pin.experiments.planned.store import PlanStore
-from redundancy_pin.experiments.planned.verdict import Printed, Range, judge
+from redundancy_pin.experiments.planned.verdict import Printed, Range, Verdict, judge
 from redundancy_pin.planners.plan import Plan
 
 LARGEST_STEP = 0.01
@@ -82,24 +82,30 @@ class Statement:
         """Return the row of this statement."""
         plan = store.plan(self.case)
         ours = self.measure(plan)
-        values, closest = [ours], (_miss(self.printed, ours), "")
+        values, closest = [ours], (not self._given_by(ours), _miss(self.printed, ours), "")
         for grid in self.grids:
             for variation in grid.cases(self.case):
                 other = store.try_plan(variation)
                 if other is not None:
                     found = self.measure(other)
                     values.append(found)
-                    closest = min(closest, (_miss(self.printed, found), _difference(self.case, variation)))
+                    rank = (not self._given_by(found), _miss(self.printed, found), _difference(self.case, variation))
+                    closest = min(closest, rank)
         ranges = [Range.of(column) for column in zip(*values, strict=True)]
         ranges = [Range(found.low, found.high + self.late) for found in ranges]
-        verdict, gap = judge(self.printed, ranges)
+        in_range, gap = judge(self.printed, ranges)
+        by_one_run = any(self._given_by(found) for found in values)
+        verdict: Verdict = "reproduced" if by_one_run else "differs"
         deviation = [value - printed.value for value, printed in zip(ours, self.printed, strict=True)]
         over = [grid.parameter for grid in self.grids] + ([f"step up to {self.late:g} s"] if self.late else [])
         covered = f"{', '.join(span(found) for found in ranges)} over {', '.join(over)}" if over else ""
-        itself, _ = judge(self.printed, [Range(value, value + self.late) for value in ours])
-        as_run = itself == "reproduced"
-        reason = "" if as_run or verdict == "differs" else f"closest with {closest[1]}"
-        if verdict == "differs":
+        as_run = self._given_by(ours)
+        reason = "" if as_run or not by_one_run else f"with {closest[2]}"
+        if not by_one_run and in_range == "reproduced":
+            reason = "inside the range, but no single run gives it" + (
+                f"; closest with {closest[2]}" if closest[2] else ""
+            )
+        elif not by_one_run:
             reason = f"{gap:.2g} {self.unit} beyond the range" if np.isfinite(gap) else "never happens here"
             reason += f"; {self.why(plan)}" if self.why else ""
         return Judged(
@@ -115,6 +121,10 @@ class Statement:
             reason,
             as_run,
         )
+
+    def _given_by(self, found: Sequence[float]) -> bool:
+        """Return whether one run gives all the numbers stated together."""
+        return judge(self.printed, [Range(value, value + self.late) for value in found])[0] == "reproduced"
 
 
 def number(value: float) -> str:

@@ -10,11 +10,13 @@ from typing import Literal
 Verdict = Literal["reproduced", "differs"]
 
 RULE = (
-    "A stated number counts as reproduced if it lies in the range that our number covers while the parameters that the "
-    "thesis leaves unstated (named in the column 'range over') vary over their grids, widened by half a unit of "
-    "the last printed digit; a number given as an order of magnitude, if that range comes within a factor of √10 of "
-    "it. A statement without a number counts as reproduced if it holds in at least one working mode of the 3-RRR, "
-    "which the thesis does not state; the modes are named. Everything else differs, and the reason is given."
+    "A stated number counts as reproduced if one run gives it to half a unit of the last printed digit (numbers stated "
+    "together must come from one and the same run): ours, or one in which a parameter that the thesis leaves unstated "
+    "(named in the column 'range over') takes another value of its grid; a number given as an order of magnitude, if a "
+    "run comes within a factor of √10 of it. Lying inside the range that the runs span is not enough. The ramps of the "
+    "grid were chosen so that other stated times are met, so they are no independent evidence. A statement without a "
+    "number counts as reproduced if it holds in at least one working mode of the 3-RRR, which the thesis does not "
+    "state; the modes are named. Everything else differs, and the reason is given."
 )
 
 
