@@ -98,7 +98,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "peak_carrier_force": np.abs(plan.carrier_force).max(axis=0, initial=0.0),
         "main_energy": plan.main_energy,
         "carrier_energy": plan.carrier_energy,
-        "smallest_margin": float(np.fmin.reduce(plan.margin)),
+        "smallest_margin": _smallest_margin(plan),
         "phases": _phase_times(plan),
         "limits": {
             "violated": [vars(event) for event in plan.limits.violated],
@@ -114,6 +114,12 @@ def _same_file(first: str, second: str) -> bool:
         return os.path.samefile(Path(first).expanduser(), Path(second).expanduser())
     except OSError:
         return False
+
+
+def _smallest_margin(plan: Plan) -> float:
+    """Return the smallest margin of the plan: zero where it crosses a singularity, though no sample may lie on it."""
+    crossed = plan.diagnostics.get("singular_instants")
+    return 0.0 if crossed else float(np.fmin.reduce(plan.margin))
 
 
 def _phase_times(plan: Plan) -> list[dict[str, Any]]:

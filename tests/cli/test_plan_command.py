@@ -389,3 +389,9 @@ def test_numbers_as_users_write_them() -> None:
     for value in ("", None, {}, True, [None], [1, [2]], 10**400):
         with pytest.raises(InputError, match="x is"):
             numbers("x", value)
+
+
+def test_a_plan_through_a_singularity_has_no_margin_left() -> None:
+    """Whether a sample lies on the singular instant is chance: the plan crosses it all the same."""
+    result = call("plan", "switch-off", "--robot", "2rpr", "--trajectory", "circle", "--threshold", "20", "--json")
+    assert json.loads(result.stdout)["smallest_margin"] == 0.0
