@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from redundancy_pin.dynamics.base import DynamicsAlongMotion
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.status import SampleStatus
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.limits import check_limits
+from redundancy_pin.planners.limits import LimitEvent, check_limits
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import CarrierLimits
@@ -32,6 +32,7 @@ def finish_plan(
     diagnostics: Mapping[str, object],
     prescribed: Array | None = None,
     carrier_limits: tuple[CarrierLimits, ...] | None = None,
+    between: Sequence[tuple[Array, CarrierMotion]] = (),
 ) -> Plan:
     """Evaluate the backend once more along the planned motion and collect everything a plan carries.
 
@@ -46,6 +47,8 @@ def finish_plan(
         prescribed: (N, m) main efforts the planner decided on, NaN where W τ = f decides. Their imbalance is checked
             and reported, never corrected.
         carrier_limits: limits to judge the plan by in place of the robot's own, one for each carrier.
+        between: times, s, and carrier motions between the samples at which the limits of track, speed and acceleration
+            are judged as well.
     """
     robot = along.robot
     reduced = along.reduce(carriers)
@@ -61,6 +64,10 @@ def finish_plan(
         status[given] = _status_of_prescribed(imbalance[given] <= BALANCE_TOLERANCE * size)
     judged = robot if carrier_limits is None else replace(robot, carrier_limits=carrier_limits)
     limits = check_limits(judged, along.motion.t, carriers, reduced.carrier_force)
+    for times, motion in between:
+        # the forces are not known there
+        inner = check_limits(judged, times, motion, np.zeros_like(motion.s))
+        limits = replace(limits, violated=_merged(limits.violated, inner.violated))
     return Plan(
         motion=along.motion,
         carriers=carriers,
@@ -81,6 +88,22 @@ def finish_plan(
         parameters=dict(parameters),
         diagnostics=dict(diagnostics),
     )
+
+
+def _merged(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...]) -> tuple[LimitEvent, ...]:
+    """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more."""
+    kept = list(at_samples)
+    for event in between:
+        same = [
+            other
+            for other in kept
+            if (other.carrier, other.quantity, other.limit) == (event.carrier, event.quantity, event.limit)
+            and other.start <= event.end
+            and event.start <= other.end
+        ]
+        if all(event.amount > other.amount for other in same):
+            kept = [other for other in kept if other not in same] + [event]
+    return tuple(sorted(kept, key=lambda event: event.start))
 
 
 def _status_of_prescribed(balanced: BoolArray) -> IntArray:

@@ -167,6 +167,7 @@ def plan_stepwise(
         parameters=settings.parameters,
         diagnostics=found,
         carrier_limits=settings.limits.limits,
+        between=course.between,
     )
     if settings.between:
         found["between_samples"] = between_samples(dynamics, plan, settings.between)

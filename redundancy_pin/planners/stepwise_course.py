@@ -8,6 +8,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
 from redundancy_pin.planners.stepwise_march import StepProblems, Stretch, optimise
 from redundancy_pin.planners.stepwise_settings import StepwiseSettings
@@ -30,6 +31,7 @@ class Course:
         phase: (J + 1,) index into ``PHASES``: what the step that ends there was.
         stretches: first step and result of each run of the optimiser.
         returns: start and end of each return, s; the end is that of its polynomial.
+        between: for each return, times densely along it, s, and the motion there: its extremes lie between the steps.
         brake_from: instant from which the carriers are only braked; the motion is not filled in after it.
     """
 
@@ -40,6 +42,7 @@ class Course:
     phase: IntArray
     stretches: list[tuple[int, Stretch]] = field(default_factory=list)
     returns: list[tuple[float, float]] = field(default_factory=list)
+    between: list[tuple[Array, CarrierMotion]] = field(default_factory=list)
     brake_from: int = -1
 
 
@@ -95,6 +98,12 @@ def _follow_return(robot: Robot, settings: StepwiseSettings, course: Course, fir
     course.s[arrived] = settings.datum
     course.phase[on_way] = RETURN
     course.returns.append((state.t, polynomial.t1))
+    dense = np.linspace(state.t, min(polynomial.t1, float(course.t[last])), _DENSE)
+    course.between.append((dense, CarrierMotion(*(polynomial(dense, order) for order in range(3)))))
+
+
+_DENSE = 2001
+"""Points along a return at which its limits are judged: a peak of a polynomial of degree seven is missed by 1e-6."""
 
 
 def _return_duration(robot: Robot, settings: StepwiseSettings, state: CarrierState, end: float) -> float:

@@ -105,10 +105,25 @@ def crossing_equation(
     return equation, lost
 
 
+_RUNAWAY = 100.0
+"""Distance, m, beyond which a carrier has left every machine."""
+
+
 def _unbounded(
     equation: CarrierEquation, lost: tuple[LostDirection, ...], stuck: StepGivenUpError
 ) -> InfeasiblePlanError:
     near = [instant for instant in lost if instant.t >= stuck.t]
+    farthest = int(np.argmax(np.abs(stuck.s)))
+    if abs(stuck.s[farthest]) > _RUNAWAY:
+        # what is left of the equation there is rounding of huge terms, and says nothing
+        return InfeasiblePlanError(
+            f"Carrier {farthest + 1} runs away with the main actuators off: at t = {stuck.t:.6g} s it would be at "
+            f"{stuck.s[farthest]:.3g} m with {stuck.sd[farthest]:.3g} m/s.",
+            remedy="Shorten the window (a threshold nearer to the singularity), or park the carriers elsewhere.",
+            constraint="carrier_motion",
+            t=stuck.t,
+            amount=float(abs(stuck.s[farthest])),
+        )
     if near:
         ahead = near[0].t - stuck.t
         force = near[0].left(equation, stuck.s + ahead * stuck.sd, stuck.sd)

@@ -287,3 +287,20 @@ def test_between_samples_follows_the_polynomials_of_the_returns():
     found = between_samples(dynamics, plan, 3, trajectory)
     # quintics through s, ṡ, s̈ of the septic every 10 ms
     np.testing.assert_allclose(found["peak_effort"], np.max(expected, axis=0), rtol=1e-5)
+
+
+def test_a_limit_broken_between_samples_of_a_return_is_said():
+    """A return whose samples stay within 7 m/s² while its polynomial does not (coarse steps of 20 ms)."""
+    import redundancy_pin as rp
+    from redundancy_pin.planners.plan import PlanStatus
+    from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
+
+    path = Line([0.6, 0.5, 0.0], [1.1, 0.5, 0.0])
+    motion = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
+    dynamics = rp.VirtualWork(rp.load_robot("3rrr"))
+    plan = rp.plan_stepwise(dynamics, motion, dt=0.02, active="accelerating", return_time=0.8542364)
+    assert np.abs(plan.carriers.sdd).max() <= 7.0 * (1 + 1e-9)
+    assert plan.status is PlanStatus.VIOLATES_LIMITS
+    event = max(plan.limits.violated, key=lambda event: event.amount)
+    assert event.quantity == "acceleration"
+    assert 0.0 < event.amount < 0.02

@@ -218,3 +218,12 @@ def test_carriers_do_not_park_off_their_tracks(datum):
 def test_a_datum_that_is_no_number(datum):
     with pytest.raises(InputError, match="datum"):
         plan_switch_off(two_rpr(), reference.circle(), datum=datum)
+
+
+@pytest.mark.parametrize("backend", [VirtualWork, RneaDynamics])
+def test_a_carrier_that_runs_away_is_named(backend):
+    """Gravity in the plane: with the actuators off the carriers are driven off within the window."""
+    with pytest.raises(InfeasiblePlanError, match=r"Carrier [12] runs away") as caught:
+        plan_switch_off(backend(zoo.robot_of("2rpr", gravity=(0.0, -9.81, 0.0))), reference.circle())
+    assert caught.value.details["constraint"] == "carrier_motion"
+    assert caught.value.details["amount"] > 100.0
