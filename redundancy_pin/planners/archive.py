@@ -61,6 +61,8 @@ def read_archive(path: str | Path, kind: str, version: int) -> dict[str, Any]:
     Raises:
         PlanFileError: missing, unreadable, truncated or damaged, another kind of file, or a newer format.
     """
+    if not isinstance(path, (str, Path)):
+        raise PlanFileError(f"A file is named by text or a path, not by {path!r}.", remedy="Pass its path.")
     place = Path(path).expanduser()
     arrays = _read_arrays(place)
     content = _metadata(place, arrays)

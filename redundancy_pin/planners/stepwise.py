@@ -14,12 +14,13 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.effort_model import effort_model
 from redundancy_pin.planners.finish import finish_plan
+from redundancy_pin.planners.inputs import require_dynamics, require_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise_braking import Braking, brake
 from redundancy_pin.planners.stepwise_course import PHASES, RETURN, Course, run_course
 from redundancy_pin.planners.stepwise_march import StepProblems, step_problems
 from redundancy_pin.planners.stepwise_report import between_samples, diagnostics
-from redundancy_pin.planners.stepwise_settings import Active, Stop, checked_settings, target_effort
+from redundancy_pin.planners.stepwise_settings import Active, Stop, checked_settings, is_dynamics, target_effort
 
 LEAST_MARGIN = 1e-3
 """Smallest margin of W that is accepted: efforts grow with its inverse."""
@@ -30,6 +31,13 @@ ACCELERATING = 1e-9
 
 _FEWEST_SAMPLES = 10
 """Differences of second order over fewer steps than this have nothing to do with a motion."""
+
+
+def _baseline_name(baseline: Dynamics | ArrayLike | None) -> str | None:
+    """Return what the baseline was, for the plan's record."""
+    if baseline is None:
+        return None
+    return repr(baseline.robot) if is_dynamics(baseline) else "efforts"
 
 
 class SampledOnDemand(Protocol):
@@ -116,6 +124,8 @@ def plan_stepwise(
             comes too close to a type II singularity. Carries constraint, carrier, time and amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
+    require_dynamics(dynamics)
+    require_motion(motion, "sample")
     robot = dynamics.robot
     if not isinstance(motion, PlatformMotion):
         motion = motion.sample(dt=dt)
@@ -164,7 +174,7 @@ def plan_stepwise(
         planner="stepwise",
         phase=phase,
         phases=PHASES,
-        parameters=settings.parameters,
+        parameters={**settings.parameters, "baseline": _baseline_name(baseline)},
         diagnostics=found,
         carrier_limits=settings.limits.limits,
         between=course.between,

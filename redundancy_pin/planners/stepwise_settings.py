@@ -108,11 +108,13 @@ def checked_settings(
         return_time = positive(return_time, "return_time", "s")
     if len(motion) < 2 or not motion.t[-1] > motion.t[0]:
         raise InputError("The motion has a single instant.", remedy="Pass a motion of at least two instants.")
-    if between < 0 or int(between) != between:
+    if isinstance(between, bool) or not isinstance(between, int) or between < 0:
         raise InputError(f"between is {between}, expected 0 or a positive whole number.", name="between")
     rest_at = float(motion.t[-1]) if stop == "within" else math.inf
     resolved = resolve_limits(robot, speed, acceleration, track)
-    limits = StepLimits(robot.carriers, resolved, bool(anticipate), rest_at)
+    if not isinstance(anticipate, bool):
+        raise InputError(f"anticipate is {anticipate!r}, expected True or False.", name="anticipate")
+    limits = StepLimits(robot.carriers, resolved, anticipate, rest_at)
     if stop == "within" and any(math.isinf(limit.acceleration) for limit in resolved):
         raise InputError(
             'stop="within" needs acceleration limits: without them nothing says when to brake.',

@@ -16,6 +16,7 @@ from redundancy_pin.planners.carrier_path import CarrierPath
 from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.planners.dips import Interval
+from redundancy_pin.planners.inputs import require_dynamics, require_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off_crossing import Crossing, cross
 from redundancy_pin.planners.switch_off_plan import Leg, Settings, assemble_plan
@@ -50,8 +51,9 @@ def plan_switch_off(
     switch-on. ``scheme="backward_differences"`` is the thesis's discretisation on the grid of step ``dt`` instead,
     whose efforts jump there.
 
-    Limits of the carriers are not enforced (a crossing leaves no freedom to do so) but judged, at all extremes of the
-    motion: see ``Plan.limits`` and ``Plan.status``. ``return_time="shortest"`` chooses the return within them.
+    Limits of the carriers are not enforced (a crossing leaves no freedom to do so) but judged, at all extremes of their
+    motion (forces at the samples): see ``Plan.limits`` and ``Plan.status``. ``return_time="shortest"`` chooses the
+    return within them.
 
     Args:
         dynamics: either backend of a robot with at least as many carriers as coordinates.
@@ -72,6 +74,8 @@ def plan_switch_off(
             force that nothing can carry at the singular pose; carries constraint, t and amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
+    require_dynamics(dynamics)
+    require_motion(motion, "duration", "breaks", "sample_at")
     settings = _settings(dynamics, threshold, measure, ramp_down, return_time, datum, dt, scheme)
     source = continuous_motion(motion)
     actuation = TimedActuation.of(dynamics, source)
@@ -109,7 +113,7 @@ def _settings(
             carriers=robot.k,
             coordinates=robot.n,
         )
-    if scheme not in ("integration", "backward_differences"):
+    if not isinstance(scheme, str) or scheme not in ("integration", "backward_differences"):
         raise InputError(
             f"scheme is {scheme!r}.", remedy="Pass 'integration' or 'backward_differences'.", scheme=scheme
         )

@@ -85,8 +85,16 @@ def require_inside(window: Interval, start: float, end: float, ramp_down: float)
     Raises:
         InfeasiblePlanError: it does not; carries the constraint, the time and the amount.
     """
+    if window.open_start:
+        raise InfeasiblePlanError(
+            f"The motion begins at t = {start:.6g} s inside the region in which the actuators have to be off.",
+            remedy="Start the motion further from the singularity, or move the threshold.",
+            constraint="ramp_down",
+            t=start,
+            amount=ramp_down,
+        )
     earliest = window.start - ramp_down
-    if window.open_start or earliest < start:
+    if earliest < start:
         missing = start - earliest
         raise InfeasiblePlanError(
             f"The actuators have to be off from t = {window.start:.6g} s and need {ramp_down:g} s to ramp down, "

@@ -145,3 +145,41 @@ def test_an_unfinished_return_at_the_end_of_a_motion():
     for stop in ("after", "within"):
         with pytest.raises(InfeasiblePlanError, match="must be stopped"):
             plan_stepwise(dynamics_of(), motion, active="accelerating", return_time=0.5, stop=stop)
+
+
+@pytest.mark.parametrize("planner", ["plan_stepwise", "plan_switch_off"])
+def test_arguments_that_are_likely_slips(planner):
+    import redundancy_pin as rp
+
+    plan = getattr(rp, planner)
+    robot = rp.load_robot("2rpr")
+    with pytest.raises(InputError, match="given Robot for the dynamics"):
+        plan(robot, rp.trajectory.reference.circle())
+    for motion in (None, "circle", np.zeros((3, 2)), 5):
+        with pytest.raises(InputError, match="for the motion"):
+            plan(rp.VirtualWork(robot), motion)
+
+
+@pytest.mark.parametrize("changes", [{"between": np.nan}, {"between": "x"}, {"between": True}, {"anticipate": "no"}])
+def test_settings_of_the_wrong_kind(changes):
+    import redundancy_pin as rp
+
+    with pytest.raises(InputError, match=next(iter(changes))):
+        rp.plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), rp.trajectory.reference.corner(), **changes)
+
+
+def test_a_plan_is_not_named_by_a_number():
+    import redundancy_pin as rp
+    from redundancy_pin.errors import PlanFileError
+
+    with pytest.raises(PlanFileError, match="not by 5"):
+        rp.load_plan(5)
+
+
+def test_the_baseline_is_on_record():
+    import redundancy_pin as rp
+
+    bare = rp.VirtualWork(rp.load_robot("3rrr", carriers=False))
+    corner = rp.trajectory.reference.corner()
+    plan = rp.plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), corner, lam=0.5, baseline=bare, dt=0.02)
+    assert "carriers=False" in plan.parameters["baseline"]
