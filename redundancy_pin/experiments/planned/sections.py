@@ -66,8 +66,8 @@ def _against_thesis(study: Study) -> list[Block]:
             "exactly, there is no jump. Wide ranges explain much: see the rows that ask for several numbers together."
         ),
         Paragraph(
-            f"Of {len(study.judged)} statements {as_run} are reproduced by the run itself, {good - as_run} only within "
-            "the ranges that unstated parameters span, or in the working modes that the verdict names; "
+            f"Of {len(study.judged)} statements {as_run} are reproduced by the run itself, {good - as_run} only with "
+            "the value of an unstated parameter, or in the working modes, that the verdict names; "
             f"{len(study.judged) - good} differ."
         ),
         table(("where", "condition", "quantity", "stated", "ours", "deviation", "range over", "verdict"), rows),
