@@ -1,0 +1,195 @@
+"""Closures and tree dynamics at one state, fast: what a simulation evaluates tens of thousands of times.
+
+A closure row is a wrench (force along a, moment about the world origin) that acts on the tree with opposite signs
+through the joints below frame B and below frame A:
+
+- translation along a:  w = (a, p_B × a),  rotation:  w = (0, b × a),   J_c = mask ∘ (w J),
+
+with J the joint Jacobian in world coordinates and mask +1 where a joint moves B only, −1 where it moves A only. This is
+the same row as in ``kinematics.closure`` (with Δ = p_B − p_A, the lever of A's rotation falls out). The time derivative
+is J̇_c = mask ∘ (ẇ J + w J̇). ``kinematics.closure`` works on many configurations at once; this module on one, for
+which it is an order of magnitude faster.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.robot import AXES, Robot
+
+_AFTER = np.array([1, 2, 0])
+_BEFORE = np.array([2, 0, 1])
+
+
+def cross(x: Array, y: Array) -> Array:
+    """Return the cross products of (..., 3) vectors; numpy's own takes ten times as long on a few of them."""
+    product: Array = x.take(_AFTER, -1) * y.take(_BEFORE, -1) - x.take(_BEFORE, -1) * y.take(_AFTER, -1)
+    return product
+
+
+class ClosedChain:
+    """Closure rows and platform rows of a robot at one state.
+
+    An evaluator with a workspace: ``update`` sets the state, the other methods answer for it. It holds Pinocchio data,
+    so each thread or process makes its own.
+
+    Args:
+        robot: the robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.model = model = robot.model
+        self.data = data = model.createData()
+        self.system = ConstraintSystem(robot)
+        """The batched evaluator of the same rows."""
+        self.rows = len(self.system.rows)
+        self.pose_columns = self.system.pose_columns
+        names = list(self.system.tree.support)
+        ids = [model.getFrameId(name, pin.FrameType.BODY) for name in names]
+        pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
+        # views into Pinocchio's memory, taken once: looking them up costs as much as the arithmetic
+        self._frames = [(i, data.oMf[frame].rotation, data.oMf[frame].translation) for i, frame in enumerate(ids)]
+        self._frame_ids = ids
+        self.J = data.J
+        self.dJ = data.dJ
+        self._axes = np.zeros((len(ids), 4, 3))
+        self._flat = self._axes.reshape(-1, 3)
+        self.support = np.zeros((len(ids), model.nv))
+        for i, name in enumerate(names):
+            self.support[i, list(self.system.tree.support[name])] = 1.0
+        at = {name: i for i, name in enumerate(names)}
+        row_of_axis, row_of_partner, first, second = [], [], [], []
+        for closure, row in self.system.rows:
+            a, b = at[closure.frame_a], at[closure.frame_b]
+            row_of_axis.append(4 * a + row.axis_a)
+            row_of_partner.append(4 * b + (row.axis_b if row.rotation else 3))
+            first.append(a)
+            second.append(b)
+        self._axis = np.array(row_of_axis, dtype=np.intp)
+        self._partner = np.array(row_of_partner, dtype=np.intp)
+        self._a, self._b = np.array(first, dtype=np.intp), np.array(second, dtype=np.intp)
+        self._sign = np.array([row.sign for _, row in self.system.rows])[:, None]
+        self._slides = np.array([0.0 if row.rotation else 1.0 for _, row in self.system.rows])[:, None]
+        self.mask = self.support[self._b] - self.support[self._a]
+        self._wrench = np.zeros((self.rows, 6))
+        self._wrench_rate = np.zeros((self.rows, 6))
+        self._platform = at[robot.platform.frame] if robot.platform is not None else -1
+
+    def update(self, q: Array, v: Array) -> None:
+        """Set the state: q (nq,), v (nv,)."""
+        pin.computeJointJacobiansTimeVariation(self.model, self.data, q, v)
+        for (i, rotation, translation), frame in zip(self._frames, self._frame_ids, strict=True):
+            pin.updateFramePlacement(self.model, self.data, frame)
+            self._axes[i, :3] = rotation.T
+            self._axes[i, 3] = translation
+        self.q, self.v = q, v
+        self._direction = a = self._flat.take(self._axis, 0) * self._sign
+        self._point = c = self._flat.take(self._partner, 0)
+        self._wrench[:, :3] = a * self._slides
+        self._wrench[:, 3:] = cross(c, a)
+
+    def residual(self) -> Array:
+        """Return (r,) the closure residuals Φ, m; for rotation rows the sine of the angle that is off."""
+        origin = self._axes[self._a, 3] * self._slides
+        phi: Array = (self._direction * (self._point - origin)).sum(axis=1)
+        return phi
+
+    def jacobian(self) -> Array:
+        """Return J_c (r, nv)."""
+        rows: Array = self.mask * self._wrench.dot(self.J)
+        return rows
+
+    def bias(self) -> Array:
+        """Return J̇_c v (r,)."""
+        twist, relative = self._wrench_rates(self.v)
+        carried: Array = (self.mask * self._wrench.dot(self.dJ)).dot(self.v)
+        carried += (twist * relative).sum(axis=1)
+        return carried
+
+    def jacobian_rate(self) -> Array:
+        """Return J̇_c (r, nv)."""
+        twist, _ = self._wrench_rates(self.v)
+        rows: Array = self.mask * (twist.dot(self.J) + self._wrench.dot(self.dJ))
+        return rows
+
+    def frame_twists(self, v: Array) -> Array:
+        """Return (frames, 6) the velocity of each frame's body at the world origin, linear then angular."""
+        twists: Array = (self.support * v).dot(self.J.T)
+        return twists
+
+    def _wrench_rates(self, v: Array) -> tuple[Array, Array]:
+        """Return ẇ (r, 6) and the velocity of B's body relative to A's at the world origin (r, 6)."""
+        twists = self.frame_twists(v)
+        of_a, of_b = twists.take(self._a, 0), twists.take(self._b, 0)
+        direction_rate = cross(of_a[:, 3:], self._direction)
+        point_rate = of_b[:, :3] * self._slides + cross(of_b[:, 3:], self._point)
+        rate = self._wrench_rate
+        rate[:, :3] = direction_rate * self._slides
+        rate[:, 3:] = cross(point_rate, self._direction) + cross(self._point, direction_rate)
+        return rate, of_b - of_a
+
+    def platform_position(self) -> Array:
+        """Return the independent coordinates: (n,), or a pose (4, 4). A single rotation lies in (−π, π]."""
+        robot = self.robot
+        if robot.platform is None:
+            return _joint_positions(robot, robot.independent_joints, self.q)
+        rotation, origin = self._axes[self._platform, :3].T, self._axes[self._platform, 3]
+        if robot.platform.is_pose:
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = rotation, origin
+            return pose
+        return np.array([_along(rotation, origin, axis) for axis in robot.platform.axes])
+
+    def platform_jacobian(self) -> Array:
+        """Return J_x (n, nv): rows of the platform twist, world-aligned at its origin, or unit rows of joints."""
+        robot = self.robot
+        if robot.platform is None:
+            return _unit_rows(robot)
+        origin = self._axes[self._platform, 3]
+        rows: Array = platform_wrenches(robot, origin).dot(self.J) * self.support[self._platform]
+        return rows
+
+
+def platform_wrenches(robot: Robot, origin: Array) -> Array:
+    """Return (n, 6) the wrench about the world origin that belongs to each platform row, the platform at ``origin``."""
+    axes = robot.platform.axes if robot.platform is not None else ()
+    wrenches = np.zeros((len(axes), 6))
+    for i, axis in enumerate(axes):
+        rotation, k = divmod(AXES.index(axis), 3)
+        unit = np.eye(3)[k]
+        if rotation:
+            wrenches[i, 3:] = unit
+        else:
+            wrenches[i, :3] = unit
+            wrenches[i, 3:] = cross(origin, unit)
+    return wrenches
+
+
+def _unit_rows(robot: Robot) -> Array:
+    rows = np.zeros((robot.n, robot.model.nv))
+    for i, name in enumerate(robot.independent_joints):
+        rows[i, robot.model.joints[robot.model.getJointId(name)].idx_v] = 1.0
+    return rows
+
+
+def _joint_positions(robot: Robot, names: tuple[str, ...], q: Array) -> Array:
+    values = []
+    for name in names:
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        turning = joint.nq == 2
+        values.append(np.arctan2(q[joint.idx_q + 1], q[joint.idx_q]) if turning else q[joint.idx_q])
+    return np.array(values, dtype=np.float64)
+
+
+def _along(rotation: Array, origin: Array, axis: str) -> float:
+    """Return the coordinate of a platform along one axis, read as ``kinematics.coordinates`` reads it."""
+    is_rotation, k = divmod(AXES.index(axis), 3)
+    if not is_rotation:
+        return float(origin[k])
+    i, j = (k + 1) % 3, (k + 2) % 3
+    column = next((c for c in (i, j) if np.hypot(rotation[i, c], rotation[j, c]) > 0.5), k)
+    return float(np.arctan2(rotation[j, column], rotation[i, column]))
