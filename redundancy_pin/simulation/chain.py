@@ -71,13 +71,13 @@ class ClosedChain:
             second.append(b)
         self._axis = np.array(row_of_axis, dtype=np.intp)
         self._partner = np.array(row_of_partner, dtype=np.intp)
-        self._a, self._b = np.array(first, dtype=np.intp), np.array(second, dtype=np.intp)
+        self.first, self.second = np.array(first, dtype=np.intp), np.array(second, dtype=np.intp)
         self._sign = np.array([row.sign for _, row in self.system.rows])[:, None]
-        self._slides = np.array([0.0 if row.rotation else 1.0 for _, row in self.system.rows])[:, None]
-        self.mask = self.support[self._b] - self.support[self._a]
+        self.slides = np.array([0.0 if row.rotation else 1.0 for _, row in self.system.rows])[:, None]
+        self.mask = self.support[self.second] - self.support[self.first]
         self._wrench = np.zeros((self.rows, 6))
         self._wrench_rate = np.zeros((self.rows, 6))
-        self._platform = at[robot.platform.frame] if robot.platform is not None else -1
+        self.platform_index = at[robot.platform.frame] if robot.platform is not None else -1
 
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
@@ -87,15 +87,15 @@ class ClosedChain:
             self._axes[i, :3] = rotation.T
             self._axes[i, 3] = translation
         self.q, self.v = q, v
-        self._direction = a = self._flat.take(self._axis, 0) * self._sign
-        self._point = c = self._flat.take(self._partner, 0)
-        self._wrench[:, :3] = a * self._slides
+        self.direction = a = self._flat.take(self._axis, 0) * self._sign
+        self.point = c = self._flat.take(self._partner, 0)
+        self._wrench[:, :3] = a * self.slides
         self._wrench[:, 3:] = cross(c, a)
 
     def residual(self) -> Array:
         """Return (r,) the closure residuals Φ, m; for rotation rows the sine of the angle that is off."""
-        origin = self._axes[self._a, 3] * self._slides
-        phi: Array = (self._direction * (self._point - origin)).sum(axis=1)
+        origin = self._axes[self.first, 3] * self.slides
+        phi: Array = (self.direction * (self.point - origin)).sum(axis=1)
         return phi
 
     def jacobian(self) -> Array:
@@ -124,20 +124,24 @@ class ClosedChain:
     def _wrench_rates(self, v: Array) -> tuple[Array, Array]:
         """Return ẇ (r, 6) and the velocity of B's body relative to A's at the world origin (r, 6)."""
         twists = self.frame_twists(v)
-        of_a, of_b = twists.take(self._a, 0), twists.take(self._b, 0)
-        direction_rate = cross(of_a[:, 3:], self._direction)
-        point_rate = of_b[:, :3] * self._slides + cross(of_b[:, 3:], self._point)
+        of_a, of_b = twists.take(self.first, 0), twists.take(self.second, 0)
+        direction_rate = cross(of_a[:, 3:], self.direction)
+        point_rate = of_b[:, :3] * self.slides + cross(of_b[:, 3:], self.point)
         rate = self._wrench_rate
-        rate[:, :3] = direction_rate * self._slides
-        rate[:, 3:] = cross(point_rate, self._direction) + cross(self._point, direction_rate)
+        rate[:, :3] = direction_rate * self.slides
+        rate[:, 3:] = cross(point_rate, self.direction) + cross(self.point, direction_rate)
         return rate, of_b - of_a
+
+    def frame_origin(self, index: int) -> Array:
+        """Return (3,) the origin of one of the followed frames, world axes, m."""
+        return self._axes[index, 3]
 
     def platform_position(self) -> Array:
         """Return the independent coordinates: (n,), or a pose (4, 4). A single rotation lies in (−π, π]."""
         robot = self.robot
         if robot.platform is None:
             return _joint_positions(robot, robot.independent_joints, self.q)
-        rotation, origin = self._axes[self._platform, :3].T, self._axes[self._platform, 3]
+        rotation, origin = self._axes[self.platform_index, :3].T, self._axes[self.platform_index, 3]
         if robot.platform.is_pose:
             pose = np.eye(4)
             pose[:3, :3], pose[:3, 3] = rotation, origin
@@ -149,8 +153,21 @@ class ClosedChain:
         robot = self.robot
         if robot.platform is None:
             return _unit_rows(robot)
-        origin = self._axes[self._platform, 3]
-        rows: Array = platform_wrenches(robot, origin).dot(self.J) * self.support[self._platform]
+        origin = self._axes[self.platform_index, 3]
+        rows: Array = platform_wrenches(robot, origin).dot(self.J) * self.support[self.platform_index]
+        return rows
+
+    def platform_jacobian_rate(self) -> Array:
+        """Return J̇_x (n, nv)."""
+        robot = self.robot
+        if robot.platform is None:
+            return np.zeros((robot.n, self.model.nv))
+        support, origin = self.support[self.platform_index], self._axes[self.platform_index, 3]
+        twist = self.J.dot(support * self.v)
+        lever = platform_wrenches(robot, twist[:3] + cross(twist[3:], origin))
+        lever[:, :3] = 0.0
+        lever[[axis.startswith("r") for axis in robot.platform.axes], 3:] = 0.0
+        rows: Array = (lever.dot(self.J) + platform_wrenches(robot, origin).dot(self.dJ)) * support
         return rows
 
 

@@ -188,9 +188,7 @@ def motion_reference(
         raise InputError(f"step is {step} s.", remedy="Pass a positive number.")
     source = continuous_motion(motion)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
-    parts = [
-        np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)
-    ]
+    parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]
     edges = _apart(np.unique(np.concatenate(parts)))
     place = np.broadcast_to(np.asarray(carriers, dtype=float), (robot.k,))
 

@@ -128,12 +128,11 @@ class Run:
         else:
             yield from self._sampled(self._sampling, start, end)
 
-    def _sampled(
-        self, sampling: Sampling, start: float, end: float
-    ) -> Iterator[tuple[float, float]]:
+    def _sampled(self, sampling: Sampling, start: float, end: float) -> Iterator[tuple[float, float]]:
         """Yield the stretches between readings of the state, changes of the held efforts, and breaks."""
         machine, same = self._machine, _SAME * sampling.period
-        reads: Array = start + sampling.period * np.arange(max(1, int(np.ceil((end - start) / sampling.period - _SAME))))
+        count = max(1, int(np.ceil((end - start) / sampling.period - _SAME)))
+        reads: Array = start + sampling.period * np.arange(count, dtype=np.float64)
         acts = reads + sampling.delay
         commands: list[Command] = []
         acting = 0
