@@ -134,7 +134,8 @@ class ClosedChain:
 
     def frame_origin(self, index: int) -> Array:
         """Return (3,) the origin of one of the followed frames, world axes, m."""
-        return self._axes[index, 3]
+        origin: Array = self._axes[index, 3]
+        return origin
 
     def platform_position(self) -> Array:
         """Return the independent coordinates: (n,), or a pose (4, 4). A single rotation lies in (−π, π]."""

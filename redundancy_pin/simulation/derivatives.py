@@ -56,8 +56,8 @@ def inverse_derivatives(
 ) -> DynamicsDerivatives:
     """Return the derivatives of inverse dynamics at a state in motion.
 
-    Without efforts, ``force`` is the generalised force (f, F) that the motion takes; with the efforts that act, it is what
-    they miss, and its derivatives are those of forward dynamics up to −``mass``⁻¹.
+    Without efforts, ``force`` is the generalised force (f, F) that the motion takes; with the efforts that act, it is
+    what they miss, and its derivatives are those of forward dynamics up to −``mass``⁻¹.
 
     Args:
         robot: the robot.
@@ -123,8 +123,8 @@ def _inverse(robot: Robot, chain: ClosedChain, K: Array) -> Array:
     values = np.linalg.svd(scaled, compute_uv=False)
     if values[-1] <= RANK_TOLERANCE * values[0]:
         raise SingularPoseError(
-            f"{robot.name} is at a type I pose (margin {values[-1]:.3g}): platform and carriers do not describe its motion "
-            "there.",
+            f"{robot.name} is at a type I pose (margin {values[-1]:.3g}): platform and carriers do not describe its "
+            "motion there.",
             remedy="Linearise at another pose.",
             margin=float(values[-1]),
         )
