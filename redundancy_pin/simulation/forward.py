@@ -25,9 +25,12 @@ from redundancy_pin.simulation.chain import ClosedChain
 from redundancy_pin.simulation.partition import Partition, choose
 
 LEAST_INERTIA = 1e-8
-"""Share of its inertia that a free motion may keep when all others yield, below which the model counts as massless in
-some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps shrink to
+"""Inertia that a free motion must have when all before it yield, as a share of the largest, for the model not to count
+as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps shrink to
 nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
+
+_POOR_CHOICE = 1e-4
+"""Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +65,8 @@ class ForwardDynamics:
         self._free: IntArray = nothing if prescribed else self._carriers
         self._given: IntArray = self._carriers if prescribed else nothing
         self._scale = velocity_scale(robot)
+        self._fresh = False
+        """Whether the independent velocities were chosen for the next configuration that is asked for."""
         self._set(self.choose_partition(np.array(robot.q_reference)))
 
     def choose_partition(self, q: Array) -> Partition:
@@ -80,12 +85,14 @@ class ForwardDynamics:
             SingularPoseError: the closures have lost rank there.
         """
         self._set(self.choose_partition(q))
+        self._fresh = True
 
     def _set(self, partition: Partition) -> None:
         self.partition = partition
         self._basis = np.zeros((self.robot.model.nv, len(partition.independent)), order="F")
         self._basis[partition.independent, np.arange(len(partition.independent))] = 1.0
         self._particular = np.zeros(self.robot.model.nv)
+        self._squared_scale = self._scale[partition.independent] ** 2
         self._columns = np.concatenate([partition.dependent, partition.independent])
 
     def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array:
@@ -113,10 +120,12 @@ class ForwardDynamics:
             system = np.empty((rows, jacobian.shape[1] - rows + 1), order="F")
             system[:, :-1] = jacobian[:, rows:]
             system[:, -1] = chain.bias()
-            _, _, solved, singular = lapack.dgesv(jacobian[:, :rows], system, overwrite_b=1)
-            if singular:
+            factor, _, solved, _ = lapack.dgesv(jacobian[:, :rows], system, overwrite_b=1)
+            pivots = np.abs(factor.diagonal())
+            if not self._fresh and pivots.min() < _POOR_CHOICE * pivots.max():
                 self.adapt(q)  # raises where the closures themselves have lost rank
                 return self.acceleration(q, v, force, carrier_acceleration)
+            self._fresh = False
             basis[dependent] = -solved[:, :-1]
             particular[dependent] = -solved[:, -1]
         effort = pin.rnea(model, data, q, v, particular)
@@ -124,7 +133,7 @@ class ForwardDynamics:
         # the binding leaves the lower triangle alone, and dsymm reads the upper one only
         reduced = blas.dgemm(1.0, basis, blas.dsymm(1.0, mass, basis), trans_a=1)
         factor, z, failed = lapack.dposv(reduced, basis.T.dot(force - effort))
-        if failed or not _has_inertia(reduced, factor):
+        if failed or not _has_inertia(factor, self._squared_scale):
             raise self._ill_posed(reduced)
         result: Array = particular + basis.dot(z)
         return result
@@ -202,7 +211,8 @@ def _columns(robot: Robot, joint: int) -> slice:
     return slice(found.idx_v, found.idx_v + found.nv)
 
 
-def _has_inertia(matrix: Array, factor: Array) -> bool:
-    """Return whether every pivot of the Cholesky factor keeps a share of its diagonal entry."""
+def _has_inertia(factor: Array, squared_scale: Array) -> bool:
+    """Return whether every pivot of the Cholesky factor of the mass matrix keeps a share of the largest, in kg."""
     pivots = factor.diagonal()
-    return bool((pivots * pivots > LEAST_INERTIA * matrix.diagonal()).all())
+    inertia = pivots * pivots / squared_scale
+    return bool(inertia.min() > LEAST_INERTIA * inertia.max())

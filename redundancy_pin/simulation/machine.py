@@ -81,6 +81,8 @@ class Machine:
     def __call__(self, t: float, y: Array) -> Array:
         """Return ẏ; NaN where there is none, with ``trouble`` saying why: the integrator then tries a shorter step."""
         self.evaluations += 1
+        if y[0] != y[0]:  # a stage after one that had no answer
+            return np.full(len(y), np.nan)
         state = self.state(t if t < self.until else float(np.nextafter(self.until, -np.inf)), y)
         try:
             acceleration = self._acceleration(state, self._force(state, self.command(state)))

@@ -41,7 +41,8 @@ class Step:
 
     def __init__(self, solver: OdeSolver, before: tuple[Array, Array]) -> None:
         self.start, self.end = float(solver.t_old), float(solver.t)
-        self._solver, self._before, self._after = solver, before, (solver.y, solver.f)
+        self._solver, self._before = solver, before
+        self._after: tuple[Array, Array] = (solver.y, solver.f)
 
     @cached_property
     def _dense(self) -> Callable[[float], Array]:
