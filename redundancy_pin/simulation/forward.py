@@ -65,6 +65,8 @@ class ForwardDynamics:
         self._free: IntArray = nothing if prescribed else self._carriers
         self._given: IntArray = self._carriers if prescribed else nothing
         self._scale = velocity_scale(robot)
+        self.least_inertia = 1.0
+        """Smallest pivot of the mass matrix over the largest, in kg, at the last state asked for."""
         self._fresh = False
         """Whether the independent velocities were chosen for the next configuration that is asked for."""
         self._set(self.choose_partition(np.array(robot.q_reference)))
@@ -133,7 +135,10 @@ class ForwardDynamics:
         # the binding leaves the lower triangle alone, and dsymm reads the upper one only
         reduced = blas.dgemm(1.0, basis, blas.dsymm(1.0, mass, basis), trans_a=1)
         factor, z, failed = lapack.dposv(reduced, basis.T.dot(force - effort))
-        if failed or not _has_inertia(factor, self._squared_scale):
+        pivots = factor.diagonal()
+        inertia = pivots * pivots / self._squared_scale
+        self.least_inertia = 0.0 if failed else float(inertia.min() / inertia.max())
+        if not self.least_inertia > LEAST_INERTIA:
             raise self._ill_posed(reduced)
         result: Array = particular + basis.dot(z)
         return result
@@ -209,10 +214,3 @@ class ForwardDynamics:
 def _columns(robot: Robot, joint: int) -> slice:
     found = robot.model.joints[joint]
     return slice(found.idx_v, found.idx_v + found.nv)
-
-
-def _has_inertia(factor: Array, squared_scale: Array) -> bool:
-    """Return whether every pivot of the Cholesky factor of the mass matrix keeps a share of the largest, in kg."""
-    pivots = factor.diagonal()
-    inertia = pivots * pivots / squared_scale
-    return bool(inertia.min() > LEAST_INERTIA * inertia.max())

@@ -27,6 +27,14 @@ _LOOKS = (0.25, 0.5, 0.75, 1.0)
 """Where in a step the watched functions are looked at: a carrier that touches its end stop and leaves within one step
 is not missed."""
 
+SHORTEST = 1e-8
+"""s; a machine whose motion takes steps shorter than this, many in a row, is not one."""
+
+_MOST_SHORT = 20
+
+_LITTLE_INERTIA = 1e-3
+"""Share of the largest inertia below which an inertia is blamed for a motion that blows up."""
+
 GAP_LIMIT = 1e-9
 """Closure gap, m, that the projection must not leave."""
 
@@ -130,7 +138,7 @@ class Run:
         self._grid, self._sampling, self._breaks = grid, sampling, breaks
         self._record = Record()
         self._events: list[Event] = []
-        self._steps = self._restarts = self._next = 0
+        self._steps = self._restarts = self._next = self._short = 0
         self._correction = 0.0
         self._suggested: float | None = None
         self._reason = ""
@@ -205,6 +213,10 @@ class Run:
                 return self._failed(solver.t, solver.y, f"no step is short enough: {why}")
             machine.trouble = None
             self._steps += 1
+            short = solver.step_size < SHORTEST and solver.status == "running"
+            self._short = self._short + 1 if short else 0
+            if self._short >= _MOST_SHORT:
+                return self._failed(solver.t, solver.y, f"the steps have shrunk to {solver.step_size:.2g} s: {self._why()}")
             step = Step(solver, before)
             values, stop = self._look(step, values)
             self._write_before(solver.t if stop is None else stop, step)
@@ -223,6 +235,16 @@ class Run:
                 solver.f = machine(solver.t, projected)
         self._suggested = solver.h_abs
         return end, solver.y, SimulationStatus.COMPLETED
+
+    def _why(self) -> str:
+        """Return what makes a motion blow up, as far as it shows."""
+        inertia = self._machine.dynamics.least_inertia
+        if inertia < _LITTLE_INERTIA:
+            return (
+                f"a free motion has hardly any inertia, {inertia:.2g} of the largest, so accelerations grow without "
+                "bound. Give every part mass (such as end_effector_mass=0.1)"
+            )
+        return "something grows without bound. Check the efforts of the controller"
 
     def _failed(self, t: float, y: Array, why: str) -> tuple[float, Array, SimulationStatus]:
         self._reason = f"At t = {t:.9g} s {why.rstrip('.')}."

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 
 import numpy as np
 import zoo
+from written import J, urdf_of, write_robot
 
+from redundancy_pin import load_robot
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.chain import ClosedChain
@@ -53,3 +56,23 @@ def random_force(robot: Robot, seed: int) -> Array:
     force[robot.actuated_velocity] = rng.normal(0.0, 5.0, robot.m)
     force[robot.carrier_velocity] = rng.normal(0.0, 5.0, robot.k)
     return force
+
+
+def floating(folder: Path) -> Robot:
+    """Return a triangle of a free body and two bars with a carrier on one of them: nothing touches the base."""
+    joints = [
+        J("root", "floating", "base", "body"),
+        J("left", "revolute", "body", "left_bar"),
+        J("left_mount", "fixed", "left_bar", "left_tip", (0.5, 0, 0)),
+        J("right", "revolute", "body", "right_bar", (0.6, 0, 0)),
+        J("right_mount", "fixed", "right_bar", "right_tip", (0.5, 0, 0)),
+        J("slider", "prismatic", "left_bar", "mass", axis=(1, 0, 0)),
+    ]
+    declaration = {
+        "closures": [{"frames": ["left_tip", "right_tip"], "axes": ["x", "y"]}],
+        "actuated": ["left"],
+        "carriers": [{"joint": "slider"}],
+        "independent": {"platform": "body", "axes": ["x", "y", "z", "rx", "ry", "rz"]},
+        "reference": {"platform": {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "guess": {"left": 0.9, "right": 2.2}},
+    }
+    return load_robot(write_robot(folder, urdf_of(joints), declaration))
