@@ -139,6 +139,8 @@ class ForwardDynamics:
         inertia = pivots * pivots / self._squared_scale
         self.least_inertia = 0.0 if failed else float(inertia.min() / inertia.max())
         if not self.least_inertia > LEAST_INERTIA:
+            if not np.isfinite(reduced).all():  # a trial step of an integrator, far off
+                return np.full(model.nv, np.nan)
             raise self._ill_posed(reduced)
         result: Array = particular + basis.dot(z)
         return result

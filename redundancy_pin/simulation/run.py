@@ -150,11 +150,12 @@ class Run:
         t, end = float(self._grid[0]), float(self._grid[-1])
         y = self._y = self._machine.project(t, y)[0]
         status = SimulationStatus.COMPLETED
-        for left, right in self._stretches(t, end):
-            t, y, status = self._stretch(left, right, y)
-            self._y = y
-            if status is not SimulationStatus.COMPLETED:
-                break
+        with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
+            for left, right in self._stretches(t, end):
+                t, y, status = self._stretch(left, right, y)
+                self._y = y
+                if status is not SimulationStatus.COMPLETED:
+                    break
         self._write(t, y)
         statistics = Statistics(
             self._steps, self._machine.evaluations, self._restarts, self._correction, time.perf_counter() - began
