@@ -60,9 +60,9 @@ class Step:
 
     def __call__(self, t: float) -> Array:
         """Return y at a time in the step, to the accuracy of the integrator."""
-        if t == self.start:
+        if t <= self.start:
             return self._before[0]
-        return self._after[0] if t == self.end else self._dense(t)
+        return self._after[0] if t >= self.end else self._dense(t)
 
     def guess(self, fraction: float) -> Array:
         """Return y at a fraction of the step, from the cubic through y and ẏ at both ends: good enough to look."""
@@ -123,6 +123,7 @@ class Run:
         grid: (G,) times at which to record, s, first and last included.
         breaks: inner times at which efforts jump, s.
         sampling: of a digital controller, or None.
+        first: efforts that the controller commands at the start.
     """
 
     def __init__(
@@ -133,10 +134,12 @@ class Run:
         grid: Array,
         breaks: Array,
         sampling: Sampling | None,
+        first: Command,
     ) -> None:
         self._machine, self._watcher, self._settings = machine, watcher, settings
         self._grid, self._sampling, self._breaks = grid, sampling, breaks
-        self._record = Record()
+        self._record, self._first = Record(), first
+        self._same = _SAME * float(grid[1] - grid[0])
         self._events: list[Event] = []
         self._steps = self._restarts = self._next = self._short = 0
         self._correction = 0.0
@@ -176,7 +179,7 @@ class Run:
         count = max(1, int(np.ceil((end - start) / sampling.period - _SAME)))
         reads: Array = start + sampling.period * np.arange(count, dtype=np.float64)
         acts = reads + sampling.delay
-        commands: list[Command] = []
+        commands = [self._first]
         acting = 0
         for left, right in itertools.pairwise(_merged([reads, acts, self._breaks], start, end, same)):
             if len(commands) < len(reads) and reads[len(commands)] <= left + same:
@@ -217,7 +220,9 @@ class Run:
             short = solver.step_size < SHORTEST and solver.status == "running"
             self._short = self._short + 1 if short else 0
             if self._short >= _MOST_SHORT:
-                return self._failed(solver.t, solver.y, f"the steps have shrunk to {solver.step_size:.2g} s: {self._why()}")
+                return self._failed(
+                    solver.t, solver.y, f"the steps have shrunk to {solver.step_size:.2g} s: {self._why()}"
+                )
             step = Step(solver, before)
             values, stop = self._look(step, values)
             self._write_before(solver.t if stop is None else stop, step)
@@ -283,7 +288,7 @@ class Run:
 
     def _write_before(self, end: float, step: Step) -> None:
         """Record the grid times before ``end``; what happens at the end of a stretch belongs to the next."""
-        while self._grid[self._next] < end:
+        while self._grid[self._next] < end - self._same:
             t = float(self._grid[self._next])
             self._write(t, step(t))
             self._next += 1
@@ -297,7 +302,7 @@ class Run:
 
 
 _SAME = 1e-9
-"""Instants closer than this fraction of a sampling period are one."""
+"""Instants closer than this fraction of a sampling period, or of the interval between samples of the result, are one."""
 
 
 def _merged(parts: Sequence[Array], start: float, end: float, same: float) -> list[float]:

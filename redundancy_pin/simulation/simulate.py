@@ -109,10 +109,11 @@ def simulate(
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     _require_closed(machine, first)
     watcher.require_allowed(first.q)
-    machine.checked_command(first)
+    command = machine.held = machine.checked_command(first)
     machine.dynamics.adapt(first.q)
     machine.loads(first)
-    outcome = Run(machine, watcher, settings, grid, breaks, sampling)(np.concatenate([first.q, first.v]))
+    machine.held = None
+    outcome = Run(machine, watcher, settings, grid, breaks, sampling, command)(np.concatenate([first.q, first.v]))
     parameters = {
         "drive": drive.planner if isinstance(drive, Plan) else type(controller).__name__,
         "carriers": carriers,

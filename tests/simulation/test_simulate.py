@@ -62,7 +62,22 @@ def test_the_arrays_of_a_result_are_read_only_and_fit_each_other() -> None:
     drive = Constant(np.array([0.3, -0.2]), np.array([0.5, -0.4]))
     run = rp.simulate(robot, drive, duration=0.2, dt=0.02, start=closed_state(robot, sd=0.1))
     assert len(run) == len(run.t) == 11
-    for name in ("t", "q", "v", "a", "x", "xd", "s", "sd", "sdd", "tau", "carrier_force", "closure_force", "gap", "energy"):
+    for name in (
+        "t",
+        "q",
+        "v",
+        "a",
+        "x",
+        "xd",
+        "s",
+        "sd",
+        "sdd",
+        "tau",
+        "carrier_force",
+        "closure_force",
+        "gap",
+        "energy",
+    ):
         assert not getattr(run, name).flags.writeable, name
     np.testing.assert_array_equal(run.s, run.q[:, robot.carrier_position])
     np.testing.assert_array_equal(run.actuated_rate, run.v[:, robot.actuated_velocity])

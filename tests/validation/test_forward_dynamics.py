@@ -188,7 +188,9 @@ def rocker_and_coupler(theta, lengths):
     beta = np.arctan2(*(joint - pin)[::-1])
     phi = np.arctan2(*(joint - [ground, 0.0])[::-1])
     # ẋ of the joint from both sides: coupler·β̇ n(β) − rocker·φ̇ n(φ) = −crank·θ̇ n(θ)
-    matrix = np.array([[-coupler * np.sin(beta), rocker * np.sin(phi)], [coupler * np.cos(beta), -rocker * np.cos(phi)]])
+    matrix = np.array(
+        [[-coupler * np.sin(beta), rocker * np.sin(phi)], [coupler * np.cos(beta), -rocker * np.cos(phi)]]
+    )
     rates = np.linalg.solve(matrix, crank * np.array([np.sin(theta), -np.cos(theta)]))
     return beta, phi, rates
 
@@ -227,9 +229,17 @@ def test_a_four_bar_follows_its_scalar_lagrange_equation():
     lengths = [float(robot.parameters[f"{name}_length"]) for name in names]
     masses = [float(robot.parameters[f"{name}_mass"]) for name in names[1:]]
     torque = 0.05
-    run = rp.simulate(robot, Constant(np.array([torque]), np.zeros(0)), start=closed_state(robot, [1.0], [3.0]), duration=1.5)
+    run = rp.simulate(
+        robot, Constant(np.array([torque]), np.zeros(0)), start=closed_state(robot, [1.0], [3.0]), duration=1.5
+    )
     theirs = solve_ivp(
-        four_bar_lagrange(lengths, masses, 9.81, torque), (0.0, 1.5), [1.0, 3.0], "DOP853", run.t, rtol=1e-10, atol=1e-10
+        four_bar_lagrange(lengths, masses, 9.81, torque),
+        (0.0, 1.5),
+        [1.0, 3.0],
+        "DOP853",
+        run.t,
+        rtol=1e-10,
+        atol=1e-10,
     )
     assert np.ptp(run.x) > 2 * np.pi  # it turns over, and x runs on
     # differences of sixth order over 2 mrad leave 1e-12; two integrators of 1e-10 and 20 rad/s leave 1e-8
