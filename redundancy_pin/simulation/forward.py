@@ -26,8 +26,8 @@ from redundancy_pin.simulation.partition import Partition, choose
 
 LEAST_INERTIA = 1e-8
 """Inertia that a free motion must have when all before it yield, as a share of the largest, for the model not to count
-as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps shrink to
-nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
+as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps
+shrink to nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
 
 _POOR_CHOICE = 1e-4
 """Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen anew."""

@@ -302,7 +302,7 @@ class Run:
 
 
 _SAME = 1e-9
-"""Instants closer than this fraction of a sampling period, or of the interval between samples of the result, are one."""
+"""Instants closer than this fraction of a sampling period, or of the interval of the result's samples, are one."""
 
 
 def _merged(parts: Sequence[Array], start: float, end: float, same: float) -> list[float]:

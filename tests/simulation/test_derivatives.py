@@ -14,13 +14,13 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.coordinates import moved
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.derivatives import inverse_derivatives
 from redundancy_pin.simulation.forward import ForwardDynamics
 from redundancy_pin.simulation.inverse import inverse_dynamics
 from redundancy_pin.simulation.linearise import linearise, state_error
 from redundancy_pin.simulation.state import State, closed_state
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
 
 ACCURACY = 1e-6
 """Relative to the largest entry, as required. Differences of fourth order over 1e-4 leave 1e-9 of rounding."""

@@ -96,7 +96,7 @@ def test_resampled_platform_motion_is_that_of_a_finer_run() -> None:
     # dt⁴ / 384 of a fourth derivative of order 100
     np.testing.assert_allclose(x, fine.x, atol=1e-7)
     np.testing.assert_allclose(xd, fine.xd, atol=1e-5)
-    with pytest.raises(InputError, match="lasts from 0 to 0.5 s"):
+    with pytest.raises(InputError, match=r"lasts from 0 to 0\.5 s"):
         coarse.at([0.6])
 
 
@@ -143,7 +143,7 @@ def test_friction_takes_energy_and_limits_cap_efforts() -> None:
     run = rp.simulate(robot, start=start, duration=0.5, external=lambda state: -2.0 * state.v)
     assert (np.diff(run.energy) < 0.0).all()
     assert run.energy[-1] < 0.5 * run.energy[0]
-    far = home(robot) + [0.2, 0.1, 0.0]
+    far = home(robot) + np.array([0.2, 0.1, 0.0])
     capped = rp.simulate(robot, Spring(far), duration=0.2, effort_limit=0.5, carrier_force_limit=[0.1, 0.2, 0.3])
     assert np.abs(capped.tau).max() == 0.5
     assert (np.abs(capped.carrier_force) <= [0.1, 0.2, 0.3]).all()

@@ -1,4 +1,4 @@
-"""Forward dynamics judged by other ways to the same motion: Pinocchio's solver, virtual work, closed forms, invariants."""
+"""Forward dynamics judged by Pinocchio's solver, virtual work, closed forms and invariants."""
 
 from __future__ import annotations
 
@@ -196,8 +196,8 @@ def rocker_and_coupler(theta, lengths):
 
 
 def four_bar_lagrange(lengths, masses, gravity, torque):
-    """Return the scalar Lagrange equation of a four-bar of slender rods, θ̈(θ, θ̇), by complex-step-free differences."""
-    ground, crank, coupler, rocker = lengths
+    """Return the scalar Lagrange equation of a four-bar of slender rods, θ̈(θ, θ̇), inertia and height differenced."""
+    _, crank, coupler, rocker = lengths
     crank_mass, coupler_mass, rocker_mass = masses
 
     def inertia_and_height(theta):
