@@ -94,7 +94,8 @@ class ForwardDynamics:
         self._basis = np.zeros((self.robot.model.nv, len(partition.independent)), order="F")
         self._basis[partition.independent, np.arange(len(partition.independent))] = 1.0
         self._particular = np.zeros(self.robot.model.nv)
-        self._squared_scale = self._scale[partition.independent] ** 2
+        self._inverse_scale = 1.0 / self._scale[partition.independent]
+        self._system = np.empty((self.chain.rows, len(partition.independent) + 1), order="F")
         self._columns = np.concatenate([partition.dependent, partition.independent])
 
     def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array:
@@ -119,25 +120,25 @@ class ForwardDynamics:
             dependent = self.partition.dependent
             jacobian = chain.jacobian().take(self._columns, 1)
             rows = chain.rows
-            system = np.empty((rows, jacobian.shape[1] - rows + 1), order="F")
+            system = self._system
             system[:, :-1] = jacobian[:, rows:]
             system[:, -1] = chain.bias()
             factor, _, solved, _ = lapack.dgesv(jacobian[:, :rows], system, overwrite_b=1)
-            pivots = np.abs(factor.diagonal())
-            if not self._fresh and pivots.min() < _POOR_CHOICE * pivots.max():
+            pivots = [abs(pivot) for pivot in factor.diagonal().tolist()]
+            if not self._fresh and min(pivots) < _POOR_CHOICE * max(pivots):
                 self.adapt(q)  # raises where the closures themselves have lost rank
                 return self.acceleration(q, v, force, carrier_acceleration)
             self._fresh = False
-            basis[dependent] = -solved[:, :-1]
-            particular[dependent] = -solved[:, -1]
+            np.negative(solved, out=solved)
+            basis[dependent] = solved[:, :-1]
+            particular[dependent] = solved[:, -1]
         effort = pin.rnea(model, data, q, v, particular)
         mass = pin.crba(model, data, q)
         # the binding leaves the lower triangle alone, and dsymm reads the upper one only
         reduced = blas.dgemm(1.0, basis, blas.dsymm(1.0, mass, basis), trans_a=1)
         factor, z, failed = lapack.dposv(reduced, basis.T.dot(force - effort))
-        pivots = factor.diagonal()
-        inertia = pivots * pivots / self._squared_scale
-        self.least_inertia = 0.0 if failed else float(inertia.min() / inertia.max())
+        inertia = ((factor.diagonal() * self._inverse_scale) ** 2).tolist()
+        self.least_inertia = 0.0 if failed else min(inertia) / max(max(inertia), 1e-300)
         if not self.least_inertia > LEAST_INERTIA:
             if not np.isfinite(reduced).all():  # a trial step of an integrator, far off
                 return np.full(model.nv, np.nan)
