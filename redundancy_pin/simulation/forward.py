@@ -29,7 +29,7 @@ LEAST_INERTIA = 1e-8
 as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps
 shrink to nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
 
-_POOR_CHOICE = 1e-4
+_POOR_CHOICE = 1e-2
 """Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen anew."""
 
 

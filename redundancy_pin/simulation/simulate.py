@@ -231,7 +231,6 @@ def _result(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -
         machine.held = held
         energy[i] = pin.computeKineticEnergy(model, data, q[i], v[i]) + pin.computePotentialEnergy(model, data, q[i])
         try:
-            machine.dynamics.adapt(q[i])
             (tau[i], _), loads = machine.loads(machine.state(t, y))
         except (IllPosedModelError, SingularPoseError):
             continue  # a failed simulation ends there: the efforts have no accelerations
