@@ -1,7 +1,7 @@
 """Forward dynamics: one evaluation by both ways, and simulated time per wall time.
 
-The yardstick of an evaluation is Pinocchio's ``constraintDynamics``, compiled code that covers point closures and bodies
-with mass. The motion is that of the 3-RRR with its carriers, thrown from its reference pose without efforts, through
+The yardstick of an evaluation is Pinocchio's ``constraintDynamics``, compiled code for point closures and bodies with
+mass. The motion is that of the 3-RRR with its carriers, thrown from its reference pose without efforts, through
 singular poses; the whole of ``simulate`` is timed, its report included.
 """
 
@@ -47,8 +47,8 @@ def evaluation(robot):
         "relative_difference": float(np.abs(mine - other).max() / np.abs(mine).max()),
     }
     print(
-        f"{row['what']}: {row['projected_us']:.1f} us (target {TARGET_US:.0f}), {row['constraint_dynamics_us']:.1f} us; "
-        f"they differ by {row['relative_difference']:.1e}"
+        f"{row['what']}: {row['projected_us']:.1f} us (target {TARGET_US:.0f}), "
+        f"{row['constraint_dynamics_us']:.1f} us; they differ by {row['relative_difference']:.1e}"
     )
     return row
 

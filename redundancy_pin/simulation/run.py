@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
-from scipy.integrate import DOP853, RK45, OdeSolver
+from scipy.integrate import DOP853, RK45
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array
@@ -17,6 +16,8 @@ from redundancy_pin.simulation.control import Sampling
 from redundancy_pin.simulation.events import Event, Watcher
 from redundancy_pin.simulation.machine import Command, Machine
 from redundancy_pin.simulation.result import SimulationStatus, Statistics
+from redundancy_pin.simulation.schedule import SAME, Schedule
+from redundancy_pin.simulation.step import Step
 
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45}
 """Explicit Runge-Kutta methods of scipy of order 8 and 5. The lower order is cheaper where a sampled controller makes
@@ -39,41 +40,6 @@ _LITTLE_INERTIA = 1e-3
 
 GAP_LIMIT = 1e-9
 """Closure gap, m, that the projection must not leave."""
-
-
-class Step:
-    """An accepted step of an integrator, as a function of time.
-
-    Args:
-        solver: the integrator, after the step.
-        before: y and ẏ at the start of the step.
-    """
-
-    def __init__(self, solver: OdeSolver, before: tuple[Array, Array]) -> None:
-        self.start, self.end = float(solver.t_old), float(solver.t)
-        self._solver, self._before = solver, before
-        self._after: tuple[Array, Array] = (solver.y, solver.f)
-
-    @cached_property
-    def _dense(self) -> Callable[[float], Array]:
-        # three more evaluations: made only where something asks for it
-        interpolant: Callable[[float], Array] = self._solver.dense_output()
-        return interpolant
-
-    def __call__(self, t: float) -> Array:
-        """Return y at a time in the step, to the accuracy of the integrator."""
-        if t <= self.start:
-            return self._before[0]
-        return self._after[0] if t >= self.end else self._dense(t)
-
-    def guess(self, fraction: float) -> Array:
-        """Return y at a fraction of the step, from the cubic through y and ẏ at both ends: good enough to look."""
-        (y0, f0), (y1, f1) = self._before, self._after
-        x, h = fraction, self.end - self.start
-        if x == 1.0:
-            return y1
-        slope: Array = x * (1.0 - x) * h * ((1.0 - x) * f0 - x * f1)
-        return slope + y0 + (y1 - y0) * x * x * (3.0 - 2.0 * x)
 
 
 @dataclass(frozen=True)
@@ -141,7 +107,7 @@ class Run:
         self._machine, self._watcher, self._settings = machine, watcher, settings
         self._grid, self._sampling, self._breaks = grid, sampling, breaks
         self._record, self._first = Record(), first
-        self._same = _SAME * float(grid[1] - grid[0])
+        self._same = SAME * float(grid[1] - grid[0])
         self._events: list[Event] = []
         self._steps = self._restarts = self._next = self._short = 0
         self._correction = 0.0
@@ -179,17 +145,12 @@ class Run:
 
     def _sampled(self, sampling: Sampling, start: float, end: float) -> Iterator[tuple[float, float]]:
         """Yield the stretches between readings of the state, changes of the held efforts, and breaks."""
-        machine, same = self._machine, _SAME * sampling.period
-        count = max(1, int(np.ceil((end - start) / sampling.period - _SAME)))
-        reads: Array = start + sampling.period * np.arange(count, dtype=np.float64)
-        acts = reads + sampling.delay
-        commands = [self._first]
-        acting = 0
-        for left, right in itertools.pairwise(_merged([reads, acts, self._breaks], start, end, same)):
-            if len(commands) < len(reads) and reads[len(commands)] <= left + same:
+        machine, commands, acting = self._machine, [self._first], 0
+        schedule = Schedule(sampling, start, end)
+        for left, right in itertools.pairwise(schedule.edges(self._breaks)):
+            if schedule.reads(left) > len(commands):
                 commands.append(machine.checked_command(machine.state(left, self._y)))
-            while acting + 1 < len(commands) and acts[acting + 1] <= left + same:
-                acting += 1
+            acting = max(acting, min(schedule.acts(left), len(commands)) - 1)
             machine.held = commands[acting]
             yield left, right
 
@@ -298,15 +259,3 @@ class Run:
         self._record.y.append(projected)
         self._record.held.append(self._machine.held)
         self._record.gap.append(left)
-
-
-_SAME = 1e-9
-"""Instants closer than this fraction of a sampling period, or of the interval of the result's samples, are one."""
-
-
-def _merged(parts: Sequence[Array], start: float, end: float, same: float) -> list[float]:
-    """Return the sorted instants strictly between start and end, one of each group that is the same, with both ends."""
-    inner = np.sort(np.concatenate(parts))
-    inner = inner[(inner > start + same) & (inner < end - same)]
-    kept = inner[np.diff(inner, prepend=-np.inf) > same]
-    return [start, *kept.tolist(), end]
