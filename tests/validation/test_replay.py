@@ -1,11 +1,17 @@
 """Plans driven open loop through forward dynamics: the machine does what the plan says."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
-from redundancy_pin.simulation.feed_forward import FeedForward
-from redundancy_pin.simulation.state import State
+from redundancy_pin.simulation import FeedForward, State, closed_state, motion_reference
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulation"))
+import moving
 
 FOLLOWED = 1e-6
 """m and rad, as required; what is reached is 1e-11."""
@@ -92,3 +98,30 @@ def test_a_massless_crossing_follows_its_plan_up_to_the_singular_pose_and_says_w
     first = plan.diagnostics["singular_instants"][0]
     assert first - 1e-3 < run.t[-1] < first
     assert largest_error(run, drive.reference)[0] < FOLLOWED
+
+
+def rest_to_rest(robot):
+    """Return a motion of half a second from the reference pose, of any shipped robot."""
+    home = closed_state(robot).x
+    if home.ndim == 2:
+        end = home.copy()
+        end[:3, 3] += [0.08, -0.05, 0.06]
+        end[:3, :3] = Rotation.from_rotvec([0.2, -0.15, 0.3]).as_matrix() @ home[:3, :3]
+        return rp.trajectory.PoseTrajectory(home, end, rp.trajectory.RestToRest(1.0, duration=0.5))
+    path = rp.trajectory.Line(home, home + np.linspace(0.1, 0.15, len(home)))
+    return rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=0.5))
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "four_bar", "gough"])
+def test_efforts_of_a_parked_motion_move_any_robot_along_it(name):
+    robot = moving.massive(name)
+    trajectory = rest_to_rest(robot)
+    drive = FeedForward(motion_reference(robot, trajectory, 0.05 if robot.k else 0.0))
+    run = rp.simulate(robot, drive, dt=0.05)
+    assert run.status.value == "completed"
+    np.testing.assert_allclose(run.x, trajectory.evaluate(run.t).x, atol=FOLLOWED)
+    np.testing.assert_allclose(run.s, 0.05, atol=FOLLOWED)
+    # the force that holds a carrier is the one that driving it by motion takes
+    given = rp.simulate(robot, drive, dt=0.05, carriers="motion")
+    np.testing.assert_allclose(given.carrier_force, run.carrier_force, atol=1e-6)
+    np.testing.assert_allclose(given.tau, run.tau, atol=0.0)
