@@ -165,21 +165,17 @@ class ForwardDynamics:
         carrier = missing[self._carriers] if self.prescribed else force[self._carriers]
         return Acceleration(a, np.asarray(closure), np.asarray(carrier))
 
-    def reduced_mass(self, q: Array) -> Array:
-        """Return Nᵀ M N at a configuration (nq,), in the present independent velocities."""
-        self.acceleration_basis(q)
-        mass = pin.crba(self.robot.model, self.chain.data, q)
-        reduced: Array = blas.dgemm(1.0, self._basis, blas.dsymm(1.0, mass, self._basis), trans_a=1)
-        return reduced
+    def velocity_basis(self, q: Array) -> Array:
+        """Return N (nv, d) at a configuration (nq,): the tree velocities that the closures allow.
 
-    def acceleration_basis(self, q: Array) -> Array:
-        """Return N (nv, d): the tree velocities that the closures allow, per unit of each independent one."""
+        Its columns belong to the independent velocities of the present partition; ``adapt`` chooses one that suits q.
+        """
         self.chain.update(q, np.zeros(self.robot.model.nv))
         if self.chain.rows:
             jacobian = self.chain.jacobian()
             dependent, independent = self.partition.dependent, self.partition.independent
             self._basis[dependent] = -np.linalg.solve(jacobian[:, dependent], jacobian[:, independent])
-        return self._basis
+        return self._basis.copy()
 
     def _ill_posed(self, reduced: Array) -> IllPosedModelError:
         """Return the error that names the motion without inertia."""
@@ -194,20 +190,16 @@ class ForwardDynamics:
             if share[_columns(robot, j)].max() > 0.1 * share.max()
         ]
         masses = [name for name, value in robot.parameters.items() if name.endswith("_mass") and value == 0.0]
-        hint = f"Give it mass, for example load_robot({robot.name!r}, {masses[0]}=0.1). " if masses else ""
-        hint = (
-            f"Give it mass, for example load_robot({robot.name!r}, end_effector_mass=0.1). "
-            if "end_effector_mass" in masses
-            else hint
-        )
+        masses.sort(key=lambda name: name != "end_effector_mass")  # what such a machine lacks most often
+        example = f"for example load_robot({robot.name!r}, {masses[0]}=0.1)" if masses else "in its URDF"
         drive = (
-            "" if self.prescribed or not robot.k else 'Carriers driven by motion (carriers="motion") need less of it.'
+            "" if self.prescribed or not robot.k else ' Carriers driven by motion (carriers="motion") need less of it.'
         )
         return IllPosedModelError(
             f"A motion that the closures of {robot.name} leave free has no inertia: the mass matrix in independent "
             f"coordinates has condition number {condition:.3g}, so forces do not determine the acceleration of "
             f"{', '.join(moved)}.",
-            remedy=(hint or "Give every part that moves freely a mass. ") + drive,
+            remedy=f"Give it mass, {example}.{drive}",
             condition=condition,
             direction=direction.tolist(),
             joints=tuple(moved),

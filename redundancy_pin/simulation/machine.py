@@ -99,6 +99,8 @@ class Machine:
         """
         command = self.command(state)
         force = self._force(state, command)
+        if self._other is not None:  # the closure forces need a partition that suits the configuration
+            self.dynamics.adapt(state.q)
         acceleration = self._acceleration(state, force)
         return command, self.dynamics.forces(state.q, state.v, force, acceleration)
 

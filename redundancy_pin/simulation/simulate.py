@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.collect import collect
 from redundancy_pin.simulation.control import CarrierLaw, Constant, Controller, Drive, Sampling, limit
 from redundancy_pin.simulation.events import Watcher
 from redundancy_pin.simulation.feed_forward import FeedForward
 from redundancy_pin.simulation.machine import External, Machine, Way
+from redundancy_pin.simulation.reference import plan_reference
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.run import INTEGRATORS, Run, Settings
 from redundancy_pin.simulation.state import State, closed_state
@@ -133,7 +135,8 @@ def _controller(robot: Robot, drive: Plan | Controller | None) -> Controller:
     if drive is None:
         return Constant(np.zeros(robot.m), np.zeros(robot.k))
     if isinstance(drive, Plan):
-        return FeedForward(drive)
+        own = robot if robot_record(robot) == drive.robot else None
+        return FeedForward(plan_reference(drive, robot=own))
     if not callable(getattr(drive, "effort", None)):
         raise InputError(
             f"simulate was given {type(drive).__name__} for the drive.",

@@ -43,7 +43,7 @@ def random_states(robot: Robot, seed: int, count: int) -> list[State]:
         for i, limits in zip(robot.carrier_position, robot.carrier_limits, strict=True):
             q[i] = 0.5 * rng.uniform(limits.lower, limits.upper)
         dynamics.adapt(q)
-        basis = dynamics.acceleration_basis(q)
+        basis = dynamics.velocity_basis(q)
         v = basis @ rng.normal(size=basis.shape[1])
         states.append(State(ClosedChain(robot), 0.0, q, v))
     return states

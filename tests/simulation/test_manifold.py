@@ -46,7 +46,7 @@ def test_states_off_the_closures_are_brought_back_to_the_nearest_ones(name: str)
         np.testing.assert_array_equal(rate[robot.carrier_velocity], v[robot.carrier_velocity])
         # nearest: what was changed is normal, in scaled coordinates, to all that the closures allow
         dynamics.adapt(projected)
-        allowed = dynamics.acceleration_basis(projected)
+        allowed = dynamics.velocity_basis(projected)
         moved = pin.difference(robot.model, q, projected)
         assert np.abs(allowed.T @ (scale**2 * (rate - v))).max() < 1e-9 * np.abs(allowed).max()
         assert np.abs(allowed.T @ (scale**2 * moved)).max() < 100 * off**2 * np.abs(allowed).max()
