@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -216,35 +216,44 @@ class Run:
 
     def _look(self, step: Step) -> float | None:
         """Find events in a step; return the time of the first terminal one."""
-        nq = self._machine.robot.model.nq
-        before = self._watched
-        left = step.start
-        found: list[Event] = []
-        for look in _LOOKS if step.end - step.start > _BRIEF else _LOOKS[-1:]:
-            right = step.start + look * (step.end - step.start)
-            after = self._watcher.values(step.guess(look)[:nq])
-            for i in self._watcher.crossed(before, after):
-                watch = self._watcher.watches[i]
-                found.append(Event(watch.kind, watch.name, self._root(step, i, left, right), watch.terminal))
-            left, before = right, after
-        self._watched = before
-        for event in sorted(found, key=lambda event: event.t):
+        found, last = self._crossings(step, step.guess)
+        if found:  # look again on the integrator's own interpolant, which costs more
+            found, last = self._crossings(step, step.exactly)
+        self._watched = last
+        events = []
+        for i, left, right in found:
+            watch = self._watcher.watches[i]
+            events.append(Event(watch.kind, watch.name, self._root(step, i, left, right), watch.terminal))
+        for event in sorted(events, key=lambda event: event.t):
             self._events.append(event)
             if event.terminal:
                 return event.t
         return None
 
+    def _crossings(self, step: Step, at: Callable[[float], Array]) -> tuple[list[tuple[int, float, float]], Array]:
+        """Return which watched functions change sign between which fractions of a step, and their values at its end."""
+        nq = self._machine.robot.model.nq
+        left, before = 0.0, self._watched
+        found = []
+        for right in _LOOKS if step.end - step.start > _BRIEF else _LOOKS[-1:]:
+            after = self._watcher.values(at(right)[:nq])
+            found += [(i, left, right) for i in self._watcher.crossed(before, after)]
+            left, before = right, after
+        return found, before
+
     def _root(self, step: Step, index: int, left: float, right: float) -> float:
-        """Return when a watched function changes sign; the end that is nearer to it where rounding hides the change."""
+        """Return the time at which a watched function changes sign between two fractions of a step."""
         nq = self._machine.robot.model.nq
 
-        def value(t: float) -> float:
-            return float(self._watcher.values(step(t)[:nq])[index])
+        def value(fraction: float) -> float:
+            return float(self._watcher.values(step.exactly(fraction)[:nq])[index])
 
         at_left, at_right = value(left), value(right)
-        if at_left * at_right >= 0.0:
-            return left if abs(at_left) <= abs(at_right) else right
-        return float(brentq(value, left, right, xtol=1e-14, rtol=1e-14))
+        if at_left * at_right < 0.0:
+            fraction = float(brentq(value, left, right, xtol=1e-14, rtol=1e-14))
+        else:  # zero to rounding at one end: it starts or ends there
+            fraction = left if abs(at_left) <= abs(at_right) else right
+        return step.time(fraction)
 
     def _write_before(self, end: float, step: Step) -> None:
         """Record the grid times before ``end``; what happens at the end of a stretch belongs to the next."""

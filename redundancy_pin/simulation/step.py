@@ -35,6 +35,14 @@ class Step:
             return self._before[0]
         return self._after[0] if t >= self.end else self._dense(t)
 
+    def time(self, fraction: float) -> float:
+        """Return the time at a fraction of the step, s."""
+        return self.end if fraction == 1.0 else self.start + fraction * (self.end - self.start)
+
+    def exactly(self, fraction: float) -> Array:
+        """Return y at a fraction of the step, to the accuracy of the integrator."""
+        return self(self.time(fraction))
+
     def guess(self, fraction: float) -> Array:
         """Return y at a fraction of the step, from the cubic through y and ẏ at both ends: good enough to look."""
         (y0, f0), (y1, f1) = self._before, self._after
