@@ -16,7 +16,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.simulation.forward import ForwardDynamics
 from redundancy_pin.simulation.manifold import GAP, Manifold
-from redundancy_pin.simulation.state import closed_state
+from redundancy_pin.simulation.state import closed_state, tree_state
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "kinematics"))
 from spatial_chains import CHAINS, chain_of
@@ -71,3 +71,13 @@ def test_quaternions_are_brought_back_to_unit_length(tmp_path: Path) -> None:
     q[3:7] *= 1.001
     projected, *_ = Manifold(dynamics.chain).project(q, np.zeros(robot.model.nv))
     assert np.linalg.norm(projected[3:7]) == pytest.approx(1.0, abs=1e-15)
+
+
+def test_a_start_that_is_closed_to_a_micrometre_is_closed_before_the_first_step() -> None:
+    robot = moving.massive("3rrr")
+    state = moving.random_states(robot, 4, 1)[0]
+    q = state.q + 2e-7 * np.random.default_rng(1).normal(size=robot.model.nq)
+    assert np.abs(ConstraintSystem(robot).evaluate(q[None]).phi).max() > 1e-7
+    run = rp.simulate(robot, start=tree_state(robot, q, state.v), duration=0.1, stop_at=())
+    assert run.gap.max() < 1e-12
+    assert run.statistics.largest_correction < 1e-10
