@@ -10,6 +10,7 @@ PYTHON  ?=
 VENV    ?= .venv
 OUT     ?= results
 SAMPLES ?= 100000
+JOBS    ?= $(shell getconf _NPROCESSORS_ONLN)
 
 CANDIDATES := $(or $(PYTHON),python3.13 python3.12 python3.11 python3.10 python3)
 BIN        := $(VENV)/bin
@@ -27,7 +28,7 @@ TYPED    := import sys; sys.exit(sys.version_info < (3, 11))
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1 \2/p' Makefile | while read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
 	@echo
-	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES (of validate)."
+	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES and JOBS (of validate)."
 
 test: $(STAMP) ## lint, types, import contracts, tests (under five minutes on two cores)
 	$(BIN)/ruff check .
@@ -41,7 +42,7 @@ reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: resu
 	$(BIN)/redundancy-pin reproduce --out "$(OUT)"
 
 validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random states
-	$(BIN)/redundancy-pin validate --samples $(SAMPLES)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin validate --samples $(SAMPLES) --jobs $(JOBS)
 
 bench: $(STAMP) ## time the backends and planners
 	$(BIN)/python benchmarks/run.py
