@@ -258,7 +258,7 @@ def _described(path: FollowedPath, event: _Event, expected: SingularityKind) -> 
     else:
         uncontrolled = nothing if type_i else found.least_controlled[0]
     return Crossing(
-        time=event.t,
+        t=event.t,
         until=event.until,
         x=frozen(path.law.at(time)[0]),
         q=frozen(q[0]),
