@@ -25,7 +25,8 @@ __all__ = ["main"]
 def main() -> None:
     """Dynamics of parallel robots with internal redundancy.
 
-    Exit codes: 0 done, 1 a check failed, 2 bad input, 3 a plan breaks limits (one line on stderr says what).
+    Exit codes: 0 done, 1 a check failed, 2 bad input or no plan exists, 3 a plan breaks limits, 4 a plan keeps them but
+    is no optimum (one line on stderr says what).
     """
 
 
