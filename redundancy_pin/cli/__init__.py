@@ -8,6 +8,7 @@ import redundancy_pin
 from redundancy_pin.cli.errors import OneLineErrors
 from redundancy_pin.cli.info import info
 from redundancy_pin.cli.inverse_dynamics import inverse_dynamics
+from redundancy_pin.cli.map import map_command
 from redundancy_pin.cli.plan import plan
 from redundancy_pin.cli.reproduce import reproduce
 from redundancy_pin.cli.singularities import singularities
@@ -38,6 +39,6 @@ def _keep_lines(command: click.Command) -> None:
             _keep_lines(part)
 
 
-for _command in (reproduce, inverse_dynamics, singularities, plan, validate, info):
+for _command in (reproduce, inverse_dynamics, singularities, plan, map_command, validate, info):
     main.add_command(_command)
 _keep_lines(main)

@@ -103,13 +103,7 @@ def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory
     Raises:
         InputError: as ``make_trajectory``, a pair that cannot be read, or a key given twice.
     """
-    name, _, rest = text.partition(":")
-    options: dict[str, Any] = {}
-    for pair in filter(None, rest.split(",")):
-        key, separator, value = pair.partition("=")
-        if not separator:
-            raise InputError(f"{pair!r} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
-        options[key.strip()] = value.strip()
+    name, options = split_trajectory(text)
     for key, number in flags.items():
         if number is None:
             continue
@@ -117,6 +111,22 @@ def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory
             raise InputError(f"{key} of the {name} is given twice.", remedy="Leave one of them out.", key=key)
         options[key] = number
     return make_trajectory(name, options)
+
+
+def split_trajectory(text: str) -> tuple[str, dict[str, Any]]:
+    """Return the name and the options, as text, of ``name:key=value,...``.
+
+    Raises:
+        InputError: a pair that cannot be read.
+    """
+    name, _, rest = text.partition(":")
+    options: dict[str, Any] = {}
+    for pair in filter(None, rest.split(",")):
+        key, separator, value = pair.partition("=")
+        if not separator:
+            raise InputError(f"{pair!r} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
+        options[key.strip()] = value.strip()
+    return name, options
 
 
 def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:
