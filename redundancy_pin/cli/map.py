@@ -80,8 +80,8 @@ def map_command(**given: Any) -> int:
     r"""What a machine can do: two parameters swept.
 
     Every cell of a grid goes to the planner of the thesis and to the whole-trajectory planner. The pictures show side
-    by side where they find a plan within every limit, its peak effort, and which limit is in the way elsewhere. Axes are
-    keys of the trajectory (speed, radius, ramp_time, ...), limits (stroke, max_speed, max_acceleration, max_jerk,
+    by side where they find a plan within every limit, its peak effort, and which limit is in the way elsewhere. Axes
+    are keys of the trajectory (speed, radius, ramp_time, ...), limits (stroke, max_speed, max_acceleration, max_jerk,
     max_effort, max_carrier_force), and numeric arguments of the robot (carrier_mass, ...).
 
     Finished cells are kept in FOLDER/journal.jsonl: after an interruption the same command goes on where it was.

@@ -199,7 +199,7 @@ def _draw_border(axes: Axes, segments: Array, *, own: bool) -> None:
         return
     for color, width in (("#FFFFFF", 4.2), ("#000000", 2.4)) if own else (("#FFFFFF", 2.2), ("#000000", 1.1)):
         dashed = not own and color == "#000000"
-        lines = LineCollection(segments, colors=color, linewidths=width, zorder=2.2 if own else 2.0)
+        lines = LineCollection(list(segments), colors=color, linewidths=width, zorder=2.2 if own else 2.0)
         lines.set(linestyle=(0, (4, 2)) if dashed else "solid", capstyle="butt" if dashed else "projecting")
         axes.add_collection(lines)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import Enum
@@ -76,7 +77,11 @@ class Cell:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON."""
-        return {**asdict(self), "verdict": self.verdict.value, "limits": list(self.limits)}
+        data = {**asdict(self), "verdict": self.verdict.value, "limits": list(self.limits)}
+        # JSON knows neither NaN nor infinity
+        return {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in data.items()
+        }
 
 
 def cell_from(data: Mapping[str, Any]) -> Cell:

@@ -131,7 +131,8 @@ def _check_header(path: Path, line: bytes, identity: Mapping[str, Any]) -> None:
 
 
 def _difference(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    for name in sorted({*then, *now}):
+    # the fingerprint of the machine says least, and changes along with others
+    for name in sorted({*then, *now}, key=lambda key: (key == "machine", key)):
         if then.get(name) != now.get(name):
-            return f"its {name} was {then.get(name)!r}, and is now {now.get(name)!r}"
-    return "its fingerprint does not fit what it says"
+            return f"for {name} it has {then.get(name)!r}, now it is {now.get(name)!r}"
+    return "its header does not fit itself"

@@ -7,6 +7,7 @@ import multiprocessing
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +61,13 @@ def feasibility_map(
         InputError: an axis that is no parameter of the robot, the trajectory or the limits; a parameter that a planner
             does not take; or a robot or trajectory that cannot be made at any corner of the map.
         OutputError: the journal is of another problem, damaged, or cannot be written.
-        RedundancyPinError: joblib is not installed, or the robot does not load.
+        RedundancyPinError: joblib is not installed, the robot does not load, or a worker process dies.
     """
     joblib()
     if along not in ("x", "y") or int(refine) != refine or refine < 0:
         raise InputError(f"along is {along!r}, refine is {refine}.", remedy='Pass "x" or "y", and a whole number.')
+    if jobs == 0:
+        raise InputError("jobs is 0.", remedy="Pass the number of processes, or -1 for all cores.")
     robot = problem.loaded
     require_axes(problem, robot.parameters)
     require_parameters(problem)
@@ -169,15 +172,25 @@ def _computed(problem: MapProblem, keys: Sequence[Key], jobs: int | None) -> Ite
         found = parallel(calls)
         try:
             yield from found
+        except BrokenProcessPool as error:
+            raise RedundancyPinError(
+                "A worker process died while it computed a cell; it may have run out of memory.",
+                remedy="Run again with fewer jobs: finished cells are taken over from the journal.",
+            ) from error
         finally:
             found.close()
 
 
 def _in_worker(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
+    ignore_interrupts()
+    return compute(problem, planner, x, y)
+
+
+def ignore_interrupts() -> None:
+    """Let a worker process leave Ctrl-C to its parent; nothing in a process that is none."""
     if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
         # Ctrl-C reaches the whole group of processes; the parent stops its workers itself
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return compute(problem, planner, x, y)
 
 
 def _tell(progress: Progress | None, done: int, total: int, what: str) -> None:
