@@ -35,6 +35,7 @@ from redundancy_pin.experiments.feasibility import (
     write_map,
 )
 from redundancy_pin.experiments.feasibility.result import Direction
+from redundancy_pin.experiments.feasibility.sweep import require_sense
 from redundancy_pin.experiments.feasibility.written import JOURNAL, make_folder
 from redundancy_pin.visualisation.style import require_matplotlib
 
@@ -94,6 +95,8 @@ def map_command(**given: Any) -> int:
     """
     problem = problem_of(given)
     require_matplotlib()
+    along = _direction(given["along"])
+    require_sense(problem, jobs=given["jobs"], refine=given["refine"], along=along)
     folder = make_folder(given["out"] or f"map-{Path(problem.robot).stem}")
     done = [0, 0]
     try:
@@ -108,7 +111,7 @@ def map_command(**given: Any) -> int:
                 folder / JOURNAL,
                 jobs=given["jobs"],
                 refine=given["refine"],
-                along=_direction(given["along"]),
+                along=along,
                 progress=tell,
             )
     except KeyboardInterrupt:

@@ -63,15 +63,7 @@ def feasibility_map(
         OutputError: the journal is of another problem, damaged, or cannot be written.
         RedundancyPinError: joblib is not installed, the robot does not load, or a worker process dies.
     """
-    joblib()
-    if along not in ("x", "y") or int(refine) != refine or refine < 0:
-        raise InputError(f"along is {along!r}, refine is {refine}.", remedy='Pass "x" or "y", and a whole number.')
-    if jobs == 0:
-        raise InputError("jobs is 0.", remedy="Pass the number of processes, or -1 for all cores.")
-    robot = problem.loaded
-    require_axes(problem, robot.parameters)
-    require_parameters(problem)
-    _require_some_corner(problem)
+    robot = require_sense(problem, jobs=jobs, refine=refine, along=along)
     known: dict[Key, Cell] = {}
     with contextlib.ExitStack() as stack:
         put = None
@@ -97,6 +89,30 @@ def feasibility_map(
     order = {planner: number for number, planner in enumerate(problem.planners)}
     cells = sorted((known[key] for key in wanted), key=lambda cell: (order[cell.planner], cell.x, cell.y))
     return FeasibilityMap(problem, tuple(cells), along)
+
+
+def require_sense(problem: MapProblem, *, jobs: int | None, refine: int, along: Direction) -> Robot:
+    """Check everything that can be checked before the first cell, and return the robot.
+
+    Args:
+        problem: what the map is of.
+        jobs: see ``feasibility_map``.
+        refine: the same.
+        along: the same.
+
+    Raises:
+        RedundancyPinError: as ``feasibility_map``.
+    """
+    joblib()
+    if along not in ("x", "y") or int(refine) != refine or refine < 0:
+        raise InputError(f"along is {along!r}, refine is {refine}.", remedy='Pass "x" or "y", and a whole number.')
+    if jobs == 0:
+        raise InputError("jobs is 0.", remedy="Pass the number of processes, or -1 for all cores.")
+    robot = problem.loaded
+    require_axes(problem, robot.parameters)
+    require_parameters(problem)
+    _require_some_corner(problem)
+    return robot
 
 
 def fingerprint(robot: Robot) -> str:
