@@ -18,7 +18,7 @@ from redundancy_pin.experiments.feasibility import (
     spaced,
     write_map,
 )
-from redundancy_pin.experiments.feasibility.pictured import draw, tiles
+from redundancy_pin.experiments.feasibility.pictured import axis_label, draw, tiles
 from redundancy_pin.visualisation.feasibility_map import MapLabels, MapPanel, Tile, border_of, plot_feasibility
 
 pytest.importorskip("matplotlib")
@@ -185,6 +185,19 @@ def test_titles_and_axes_name_what_is_drawn() -> None:
     assert left.get_ylabel() == "stroke of the carriers [m]"
     assert drawn.axes[2].get_ylabel() == "peak main effort [N·m]"
     assert "X other (see the table)" in " ".join(text.get_text() for text in drawn.legends[0].get_texts())
+
+
+def test_units_of_axes() -> None:
+    for name, says in (
+        ("max_effort", "limit: main efforts [N]"),
+        ("max_speed", "limit: speed of the carriers [m/s]"),
+        ("max_jerk", "limit: jerk of the carriers [m/s³]"),
+        ("carrier_mass", "carrier mass [kg]"),
+        ("ramp_time", "ramp time [s]"),
+        ("radius", "radius [m]"),
+        ("platform_inertia", "platform inertia [kg·m²]"),
+    ):
+        assert axis_label(name, "N") == says
 
 
 def test_a_map_without_any_plan_can_be_drawn() -> None:

@@ -9,6 +9,7 @@ from redundancy_pin.experiments.feasibility.cell import Cell, Verdict
 from redundancy_pin.experiments.feasibility.planning import tries
 from redundancy_pin.experiments.feasibility.problem import LIMITS, WHOLE, MapProblem
 from redundancy_pin.experiments.feasibility.result import FeasibilityMap, axis_of, place
+from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.visualisation.feasibility_map import Kind, MapLabels, MapPanel, Tile, plot_feasibility
 
 if TYPE_CHECKING:
@@ -40,13 +41,15 @@ _MEANINGS: Mapping[str, str] = {
 
 _UNITS: Mapping[str, str] = {
     "speed": "m/s",
-    "ramp_time": "s",
+    "time": "s",
     "alpha": "rad",
-    "max_speed": "m/s",
-    "max_acceleration": "m/s²",
-    "max_jerk": "m/s³",
-    "max_carrier_force": "N",
+    "acceleration": "m/s²",
+    "jerk": "m/s³",
+    "force": "N",
+    "mass": "kg",
+    "inertia": "kg·m²",
 }
+"""Units by the last word of a name; what is not listed is a length."""
 
 _KINDS: Mapping[Verdict, Kind] = {
     Verdict.FEASIBLE: "feasible",
@@ -80,9 +83,9 @@ def draw(found: FeasibilityMap) -> Figure:
 
 def tiles(found: FeasibilityMap, planner: str) -> tuple[Tile, ...]:
     """Return a tile around each cell of a planner: lines along the axis of the border meet half way between cells."""
-    along, across = found.along, "x" if found.along == "y" else "y"
+    along = found.along
     lines = found.lines(planner)
-    sides = axis_of(found.problem, "x" if across == "x" else "y").edges(list(lines))
+    sides = axis_of(found.problem, "y" if along == "x" else "x").edges(list(lines))
     axis = axis_of(found.problem, along)
     made = []
     for (cells, left), right in zip(zip(lines.values(), sides[:-1], strict=True), sides[1:], strict=True):
@@ -95,7 +98,7 @@ def tiles(found: FeasibilityMap, planner: str) -> tuple[Tile, ...]:
 
 def axis_label(name: str, effort: str) -> str:
     """Return what to write on an axis: the parameter and its unit."""
-    unit = effort if name == "max_effort" else _UNITS.get(name, "kg" if name.endswith("mass") else "m")
+    unit = effort if name == "max_effort" else _UNITS.get(name.rpartition("_")[2], "m")
     known = {"stroke": "stroke of the carriers", "speed": "speed of the platform"}
     shown = known.get(name, f"limit: {LIMITS[name].split(',')[0]}" if name in LIMITS else name.replace("_", " "))
     return f"{shown} [{unit}]"
@@ -103,9 +106,8 @@ def axis_label(name: str, effort: str) -> str:
 
 def effort_unit(problem: MapProblem) -> str:
     """Return the unit of the main efforts."""
-    robot = problem.loaded
-    joints = robot.model.joints
-    turning = ["R" in str(joints[robot.model.getJointId(name)].shortname())[10:] for name in robot.actuated]
+    robot = robot_record(problem.loaded)
+    turning = [name in robot.rotating for name in robot.actuated]
     return "N·m" if all(turning) else "N or N·m" if any(turning) else "N"
 
 

@@ -71,11 +71,10 @@ def feasibility_map(
             book = stack.enter_context(open_journal(journal, {**problem.identity(), "machine": fingerprint(robot)}))
             known.update(book.cells)
             put = book.add
-        grid = grid_keys(problem)
-        wanted = list(grid)
+        wanted = grid_keys(problem)
         for level in range(int(refine) + 1):
             if level:
-                wanted += [key for key in _between(problem, wanted, known, along) if key not in set(wanted)]
+                wanted += list(_between(problem, wanted, known, along))
             missing = [key for key in wanted if key not in known]
             what = f"border {level} of {refine}" if level else "grid"
             done = len(wanted) - len(missing)
