@@ -20,7 +20,6 @@ from redundancy_pin.cli.plan_trajectory import split_trajectory
 from redundancy_pin.cli.plan_values import number
 from redundancy_pin.errors import InputError
 from redundancy_pin.experiments.backends import BACKENDS, RNEA, VIRTUAL_WORK
-from redundancy_pin.experiments.experiment import PATHS
 from redundancy_pin.experiments.feasibility import (
     LIMITS,
     OTHER,
@@ -37,6 +36,7 @@ from redundancy_pin.experiments.feasibility import (
 from redundancy_pin.experiments.feasibility.result import Direction
 from redundancy_pin.experiments.feasibility.sweep import require_sense
 from redundancy_pin.experiments.feasibility.written import JOURNAL, make_folder
+from redundancy_pin.experiments.trajectories import TRAJECTORIES
 from redundancy_pin.visualisation.style import require_matplotlib
 
 
@@ -53,7 +53,7 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option(
     "--trajectory",
     metavar="NAME[:KEY=VALUE,...]",
-    help=f"Motion: {', '.join(PATHS)}; ramps are v T / 2 long unless ramp_length is given.",
+    help=f"Motion: {', '.join(TRAJECTORIES)}; points are written as points=0.2 0.4;0.3 0.4.",
 )
 @click.option("--x", "x_text", metavar="AXIS", help="NAME=LOW:HIGH:COUNT, with :log at its end for a logarithmic one.")
 @click.option("--y", "y_text", metavar="AXIS", help="The same, or NAME=V,V,...: values one by one.")
@@ -157,7 +157,7 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
         x=x,
         y=y,
         trajectory=name,
-        options={key: number(key, value) for key, value in options.items()},
+        options={key: _option(key, value) for key, value in options.items()},
         settings=dict(parse_setting(text) for text in given["settings"]),
         mode=() if given["mode"] is None else parse_mode(given["mode"]),
         gravity=None if given["gravity"] is None else parse_vector(given["gravity"]),
@@ -166,6 +166,15 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
         planners=given["planners"] or (preset.thesis, WHOLE),
         parameters={planner: _read(planner, values) for planner, values in parameters.items()},
     )
+
+
+def _option(key: str, text: str) -> Any:
+    """Return an option of a trajectory: a number, true or false, or rows of them such as ``0.2 0.4; 0.3 0.4``."""
+    if text in ("true", "false"):
+        return text == "true"
+    if ";" in text:
+        return [[number(key, value) for value in row.split()] for row in text.split(";")]
+    return number(key, text)
 
 
 def _parameter(text: str) -> tuple[str, str, str]:

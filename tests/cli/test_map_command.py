@@ -199,6 +199,19 @@ def test_what_is_given_replaces_what_is_usual() -> None:
     }
 
 
+def test_a_path_of_ones_own(computed: list[Any]) -> None:
+    path = "points:points=1.0 0.4;1.02 0.5;0.95 0.6,ramp_time=0.2,alpha=0.1"
+    problem = _problem("--robot", "3rrr", "--trajectory", path)
+    assert problem.options == {"points": [[1.0, 0.4], [1.02, 0.5], [0.95, 0.6]], "ramp_time": 0.2, "alpha": 0.1}
+    call("map", "--robot", "3rrr", "--trajectory", path, "--x", "speed=0.1,0.2", "--jobs", "1", "--refine", "0")
+    assert {x for _, x, _ in computed} == {0.1, 0.2}
+    from redundancy_pin.experiments.feasibility.machine import machine
+
+    x = machine(problem, 0.1, 1.0).trajectory.sample(0.01).x
+    assert x[0].tolist() == pytest.approx([1.0, 0.4, 0.1])
+    assert x[-1].tolist() == pytest.approx([0.95, 0.6, 0.1])
+
+
 def test_a_usual_limit_gives_way_to_an_axis_and_to_none() -> None:
     assert _problem("--robot", "3rrr", "--y", "max_effort=1:5:3").limits == {}
     assert _problem("--robot", "3rrr", "--max-effort", "inf").limits == {}
@@ -218,6 +231,8 @@ BAD: dict[str, tuple[tuple[str, ...], str]] = {
     "axis fixed in the trajectory": (("--trajectory", "corner:speed=1"), "has the fixed value"),
     "unknown trajectory": (("--trajectory", "coner"), "Did you mean 'corner'"),
     "key that is text": (("--trajectory", "corner:radius=big"), "radius is 'big'"),
+    "points that are none": (("--trajectory", "points:points=1 2;3,ramp_time=1"), "points"),
+    "option that is missing": (("--trajectory", "points:points=1 2;3 4"), "lacks the option 'ramp_time'"),
     "pair that is none": (("--trajectory", "corner:radius"), "KEY=VALUE"),
     "limit that is text": (("--max-effort", "big"), "big"),
     "limit below zero": (("--max-effort", "-1"), "positive"),

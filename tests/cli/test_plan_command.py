@@ -15,9 +15,9 @@ from command_line import call, refused, write_motion
 
 import redundancy_pin as rp
 from redundancy_pin.cli.plan_parameters import STEPWISE, SWITCH_OFF, WHOLE_TRAJECTORY
-from redundancy_pin.cli.plan_trajectory import TRAJECTORIES
 from redundancy_pin.cli.plan_values import number, numbers
 from redundancy_pin.errors import InputError
+from redundancy_pin.experiments.trajectories import TRAJECTORIES
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.stepwise import plan_stepwise
 from redundancy_pin.planners.switch_off import plan_switch_off

@@ -180,7 +180,7 @@ def test_the_same_map_gives_the_same_files(tmp_path: Path) -> None:
 def test_titles_and_axes_name_what_is_drawn() -> None:
     drawn = draw(_map("x"))
     left, right = drawn.axes[:2]
-    assert (left.get_title(), right.get_title()) == ("stepwise", "whole trajectory: least effort")
+    assert (left.get_title(), right.get_title()) == ("stepwise: λ 0, 0.5, 1", "whole trajectory: least effort")
     assert left.get_xlabel() == "speed of the platform [m/s]"
     assert left.get_ylabel() == "stroke of the carriers [m]"
     assert drawn.axes[2].get_ylabel() == "peak main effort [N·m]"

@@ -66,7 +66,7 @@ def judge(planner: str, plan: Plan, made: Machine) -> Cell:
         return replace(
             cell, verdict=Verdict.FAILED, message=f"Between the nodes the efforts reach {between:.4g}: not resolved."
         )
-    early = plan.status is not PlanStatus.WITHIN_LIMITS
+    early = plan.status is PlanStatus.STOPPED_EARLY
     verdict = Verdict.STOPPED_EARLY if early else Verdict.FEASIBLE
     message = f"The solver says {plan.diagnostics.get('solver')}." if early else ""
     return replace(cell, verdict=verdict, limits=_binding(plan, peak, made), message=message)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.experiments.backends import BACKENDS
-from redundancy_pin.experiments.experiment import PATHS
 from redundancy_pin.experiments.feasibility.problem import MapProblem
 from redundancy_pin.experiments.feasibility.robots import loaded
+from redundancy_pin.experiments.trajectories import TRAJECTORIES
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory import Trajectory
 
@@ -74,14 +75,14 @@ def with_limits(own: CarrierLimits, limits: Mapping[str, float]) -> CarrierLimit
     return replace(own, **changed)
 
 
-def make_trajectory(name: str, options: Mapping[str, float]) -> Trajectory:
-    """Return a reference trajectory; its speed ramps are v T / 2 long (3-4-5 in speed) unless a length is given.
+def make_trajectory(name: str, options: Mapping[str, Any]) -> Trajectory:
+    """Return a trajectory; its speed ramps are v T / 2 long (3-4-5 in speed) unless a length is given.
 
     Raises:
         InputError: options that it does not take or that are out of their domain.
     """
-    make: Callable[..., Trajectory] = PATHS[name]  # type: ignore[index]
-    if "ramp_length" not in options:
+    make = TRAJECTORIES[name]
+    if name == "circle" and "ramp_length" not in options:  # the others have such ramps anyway
         defaults = inspect.signature(make).parameters
         speed, ramp_time = (options.get(key, defaults[key].default) for key in ("speed", "ramp_time"))
         options = {**options, "ramp_length": 0.5 * speed * ramp_time}

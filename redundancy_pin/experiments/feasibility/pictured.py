@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from redundancy_pin.experiments.feasibility.cell import Cell, Verdict
 from redundancy_pin.experiments.feasibility.planning import tries
-from redundancy_pin.experiments.feasibility.problem import LIMITS, WHOLE, MapProblem
+from redundancy_pin.experiments.feasibility.problem import LIMITS, SWITCH_OFF, WHOLE, MapProblem
 from redundancy_pin.experiments.feasibility.result import FeasibilityMap, axis_of, place
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.visualisation.feasibility_map import Kind, MapLabels, MapPanel, Tile, plot_feasibility
@@ -24,6 +24,8 @@ MARKS: Mapping[str, str] = {
     "effort": "E",
     "end": "D",
     "workspace": "W",
+    "margin": "S",
+    "singular_pose": "S",
 }
 """Letters of the limits in the picture; X for any other."""
 
@@ -36,6 +38,7 @@ _MEANINGS: Mapping[str, str] = {
     "E": "main effort",
     "D": "state at the end",
     "W": "workspace",
+    "S": "singularity",
     "X": "other (see the table)",
 }
 
@@ -98,10 +101,14 @@ def tiles(found: FeasibilityMap, planner: str) -> tuple[Tile, ...]:
 
 def axis_label(name: str, effort: str) -> str:
     """Return what to write on an axis: the parameter and its unit."""
-    unit = effort if name == "max_effort" else _UNITS.get(name.rpartition("_")[2], "m")
     known = {"stroke": "stroke of the carriers", "speed": "speed of the platform"}
     shown = known.get(name, f"limit: {LIMITS[name].split(',')[0]}" if name in LIMITS else name.replace("_", " "))
-    return f"{shown} [{unit}]"
+    return f"{shown} [{unit_of(name, effort)}]"
+
+
+def unit_of(name: str, effort: str) -> str:
+    """Return the unit of a parameter, given that of the main efforts."""
+    return effort if name == "max_effort" else _UNITS.get(name.rpartition("_")[2], "m")
 
 
 def effort_unit(problem: MapProblem) -> str:
@@ -118,15 +125,16 @@ def panel_title(problem: MapProblem, planner: str) -> str:
         objective = problem.parameters.get(WHOLE, {}).get("objective", "effort")
         words = objective if isinstance(objective, str) else ", ".join(f"{w:g} {n}" for n, w in objective.items())
         return f"{said}: least {words}"
-    thresholds = sorted({settings["threshold"] for settings in tries(problem, planner) if "threshold" in settings})
-    return f"{said}: threshold {', '.join(f'{value:g}' for value in thresholds)}" if thresholds else said
+    key, symbol = ("threshold", "threshold") if planner == SWITCH_OFF else ("lam", "λ")
+    values = sorted({settings[key] for settings in tries(problem, planner)})
+    return f"{said}: {symbol} {', '.join(f'{value:g}' for value in values)}"
 
 
 def _title(problem: MapProblem) -> str:
+    effort = effort_unit(problem)
     fixed = {**problem.options, **problem.settings, **problem.limits}
-    rest = ", ".join(
-        f"{name.replace('_', ' ')} {value:g}" for name, value in fixed.items() if not isinstance(value, str)
-    )
+    numbers = {name: value for name, value in fixed.items() if type(value) in (int, float)}
+    rest = ", ".join(f"{name.replace('_', ' ')} {value:g} {unit_of(name, effort)}" for name, value in numbers.items())
     return f"{problem.robot}, {problem.trajectory}{f' ({rest})' if rest else ''}: what the machine can do"
 
 

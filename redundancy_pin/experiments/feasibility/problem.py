@@ -13,9 +13,9 @@ from typing import Any
 
 from redundancy_pin.errors import InputError
 from redundancy_pin.experiments.backends import BACKENDS, VIRTUAL_WORK
-from redundancy_pin.experiments.experiment import PATHS
 from redundancy_pin.experiments.feasibility.axis import Axis
 from redundancy_pin.experiments.feasibility.robots import loaded
+from redundancy_pin.experiments.trajectories import TRAJECTORIES
 from redundancy_pin.robot import Robot
 
 LIMITS: Mapping[str, str] = {
@@ -40,8 +40,9 @@ class MapProblem:
     Attributes:
         robot: a shipped robot or the path of a declaration.
         x, y: the two parameters.
-        trajectory: a reference trajectory, a key of ``PATHS``.
-        options: its options, numbers; speed ramps are v T / 2 long unless ``ramp_length`` is given.
+        trajectory: a key of ``TRAJECTORIES``: a path of the thesis, or points or a polygon of the user's own.
+        options: its options: numbers, and lists of numbers for points and vertices; speed ramps are v T / 2 long unless
+            ``ramp_length`` is given.
         settings: arguments of the robot.
         mode: working mode, ±1 a leg; the robot's own when empty.
         gravity: (3,) m/s²; the robot's own when left out.
@@ -58,7 +59,7 @@ class MapProblem:
     x: Axis
     y: Axis
     trajectory: str
-    options: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Value] = field(default_factory=dict)
     mode: tuple[int, ...] = ()
     gravity: tuple[float, ...] | None = None
@@ -68,14 +69,18 @@ class MapProblem:
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _require(self.trajectory, tuple(PATHS), "trajectory")
+        _require(self.trajectory, tuple(TRAJECTORIES), "trajectory")
         _require(self.backend, tuple(BACKENDS), "backend")
         for name in (*self.planners, *self.parameters):
             _require(name, (SWITCH_OFF, STEPWISE, WHOLE), "planner")
         if not self.planners or len(set(self.planners)) < len(self.planners):
             raise InputError(f"The planners are {self.planners}.", remedy="Name each planner once, at least one.")
+        keys = inspect.signature(TRAJECTORIES[self.trajectory]).parameters
         for name in self.options:
-            _require(name, self.trajectory_keys, f"option of the {self.trajectory}")
+            _require(name, tuple(keys), f"option of the {self.trajectory}")
+        for name, key in keys.items():
+            if key.default is key.empty and name not in (*self.options, self.x.name, self.y.name):
+                raise InputError(f"The {self.trajectory} lacks the option {name!r}.", remedy=f"Add {name}.", name=name)
         for name in self.limits:
             _require(name, tuple(LIMITS), "limit")
         if self.x.name == self.y.name:
@@ -89,6 +94,8 @@ class MapProblem:
                     )
         positive = {**self.options, **self.limits} | {axis.name: axis.values[0] for axis in (self.x, self.y)}
         for name, value in positive.items():
+            if isinstance(value, (bool, list, tuple)):  # points, vertices, closed
+                continue
             if name in (*self.trajectory_keys, *LIMITS) and name != "alpha" and not value > 0.0:
                 raise InputError(f"{name} is {value}, expected a positive number.", remedy=_meaning(name), name=name)
             if not math.isfinite(value):
@@ -111,9 +118,10 @@ class MapProblem:
     @property
     def trajectory_keys(self) -> tuple[str, ...]:
         """Options of the trajectory that are numbers."""
-        return tuple(name for name in inspect.signature(PATHS[self.trajectory]).parameters if name != "start")  # type: ignore[index]
+        keys = inspect.signature(TRAJECTORIES[self.trajectory]).parameters
+        return tuple(name for name in keys if name not in ("start", "points", "vertices", "closed"))
 
-    def at(self, x: float, y: float) -> tuple[dict[str, Value], dict[str, float], dict[str, float]]:
+    def at(self, x: float, y: float) -> tuple[dict[str, Value], dict[str, Any], dict[str, float]]:
         """Return the arguments of the robot, the options of the trajectory and the limits of a cell."""
         robot, trajectory, limits = dict(self.settings), dict(self.options), dict(self.limits)
         for axis, value in ((self.x, x), (self.y, y)):
