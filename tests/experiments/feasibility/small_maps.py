@@ -15,7 +15,7 @@ def crossing(**changes: Any) -> MapProblem:
     given: dict[str, Any] = {
         "robot": "2rpr",
         "x": Axis("speed", (0.4, 0.8, 2.0)),
-        "y": Axis("stroke", (0.05, 0.3, 1.0)),
+        "y": Axis("stroke", (0.05, 0.2, 1.0)),
         "trajectory": "circle",
         "planners": (SWITCH_OFF, WHOLE),
         "parameters": COARSE,

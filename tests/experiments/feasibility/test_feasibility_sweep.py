@@ -304,7 +304,7 @@ def test_progress_counts_every_cell(asked: list[Key]) -> None:
 
 @pytest.mark.parametrize("along", ["x", "y"])
 def test_the_border_is_bisected(along: Any, asked: list[Key]) -> None:
-    problem = crossing(x=Axis("speed", (0.15, 0.2, 0.29)), planners=(WHOLE,))
+    problem = crossing(x=Axis("speed", (0.12, 0.17, 0.29)), planners=(WHOLE,))
     for refine in (0, 3):
         found = feasibility_map(problem, jobs=1, refine=refine, along=along)
         border = found.border(WHOLE)

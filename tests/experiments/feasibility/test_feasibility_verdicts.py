@@ -228,6 +228,20 @@ def test_a_plan_without_finite_efforts_is_none(planned: tuple[Plan, Any]) -> Non
     assert (cell.verdict, cell.limits) == (Verdict.INFEASIBLE, ("effort",))
 
 
+def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
+    """The crossing of the thesis leaves the track and exceeds the acceleration limit; the worst is told first."""
+    made = machine(crossing(), 0.5, 0.4)
+    plan = rp.plan_switch_off(made.dynamics, made.trajectory, threshold=5.0)
+    assert plan.status is PlanStatus.VIOLATES_LIMITS
+    cell = judge(SWITCH_OFF, plan, made)
+    assert cell.verdict is Verdict.INFEASIBLE
+    assert set(cell.limits) == {event.quantity for event in plan.limits.violated} == {"track", "acceleration"}
+    worst = max(plan.limits.violated, key=lambda event: abs(event.value / event.limit))
+    assert (cell.limits[0], cell.carrier, cell.time) == (worst.quantity, worst.carrier, worst.worst)
+    assert cell.amount == pytest.approx(abs(worst.value - worst.limit))
+    assert f"{worst.quantity} of {worst.carrier} by {worst.amount:.4g}" in cell.message
+
+
 def test_a_plan_beyond_the_effort_limit_is_none(planned: tuple[Plan, Any]) -> None:
     plan, made = planned
     peak = float(plan.peak_effort.max())
