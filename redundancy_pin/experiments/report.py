@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from rich.table import Table as TerminalTable
 
 from redundancy_pin.crosscheck import CrossCheckReport
+from redundancy_pin.experiments.beyond.sections import chapter
+from redundancy_pin.experiments.beyond.study import Beyond
 from redundancy_pin.experiments.document import (
     Block,
     Bullets,
@@ -71,7 +73,11 @@ def judged_table(study: Study) -> TerminalTable:
 
 
 def report(
-    results: Sequence[Result], check: CrossCheckReport, compared: Sequence[Compared], study: Study | None = None
+    results: Sequence[Result],
+    check: CrossCheckReport,
+    compared: Sequence[Compared],
+    study: Study | None = None,
+    beyond: Beyond | None = None,
 ) -> list[Block]:
     """Return the report as blocks, to be written as Markdown or HTML.
 
@@ -80,6 +86,7 @@ def report(
         check: the cross-check.
         compared: statements about these motions.
         study: the planned experiments; None if they were not run.
+        beyond: the chapter beyond the thesis; None if it was not run.
     """
     return [
         Heading("Results: internal redundancy in parallel manipulators", 1),
@@ -89,6 +96,7 @@ def report(
         ),
         Paragraph("Made with " + ", ".join(f"{name} {version}" for name, version in versions().items()) + "."),
         *(findings(study) if study else ()),
+        *(chapter(beyond) if beyond else ()),
         Heading("Cross-check of the backends on random states"),
         _cross_check(check),
         Heading("Motions without a planner"),

@@ -9,7 +9,7 @@ from redundancy_pin.experiments.beyond.tasks import Task
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off import plan_switch_off
 from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
-from redundancy_pin.planners.whole_trajectory_settings import Objective
+from redundancy_pin.planners.whole_trajectory_settings import End, Objective
 
 RETURN_TIME = 0.4
 """Duration of the carriers' return after switching off, s, as in the chapter on the thesis."""
@@ -57,12 +57,13 @@ class SwitchOff:
 
 @dataclass(frozen=True)
 class Whole:
-    """A plan over the whole trajectory; carriers start and end at rest at the middle of their tracks.
+    """A plan over the whole trajectory; carriers start at rest at the middle of their tracks.
 
     Attributes:
         task: the motion.
         objective: weights.
         coarser: factor on the largest step between nodes.
+        end: how the carriers end; "datum" is at rest where they started.
         starts: first guesses.
         refinements: how often the grid may be refined.
         effort: limit of the main efforts, N or N·m; None for none.
@@ -72,6 +73,7 @@ class Whole:
     task: Task
     objective: tuple[tuple[Objective, float], ...]
     coarser: float = 1.0
+    end: End = "datum"
     starts: int = 1
     refinements: int = 3
     effort: float | None = None
@@ -80,7 +82,8 @@ class Whole:
     @property
     def name(self) -> str:
         """Of its files: task and objective."""
-        return f"{self.task.name}-{'-'.join(name for name, _ in self.objective)}"
+        end = "" if self.end == "datum" else f"-end-{self.end}"
+        return f"{self.task.name}-{'-'.join(name for name, _ in self.objective)}{end}"
 
     def plan(self, backend: str) -> Plan:
         """Plan the motion.
@@ -93,7 +96,7 @@ class Whole:
             self.task.machine.dynamics(backend),
             self.task.trajectory(),
             objective=dict(self.objective),
-            end="datum",
+            end=self.end,
             acceleration=self.acceleration,
             effort=self.effort,
             dt=self.coarser * self.task.dt,

@@ -8,7 +8,7 @@ from redundancy_pin.experiments.beyond.crossing_findings import Said, times
 from redundancy_pin.experiments.beyond.modes import ModeRows
 from redundancy_pin.experiments.beyond.rows import Row
 from redundancy_pin.experiments.beyond.tasks import Task
-from redundancy_pin.experiments.beyond.ways import EFFORT, ENERGY, NONE, OBJECTIVES, PEAK, STEPWISE
+from redundancy_pin.experiments.beyond.ways import EFFORT, ENERGY, NONE, OBJECTIVES, PEAK, PEAK_FREE, STEPWISE
 from redundancy_pin.experiments.planned.conclusions import verdict
 
 _QUANTITIES: tuple[tuple[str, Callable[[Row], float]], ...] = (
@@ -41,6 +41,7 @@ def corner_finding(rows: Sequence[Row], modes: Sequence[ModeRows], task: Task) -
         factors = [row.ratio for row in same if row.ratio == row.ratio]
         here += f"Over the working modes the least peak is lower in {good} of {len(same)}"
         here += f" ({times(factors)} times that without carriers)." if factors else "."
+        here += _beside_stepwise(same)
     claim = f"On the {task.title.partition(', ')[2]} the peak torque is lower than without carriers."
     return claim, here.strip(), verdict(good, len(same) or 1)
 
@@ -66,6 +67,18 @@ def cost_finding(rows: Sequence[Row]) -> Said:
     if not better:
         here += " In energy the machine without the added masses stays better, always."
     return "Moving carriers save energy on corners and square.", here, verdict(len(better), len(pairs))
+
+
+def _beside_stepwise(same: Sequence[ModeRows]) -> str:
+    """Return how often stepwise planning, which brings no carrier back, has the lower peak."""
+    lower, free = (
+        sum(row.rows[STEPWISE].exists and not row.rows[STEPWISE].worst >= row.rows[way].worst for row in same)
+        for way in (PEAK, PEAK_FREE)
+    )
+    return (
+        f" Stepwise planning (λ = 0) has a lower peak than the least peak in {lower} of them: it leaves the carriers "
+        f"where they are. With the end free as well it has a lower one in {free}."
+    )
 
 
 def _against(row: Row, none: Row) -> str:

@@ -154,8 +154,10 @@ def fastest(
     while high is not None and tried(high, settings.starts).feasible:
         low, high = bracket(high, high * (1.0 + settings.tolerance))
     ordered = tuple(trials[speed] for speed in sorted(trials))
-    verdict, enough = (None, None) if high is None else (trials[high], None)
-    if high is not None and verdict is not None:
+    verdict: Trial | None = None
+    enough: bool | None = None
+    if high is not None:
+        verdict = trials[high]
         enough = _suffices(store, _at(task, high, settings, effort), verdict)
     return Fastest(
         task.name, task.title, task.unit, effort, trials[low], verdict, settings.starts if verdict else 0, enough,
@@ -208,7 +210,7 @@ def _suffices(store: BeyondStore, case: Whole, verdict: Trial) -> bool | None:
 def _at(task: Task, speed: float, settings: BeyondSettings, effort: float, starts: int = 1) -> Whole:
     limit = None if math.isinf(effort) else effort
     objective: tuple[tuple[Objective, float], ...] = (("effort", 1.0),)
-    return Whole(replace(task, speed=speed), objective, settings.coarser, starts, refinements=1, effort=limit)
+    return Whole(replace(task, speed=speed), objective, settings.coarser, starts=starts, refinements=1, effort=limit)
 
 
 def _exists(task: Task, speed: float) -> bool:

@@ -8,10 +8,14 @@ from dataclasses import dataclass
 from redundancy_pin.experiments.beyond.rows import Row
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import corner
-from redundancy_pin.experiments.beyond.ways import EFFORT, NONE, PEAK, stepwise_rows, whole_row
+from redundancy_pin.experiments.beyond.ways import EFFORT, NONE, PEAK, PEAK_FREE, stepwise_rows, whole_row
 from redundancy_pin.experiments.planned.cases import Mode
 
 RADII = (0.025, 0.013)
+
+WAYS = (EFFORT, PEAK, PEAK_FREE)
+"""Plans over the whole trajectory in each mode; the last has the freedom of stepwise planning, which brings no carrier
+back."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,6 @@ def mode_rows(store: BeyondStore, modes: Sequence[Mode], coarser: float) -> tupl
     for radius in RADII:
         for mode in modes:
             task = corner(radius, mode)
-            rows = (*stepwise_rows(store, task), *(whole_row(store, task, way, coarser) for way in (EFFORT, PEAK)))
+            rows = (*stepwise_rows(store, task), *(whole_row(store, task, way, coarser) for way in WAYS))
             found.append(ModeRows(radius, mode, {row.way: row for row in rows}))
     return tuple(found)

@@ -11,6 +11,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.experiments.beyond.cases import Whole
+from redundancy_pin.experiments.beyond.rows import INFEASIBLE
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.planners.plan import Plan
 
@@ -116,10 +117,9 @@ def backend_row(store: BeyondStore, case: Whole) -> BackendRow:
     """Plan a case with both backends and compare."""
     first, second = (store.outcome(case, backend) for backend in case.task.machine.backends)
     if isinstance(first, InfeasiblePlanError) or isinstance(second, InfeasiblePlanError):
-        unknown = 0.0 if type(first) is type(second) else math.inf
-        statuses = tuple("infeasible" if isinstance(one, InfeasiblePlanError) else one.status.value for one in
-                         (first, second))  # fmt: skip
-        return BackendRow(case.name, *[unknown] * 6, (statuses[0], statuses[1]))
+        # nothing to compare: the same if neither has a plan
+        gap = 0.0 if type(first) is type(second) else math.inf
+        return BackendRow(case.name, gap, gap, gap, gap, gap, gap, (_status(first), _status(second)))
     one, other = _common(first, second)
     costs = [float(str(plan.diagnostics["cost"])) for plan in (first, second)]
     return BackendRow(
@@ -142,6 +142,10 @@ def starts_row(store: BeyondStore, case: Whole) -> StartsRow:
         return StartsRow(case.name, (math.nan,) * case.starts, step)
     costs = found.diagnostics["costs"]
     return StartsRow(case.name, tuple(float(cost) for cost in costs) if isinstance(costs, Sequence) else (), step)
+
+
+def _status(found: Plan | InfeasiblePlanError) -> str:
+    return INFEASIBLE if isinstance(found, InfeasiblePlanError) else found.status.value
 
 
 def _common(first: Plan, second: Plan) -> tuple[IntArray, IntArray]:

@@ -22,8 +22,8 @@ from redundancy_pin.planners.whole_trajectory_program import casadi
 Told = Callable[[str], None]
 """Called after each part with what was done."""
 
-_LIGHT, _, _HEAVY, *_ = CROSSINGS
-_STARTED: tuple[Task, ...] = (_LIGHT, _HEAVY, CROSSINGS[5], *CORNERS[:2])
+_LIGHT, _HEAVY, _LINE, _FIVE_BAR = (CROSSINGS[i] for i in (0, 2, 4, 5))
+_STARTED: tuple[Task, ...] = (_LIGHT, _HEAVY, _FIVE_BAR, *CORNERS[:2])
 _TRADED: tuple[Task, ...] = (_LIGHT, CORNERS[0])
 _RACES = 4
 _CAPPED_COARSER = 2.0
@@ -155,6 +155,6 @@ def _races(rows: list[Row]) -> list[Callable[[BeyondStore, BeyondSettings], Fast
 
     free: list[Callable[[BeyondStore, BeyondSettings], Fastest]] = [
         lambda store, settings, task=task: fastest(store, task, settings)  # type: ignore[misc]
-        for task in (_LIGHT, _HEAVY, CROSSINGS[4])
+        for task in (_LIGHT, _HEAVY, _LINE)
     ]
     return [free[0], capped, *free[1:]]

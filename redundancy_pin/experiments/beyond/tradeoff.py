@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -123,4 +124,4 @@ def _point(ratio: float, weight: float, plan: Plan) -> TradePoint:
 
 
 def _rises(values: Sequence[float]) -> bool:
-    return all(after >= before * (1.0 - ORDERED) for before, after in zip(values, values[1:], strict=False))
+    return all(after >= before * (1.0 - ORDERED) for before, after in pairwise(values))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.experiments.beyond.between import peak_at_rest, peak_of_stepwise, peak_of_switch_off
 from redundancy_pin.experiments.beyond.cases import SwitchOff, Whole, whole
@@ -18,9 +20,10 @@ STEPWISE = "stepwise, λ = 0"
 STEPWISE_HALF = "stepwise, λ = 0.5"
 EFFORT = "whole trajectory, effort"
 PEAK = "whole trajectory, peak"
+PEAK_FREE = "whole trajectory, peak, end free"
 ENERGY = "whole trajectory, energy"
 
-OBJECTIVES: dict[str, Objective] = {EFFORT: "effort", PEAK: "peak", ENERGY: "energy"}
+OBJECTIVES: dict[str, Objective] = {EFFORT: "effort", PEAK: "peak", PEAK_FREE: "peak", ENERGY: "energy"}
 """What each way of the whole-trajectory planner minimises."""
 
 _ENERGY_COARSER = 2.0
@@ -29,7 +32,8 @@ _ENERGY_COARSER = 2.0
 
 def case_of(task: Task, way: str, coarser: float = 1.0) -> Whole:
     """Return the whole-trajectory plan of a way."""
-    return whole(task, OBJECTIVES[way], coarser * (_ENERGY_COARSER if way == ENERGY else 1.0))
+    case = whole(task, OBJECTIVES[way], coarser * (_ENERGY_COARSER if way == ENERGY else 1.0))
+    return replace(case, end="free") if way == PEAK_FREE else case
 
 
 def crossing_rows(store: BeyondStore, task: Task, coarser: float) -> tuple[Row, ...]:
@@ -39,7 +43,7 @@ def crossing_rows(store: BeyondStore, task: Task, coarser: float) -> tuple[Row, 
 
 def corner_rows(store: BeyondStore, task: Task, coarser: float, *, energy: bool = True) -> tuple[Row, ...]:
     """Return a corner or the square without carriers, with parked ones, stepwise, and over the whole trajectory."""
-    ways = (EFFORT, PEAK, ENERGY) if energy else (EFFORT, PEAK)
+    ways = (EFFORT, PEAK, PEAK_FREE, ENERGY) if energy else (EFFORT, PEAK)
     return (*stepwise_rows(store, task), *(whole_row(store, task, way, coarser) for way in ways))
 
 
