@@ -72,6 +72,16 @@ def judged_table(study: Study) -> TerminalTable:
     return found
 
 
+def findings_table(beyond: Beyond) -> TerminalTable:
+    """Return what follows from the chapter beyond the thesis as a table."""
+    found = TerminalTable(title="beyond the thesis: planning over the whole trajectory")
+    for heading in ("claim", "verdict", "here"):
+        found.add_column(heading)
+    for row in beyond.findings:
+        found.add_row(row.claim, row.stands, row.here)
+    return found
+
+
 def report(
     results: Sequence[Result],
     check: CrossCheckReport,

@@ -47,11 +47,11 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
                 markersize=4, label=tried.label,
             )  # fmt: skip
             axes.plot(
-                tried.without, [0.03] * len(tried.without), linestyle="none", marker="x", color=stroke.color,
+                tried.without, [0.02] * len(tried.without), linestyle="none", marker="x", color=stroke.color,
                 transform=axes.get_xaxis_transform(), clip_on=False,
             )  # fmt: skip
         axes.set_yscale("log")
         axes.set_xlabel("cruising speed [m/s] (crosses: no plan found)")
         axes.set_ylabel("largest main force [N]")
-        drawn.legend(loc="outside lower center", ncols=2, frameon=False)
+        axes.legend(loc="upper left")
         return drawn

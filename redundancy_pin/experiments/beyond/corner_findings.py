@@ -28,13 +28,15 @@ def corner_finding(rows: Sequence[Row], modes: Sequence[ModeRows], task: Task) -
     here += f", stepwise planning {step.worst:.3g} N·m" if step.exists else ", stepwise planning no plan"
     if step.exists and not step.sound:
         here += f" ({step.status})"
-    for way in (EFFORT, PEAK):
+    for way, aim in ((EFFORT, "effort"), (PEAK, "peak")):
         row = ways[way]
         said = f"{row.worst:.3g} N·m" if row.exists else "no plan"
-        here += f", {way} {said}" + (f" ({row.status})" if row.exists and not row.sound else "")
+        here += f", planning over the whole trajectory for least {aim} {said}" + (
+            f" ({row.status})" if row.exists and not row.sound else ""
+        )
     here += ". "
-    for way in (EFFORT, PEAK):
-        here += _against(ways[way], none)
+    for way, aim in ((EFFORT, "effort"), (PEAK, "peak")):
+        here += _against(ways[way], none, aim)
     same = [row for row in modes if task.path == "corner" and row.radius == task.radius]
     good = sum(row.lower for row in same) if same else int(peak.sound and peak.worst < none.worst)
     if same:
@@ -81,12 +83,12 @@ def _beside_stepwise(same: Sequence[ModeRows]) -> str:
     )
 
 
-def _against(row: Row, none: Row) -> str:
+def _against(row: Row, none: Row, aim: str) -> str:
     """Return in what a plan is better and worse than the machine without carriers."""
     if not row.exists:
         return ""
     factors = {name: of(row) / of(none) for name, of in _QUANTITIES}
     better = [f"{name} ({factor:.2g} times)" for name, factor in factors.items() if factor < 1.0]
     worse = [f"{name} ({factor:.2g} times)" for name, factor in factors.items() if factor >= 1.0]
-    text = f"With {row.way} the carriers win in {', '.join(better) or 'nothing'}; "
+    text = f"Planned for least {aim} the carriers win in {', '.join(better) or 'nothing'}; "
     return text + f"without them the machine stays better in {', '.join(worse) or 'nothing'}. "

@@ -91,7 +91,7 @@ def bracket(race: Fastest) -> str:
     capped = "" if math.isinf(race.effort) else f" with main forces up to {race.effort:.3g} {race.unit}"
     slower, faster = race.slower, race.faster
     text = f"{race.title.rpartition(' at ')[0]}{capped}: a plan at {slower.speed:.3f} m/s"
-    text += f" (peak {slower.peak:.3g} {race.unit})"
+    text += f" (peak {slower.peak:.3g} {race.unit}, between the nodes included)"
     if faster is None:
         return text + ", the fastest tried that the ramps have room for."
     if faster.constraint == UNDECIDED:

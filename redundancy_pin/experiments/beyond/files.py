@@ -20,7 +20,7 @@ _CLOCK = ("seconds", "solver_seconds")
 """Diagnostics that differ from run to run; without them the same run writes the same bytes."""
 
 _COLUMNS = (
-    "task", "way", "unit", "status", "peak", "dense_peak", "before", "rms", "carrier_force", "main_energy",
+    "task", "way", "unit", "status", "peak", "dense_peak", "before", "reversals", "rms", "carrier_force", "main_energy",
     "carrier_energy", "position", "speed", "acceleration",
 )  # fmt: skip
 """Of the table of all plans; see ``Row``."""

@@ -53,6 +53,7 @@ def findings(
         *(Finding(*corner_finding(corners, modes, task)) for task in CORNERS),
         Finding(*cost_finding(corners)),
         _between(rows),
+        _calm(rows),
         _backends(backends),
         _starts(starts),
     )
@@ -74,6 +75,30 @@ def _between(rows: Sequence[Row]) -> Finding:
     if none:
         here += " No plan was found for " + ", ".join(f"{row.task} ({row.way})" for row in none) + "."
     return Finding("What a plan promises at its nodes holds between them.", here, verdict(len(good), len(ratios)))
+
+
+CALM = 10
+"""Reversals of an effort up to which it counts as calm: a few for each ramp, corner and crossing of the motion."""
+
+
+def _calm(rows: Sequence[Row]) -> Finding:
+    found = [row for row in rows if row.way in OBJECTIVES and row.exists]
+    calm = [row for row in found if row.reversals <= CALM]
+    worst = max(found, key=lambda row: row.reversals)
+    here = (
+        f"In {len(calm)} of {len(found)} plans over the whole trajectory every main effort turns round at most {CALM} "
+        f"times; at worst one does {worst.reversals:.0f} times ({worst.task}, {worst.way})."
+    )
+    restless = sorted({row.task for row in found if row not in calm})
+    crossing = {task.name for task in CROSSINGS}
+    if restless:
+        here += f" Restless plans are those of {', '.join(restless)}."
+        if set(restless) <= crossing:
+            here += (
+                " All of them cross a singularity: beside it W⁻¹ magnifies every kink of s̈, and within their limits "
+                "efforts may swing from node to node. Peaks hold, but such efforts ask much of a motor."
+            )
+    return Finding("The efforts are calm enough for motors as they are.", here, verdict(len(calm), len(found)))
 
 
 def _backends(backends: Sequence[BackendRow]) -> Finding:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.signal import find_peaks
 
+from redundancy_pin.arrays import IntArray
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.experiments.planned import measures as m
 from redundancy_pin.planners.plan import Plan, PlanStatus
@@ -33,6 +35,7 @@ class Row:
         peak: largest |τ| at the samples.
         dense_peak: largest |τ| between them; of a switch-off plan while the motors are on.
         before: of a switch-off plan, the largest |τ| until the motors are off; else NaN.
+        reversals: most reversals of any main effort, see ``reversals``.
         rms: root mean square over time of the norm of τ.
         carrier_force: largest force of a carrier's actuator, N.
         main_energy, carrier_energy: ∫ |power| dt, J.
@@ -52,6 +55,7 @@ class Row:
     peak: float = UNKNOWN
     dense_peak: float = UNKNOWN
     before: float = UNKNOWN
+    reversals: float = UNKNOWN
     rms: float = UNKNOWN
     carrier_force: float = UNKNOWN
     main_energy: float = UNKNOWN
@@ -113,6 +117,7 @@ def row_of(task: str, way: str, unit: str, plan: Plan, dense_peak: float, file: 
         peak=float(plan.peak_effort.max()),
         dense_peak=dense_peak,
         before=_before(plan),
+        reversals=float(reversals(plan).max()),
         rms=m.rms(plan),
         carrier_force=m.peak_carrier_force(plan),
         main_energy=plan.main_energy,
@@ -134,6 +139,21 @@ def row_without(task: str, way: str, unit: str, error: InfeasiblePlanError) -> R
     missing = error.details.get("amount") if error.details.get("constraint") == "singular_pose" else None
     return Row(task, way, unit, INFEASIBLE, why=error.message,
                missing=float(missing) if isinstance(missing, float) else UNKNOWN)  # fmt: skip
+
+
+SWING = 0.05
+"""Fraction of the peak that an effort has to move back by for a turn to count."""
+
+
+def reversals(plan: Plan) -> IntArray:
+    """Return (m,) how often each main effort turns round and then moves by more than ``SWING`` of the peak."""
+    least = SWING * float(plan.peak_effort.max())
+    if least == 0.0:
+        return np.zeros(plan.tau.shape[1], dtype=np.intp)
+    tau = np.nan_to_num(plan.tau)
+    return np.array(
+        [sum(len(find_peaks(sign * effort, prominence=least)[0]) for sign in (1.0, -1.0)) for effort in tau.T]
+    )
 
 
 def dense_peak(plan: Plan) -> float:

@@ -6,10 +6,9 @@ import math
 
 from redundancy_pin.experiments.beyond.bounds_sections import fastest_section, optimality_section, trade_section
 from redundancy_pin.experiments.beyond.pictures import pictures
-from redundancy_pin.experiments.beyond.rows import Row
+from redundancy_pin.experiments.beyond.rows import SWING, Row
 from redundancy_pin.experiments.beyond.study import Beyond
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS
-from redundancy_pin.experiments.beyond.ways import SWITCH_OFF
 from redundancy_pin.experiments.document import Block, Cell, FileLink, Heading, Paragraph, Table, table
 from redundancy_pin.experiments.planned.cases import mode_text
 
@@ -61,15 +60,10 @@ def _targets(beyond: Beyond) -> list[Block]:
 
 def _crossings(beyond: Beyond) -> list[Block]:
     rows = [row for task in CROSSINGS for row in beyond.of(task)]
-    none = [
-        Paragraph(f"No plan for {row.task}, {row.way}: {row.why}")
-        for row in rows
-        if not row.exists
-    ]  # fmt: skip
     return [
         Heading("Through singularities", 3),
         _limits_table(rows),
-        *none,
+        *_without_plan(rows),
         _cost_table(rows),
         *pictures(beyond, CROSSINGS),
     ]
@@ -84,10 +78,14 @@ def _corners(beyond: Beyond) -> list[Block]:
             "plans are those of the chapters above; on single corners they leave the carriers where they are."
         ),
         _limits_table(rows),
-        *[Paragraph(f"No plan for {row.task}, {row.way}: {row.why}") for row in rows if not row.exists],
+        *_without_plan(rows),
         _cost_table(rows),
         *pictures(beyond, CORNERS),
     ]
+
+
+def _without_plan(rows: list[Row]) -> list[Block]:
+    return [Paragraph(f"No plan for {row.task}, {row.way}: {row.why}") for row in rows if not row.exists]
 
 
 def _modes(beyond: Beyond) -> list[Block]:
@@ -148,6 +146,7 @@ def _cost_table(rows: list[Row]) -> Table:
             row.task,
             row.way,
             _number(row.rms),
+            _number(row.reversals),
             _number(row.main_energy),
             _number(row.carrier_force),
             _number(row.carrier_energy),
@@ -161,13 +160,15 @@ def _cost_table(rows: list[Row]) -> Table:
             "motion",
             "planner",
             "rms |τ| [N or N·m]",
+            "reversals",
             "energy, main motors [J]",
             "peak carrier force [N]",
             "energy, carriers [J]",
             "energy, all [J]",
         ),
         cells,
-        f"What it costs: energy is ∫ Σ |power| dt, what motors that recover nothing draw ({SWITCH_OFF} included).",
+        "What it costs. Reversals: how often, at most, a main effort turns round and then moves by more than "
+        f"{100.0 * SWING:g} % of the plan's peak. Energy: ∫ Σ |power| dt, what motors that recover nothing draw.",
     )
 
 
