@@ -14,8 +14,8 @@ from redundancy_pin.experiments.beyond.files import write_figures, write_plans
 from redundancy_pin.experiments.beyond.pictures import FIGURES as BEYOND_FIGURES
 from redundancy_pin.experiments.beyond.settings import FULL as BEYOND_FULL
 from redundancy_pin.experiments.beyond.settings import BeyondSettings
-from redundancy_pin.experiments.beyond.study import PARTS as BEYOND_PARTS
 from redundancy_pin.experiments.beyond.study import Beyond, require_solver, run_beyond
+from redundancy_pin.experiments.beyond.study import parts as beyond_parts
 from redundancy_pin.experiments.csv_text import csv_text
 from redundancy_pin.experiments.experiment import Experiment
 from redundancy_pin.experiments.figures import comparison_figure, effort_figure, path_figure
@@ -103,7 +103,7 @@ def reproduce(
     if beyond:
         require_solver()
     require_replaceable(folder)
-    planned = (PARTS + len(FIGURES) if study else 0) + (BEYOND_PARTS + len(BEYOND_FIGURES) if beyond else 0)
+    planned = (PARTS + len(FIGURES) if study else 0) + (beyond_parts(beyond) + len(BEYOND_FIGURES) if beyond else 0)
     steps = _Steps(2 * len(experiments) + planned + _CROSS_CHECK_STEPS, progress)
     robots = sorted({experiment.robot for experiment in experiments})
     check = require_agreement(robots, samples, lambda done, total: steps.part("cross-check", done / total))

@@ -32,7 +32,7 @@ def plot_bars(
     Raises:
         RedundancyPinError: matplotlib is not installed.
     """
-    with figure(1.6 + 0.9 * len(groups), 3.6) as drawn:
+    with figure(max(8.0, 1.6 + 0.9 * len(groups)), 3.6) as drawn:
         axes = drawn.subplots()
         drawn.suptitle(title, fontsize=10.5)
         width = 0.8 / len(series)

@@ -93,10 +93,10 @@ def _calm(rows: Sequence[Row]) -> Finding:
     crossing = {task.name for task in CROSSINGS}
     if restless:
         here += f" Restless plans are those of {', '.join(restless)}."
-        if set(restless) <= crossing:
+        if crossed := [task for task in restless if task in crossing]:
             here += (
-                " All of them cross a singularity: beside it W⁻¹ magnifies every kink of s̈, and within their limits "
-                "efforts may swing from node to node. Peaks hold, but such efforts ask much of a motor."
+                f" Of these, {', '.join(crossed)} cross a singularity: beside it W⁻¹ magnifies every kink of s̈, and "
+                "within their limits efforts may swing from node to node. Peaks hold, but it asks much of a motor."
             )
     return Finding("The efforts are calm enough for motors as they are.", here, verdict(len(calm), len(found)))
 

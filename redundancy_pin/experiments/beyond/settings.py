@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from redundancy_pin.experiments.planned.cases import Mode
 from redundancy_pin.experiments.planned.settings import FULL as ALL_MODES
+
+Race = Literal["light", "light, limited force", "heavy", "line"]
+"""Motions of the 2-RPR whose fastest is bracketed: the circle by the massless machine, by the same with no more main
+force than switching off needs at 0.5 m/s, and by the machine with masses; and the line."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +25,7 @@ class BeyondSettings:
         starts_coarser: the same factor for plans from several first guesses.
         ratios: weights of the carriers' acceleration in the trade-off, over the one at which both parts of the cost
             would be the same for the plan of least effort.
+        races: motions whose fastest is bracketed, by ``Race``.
         both_backends: whether every plan is made with both backends, or only the first of each motion.
     """
 
@@ -29,6 +35,7 @@ class BeyondSettings:
     starts: int
     starts_coarser: float
     ratios: tuple[float, ...]
+    races: tuple[Race, ...]
     both_backends: bool = True
 
 
@@ -39,6 +46,7 @@ FULL = BeyondSettings(
     starts=5,
     starts_coarser=2.0,
     ratios=(0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3),
+    races=("light", "light, limited force", "heavy", "line"),
 )
 """Nodes 5 ms apart (10 ms on the slow line), all working modes."""
 
@@ -49,6 +57,7 @@ QUICK = BeyondSettings(
     starts=2,
     starts_coarser=6.0,
     ratios=(1e-2, 1.0, 100.0),
+    races=("line",),
     both_backends=False,
 )
 """Coarse: for tests."""

@@ -10,7 +10,7 @@ from redundancy_pin.experiments.beyond.findings import Finding, findings
 from redundancy_pin.experiments.beyond.modes import ModeRows, mode_rows
 from redundancy_pin.experiments.beyond.optimality import BackendRow, StartsRow, backend_row, starts_row
 from redundancy_pin.experiments.beyond.rows import Row
-from redundancy_pin.experiments.beyond.settings import FULL, BeyondSettings
+from redundancy_pin.experiments.beyond.settings import FULL, BeyondSettings, Race
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.targets import Target, targets
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS, TASKS, Task
@@ -25,7 +25,6 @@ Told = Callable[[str], None]
 _LIGHT, _HEAVY, _LINE, _FIVE_BAR = (CROSSINGS[i] for i in (0, 2, 4, 5))
 _STARTED: tuple[Task, ...] = (_LIGHT, _HEAVY, _FIVE_BAR, *CORNERS[:2])
 _TRADED: tuple[Task, ...] = (_LIGHT, CORNERS[0])
-_RACES = 4
 _CAPPED_COARSER = 2.0
 """Factor on the step, and on the width of the bracket, of the race with limited efforts: many more limits bind."""
 
@@ -76,8 +75,9 @@ class Beyond:
         }
 
 
-PARTS = len(TASKS) + _RACES + 1 + len(TASKS) + len(_STARTED) + len(_TRADED)
-"""How often ``run_beyond`` tells of progress."""
+def parts(settings: BeyondSettings) -> int:
+    """Return how often ``run_beyond`` tells of progress."""
+    return 2 * len(TASKS) + len(settings.races) + 1 + len(_STARTED) + len(_TRADED)
 
 
 def require_solver() -> None:
@@ -95,7 +95,7 @@ def run_beyond(settings: BeyondSettings = FULL, thesis: PlanStore | None = None,
     Args:
         settings: how much of it.
         thesis: plans of the thesis's chapters, if they were made already.
-        told: called after each of ``PARTS`` parts.
+        told: called after each of ``parts(settings)`` parts.
 
     Raises:
         RedundancyPinError: casadi is not installed.
@@ -112,9 +112,9 @@ def run_beyond(settings: BeyondSettings = FULL, thesis: PlanStore | None = None,
             rows += corner_rows(store, task, settings.coarser, energy=task.path == "corner")
         tell(f"whole trajectory: {task.name}")
     races = []
-    for race in _races(rows):
-        races.append(race(store, settings))
-        tell(f"fastest {races[-1].task}")
+    for race in settings.races:
+        races.append(_race(store, settings, race, rows))
+        tell(f"as fast as the limits allow: {race}")
     modes = mode_rows(store, settings.modes, settings.coarser)
     tell("whole trajectory in the working modes")
     backends = []
@@ -141,20 +141,10 @@ def run_beyond(settings: BeyondSettings = FULL, thesis: PlanStore | None = None,
     )  # fmt: skip
 
 
-def _races(rows: list[Row]) -> list[Callable[[BeyondStore, BeyondSettings], Fastest]]:
-    """Return what to bracket: light and heavy machine, the line, and the light one with no more force than before."""
+def _race(store: BeyondStore, settings: BeyondSettings, which: Race, rows: list[Row]) -> Fastest:
+    """Bracket the fastest motion of a race."""
+    if which != "light, limited force":
+        return fastest(store, {"light": _LIGHT, "heavy": _HEAVY, "line": _LINE}[which], settings)
     cap = next(row.before for row in rows if (row.task, row.way) == (_LIGHT.name, SWITCH_OFF))
-
-    def capped(store: BeyondStore, settings: BeyondSettings) -> Fastest:
-        wider = replace(
-            settings,
-            coarser=settings.coarser * _CAPPED_COARSER,
-            tolerance=settings.tolerance * _CAPPED_COARSER,
-        )
-        return fastest(store, _LIGHT, wider, cap)
-
-    free: list[Callable[[BeyondStore, BeyondSettings], Fastest]] = [
-        lambda store, settings, task=task: fastest(store, task, settings)  # type: ignore[misc]
-        for task in (_LIGHT, _HEAVY, _LINE)
-    ]
-    return [free[0], capped, *free[1:]]
+    coarser, tolerance = settings.coarser * _CAPPED_COARSER, settings.tolerance * _CAPPED_COARSER
+    return fastest(store, _LIGHT, replace(settings, coarser=coarser, tolerance=tolerance), cap)

@@ -16,12 +16,12 @@ from redundancy_pin.planners.whole_trajectory_settings import Objective
 NONE = "no carriers"
 PARKED = "carriers parked"
 SWITCH_OFF = "switching off"
-STEPWISE = "stepwise, λ = 0"
-STEPWISE_HALF = "stepwise, λ = 0.5"
-EFFORT = "whole trajectory, effort"
-PEAK = "whole trajectory, peak"
-PEAK_FREE = "whole trajectory, peak, end free"
-ENERGY = "whole trajectory, energy"
+STEPWISE = "stepwise λ = 0"
+STEPWISE_HALF = "stepwise λ = 0.5"
+EFFORT = "whole trajectory: effort"
+PEAK = "whole trajectory: peak"
+PEAK_FREE = "whole trajectory: peak (end free)"
+ENERGY = "whole trajectory: energy"
 
 OBJECTIVES: dict[str, Objective] = {EFFORT: "effort", PEAK: "peak", PEAK_FREE: "peak", ENERGY: "energy"}
 """What each way of the whole-trajectory planner minimises."""
