@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.visualisation.style import STROKES, figure
+from redundancy_pin.visualisation.style import STROKES, figure, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,5 +53,5 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
         axes.set_yscale("log")
         axes.set_xlabel("cruising speed [m/s] (crosses: no plan found)")
         axes.set_ylabel("largest main force [N]")
-        axes.legend(loc="upper left")
+        legend_above(axes, 2)
         return drawn

@@ -93,7 +93,7 @@ def bracket(race: Fastest) -> str:
     text = f"{race.title.rpartition(' at ')[0]}{capped}: a plan at {slower.speed:.3f} m/s"
     text += f" (peak {slower.peak:.3g} {race.unit}, between the nodes included)"
     if faster is None:
-        return text + ", the fastest tried that the ramps have room for."
+        return text + ", the fastest tried before the ramps no longer fit in."
     if faster.constraint == UNDECIDED:
         return text + f", no verdict in time at {faster.speed:.3f} m/s."
     text += f", none found at {faster.speed:.3f} m/s"

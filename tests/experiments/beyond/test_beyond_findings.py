@@ -123,7 +123,7 @@ def test_speed_follows_the_brackets() -> None:
     assert speed_finding([slow])[2] == "does not stand"
     assert "no plan was found with it" in bracket(replace(RACE, suffices=False))
     assert "no verdict in time" in bracket(replace(RACE, faster=replace(FASTER, constraint="seconds")))
-    assert "room for" in bracket(replace(RACE, faster=None))
+    assert "no longer fit" in bracket(replace(RACE, faster=None))
     assert "not proofs" not in speed_finding([replace(RACE, faster=None)])[1]
     assert "with main forces up to 2.88 N" in bracket(replace(RACE, effort=2.88))
 

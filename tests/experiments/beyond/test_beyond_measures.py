@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from redundancy_pin.experiments.beyond.rows import reversals, row_of, row_withou
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS
 from redundancy_pin.experiments.beyond.tradeoff import trade
+from redundancy_pin.experiments.beyond.ways import EFFORT, PEAK, stepwise_rows, switch_off_row, whole_row
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off import plan_switch_off
@@ -75,6 +77,24 @@ def test_a_missing_plan_carries_its_force() -> None:
     assert row_without("a", "b", "N", error).missing == 0.25
     assert np.isnan(row_without("a", "b", "N", InfeasiblePlanError("no", constraint="track", amount=0.25)).missing)
     assert row_without("a", "b", "N", error).as_dict()["peak"] is None
+
+
+def test_the_readme_has_the_numbers_of_the_chapter() -> None:
+    text = " ".join((Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8").split())
+    store = BeyondStore(PlanStore())
+    circle, wide, sharp = CROSSINGS[0], *CORNERS[:2]
+    off = switch_off_row(store, circle)
+    assert f"switching off needs {off.peak:.3g} N and leaves the limits" in text
+    assert not off.sound
+    least, peak = (whole_row(store, circle, way, 1.0) for way in (EFFORT, PEAK))
+    assert f"with {least.peak:.3g} N for the least effort and {peak.peak:.3g} N for the least peak" in text
+    assert least.sound
+    assert peak.sound
+    rows = [stepwise_rows(store, task)[0] for task in (wide, sharp)]
+    best = [whole_row(store, task, PEAK, 1.0) for task in (wide, sharp)]
+    assert f"peaks are {best[0].peak:.2f} and {best[1].peak:.2f} N·m" in text
+    assert f"against {rows[0].peak:.2f} and {rows[1].peak:.2f} N·m without" in text
+    assert all(plan.energy > none.energy and plan.rms > none.rms for plan, none in zip(best, rows, strict=True))
 
 
 class Given(BeyondStore):
