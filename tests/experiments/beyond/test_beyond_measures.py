@@ -20,6 +20,7 @@ from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS
 from redundancy_pin.experiments.beyond.tradeoff import trade
 from redundancy_pin.experiments.beyond.ways import EFFORT, PEAK, stepwise_rows, switch_off_row, whole_row
 from redundancy_pin.experiments.planned.store import PlanStore
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off import plan_switch_off
 
@@ -52,6 +53,18 @@ def test_switch_off_between_its_samples_is_what_finer_samples_show() -> None:
     peak = peak_of_switch_off(task.machine.dynamics("rnea"), task.trajectory(), coarse)
     # curvature of τ at its peak: both grids see it to better than 1e-4
     assert peak == pytest.approx(float(np.nanmax(np.abs(fine.tau))), rel=1e-4)
+
+
+def test_motors_that_are_off_need_no_force() -> None:
+    task = CROSSINGS[0]
+    plan = SwitchOff(task).plan("virtual-work")
+    off = np.flatnonzero(plan.phase == plan.phases.index("off"))[3:-3]
+    carriers = plan.carriers
+    sdd = np.array(carriers.sdd)
+    sdd[off] += 1e3  # would ask for forces of kilonewtons, were the motors on
+    shaken = replace(plan, carriers=CarrierMotion(carriers.s, carriers.sd, sdd))
+    found = (peak_of_switch_off(task.machine.dynamics(), task.trajectory(), each) for each in (plan, shaken))
+    assert next(found) == next(found)
 
 
 def test_row_of_a_switch_off_plan_has_the_force_before_it_is_off() -> None:
