@@ -16,6 +16,7 @@ from redundancy_pin.planners.plan_file import load_plan, load_robot_of
 from redundancy_pin.planners.stepwise import plan_stepwise
 from redundancy_pin.planners.switch_off import plan_switch_off
 from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
+from redundancy_pin.view import show
 
 __all__ = [
     "CarrierMotion",
@@ -35,6 +36,7 @@ __all__ = [
     "plan_stepwise",
     "plan_switch_off",
     "plan_whole_trajectory",
+    "show",
     "singular_locus",
     "trajectory",
 ]
