@@ -45,9 +45,9 @@ def show(
 ) -> View:
     """Return a moving picture: links, joints, tracks, carriers, efforts as arrows, and how near singularities are.
 
-    In a notebook ``rp.show(plan)`` as the last line of a cell plays it; ``.save("out.html")`` writes one file that plays
-    offline; ``.serve()`` starts a live viewer. The platform and the path it traces are coloured by the margin to type
-    II.
+    In a notebook ``rp.show(plan)`` as the last line of a cell plays it; ``.save("out.html")`` writes one file that
+    plays offline; ``.serve()`` starts a live viewer. The platform and the path it traces are coloured by the margin to
+    type II.
 
     Args:
         subject: a plan; or a robot, or the name or path of one.

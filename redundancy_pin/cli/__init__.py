@@ -10,6 +10,7 @@ from redundancy_pin.cli.info import info
 from redundancy_pin.cli.inverse_dynamics import inverse_dynamics
 from redundancy_pin.cli.plan import plan
 from redundancy_pin.cli.reproduce import reproduce
+from redundancy_pin.cli.show import show
 from redundancy_pin.cli.singularities import singularities
 from redundancy_pin.cli.validate import validate
 
@@ -37,6 +38,6 @@ def _keep_lines(command: click.Command) -> None:
             _keep_lines(part)
 
 
-for _command in (reproduce, inverse_dynamics, singularities, plan, validate, info):
+for _command in (reproduce, inverse_dynamics, singularities, plan, validate, info, show):
     main.add_command(_command)
 _keep_lines(main)

@@ -10,15 +10,16 @@ from __future__ import annotations
 import base64
 import html
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from redundancy_pin.visualisation.scene import Scene
+from redundancy_pin.visualisation.scene import Role, Scene
 from redundancy_pin.visualisation.scene_colors import EFFORT_COLORS, MARGIN_COLORS, ROLE_COLORS, margin_labels
 
 _TEMPLATE = Path(__file__).with_name("html_page.html")
 
-_ROLE_NAMES = {
+_ROLE_NAMES: Mapping[Role, str] = {
     "link": "link",
     "actuated": "driven joint",
     "passive": "passive joint",

@@ -38,7 +38,7 @@ _CLEAR = 0.35
 _NOTHING = 1e-6
 """Least size of an arrow, m: viewers warn of objects without any."""
 
-_DISTANCE = 1.75
+_DISTANCE = 1.4
 """Of the camera, in radii of what it must see: its view is 75 degrees high."""
 
 _ENDLESS = 2**31 - 1
@@ -73,10 +73,10 @@ def send_scene(viewer: Any, scene: Scene, *, forces: bool = True) -> None:
         path = f"{bodies[solid.body]}/{_plain(solid.name)}"
         opacity = _CLEAR if solid.body in covered and solid.role == "link" else 1.0
         _add(viewer, path, _primitive(solid), _material(solid.color, opacity), solid.placement)
-    for item in scene.plates:
-        _add_plate(viewer, scene, item, bodies[item.body], move)
-    for item in scene.arrows:
-        _add_arrow(viewer, scene, item, move)
+    for flat in scene.plates:
+        _add_plate(viewer, scene, flat, bodies[flat.body], move)
+    for effort in scene.arrows:
+        _add_arrow(viewer, scene, effort, move)
     viewer["forces"].set_property("visible", forces)
     _add_path(viewer, scene)
     viewer.set_animation(Animation(clips=clips), play=True, repetitions=_ENDLESS)
@@ -148,17 +148,24 @@ def _add_arrow(viewer: Any, scene: Scene, item: Arrow, move: Any) -> None:
 
 
 def _add_path(viewer: Any, scene: Scene) -> None:
-    vertices, triangles, owner = tube(scene.path, PATH_RADIUS * scene.size)
-    if not len(vertices):
-        return
-    classes = margin_classes(scene.path_margin)
+    for name, radius in (("halo", 2.0 * PATH_RADIUS), ("margin", PATH_RADIUS)):  # white about it: seen on any ground
+        vertices, triangles, owner = tube(scene.path, radius * scene.size)
+        if not len(vertices):
+            return
+        color = np.ones(vertices.shape) if name == "halo" else _path_colors(scene)[owner]
+        geometry = _geometry().TriangularMeshGeometry(vertices, triangles, color=color)
+        _add(viewer, f"path/{name}", geometry, _on_top(vertexColors=True), np.eye(4))
+
+
+def _path_colors(scene: Scene) -> Array:
+    """Return (N, 3) the colour of each sample of the path."""
     palette = np.array([rgb(color) for color in (*MARGIN_COLORS, UNKNOWN_COLOR)])  # −1 is the last
-    geometry = _geometry().TriangularMeshGeometry(vertices, triangles, color=palette[classes[owner]])
-    _add(viewer, "path", geometry, _on_top(vertexColors=True), np.eye(4))
+    colors: Array = palette[margin_classes(scene.path_margin)]
+    return colors
 
 
 def _add(viewer: Any, path: str, geometry: Any, material: Any, placement: Array) -> None:
-    """Set an object; its identifiers, else random, follow from its path, so that the same scene gives the same bytes."""
+    """Set an object. Identifiers, else random, follow from its path: the same scene gives the same bytes."""
     thing = _geometry().Mesh(geometry, material)
     for kind, element in (("object", thing), ("geometry", geometry), ("material", material)):
         element.uuid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"redundancy_pin/{path}/{kind}"))

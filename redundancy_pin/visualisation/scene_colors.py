@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def margin_classes(margin: Array) -> IntArray:
 def margin_labels() -> tuple[str, ...]:
     """Return what the legend says of each class."""
     edges = [f"{edge:g}" for edge in MARGIN_EDGES]
-    inner = [f"{low} to {high}" for low, high in zip(edges, edges[1:], strict=False)]
+    inner = [f"{low} to {high}" for low, high in pairwise(edges)]
     return (f"below {edges[0]}: near-singular", *inner, f"above {edges[-1]}")
 
 

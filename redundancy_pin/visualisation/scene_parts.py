@@ -13,7 +13,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.visualisation.scene import Plate, Role, Shape, Solid
 from redundancy_pin.visualisation.scene_colors import ROLE_COLORS
 
-JOINT_RADIUS, JOINT_LENGTH = 0.03, 0.08
+JOINT_RADIUS, JOINT_LENGTH = 0.03, 0.06
 """Of a joint, in sizes of the machine; thicker than the links of the shipped robots."""
 
 BAR_RADIUS = 0.012
