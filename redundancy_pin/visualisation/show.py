@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import html
 import io
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -132,7 +133,9 @@ def require_meshcat() -> None:
         RedundancyPinError: meshcat is not installed.
     """
     try:
-        import meshcat  # noqa: F401
+        with warnings.catch_warnings():  # it uses a name of pyzmq that is to go
+            warnings.simplefilter("ignore", DeprecationWarning)
+            import meshcat  # noqa: F401
     except ImportError as error:
         raise RedundancyPinError(
             "Moving pictures need meshcat, which is not installed.",
