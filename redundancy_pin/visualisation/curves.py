@@ -27,7 +27,8 @@ class Curves:
         tau: (N, m) main efforts, N or N·m; NaN where there are none.
         main_unit: of the main efforts, such as ``"torque [N·m]"``.
         carrier_force: (N, k) efforts of the carriers' actuators, N.
-        carriers: N samples of the carrier motion, m.
+        carriers: N samples of the carrier motion, m; rad where they turn.
+        carriers_turn: whether they do.
         limits: (k,) limits of the carriers.
         condition: (N,) condition number of the scaled W.
         margin: (N,) smallest singular value of the scaled W.
@@ -46,6 +47,7 @@ class Curves:
     condition: Array
     margin: Array
     regular: BoolArray
+    carriers_turn: bool = False
     instants: tuple[float, ...] = ()
     thresholds: tuple[float, ...] = ()
 
@@ -72,6 +74,7 @@ def curves_of_plan(plan: Plan) -> Curves:
         condition=plan.condition,
         margin=plan.margin,
         regular=plan.sample_status == SampleStatus.REGULAR,
+        carriers_turn=bool(plan.robot.carriers) and set(plan.robot.carriers) <= set(plan.robot.rotating),
         instants=_numbers(plan.diagnostics.get("singular_instants")),
         thresholds=_numbers([threshold]),
     )
@@ -121,6 +124,7 @@ def curves(
         condition=efforts.condition,
         margin=efforts.margin,
         regular=efforts.status == SampleStatus.REGULAR,
+        carriers_turn=bool(robot.carriers) and not any(_slides(robot, name) for name in robot.carriers),
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
     )

@@ -56,10 +56,12 @@ def page(scene: Scene, commands: list[bytes], *, forces: bool) -> str:
     """
     import meshcat
 
-    viewer = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
+    folder = Path(meshcat.__file__).parent / "viewer"
+    viewer = folder / "dist" / "main.min.js"
     encoded = json.dumps([base64.b64encode(command).decode("ascii") for command in commands])
     parts = {
         "TITLE": html.escape(scene.title),
+        "LICENSES": _licenses(folder),
         "LEGEND": _legend(scene),
         "CAPTIONS": "".join(f"<div>{html.escape(text)}</div>" for text in scene.captions),
         "CHECKED": "checked" if forces else "",
@@ -74,6 +76,13 @@ def page(scene: Scene, commands: list[bytes], *, forces: bool) -> str:
     for name, value in parts.items():  # the viewer last: what it contains is not to be replaced
         text = text.replace(f"@{name}@", value)
     return text
+
+
+def _licenses(folder: Path) -> str:
+    """Return the notices that copies of the viewer have to carry."""
+    notices = [folder / "LICENSE", folder / "dist" / "main.min.js.LICENSE.txt"]
+    said = "\n".join(notice.read_text(encoding="utf-8") for notice in notices if notice.is_file())
+    return f"The viewer in this page is meshcat.\n{said}".replace("--", "- -")
 
 
 def _legend(scene: Scene) -> str:

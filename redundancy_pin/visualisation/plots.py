@@ -88,7 +88,7 @@ def efforts(subject: Plan | Curves) -> Figure:
         if k:
             draw_series(panels[1], drawn.t, drawn.carrier_force, _carrier_names(k))
             draw_limits(panels[1], drawn.carrier_force, [(-limits.force, limits.force) for limits in drawn.limits])
-            panels[1].set_ylabel("carrier force [N]")
+            panels[1].set_ylabel("carrier torque [N·m]" if drawn.carriers_turn else "carrier force [N]")
         _finish(page, panels, drawn)
         return page
 
@@ -104,18 +104,18 @@ def carriers(subject: Plan | Curves) -> Figure:
         RedundancyPinError: matplotlib is not installed.
     """
     drawn = _curves(subject)
-    k = drawn.carriers.s.shape[1]
+    k, unit = drawn.carriers.s.shape[1], "rad" if drawn.carriers_turn else "m"
     if k == 0:
         raise InputError(f"There are no carriers to draw ({drawn.title}).", remedy="Draw the efforts instead.")
     with figure(7.0, 1.0 + 3.0 * _MORE) as page:
         panels = list(page.subplots(3, 1, sharex=True, squeeze=False)[:, 0])
         for panel, values, label, bounds in (
-            (panels[0], drawn.carriers.s, "position s [m]", [(each.lower, each.upper) for each in drawn.limits]),
-            (panels[1], drawn.carriers.sd, "speed ṡ [m/s]", [(-each.speed, each.speed) for each in drawn.limits]),
+            (panels[0], drawn.carriers.s, f"position s [{unit}]", [(each.lower, each.upper) for each in drawn.limits]),
+            (panels[1], drawn.carriers.sd, f"speed ṡ [{unit}/s]", [(-each.speed, each.speed) for each in drawn.limits]),
             (
                 panels[2],
                 drawn.carriers.sdd,
-                "acceleration s̈ [m/s²]",
+                f"acceleration s̈ [{unit}/s²]",
                 [(-each.acceleration, each.acceleration) for each in drawn.limits],
             ),
         ):

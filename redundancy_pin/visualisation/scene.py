@@ -82,7 +82,7 @@ class Arrow:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A robot in motion. F frames, N samples of the path, J joints of the tree with the base as number 0.
+    """A robot in motion. F frames, N points of the path, J joints of the tree with the base as number 0.
 
     Attributes:
         title: one line.

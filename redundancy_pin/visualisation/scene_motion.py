@@ -10,9 +10,11 @@ import pinocchio as pin
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.state import lift
+from redundancy_pin.kinematics.tree import TreeKinematics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.visualisation.scene import Arrow, Group, Scene
+from redundancy_pin.visualisation.scene_colors import margin_classes
 from redundancy_pin.visualisation.scene_parts import joint_axis, plates_of, slides, solids_of
 
 FRAME_RATE = 60.0
@@ -20,6 +22,9 @@ FRAME_RATE = 60.0
 
 MOST_FRAMES = 600
 """Longer motions get fewer frames a second; a viewer interpolates between them."""
+
+MOST_POINTS = 1000
+"""Of the drawn path, but for changes of its colour."""
 
 LONGEST_FORCE, LONGEST_TORQUE = 0.4, 0.16
 """Length of the arrow of the largest force, radius of the arc of the largest torque, in sizes of the machine."""
@@ -73,7 +78,7 @@ def make_scene(shown: ShownMotion, *, force_scale: float = 1.0) -> Scene:
         )
     q = lift(robot, motion).q.copy()
     q[:, robot.carrier_position] = shown.carriers.s
-    frames = frame_samples(motion.t)
+    frames, points = frame_samples(motion.t), path_samples(shown.margin)
     size = robot.characteristic_length
     arrows, captions = _arrows(shown, frames, force_scale)
     return Scene(
@@ -85,8 +90,8 @@ def make_scene(shown: ShownMotion, *, force_scale: float = 1.0) -> Scene:
         plates=plates_of(robot, size),
         arrows=arrows,
         margin=np.abs(shown.margin[frames]),
-        path=_traced(robot, q),
-        path_margin=np.abs(shown.margin),
+        path=_traced(robot, q[points]),
+        path_margin=np.abs(shown.margin[points]),
         size=size,
         captions=captions,
     )
@@ -112,6 +117,17 @@ def frame_samples(t: Array) -> IntArray:
     return result
 
 
+def path_samples(margin: Array) -> IntArray:
+    """Return which samples the drawn path goes through: enough to be smooth, and all where its colour changes.
+
+    Args:
+        margin: (N,) distance to type II, scaled.
+    """
+    even = np.linspace(0, len(margin) - 1, min(len(margin), MOST_POINTS)).round().astype(np.intp)
+    changes = np.flatnonzero(np.diff(margin_classes(margin)))
+    return np.unique(np.concatenate([even, changes, changes + 1])).astype(np.intp)
+
+
 def _placements(model: pin.Model, q: Array) -> Array:
     data = model.createData()
     placement = np.empty((len(q), model.njoints, 4, 4))
@@ -127,12 +143,8 @@ def _traced(robot: Robot, q: Array) -> Array:
     if robot.platform is None and not robot.closures:
         return np.zeros((0, 3))
     name = robot.platform.frame if robot.platform is not None else robot.closures[0].frame_a
-    model, points = robot.model, np.empty((len(q), 3))
-    data, frame = model.createData(), model.getFrameId(name, pin.FrameType.BODY)
-    for i, configuration in enumerate(q):
-        pin.forwardKinematics(model, data, configuration)
-        points[i] = pin.updateFramePlacement(model, data, frame).translation
-    return points
+    origin: Array = TreeKinematics(robot.model, [name]).pose(q).frame_origin[name].T
+    return origin
 
 
 def _arrows(shown: ShownMotion, frames: IntArray, scale: float) -> tuple[tuple[Arrow, ...], tuple[str, ...]]:

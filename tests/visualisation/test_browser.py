@@ -168,9 +168,19 @@ def test_it_plays_by_itself_at_true_speed(page: Any) -> None:
     played = np.unwrap(seen[:, 1], period=reference_duration())
     # a frame is drawn between the two clocks, slowly where there is no graphics card
     assert np.ptp(played) == pytest.approx(np.ptp(seen[:, 0]), abs=0.15)
+
+
+def test_pictures_change_while_it_plays(page: Any) -> None:
+    """Slowly, so that two pictures are never a whole round apart."""
+    _seek(page, 0.3)
+    page.execute_script("byId('speed').value = 0.25; byId('speed').onchange({target: byId('speed')});")
+    page.execute_script("byId('play').click();")
     before = _picture(page)
-    page.execute_async_script(WATCH)
-    assert (np.abs(_picture(page) - before).max(axis=2) > 20.0).sum() > 100
+    seen = np.array(page.execute_async_script(WATCH))
+    after = _picture(page)
+    page.execute_script("byId('speed').value = 1; byId('speed').onchange({target: byId('speed')});")
+    assert np.ptp(seen[:, 1]) == pytest.approx(0.25 * np.ptp(seen[:, 0]), abs=0.05)
+    assert (np.abs(after - before).max(axis=2) > 20.0).sum() > 100
 
 
 def test_it_starts_again_at_its_end(page: Any) -> None:
@@ -216,6 +226,18 @@ def test_the_path_of_a_crossing_turns_red_and_the_platform_with_it(browser: Any,
     away = _is(_picture(browser), MARGIN_COLORS[0]).sum()
     assert away > 20  # the path keeps its colours
     assert at > away + 100  # the platform has it only there
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_a_notebook_cell_plays_too(browser: Any, tmp_path: Path) -> None:
+    file = tmp_path / "cell.html"
+    file.write_text(f"<!DOCTYPE html><meta charset='utf-8'>{show('four_bar')._repr_html_()}", encoding="utf-8")
+    browser.get(file.as_uri())
+    browser.switch_to.frame(0)
+    _wait(browser)
+    picture = _picture(browser)
+    assert _is_shaded(picture, ROLE_COLORS["closure"]).sum() > 20
+    browser.switch_to.default_content()
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 

@@ -130,6 +130,8 @@ def test_forces_can_be_off_at_first() -> None:
 
 def test_the_page_forbids_itself_the_network_and_names_no_address() -> None:
     page = page_of("gough")
+    notices, page = re.findall(r"<!--(.*?)-->", page, flags=re.DOTALL)[0], re.sub(r"(?s)<!--.*?-->", "", page, count=1)
+    assert "Permission is hereby granted" in notices
     assert "default-src 'none'" in page
     assert not re.findall(r"<(?:script|link|img|iframe)[^>]*\s(?:src|href)=", page)
     assert set(re.findall(r"https?://[^\s\"'\\]+", page)) <= {"http://www.w3.org/1999/xhtml"}  # a name, not an address

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -87,6 +88,9 @@ def test_every_axis_has_a_quantity_and_a_unit() -> None:
 def test_units_are_those_of_the_robot() -> None:
     assert rp.plot.efforts(plan()).axes[0].get_ylabel() == "main force [N]"
     assert rp.plot.efforts(corner()).axes[0].get_ylabel() == "main torque [N·m]"
+    turning = replace(computed(), carriers_turn=True)
+    assert rp.plot.efforts(turning).axes[1].get_ylabel() == "carrier torque [N·m]"
+    assert rp.plot.carriers(turning).axes[1].get_ylabel() == "carrier speed ṡ [rad/s]"
     labels = [axes.get_ylabel() for axes in rp.plot.carriers(plan()).axes]
     assert labels == ["carrier position s [m]", "carrier speed ṡ [m/s]", "carrier acceleration s̈ [m/s²]"]
 

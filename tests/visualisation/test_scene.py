@@ -23,9 +23,11 @@ from redundancy_pin.visualisation.scene_motion import (
     LONGEST_FORCE,
     LONGEST_TORQUE,
     MOST_FRAMES,
+    MOST_POINTS,
     ShownMotion,
     frame_samples,
     make_scene,
+    path_samples,
 )
 from redundancy_pin.visualisation.scene_parts import body_points
 
@@ -62,6 +64,14 @@ def test_long_and_coarse_motions_keep_their_length() -> None:
     coarse = np.array([0.0, 0.5, 2.0, 2.0, 4.0])
     np.testing.assert_array_equal(frame_samples(coarse), [0, 1, 2, 4])
     np.testing.assert_array_equal(frame_samples(np.array([1.0])), [0])
+
+
+def test_the_drawn_path_is_thinned_but_not_where_its_colour_changes() -> None:
+    margin = np.where(np.arange(100_000) == 41_237, 0.01, 1.0)  # one sample near a singularity
+    chosen = path_samples(margin)
+    assert len(chosen) < MOST_POINTS + 5
+    assert {0, 41_236, 41_237, 41_238, 99_999} <= set(chosen.tolist())
+    np.testing.assert_array_equal(path_samples(np.ones(3)), [0, 1, 2])
 
 
 def test_bodies_are_where_another_reader_of_the_urdf_puts_them(shipped: Robot) -> None:
