@@ -9,7 +9,7 @@ from redundancy_pin.arrays import Array, IntArray
 Mesh = tuple[Array, IntArray]
 """Vertices (V, 3), m, and triangles (T, 3), indices of vertices."""
 
-_AROUND = 14
+AROUND = 14
 """Corners of a round cross-section."""
 
 _ARC = 1.5 * np.pi
@@ -19,7 +19,7 @@ _ARC = 1.5 * np.pi
 def arrow() -> Mesh:
     """Return an arrow of length 1 along z, with its foot at the origin; 0.22 wide at its head."""
     profile = np.array([[0.0, 0.0], [0.035, 0.0], [0.035, 0.75], [0.11, 0.75], [0.0, 1.0]])
-    angles = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
+    angles = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
     rings = np.array([[[r * np.cos(a), r * np.sin(a), z] for a in angles] for r, z in profile])
     return _skin(rings, closed=False)
 
@@ -28,7 +28,7 @@ def arc() -> Mesh:
     """Return an arc with a head, of radius 1 about z, from the x axis in the positive sense."""
     shaft = [(angle, 0.06) for angle in np.linspace(0.0, _ARC - 0.35, 40)]
     sections = [(0.0, 0.0), *shaft, (_ARC - 0.35, 0.2), (_ARC, 0.0)]
-    around = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
+    around = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
     rings = []
     for angle, radius in sections:
         out = np.array([np.cos(angle), np.sin(angle), 0.0])

@@ -18,7 +18,7 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.view import show
-from redundancy_pin.visualisation.meshcat_shapes import arc, arrow, plate, tube
+from redundancy_pin.visualisation.meshcat_shapes import AROUND, arc, arrow, plate, tube
 from redundancy_pin.visualisation.scene_colors import EFFORT_COLORS, MARGIN_COLORS, code, margin_classes
 from redundancy_pin.visualisation.show import View
 
@@ -205,8 +205,11 @@ def test_an_arrow_points_along_z_and_an_arc_turns_positively() -> None:
     tip, foot = vertices[-1], vertices[0]
     np.testing.assert_allclose(foot, [1.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(tip, [0.0, -1.0, 0.0], atol=1e-12)  # three quarters of a turn, counter-clockwise
-    quarter = vertices[np.argmin(np.abs(np.arctan2(vertices[:, 1], vertices[:, 0]) - np.pi / 2))]
-    assert quarter[1] > 0.9
+    middle = vertices.reshape(-1, AROUND, 3).mean(axis=1)
+    angle = np.unwrap(np.arctan2(middle[:, 1], middle[:, 0]))
+    assert (np.diff(angle) > -1e-12).all()
+    assert angle[-1] - angle[0] == pytest.approx(1.5 * np.pi)
+    assert volume(vertices, triangles) > 0.0
 
 
 def test_a_plate_is_a_prism() -> None:

@@ -151,7 +151,8 @@ def test_every_role_is_drawn_in_a_colour_of_its_own() -> None:
 
 
 def test_a_track_spans_what_the_carrier_may_do() -> None:
-    robot = zoo.robot_of("3rrr")
+    robot = zoo.robot_of("3rrr", tail_length=0.4)  # longer on one side than on the other
+    assert {limits.lower for limits in robot.carrier_limits} == {-0.4}
     scene = scene_of(robot)
     for track, limits in zip([s for s in scene.solids if s.role == "track"], robot.carrier_limits, strict=True):
         assert track.size[2] == pytest.approx(limits.upper - limits.lower)
