@@ -33,7 +33,7 @@ def arc() -> Mesh:
     for angle, radius in sections:
         out = np.array([np.cos(angle), np.sin(angle), 0.0])
         up = np.array([0.0, 0.0, 1.0])
-        rings.append([out + radius * (np.cos(a) * out + np.sin(a) * up) for a in around])
+        rings.append([out + radius * (np.cos(a) * out - np.sin(a) * up) for a in around])
     return _skin(np.array(rings), closed=False)
 
 
