@@ -76,6 +76,18 @@ def test_key_frames_are_the_placements_of_the_scene() -> None:
     np.testing.assert_allclose(2.0 * (x * y + z * w), placement[:, 1, 0], atol=1e-12)
 
 
+def test_a_single_sample_is_a_still_picture() -> None:
+    view = show(zoo.robot_of("2rpr"), rp.trajectory.reference.circle().sample(0.01)[:1])
+    assert view.scene.duration == 0.0
+    assert clips_in(view.html()) == {}
+
+
+def test_a_long_motion_makes_no_long_page() -> None:
+    motion = rp.trajectory.reference.line(speed=0.1).sample(0.001)
+    assert len(motion) > 12_000
+    assert len(show(zoo.robot_of("2rpr"), motion).html()) < 4e6
+
+
 def test_one_copy_of_the_platform_is_shown_at_a_time() -> None:
     """The platform's colour is that of the margin's class in every frame."""
     view = view_of("2rpr")
