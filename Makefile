@@ -23,7 +23,7 @@ HAS_VENV := import ensurepip, venv
 # ... and where the stubs of its newest numpy keep dtypes through arithmetic (numpy 2.2 is the last one for Python 3.10)
 TYPED    := import sys; sys.exit(sys.version_info < (3, 11))
 
-.PHONY: help test reproduce validate bench clean
+.PHONY: help test reproduce validate bench pictures clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1 \2/p' Makefile | while read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
@@ -46,6 +46,9 @@ validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random sta
 
 bench: $(STAMP) ## time the backends and planners
 	$(BIN)/python benchmarks/run.py
+
+pictures: $(STAMP) ## draw the pictures of the README into docs/pictures
+	$(BIN)/python docs/pictures/draw.py
 
 clean: ## remove the environment, build products and caches (not the results)
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -11,6 +11,7 @@ from redundancy_pin.cli.inverse_dynamics import inverse_dynamics
 from redundancy_pin.cli.map import map_command
 from redundancy_pin.cli.plan import plan
 from redundancy_pin.cli.reproduce import reproduce
+from redundancy_pin.cli.show import show
 from redundancy_pin.cli.singularities import singularities
 from redundancy_pin.cli.validate import validate
 
@@ -39,6 +40,6 @@ def _keep_lines(command: click.Command) -> None:
             _keep_lines(part)
 
 
-for _command in (reproduce, inverse_dynamics, singularities, plan, map_command, validate, info):
+for _command in (reproduce, inverse_dynamics, singularities, plan, map_command, show, validate, info):
     main.add_command(_command)
 _keep_lines(main)
