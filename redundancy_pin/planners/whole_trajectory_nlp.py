@@ -6,20 +6,24 @@ linear between nodes, so that the carriers' motion is integrated exactly by line
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_limits import Limiter
 from redundancy_pin.planners.whole_trajectory_objective import add_objective
 from redundancy_pin.planners.whole_trajectory_program import Program
 
 
-def build(problem: WholeProblem, elastic: tuple[str, ...] = ()) -> Program:
+def build(problem: WholeProblem, elastic: tuple[str, ...] = (), between: Sequence[BoolArray] | None = None) -> Program:
     """Return the programme of a problem.
 
     Args:
         problem: the numbers.
+        between: groups of steps, (M − 1,) each, in which track and speed limits hold between the nodes as well; all
+            when left out. Their rows come last and group by group, so that those of a longer list are appended.
         elastic: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way.
     """
     program = Program()
@@ -28,7 +32,7 @@ def build(problem: WholeProblem, elastic: tuple[str, ...] = ()) -> Program:
     S, V, A = (limiter.variable(name, (nodes, k)) for name in ("s", "sd", "sdd"))
     tau = limiter.variable("tau", (nodes, problem.model.W.shape[2]))
     _integrate(program, problem, S, V, A)
-    limiter.between_nodes(S, V, A)
+    limiter.jerk(A)
     terms = ((S, None), (S, S), (V, None), (S, V), (A, None))
     _balance(program, problem, terms, tau)
     force = None
@@ -41,6 +45,8 @@ def build(problem: WholeProblem, elastic: tuple[str, ...] = ()) -> Program:
     _start(program, problem, S, V)
     limiter.end(S, V, A)
     add_objective(program, problem, A, tau, force, V, limiter.price)
+    for steps in [np.ones(nodes - 1, dtype=bool)] if between is None else between:
+        limiter.between_nodes(S, V, A, steps)
     return program
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.whole_trajectory_between import solve
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_elastic import relax
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
-from redundancy_pin.planners.whole_trajectory_nlp import build
-from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution, Solver
+from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution
 
 _SWINGS = 3
 """Sines of a random first guess."""
@@ -51,27 +51,19 @@ def search(problem: WholeProblem, carriers: tuple[str, ...], warm: CarrierCourse
             where, and how much would suffice.
     """
     deadline = time.perf_counter() + seconds
-    program = build(problem)
     solutions: list[Solution] = []
     for number in range(problem.settings.starts):
         left = deadline - time.perf_counter()
         if solutions and left <= 0.0:
             break
         guess = _guess(problem, warm if number == 0 else None, number)
-        solution = Solver(program, max(left, LEAST_SECONDS)).solve(guess)
-        left = deadline - time.perf_counter()
-        if (
-            not (solution.optimal or solution.infeasible) and left > 0.0
-        ):  # the other strategy often ends where this one crawls
-            again = Solver(program, left, {"ipopt.mu_strategy": "adaptive"}).solve(solution.values)
-            solution = again if again.optimal or (again.feasible and not solution.feasible) else solution
-        solutions.append(solution)
-        if solution.infeasible:
+        solutions.append(solve(problem, guess, max(left, LEAST_SECONDS)))
+        if solutions[-1].infeasible:
             break
     usable = [solution for solution in solutions if solution.feasible]
     if not usable:
         elastic = relax(problem, carriers, _guess(problem, warm, 0), seconds, solutions[0].message)
-        solution = Solver(program, seconds).solve(elastic.values)
+        solution = solve(problem, elastic.values, seconds)
         if not solution.feasible:
             raise InfeasiblePlanError(
                 f"No plan was found within {seconds:g} s (the solver says {solution.message}), although none of the "

@@ -1,0 +1,103 @@
+"""Track and speed limits between the nodes: rows only where a solution needs them.
+
+Three rows a step and carrier hold them everywhere by the hulls of the Bézier points, and double what the solver has to
+factorise, while a handful of steps touches a limit. So the problem is solved with the limits at the nodes, the exact
+extremes between the nodes are looked at, rows are added around the steps that leave the limits, and it is solved
+again from where it was.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.planners.whole_trajectory_data import WholeProblem
+from redundancy_pin.planners.whole_trajectory_limits import RESERVE, scaled_bounds
+from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
+from redundancy_pin.planners.whole_trajectory_nlp import build
+from redundancy_pin.planners.whole_trajectory_solver import ADAPTIVE, LEAST_SECONDS, QUICK, WARM, Solution, Solver
+
+ROUNDS = 4
+"""Rounds of adding rows, after which all are."""
+
+AROUND = 2
+"""Steps on both sides of one that leaves a limit that get rows as well: the next solution would leave it there."""
+
+
+def leaving(problem: WholeProblem, course: CarrierCourse) -> BoolArray:
+    """Return (M − 1,) the steps inside which track or speed limits are exceeded, by more than a part of the reserve."""
+    u, bounds = problem.scales, scaled_bounds(problem)
+    s_low, s_high, sd_low, sd_high = course.ranges()
+    exceeded = np.zeros(len(problem.grid.h), dtype=bool)
+    for name, low, high, size in (("s", s_low, s_high, u.s), ("sd", sd_low, sd_high, u.sd)):
+        lower, upper = bounds[name]
+        width = upper - lower
+        spare = 0.25 * RESERVE * np.where(np.isfinite(width), width, 0.0)
+        exceeded |= ((high / size > upper + spare) | (low / size < lower - spare)).any(axis=1)
+    return exceeded
+
+
+def solve(problem: WholeProblem, guess: dict[str, Array], seconds: float) -> Solution:
+    """Solve a problem with every limit held at the nodes and between them.
+
+    Args:
+        problem: the numbers.
+        guess: first guess, scaled blocks by name.
+        seconds: time bound, s.
+
+    Returns:
+        An optimum that keeps every limit; or where that is not reached, the outcome with all rows from the start.
+    """
+    deadline = time.perf_counter() + seconds
+    first = _by_rows_needed(problem, guess, deadline)
+    if first.optimal:
+        return first
+    attempts = [first]
+    values = guess
+    # the other strategy often ends where the first one crawls
+    for options in ({}, ADAPTIVE):
+        left = deadline - time.perf_counter()
+        if attempts[-1].infeasible or left <= 0.0:
+            break
+        attempts.append(Solver(build(problem), left, options).solve(values))
+        values = attempts[-1].values
+        if attempts[-1].optimal:
+            break
+    best = min(attempts[1:] or attempts, key=lambda found: (not found.optimal, not found.feasible))
+    return _summed(best, attempts)
+
+
+def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: float) -> Solution:
+    """Solve with rows only where they are needed; the outcome is infeasible also where limits are left in between."""
+    groups: list[BoolArray] = []
+    covered = np.zeros(len(problem.grid.h), dtype=bool)
+    found: list[Solution] = []
+    while True:
+        left = max(deadline - time.perf_counter(), LEAST_SECONDS)
+        solver = Solver(build(problem, between=groups), left, {**QUICK, **WARM} if groups else QUICK)
+        found.append(solver.solve(found[-1] if groups else guess))
+        if not found[-1].optimal:
+            return _summed(replace(found[-1], feasible=False), found)
+        left_limits = leaving(problem, found[-1].course(problem))
+        new = _wider(left_limits) & ~covered
+        if not left_limits.any():
+            return _summed(found[-1], found)
+        if len(groups) == ROUNDS or not new.any():
+            return _summed(replace(found[-1], optimal=False, feasible=False), found)
+        groups.append(new)
+        covered |= new
+
+
+def _summed(chosen: Solution, attempts: list[Solution]) -> Solution:
+    iterations, seconds = (sum(getattr(found, name) for found in attempts) for name in ("iterations", "seconds"))
+    return replace(chosen, iterations=int(iterations), seconds=float(seconds))
+
+
+def _wider(steps: BoolArray) -> BoolArray:
+    at = np.flatnonzero(steps)[:, None] + np.arange(-AROUND, AROUND + 1)
+    found = np.zeros(len(steps), dtype=bool)
+    found[np.clip(at, 0, len(steps) - 1)] = True
+    return found
