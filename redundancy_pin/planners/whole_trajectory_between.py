@@ -1,9 +1,9 @@
-"""Track and speed limits between the nodes: rows only where a solution needs them.
+"""Track and speed limits between the nodes, and those of force: rows only where a solution needs them.
 
-Three rows a step and carrier hold them everywhere by the hulls of the Bézier points, and double what the solver has to
-factorise, while a handful of steps touches a limit. So the problem is solved with the limits at the nodes, the exact
-extremes between the nodes are looked at, rows are added around the steps that leave the limits, and it is solved
-again from where it was.
+Three rows a step and carrier hold track and speed everywhere by the hulls of the Bézier points, and double what the
+solver has to factorise, while a handful of steps touches a limit. So the problem is solved with the limits at the
+nodes, the exact extremes between the nodes are looked at, rows are added around the steps that leave the limits, and
+it is solved again from where it was. The carriers' forces become variables only once one exceeds its limit.
 """
 
 from __future__ import annotations
@@ -75,20 +75,32 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
     groups: list[BoolArray] = []
     covered = np.zeros(len(problem.grid.h), dtype=bool)
     found: list[Solution] = []
+    limit_force, warm = False, False
     while True:
         left = max(deadline - time.perf_counter(), LEAST_SECONDS)
-        solver = Solver(build(problem, between=groups), left, {**QUICK, **WARM} if groups else QUICK)
-        found.append(solver.solve(found[-1] if groups else guess))
+        program = build(problem, between=groups, limit_force=limit_force)
+        found.append(Solver(program, left, {**QUICK, **WARM} if warm else QUICK).solve(found[-1] if warm else guess))
         if not found[-1].optimal:
             return _summed(replace(found[-1], feasible=False), found)
-        left_limits = leaving(problem, found[-1].course(problem))
-        new = _wider(left_limits) & ~covered
-        if not left_limits.any():
+        if not limit_force and _too_strong(problem, found[-1]):
+            limit_force, warm, guess = True, False, found[-1].values
+            continue
+        leaves = leaving(problem, found[-1].course(problem))
+        if not leaves.any():
             return _summed(found[-1], found)
+        new = _wider(leaves) & ~covered
         if len(groups) == ROUNDS or not new.any():
             return _summed(replace(found[-1], optimal=False, feasible=False), found)
         groups.append(new)
         covered |= new
+        warm = True
+
+
+def _too_strong(problem: WholeProblem, solution: Solution) -> bool:
+    """Return whether a carrier needs more force at a node than its limit."""
+    course, (low, high) = solution.course(problem), scaled_bounds(problem)["force"]
+    force = problem.model.carrier_force(course.s, course.sd, course.sdd) / problem.scales.force
+    return bool(((force > high) | (force < low)).any())
 
 
 def _summed(chosen: Solution, attempts: list[Solution]) -> Solution:

@@ -17,13 +17,19 @@ from redundancy_pin.planners.whole_trajectory_objective import add_objective
 from redundancy_pin.planners.whole_trajectory_program import Program
 
 
-def build(problem: WholeProblem, elastic: tuple[str, ...] = (), between: Sequence[BoolArray] | None = None) -> Program:
+def build(
+    problem: WholeProblem,
+    elastic: tuple[str, ...] = (),
+    between: Sequence[BoolArray] | None = None,
+    limit_force: bool = True,
+) -> Program:
     """Return the programme of a problem.
 
     Args:
         problem: the numbers.
         between: groups of steps, (M − 1,) each, in which track and speed limits hold between the nodes as well; all
             when left out. Their rows come last and group by group, so that those of a longer list are appended.
+        limit_force: whether the limits of the carriers' forces are held.
         elastic: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way.
     """
     program = Program()
@@ -36,7 +42,7 @@ def build(problem: WholeProblem, elastic: tuple[str, ...] = (), between: Sequenc
     terms = ((S, None), (S, S), (V, None), (S, V), (A, None))
     _balance(program, problem, terms, tau)
     force = None
-    if limiter.limits_force or {"carrier_force", "energy"} & set(problem.settings.objective):
+    if (limit_force and limiter.limits_force) or {"carrier_force", "energy"} & set(problem.settings.objective):
         force = limiter.variable("force", (nodes, k))
         _carrier_forces(program, problem, terms, force)
     _smooth(program, problem, A)
