@@ -85,10 +85,12 @@ def plan_whole_trajectory(
         effort: scalar or (m,) limit of |τ|, N or N·m.
         dt: largest step between nodes, s.
         starts: number of first guesses; the first is parked carriers, the others are random swings (seeded). The best
-            optimum is kept and ``diagnostics["costs"]`` has all.
+            optimum is kept. ``diagnostics["starts"]`` says how many were asked for, tried and converged, which optima
+            they led to (cost and first guesses of each, best first), which guess won, and all costs and messages.
         seconds: time bound of each solution, s.
         refinements: how often the grid may be refined.
-        progress: called with a line of text at each stage.
+        progress: called with a line of text at each stage, and during it where the plan has 1000 nodes or more. What it
+            raises ends the planning.
 
     Returns:
         A plan whose samples are the nodes. ``status`` is stopped_early where the solver stopped before the conditions
@@ -133,7 +135,7 @@ def plan_whole_trajectory(
     while True:
         problem = prepare(task, grid)
         say(f"{len(grid.t)} nodes, {len(grid.singular)} of them singular: solving")
-        found = search(problem, robot.carriers, warm, settings.seconds)
+        found = search(problem, robot.carriers, warm, settings.seconds, progress)
         warm, tau = found.best.course(problem), found.best.tau(problem)
         checks.append(dense_check(task, problem, warm, tau))
         say(f"peak effort {checks[-1].peak_at_nodes:.4g} at the nodes, {checks[-1].peak:.4g} between them")

@@ -18,6 +18,7 @@ from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_limits import RESERVE, scaled_bounds
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.planners.whole_trajectory_nlp import build
+from redundancy_pin.planners.whole_trajectory_progress import Say
 from redundancy_pin.planners.whole_trajectory_solver import ADAPTIVE, LEAST_SECONDS, QUICK, WARM, Solution, Solver
 
 ROUNDS = 4
@@ -40,19 +41,20 @@ def leaving(problem: WholeProblem, course: CarrierCourse) -> BoolArray:
     return exceeded
 
 
-def solve(problem: WholeProblem, guess: dict[str, Array], seconds: float) -> Solution:
+def solve(problem: WholeProblem, guess: dict[str, Array], seconds: float, say: Say | None = None) -> Solution:
     """Solve a problem with every limit held at the nodes and between them.
 
     Args:
         problem: the numbers.
         guess: first guess, scaled blocks by name.
         seconds: time bound, s.
+        say: called with the progress of long plans.
 
     Returns:
         An optimum that keeps every limit; or where that is not reached, the outcome with all rows from the start.
     """
     deadline = time.perf_counter() + seconds
-    first = _by_rows_needed(problem, guess, deadline)
+    first = _by_rows_needed(problem, guess, deadline, say)
     if first.optimal:
         return first
     attempts = [first]
@@ -62,7 +64,7 @@ def solve(problem: WholeProblem, guess: dict[str, Array], seconds: float) -> Sol
         left = deadline - time.perf_counter()
         if attempts[-1].infeasible or left <= 0.0:
             break
-        attempts.append(Solver(build(problem), left, options).solve(values))
+        attempts.append(Solver(build(problem), left, options, say).solve(values))
         values = attempts[-1].values
         if attempts[-1].optimal:
             break
@@ -70,7 +72,7 @@ def solve(problem: WholeProblem, guess: dict[str, Array], seconds: float) -> Sol
     return _summed(best, attempts)
 
 
-def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: float) -> Solution:
+def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: float, say: Say | None) -> Solution:
     """Solve with rows only where they are needed; the outcome is infeasible also where limits are left in between."""
     groups: list[BoolArray] = []
     covered = np.zeros(len(problem.grid.h), dtype=bool)
@@ -79,7 +81,11 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
     while True:
         left = max(deadline - time.perf_counter(), LEAST_SECONDS)
         program = build(problem, between=groups, limit_force=limit_force)
-        found.append(Solver(program, left, {**QUICK, **WARM} if warm else QUICK).solve(found[-1] if warm else guess))
+        options = {**QUICK, **WARM} if warm else QUICK
+        found.append(Solver(program, left, options, say).solve(found[-1] if warm else guess))
+        if not found[-1].optimal and found[-1].acceptable:
+            left = max(deadline - time.perf_counter(), LEAST_SECONDS)
+            found.append(Solver(program, left, WARM, say).solve(found[-1]))
         if not found[-1].optimal:
             return _summed(replace(found[-1], feasible=False), found)
         if not limit_force and _too_strong(problem, found[-1]):

@@ -11,6 +11,7 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_limits import KINDS, scaled_bounds, slack_name
 from redundancy_pin.planners.whole_trajectory_nlp import build
+from redundancy_pin.planners.whole_trajectory_progress import Say
 from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution, Solver
 
 NOTHING = 1e-5
@@ -23,7 +24,12 @@ _UNITS = {"track": "m", "speed": "m/s", "acceleration": "m/s²", "jerk": "m/s³"
 
 
 def relax(
-    problem: WholeProblem, carriers: tuple[str, ...], guess: dict[str, Array], seconds: float, message: str
+    problem: WholeProblem,
+    carriers: tuple[str, ...],
+    guess: dict[str, Array],
+    seconds: float,
+    message: str,
+    say: Say | None = None,
 ) -> Solution:
     """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
 
@@ -35,6 +41,7 @@ def relax(
         guess: first guess.
         seconds: time bound, s.
         message: how the solver ended on the ordinary problem.
+        say: called with the progress of the solver.
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
@@ -43,7 +50,7 @@ def relax(
             or one of them is enough. Or nothing admits a plan, or the time ran out.
     """
     deadline = time.perf_counter() + seconds
-    elastic = Solver(build(problem, elastic=KINDS), seconds).solve(guess)
+    elastic = Solver(build(problem, elastic=KINDS), seconds, say=say).solve(guess)
     if not elastic.feasible:
         raise _nothing_helps(problem, elastic, message)
     let_out = [kind for kind in KINDS if _slack(elastic, kind) > NOTHING]
@@ -52,7 +59,7 @@ def relax(
     alone = {}
     for kind in let_out if len(let_out) > 1 else []:
         left = max(deadline - time.perf_counter(), LEAST_SECONDS)
-        found = Solver(build(problem, elastic=(kind,)), left).solve(elastic.values)
+        found = Solver(build(problem, elastic=(kind,)), left, say=say).solve(elastic.values)
         if found.optimal:
             alone[kind] = found
     relaxed = alone or dict.fromkeys(let_out, elastic)

@@ -12,6 +12,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.planners.whole_trajectory_program import Program, casadi
+from redundancy_pin.planners.whole_trajectory_progress import Say, watcher
 
 TOLERANCE = 1e-9
 """Of the conditions of a minimum, in scaled variables."""
@@ -77,6 +78,11 @@ class Solution:
         """Whether the solver is convinced that no point keeps every constraint (nearby, as for any such solver)."""
         return self.message == "Infeasible_Problem_Detected"
 
+    @property
+    def acceptable(self) -> bool:
+        """Whether the solver came near an optimum and no further: with steps refined it may."""
+        return self.message == "Solved_To_Acceptable_Level"
+
     def course(self, problem: WholeProblem) -> CarrierCourse:
         """Return the carriers' motion in units."""
         u = problem.scales
@@ -92,8 +98,12 @@ class Solution:
 class Solver:
     """IPOPT on one programme, which it keeps with its derivatives for any number of first guesses."""
 
-    def __init__(self, program: Program, seconds: float, options: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self, program: Program, seconds: float, options: dict[str, Any] | None = None, say: Say | None = None
+    ) -> None:
         self._program, self._bounds = program, program.bounds()
+        self._watcher = None if say is None else watcher(program.size, program.row_count, say)
+        watch = {} if self._watcher is None else {"iteration_callback": self._watcher}
         functions, derivatives = program.functions()
         settings = {
             "ipopt.print_level": 0,
@@ -107,6 +117,7 @@ class Solver:
             "ipopt.mu_strategy": "monotone",
             "no_nlp_grad": True,  # multipliers of parameters, of which there are none
             **derivatives,
+            **watch,
             **(options or {}),
         }
         self._function = casadi().nlpsol("whole_trajectory", "ipopt", functions, settings)
@@ -125,6 +136,8 @@ class Solver:
         else:
             first = {"x0": self._program.join(guess)}
         found = self._function(**first, **self._bounds)
+        if self._watcher is not None and self._watcher.error is not None:
+            raise self._watcher.error
         stats = self._function.stats()
         x, g = np.asarray(found["x"]).ravel(), np.asarray(found["g"]).ravel()
         violation = max(
