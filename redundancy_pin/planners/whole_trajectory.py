@@ -100,7 +100,8 @@ def plan_whole_trajectory(
         InputError: a setting out of its domain.
         UnsupportedRobotError: no carriers, or carriers on curved tracks.
         InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, carrier, time, amount and
-            the limit that would suffice.
+            the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
+            (constraint "singular_touch"), where no finite efforts can be told.
         RedundancyPinError: casadi is not installed.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
