@@ -148,8 +148,6 @@ def plan_whole_trajectory(
 
 def _watched(task: Task, grid: Grid) -> Grid:
     """Return the grid with a middle node in every step near a singularity."""
-    if not len(grid.singular):
-        return grid
     reduced = task.dynamics.along(task.source.sample_at(grid.t)).reduce()
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
     near: BoolArray = values[:, -1] < NEAR * values[:, 0]
