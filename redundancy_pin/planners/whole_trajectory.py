@@ -10,11 +10,14 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import BoolArray
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory_check import ALLOWED, DenseCheck, dense_check
+from redundancy_pin.planners.whole_trajectory_curved import search_curved
+from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_grid import Grid, grid_of, singular_instants, with_middles
 from redundancy_pin.planners.whole_trajectory_plan import assemble
 from redundancy_pin.planners.whole_trajectory_prepare import Task, prepare
@@ -131,12 +134,16 @@ def plan_whole_trajectory(
     task = Task(dynamics, continuous_motion(motion), settings, baseline)
     instants = singular_instants(dynamics, task.source)
     grid = _watched(task, grid_of(task.source, instants, settings.dt))
-    warm = None
+    warm, curved = None, False
     checks: list[DenseCheck] = []
     while True:
-        problem = prepare(task, grid)
         say(f"{len(grid.t)} nodes, {len(grid.singular)} of them singular: solving")
-        found = search(problem, robot.carriers, warm, settings.seconds, progress)
+        problem = None if curved else _straight(task, grid)
+        if problem is None:
+            curved = True
+            problem, found = search_curved(task, grid, warm, progress)
+        else:
+            found = search(problem, robot.carriers, warm, settings.seconds, progress)
         warm, tau = found.best.course(problem), found.best.tau(problem)
         checks.append(dense_check(task, problem, warm, tau))
         say(f"peak effort {checks[-1].peak_at_nodes:.4g} at the nodes, {checks[-1].peak:.4g} between them")
@@ -144,6 +151,16 @@ def plan_whole_trajectory(
             break
         grid = with_middles(grid, checks[-1].exceeding)
     return assemble(task, problem, found, checks, time.perf_counter() - began)
+
+
+def _straight(task: Task, grid: Grid) -> WholeProblem | None:
+    """Return the problem of carriers on straight tracks; None where f is not the polynomial it is for them."""
+    try:
+        return prepare(task, grid)
+    except UnsupportedRobotError as error:
+        if "deviation" in error.details:
+            return None
+        raise
 
 
 def _watched(task: Task, grid: Grid) -> Grid:

@@ -21,6 +21,9 @@ CLOSE = (1e-3, 1e-2)
 ALLOWED = 1.05
 """Largest effort between the nodes over the largest at the nodes that is accepted."""
 
+MARKED = 1.02
+"""Ratio from which a step gets a middle node once any exceeds what is accepted: those beside it would be next."""
+
 SMALL = 1e-3
 """Efforts below this fraction of the size of the efforts count as zero here."""
 
@@ -35,7 +38,7 @@ class DenseCheck:
         peak_at_nodes: largest |τ| at the nodes.
         ratio: of both; efforts that are nothing beside those of the parked robot count as equal.
         points: number of points.
-        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes by more than is accepted.
+        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes by what is worth a middle node.
     """
 
     peak: float
@@ -83,7 +86,7 @@ def dense_check(task: Task, problem: WholeProblem, course: CarrierCourse, tau: A
     least = max(at_nodes, SMALL * problem.scales.tau)
     step = np.searchsorted(grid.t, times, side="right") - 1
     exceeding = np.zeros(len(grid.h), dtype=bool)
-    exceeding[step[largest > ALLOWED * least]] = True
+    exceeding[step[largest > MARKED * least]] = True
     worst = int(largest.argmax())
     ratio = max(float(largest[worst]), least) / least
     return DenseCheck(float(largest[worst]), float(times[worst]), at_nodes, ratio, len(times), exceeding)

@@ -100,6 +100,11 @@ def _balance(program: Program, problem: WholeProblem, terms: Terms, tau: IntArra
     for j, (first, second) in enumerate(terms):
         term = (first[:, None, :], None if second is None else second[:, None, :])
         _add_term(program, rows[:, :, None], term, -model.f_terms[..., j] * sizes(problem)[j] / row)
+    if problem.more_terms is not None:
+        S, V, A = (terms[j][0][:, None, :] for j in (0, 2, 4))
+        squares, products = np.moveaxis(problem.more_terms, -1, 0)
+        program.add_product(rows[:, :, None], V, V, -squares * scales.sd**2 / row)
+        program.add_product(rows[:, :, None], S, A, -products * scales.s * scales.sdd / row)
 
 
 def _carrier_forces(program: Program, problem: WholeProblem, terms: Terms, force: IntArray) -> None:
@@ -150,6 +155,11 @@ def _singular(
         program.add_product(rows, s, a, -c4 * us * ua)
         program.add(rows, A[step + 1], -c5 * ua / h)
         program.add(rows, A[step], c5 * ua / h)
+        if problem.more_terms is not None:
+            e1, e2 = np.einsum("i,ikj->jk", u, problem.more_terms[i]) / size
+            program.add_product(rows, v, a, -(2.0 * e1 + e2) * uv * ua)
+            program.add_product(rows, s, A[step + 1], -e2 * us * ua / h)
+            program.add_product(rows, s, A[step], e2 * us * ua / h)
 
 
 def _start(program: Program, problem: WholeProblem, S: IntArray, V: IntArray) -> None:

@@ -97,13 +97,13 @@ def search(
         left = deadline - time.perf_counter()
         if solutions and left <= 0.0:
             break
-        guess = _guess(problem, warm if number == 0 else None, number)
+        guess = first_guess(problem, warm if number == 0 else None, number)
         solutions.append(solve(problem, guess, max(left, LEAST_SECONDS), say))
         if solutions[-1].infeasible:
             break
     usable = [solution for solution in solutions if solution.feasible]
     if not usable:
-        elastic = relax(problem, carriers, _guess(problem, warm, 0), seconds, solutions[0].message, say)
+        elastic = relax(problem, carriers, first_guess(problem, warm, 0), seconds, solutions[0].message, say)
         solution = solve(problem, elastic.values, seconds, say)
         if not solution.feasible:
             raise InfeasiblePlanError(
@@ -120,7 +120,7 @@ def search(
     return Found(best, tuple(solutions), problem.settings.starts)
 
 
-def _guess(problem: WholeProblem, warm: CarrierCourse | None, number: int) -> dict[str, Array]:
+def first_guess(problem: WholeProblem, warm: CarrierCourse | None, number: int) -> dict[str, Array]:
     """Return scaled s, ṡ, s̈: a motion that is known, parked carriers, or random swings about the start."""
     grid, u, settings = problem.grid, problem.scales, problem.settings
     if warm is not None:

@@ -21,10 +21,12 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import scaled
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel
 from redundancy_pin.planners.continuous_motion import ContinuousMotion
 from redundancy_pin.planners.piecewise_chebyshev import PiecewiseChebyshev
 from redundancy_pin.planners.timed_model import TimedModel
+from redundancy_pin.planners.whole_trajectory_local import local_rate
 
 LOST = 1e-6
 """Singular values below this fraction of the largest are lost at a singular instant; one that is only touched is known
@@ -55,7 +57,12 @@ class SingularNode:
 
 
 def singular_node(
-    dynamics: Dynamics, source: ContinuousMotion, index: int, t: float, half_width: float
+    dynamics: Dynamics,
+    source: ContinuousMotion,
+    index: int,
+    t: float,
+    half_width: float,
+    around: CarrierMotion | None = None,
 ) -> SingularNode:
     """Read the derivatives of the model at a singular instant off a backend.
 
@@ -65,13 +72,17 @@ def singular_node(
         index: number of the node.
         t: the instant, s.
         half_width: the model is interpolated over so much time on both sides of it, s.
+        around: for carriers on curved tracks, the motion (one sample) around which the model is fitted.
 
     Raises:
         UnsupportedRobotError: see ``carrier_model``.
         InfeasiblePlanError: the motion touches the singularity, rests in it or stays in it: (W; uᵀ Ẇ) lacks rank.
     """
-    model = TimedModel.of(dynamics, source, max(source.start, t - half_width), min(source.end, t + half_width))
-    rate = replace(model, interpolant=_derivative(model.interpolant)).at(np.array([t]))
+    if around is None:
+        model = TimedModel.of(dynamics, source, max(source.start, t - half_width), min(source.end, t + half_width))
+        rate = replace(model, interpolant=_derivative(model.interpolant)).at(np.array([t]))
+    else:
+        rate = local_rate(dynamics, source, t, around)
     reduced = dynamics.along(source.sample_at(np.array([t]))).reduce()
     A = scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0]
     u, values, v = np.linalg.svd(A)
