@@ -59,9 +59,10 @@ def plan_whole_trajectory(
     to (``whole_trajectory_singular``), and the carriers' jerk is continuous, which makes both limits the same.
 
     s̈ is linear between the nodes and may jump only where the reference acceleration jumps; s and ṡ follow exactly.
-    Track and speed limits hold between the nodes as well, by their Bézier hulls. For carriers on straight tracks f is
-    quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone (``carrier_model``): they are read
-    off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
+    Track and speed limits hold between the nodes as well, by their Bézier hulls where they are met. For carriers on
+    straight tracks f is quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone
+    (``carrier_model``): they are read off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
+    For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory_curved``).
 
     The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
     included. Where efforts between the nodes exceed the peak at the nodes by more than 5 %, the steps get a node in the
@@ -101,7 +102,7 @@ def plan_whole_trajectory(
 
     Raises:
         InputError: a setting out of its domain.
-        UnsupportedRobotError: no carriers, or carriers on curved tracks.
+        UnsupportedRobotError: no carriers.
         InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, carrier, time, amount and
             the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
             (constraint "singular_touch"), where no finite efforts can be told.

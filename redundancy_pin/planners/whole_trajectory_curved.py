@@ -69,20 +69,27 @@ def search_curved(
             break
         course = warm if warm is not None and number == 0 else _course(first, first_guess(first, None, number))
         outcomes.append(_fitted(task, first, course, deadline, say))
-    problem, best = min(outcomes, key=lambda outcome: (not outcome[1].optimal, outcome[1].cost))
-    return problem, Found(best, tuple(solution for _, solution in outcomes), task.settings.starts)
+    problem, best, _ = min(outcomes, key=lambda outcome: (not outcome[1].optimal, outcome[1].cost))
+    return problem, Found(
+        best,
+        tuple(solution for _, solution, _ in outcomes),
+        task.settings.starts,
+        tuple(fits for _, _, fits in outcomes),
+    )
 
 
 def _fitted(
     task: Task, first: WholeProblem, course: CarrierCourse, deadline: float, say: Say | None
-) -> tuple[WholeProblem, Solution]:
-    """Fit and solve in turn; the outcome is an optimum only where the true f is balanced."""
+) -> tuple[WholeProblem, Solution, int]:
+    """Fit and solve in turn, and count; the outcome is an optimum only where the true f is balanced."""
     grid, carriers = first.grid, task.dynamics.robot.carriers
     course = CarrierCourse(grid.t, *_parts(course, grid))
     balance, cost, iterations = np.inf, np.inf, 0
     tau = np.zeros((len(grid.t), first.model.W.shape[2]))
     along = task.dynamics.along(task.source.sample_at(grid.t))
-    for _ in range(FITS):
+    fits = 0
+    while fits < FITS:
+        fits += 1
         problem = replace(prepare(task, grid, course.at_nodes()), scales=first.scales)
         u = problem.scales
         guess = {"s": course.s / u.s, "sd": course.sd / u.sd, "sdd": course.sdd / u.sdd, "tau": tau / u.tau}
@@ -105,13 +112,14 @@ def _fitted(
         course, tau, balance, cost = trial, efforts, imbalance, solution.cost
         if settled or time.perf_counter() > deadline:
             break
-    return problem, replace(
+    solution = replace(
         solution,
         optimal=solution.optimal and settled,
         feasible=solution.feasible and imbalance <= BALANCED,
         violation=max(solution.violation, imbalance),
         iterations=iterations,
     )
+    return problem, solution, fits
 
 
 def _course(problem: WholeProblem, guess: dict[str, Array]) -> CarrierCourse:

@@ -50,6 +50,7 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
             "costs": starts["costs"],
             "solver_messages": starts["messages"],
             "objective": value(problem, best.values),
+            "fits": list(found.fits),
             "nodes": len(problem.grid.t),
             "singular_instants": problem.grid.t[problem.grid.singular].tolist(),
             "singular_nodes": [int(i) for i in problem.grid.singular],

@@ -38,11 +38,13 @@ class Found:
         best: the best one.
         solutions: the outcome from each first guess.
         asked: number of first guesses asked for.
+        fits: how often f was fitted from each guess, for carriers on curved tracks.
     """
 
     best: Solution
     solutions: tuple[Solution, ...]
     asked: int
+    fits: tuple[int, ...] = ()
 
     @property
     def summary(self) -> dict[str, object]:

@@ -9,7 +9,9 @@ import symbolic_plans
 import yaml
 
 import redundancy_pin.planners.whole_trajectory as planner
+import redundancy_pin.planners.whole_trajectory_curved as curved
 from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory_curved import BALANCED
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
@@ -72,6 +74,7 @@ def test_optimum_is_that_of_the_full_model(robot, name, objective):
     plan = plan_of(robot, trajectory, objective, refinements=0)
     assert plan.diagnostics["optimal"]
     assert plan.diagnostics["violation"] <= BALANCED
+    assert plan.diagnostics["fits"][0] <= 10
     assert len(plan.diagnostics["singular_nodes"]) == (2 if name == "circle" else 0)
     machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
     theirs, _ = symbolic_plans.solve(machine, trajectory, plan, objective, LIMITS)
@@ -125,6 +128,27 @@ def _integrated(t, sdd):
     sd = np.vstack([np.zeros((1, 2)), np.cumsum(h * (sdd[:-1] + sdd[1:]) / 2, axis=0)])
     s = np.vstack([np.zeros((1, 2)), np.cumsum(h * sd[:-1] + h**2 * (2 * sdd[:-1] + sdd[1:]) / 6, axis=0)])
     return sd, s
+
+
+def test_several_first_guesses(robot):
+    plan = plan_of(robot, TRAJECTORIES["line"], "effort", refinements=0, starts=3)
+    assert plan.diagnostics["starts"]["converged"] == 3
+    assert len(plan.diagnostics["fits"]) == 3
+    assert plan.diagnostics["cost"] == min(plan.diagnostics["costs"])
+
+
+def test_limits_of_curved_tracks_that_no_course_keeps_are_named(robot):
+    free = plan_of(robot, TRAJECTORIES["line"], "peak", refinements=0)
+    with pytest.raises(InfeasiblePlanError) as caught:
+        plan_of(robot, TRAJECTORIES["line"], "effort", refinements=0, effort=0.5 * free.peak_effort.max())
+    assert "effort" in {event["constraint"] for event in caught.value.details["relaxations"]}
+
+
+def test_a_plan_that_ran_out_of_time_is_not_called_optimal(robot, monkeypatch):
+    monkeypatch.setattr(curved, "FITS", 2)
+    plan = plan_of(robot, TRAJECTORIES["circle"], "effort", refinements=0)
+    assert not plan.diagnostics["optimal"]
+    assert plan.status is PlanStatus.STOPPED_EARLY
 
 
 def test_straight_tracks_are_not_fitted(monkeypatch):
