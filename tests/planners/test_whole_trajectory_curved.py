@@ -144,11 +144,15 @@ def test_limits_of_curved_tracks_that_no_course_keeps_are_named(robot):
     assert "effort" in {event["constraint"] for event in caught.value.details["relaxations"]}
 
 
-def test_a_plan_that_ran_out_of_time_is_not_called_optimal(robot, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "status"), [("line", PlanStatus.STOPPED_EARLY), ("circle", PlanStatus.UNBOUNDED_EFFORT)]
+)
+def test_a_plan_that_did_not_settle_says_so(robot, monkeypatch, name, status):
+    """Beside a singularity what is left unbalanced has no finite efforts, and the status says that too."""
     monkeypatch.setattr(curved, "FITS", 2)
-    plan = plan_of(robot, TRAJECTORIES["circle"], "effort", refinements=0)
+    plan = plan_of(robot, TRAJECTORIES[name], "effort", refinements=0)
     assert not plan.diagnostics["optimal"]
-    assert plan.status is PlanStatus.STOPPED_EARLY
+    assert plan.status is status
 
 
 def test_straight_tracks_are_not_fitted(monkeypatch):
