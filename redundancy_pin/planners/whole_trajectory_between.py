@@ -68,12 +68,12 @@ def solve(problem: WholeProblem, guess: dict[str, Array], seconds: float, say: S
         values = attempts[-1].values
         if attempts[-1].optimal:
             break
-    best = min(attempts[1:] or attempts, key=lambda found: (not found.optimal, not found.feasible))
+    best = min(attempts, key=lambda found: (not found.optimal, not found.feasible))
     return _summed(best, attempts)
 
 
 def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: float, say: Say | None) -> Solution:
-    """Solve with rows only where they are needed; the outcome is infeasible also where limits are left in between."""
+    """Solve with rows only where they are needed; the outcome is feasible only where limits hold in between, too."""
     groups: list[BoolArray] = []
     covered = np.zeros(len(problem.grid.h), dtype=bool)
     found: list[Solution] = []
@@ -87,7 +87,8 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)
             found.append(Solver(program, left, WARM, say).solve(found[-1]))
         if not found[-1].optimal:
-            return _summed(replace(found[-1], feasible=False), found)
+            kept = not leaving(problem, found[-1].course(problem)).any() and not _too_strong(problem, found[-1])
+            return _summed(replace(found[-1], feasible=found[-1].feasible and kept), found)
         if not limit_force and _too_strong(problem, found[-1]):
             limit_force, warm, guess = True, False, found[-1].values
             continue

@@ -1,12 +1,16 @@
 """Several first guesses, rows between the nodes only where needed, and progress."""
 
+import time
+
 import numpy as np
 import pytest
 import zoo
 
+import redundancy_pin.planners.whole_trajectory as planner
 import redundancy_pin.planners.whole_trajectory_between as between
 import redundancy_pin.planners.whole_trajectory_progress as progress
 import redundancy_pin.planners.whole_trajectory_search as searching
+import redundancy_pin.planners.whole_trajectory_solver as solver
 from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
@@ -93,6 +97,28 @@ def test_limits_hold_between_the_nodes_where_they_are_met(quantity, limit, monke
     assert max(high.max(), -low.min()) >= (1.0 - 1e-3) * limit
     assert len(asked) > 1
     assert 0 < sum(int(steps.sum()) for steps in asked[-1]) < 0.5 * (len(plan.t) - 1)
+
+
+@pytest.mark.parametrize("narrow", [False, True])
+def test_a_late_stop_is_a_plan_only_if_limits_hold_between_the_nodes(narrow, monkeypatch):
+    """Stopped before a tolerance that it never reaches: feasible, or not so where a step leaves its speed limit."""
+    limit = {"speed": 0.55} if narrow else {"track": (-1.0, 1.0)}
+    setting = {"dt": 0.04, "refinements": 0, **limit}
+    dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.6, 0.2)
+    problems = []
+    search = planner.search
+
+    def watched(problem, *arguments):
+        problems.append(problem)
+        return search(problem, *arguments)
+
+    monkeypatch.setattr(planner, "search", watched)
+    plan_whole_trajectory(dynamics, trajectory, **setting)
+    problem = problems[0]
+    monkeypatch.setattr(solver, "TOLERANCE", 1e-40)
+    stopped = between._by_rows_needed(problem, {}, time.perf_counter() + 60.0, None)
+    assert not stopped.optimal
+    assert stopped.feasible is not narrow
 
 
 def test_long_plans_tell_their_progress(monkeypatch):
