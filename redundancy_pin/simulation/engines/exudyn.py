@@ -21,7 +21,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.robot import AXES
 from redundancy_pin.simulation.engines.links import GROUND, FrameOnLink, LinkTree, link_tree
 from redundancy_pin.simulation.engines.missing import require
-from redundancy_pin.simulation.engines.run import EngineRun, Raw, finished
+from redundancy_pin.simulation.engines.run import EngineRun, Raw, finished, joined
 from redundancy_pin.simulation.engines.task import Segment, Task, segments
 
 SPECTRAL_RADIUS = 0.9
@@ -183,22 +183,6 @@ class ExudynSystem:
         integration.newton.absoluteTolerance = tolerance
         settings.solution.file.write = False
         return settings
-
-
-def joined(parts: Sequence[Raw]) -> Raw:
-    """Join stretches: the end of one is the start of the next and is kept once."""
-    last = len(parts) - 1
-
-    def all_but_end(values: Array, index: int) -> Array:
-        return values if index == last else values[:-1]
-
-    return Raw(
-        np.concatenate([all_but_end(part.t, i) for i, part in enumerate(parts)]),
-        np.concatenate([all_but_end(part.coordinates, i) for i, part in enumerate(parts)]),
-        np.concatenate([all_but_end(part.rates, i) for i, part in enumerate(parts)]),
-        sum(part.seconds for part in parts),
-        parts[-1].message,
-    )
 
 
 def _list(target: Any, arrays: Sequence[Array]) -> Any:

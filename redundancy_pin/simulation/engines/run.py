@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -101,6 +101,22 @@ def finished(
         seconds=raw.seconds,
         status=RunStatus.COMPLETED if done else RunStatus.STOPPED,
         message=message,
+    )
+
+
+def joined(parts: Sequence[Raw]) -> Raw:
+    """Join stretches: the end of one is the start of the next and is kept once."""
+    last = len(parts) - 1
+
+    def all_but_end(values: Array, index: int) -> Array:
+        return values if index == last else values[:-1]
+
+    return Raw(
+        np.concatenate([all_but_end(part.t, i) for i, part in enumerate(parts)]),
+        np.concatenate([all_but_end(part.coordinates, i) for i, part in enumerate(parts)]),
+        np.concatenate([all_but_end(part.rates, i) for i, part in enumerate(parts)]),
+        sum(part.seconds for part in parts),
+        parts[-1].message,
     )
 
 
