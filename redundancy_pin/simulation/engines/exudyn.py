@@ -3,8 +3,8 @@
 The mechanism is one ``ObjectKinematicTree``; every closure is an ``ObjectJointGeneric`` between two markers on it, with
 the closure's own mask of axes. The generalised-α method solves the index-3 system: constraints hold at position level
 to Newton's tolerance, and the error is of second order in the step. Nothing of Pinocchio and nothing of this package's
-dynamics takes part; links without mass are no trouble as long as the mechanism as a whole has inertia in every
-direction it can move.
+dynamics takes part. Links without mass are no trouble as long as the closed mechanism has inertia in every direction
+it can move.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ system oscillate from step to step; much smaller values cost accuracy."""
 
 NEWTON_TOLERANCE = 1e-10
 """Relative tolerance of Newton's method. At Exudyn's own 1e-8 the error stops falling near 1e-7 m."""
+
+LEAST_MASS = 1e-12
+"""Mass, kg, of links that have none: Exudyn 1.13 divides by the mass of the last link of a chain (docs/engines.md)."""
 
 
 def run_exudyn(
@@ -106,7 +109,7 @@ class ExudynSystem:
                 jointOffsets=_list(exu.Vector3DList(), [link.translation for link in links]),
                 linkInertiasCOM=_list(exu.Matrix3DList(), [link.inertia for link in links]),
                 linkCOMs=_list(exu.Vector3DList(), [link.centre for link in links]),
-                linkMasses=[link.mass for link in links],
+                linkMasses=[max(link.mass, LEAST_MASS) for link in links],
                 jointForceVector=zero,
             )
         )
@@ -142,12 +145,15 @@ class ExudynSystem:
         effort = np.zeros((len(part.t), len(self._tree.links)))
         effort[:, columns] = part.effort
         start = float(part.t[0])
-        coordinates, rates = [], []
+        initial = self._exu.ConfigurationType.Initial
+        coordinates = [data.GetODE2Coordinates(configuration=initial)]
+        rates = [data.GetODE2Coordinates_t(configuration=initial)]
 
         def before_step(mbs: Any, t: float) -> bool:
             # t is the end of the step, where generalised-α balances forces; the state is still that of its start
-            coordinates.append(data.GetODE2Coordinates())
-            rates.append(data.GetODE2Coordinates_t())
+            if t > start + 1.5 * part.step:
+                coordinates.append(data.GetODE2Coordinates())
+                rates.append(data.GetODE2Coordinates_t())
             mbs.SetObjectParameter(self.object, "jointForceVector", effort[round((t - start) / part.step)])
             return True
 
@@ -168,7 +174,7 @@ class ExudynSystem:
             message = "Newton's method did not converge."
         reached = part.t[: len(coordinates)]
         if message:
-            message = f"Exudyn stopped at {reached[-1]:.6g} s: {message}" if len(reached) else message
+            message = f"Exudyn stopped at {reached[-1]:.6g} s: {message}"
         return Raw(reached, np.array(coordinates), np.array(rates), seconds, message)
 
     def _settings(self, part: Segment, spectral_radius: float, tolerance: float) -> Any:

@@ -32,15 +32,24 @@ IMPEDANCE = 0.9999
 """The highest impedance MuJoCo accepts (its mjMAXIMP): the share of the acceleration a constraint may ask for."""
 
 LEAST_INERTIA = 1e-12
-"""Moments of inertia, kg·m², of points and of rods about their axis: MuJoCo accepts no zero. On machines of a kilogram
+"""Mass, kg, and moments of inertia, kg·m², of links that have none: MuJoCo accepts no zero. On machines of a kilogram
 and a metre this changes the motion by a millionth of a micrometre."""
+
+LEAST_SHARE = 1e-8
+"""Smallest eigenvalue of the open tree's mass matrix, its diagonal scaled to 1, that MuJoCo can divide by: the rounding
+of accelerations grows with its inverse."""
 
 TIME_CONSTANT = 2.0
 """Time constant of the constraints in steps; MuJoCo raises anything smaller to this (its option refsafe)."""
 
 
 def run_mujoco(
-    task: Task, *, step: float, time_constant: float | None = None, integrator: Integrator = "RK4"
+    task: Task,
+    *,
+    step: float,
+    time_constant: float | None = None,
+    impedance: float = IMPEDANCE,
+    integrator: Integrator = "RK4",
 ) -> EngineRun:
     """Integrate a task with MuJoCo.
 
@@ -51,6 +60,7 @@ def run_mujoco(
         step: longest step, s; the steps are equal between two breaks.
         time_constant: of the soft constraints, s, critically damped; two steps when left out, which is the stiffest
             MuJoCo takes.
+        impedance: of the soft constraints, up to 0.9999.
         integrator: MuJoCo's name of the integrator.
 
     Returns:
@@ -58,9 +68,9 @@ def run_mujoco(
 
     Raises:
         RedundancyPinError: mujoco is not installed.
-        UnsupportedRobotError: a joint that is neither revolute nor prismatic, a link without mass, or a closure that
-            MuJoCo's constraints cannot express.
-        InputError: a step or time constant out of its domain, an unknown integrator.
+        UnsupportedRobotError: a joint that is neither revolute nor prismatic, an open tree without inertia in some
+            direction, or a closure that MuJoCo's constraints cannot express.
+        InputError: a step, time constant or impedance out of its domain, an unknown integrator.
     """
     parts = segments(task, step)
     longest = max(part.step for part in parts)
@@ -71,11 +81,15 @@ def run_mujoco(
             remedy="MuJoCo takes none below two steps: shorten the step.",
             time_constant=constant,
         )
+    if not 0.0 < impedance <= IMPEDANCE:
+        raise InputError(
+            f"The impedance is {impedance}.", remedy=f"MuJoCo takes numbers up to {IMPEDANCE}.", impedance=impedance
+        )
     if integrator not in ("RK4", "Euler", "implicitfast"):
         raise InputError(f"integrator is {integrator!r}.", remedy='Use "RK4", "Euler" or "implicitfast".')
     mj = require("mujoco")
     tree = link_tree(task.robot)
-    model = mj.MjModel.from_xml_string(mjcf(tree, constant, integrator))
+    model = mj.MjModel.from_xml_string(mjcf(tree, constant, impedance, integrator))
     data = mj.MjData(model)
     at = np.array([int(model.joint(str(i)).qposadr[0]) for i in range(len(tree.links))])
     data.qpos[at], data.qvel[at] = tree.from_q(task.q), tree.from_v(task.v)
@@ -84,35 +98,40 @@ def run_mujoco(
         found.append(_integrate(mj, model, data, task, tree, part, at))
         if found[-1].message:
             break
-    settings = {"step": longest, "time_constant": constant, "impedance": IMPEDANCE, "integrator": integrator}
+    settings = {"step": longest, "time_constant": constant, "impedance": impedance, "integrator": integrator}
     return finished(tree, task, joined(found), "mujoco", str(mj.__version__), settings)
 
 
-def mjcf(tree: LinkTree, time_constant: float, integrator: Integrator) -> str:
+def mjcf(tree: LinkTree, time_constant: float, impedance: float, integrator: Integrator) -> str:
     """Return the robot as MJCF.
 
     Args:
         tree: the robot.
         time_constant: of the soft constraints, s.
+        impedance: of the soft constraints.
         integrator: MuJoCo's name of the integrator.
 
     Raises:
-        UnsupportedRobotError: a link without mass, or a closure that MuJoCo's constraints cannot express.
+        UnsupportedRobotError: an open tree without inertia in some direction, or a closure that MuJoCo's constraints
+            cannot express.
     """
+    _require_inertia(tree)
     root = ElementTree.Element("mujoco", model=tree.robot.name)
-    _add(root, "compiler", angle="radian", boundinertia=LEAST_INERTIA, inertiafromgeom="false", fusestatic="false")
+    _add(
+        root,
+        "compiler",
+        angle="radian",
+        boundmass=LEAST_INERTIA,
+        boundinertia=LEAST_INERTIA,
+        inertiafromgeom="false",
+        fusestatic="false",
+    )
     option = _add(
         root, "option", gravity=tree.gravity, integrator=integrator, solver="Newton", tolerance=0, iterations=50
     )
     _add(option, "flag", contact="disable", warmstart="enable")
     bodies = [_add(root, "worldbody")]
     for index, link in enumerate(tree.links):
-        if not link.mass > 0.0:
-            raise UnsupportedRobotError(
-                f"The link behind joint {link.name!r} has no mass, which MuJoCo does not accept.",
-                remedy="Give it one (for the 2-RPR cylinder_mass and piston_mass), or use Exudyn.",
-                joint=link.name,
-            )
         body = _add(bodies[link.parent + 1], "body", pos=link.translation, quat=_quaternion(link.rotation))
         _add(body, "joint", name=index, type={"revolute": "hinge", "prismatic": "slide"}[link.kind], axis=(0, 0, 1))
         moments, axes = np.linalg.eigh(link.inertia)
@@ -133,7 +152,7 @@ def mjcf(tree: LinkTree, time_constant: float, integrator: Integrator) -> str:
                 site1=names[0],
                 site2=names[1],
                 solref=(time_constant, 1.0),
-                solimp=(IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0),
+                solimp=(impedance, impedance, 0.001, 0.5, 2.0),
             )
     return ElementTree.tostring(root, encoding="unicode")
 
@@ -173,6 +192,27 @@ def _idle(tree: LinkTree, closure: LinkClosure) -> set[str]:
     state = whole.evaluate(np.array([pin.integrate(robot.model, np.array(robot.q_reference), d) for d in steps]))
     moved = np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)
     return {axis for axis, size in zip(AXES, moved, strict=True) if size < _STILL}
+
+
+def _require_inertia(tree: LinkTree) -> None:
+    """MuJoCo divides by the mass matrix of the open tree, so each joint needs inertia behind it, closures or not."""
+    robot = tree.robot
+    upper = pin.crba(robot.model, robot.model.createData(), np.array(robot.q_reference))
+    mass = np.triu(upper) + np.triu(upper, 1).T
+    size = np.sqrt(np.diag(mass))
+    if (size > 0.0).all():
+        values, vectors = np.linalg.eigh(mass / np.outer(size, size))
+        if values[0] > LEAST_SHARE:
+            return
+        worst = int(np.abs(vectors[:, 0]).argmax())
+    else:
+        worst = int(size.argmin())
+    name = next(link.name for link in tree.links if link.velocity == worst)
+    raise UnsupportedRobotError(
+        f"With the closures open, joint {name!r} moves (nearly) no mass, and MuJoCo divides by what it moves.",
+        remedy="Give its link a mass (the 2-RPR: cylinder_mass and piston_mass), or use Exudyn.",
+        joint=name,
+    )
 
 
 def _integrate(mj: Any, model: Any, data: Any, task: Task, tree: LinkTree, part: Segment, at: Array) -> Raw:
