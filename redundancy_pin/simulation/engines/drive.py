@@ -2,8 +2,8 @@
 
 Efforts read off a plan's samples by interpolation are off by a power of the sampling step, and beside a type II
 singularity that is magnified. Here the motion is taken as the function of time it is, and W τ = f is solved at 16
-Chebyshev points of every stretch between two nodes of the plan, inside which everything is analytic. The points keep off
-the ends of a stretch, so τ is never asked for at a singular node itself; the polynomial fills it in.
+Chebyshev points of every stretch between two nodes of the plan, inside which everything is analytic. The points keep
+off the ends of a stretch, so τ is never asked for at a singular node itself; the polynomial fills it in.
 """
 
 from __future__ import annotations
@@ -73,15 +73,13 @@ def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | 
             remedy="Pass the trajectory the plan was made for.",
         )
     carriers = _carriers_of(plan)
-    drive = _drive(dynamics, source, carriers, np.unique(plan.t), np.unique(plan.t[plan.motion.jumps]))
+    drive = _drive(dynamics, source, carriers, np.unique(plan.t), np.unique(plan.t)[1:-1])
     planned = np.concatenate([plan.tau, plan.carrier_force], axis=1)
     jumping = np.append(plan.motion.jumps[1:], False)
     own = drive.task.efforts(plan.t)
     own[jumping] = drive.task.efforts(plan.t[jumping], side="left")
     off = np.abs(own - planned)
-    return Drive(
-        drive.task, drive.platform, drive.carriers, drive.resolution, float(np.nanmax(off, initial=0.0))
-    )
+    return Drive(drive.task, drive.platform, drive.carriers, drive.resolution, float(np.nanmax(off, initial=0.0)))
 
 
 def drive_of_motion(
@@ -112,7 +110,7 @@ def drive_of_motion(
     pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(edges[:-1], edges[1:], counts, strict=True)]
     k = dynamics.robot.k
     at = carriers or (lambda times: CarrierMotion.parked(len(times), k))
-    return _drive(dynamics, source, at, np.append(np.concatenate(pieces), edges[-1]), np.array(source.breaks))
+    return _drive(dynamics, source, at, np.append(np.concatenate(pieces), edges[-1]), edges[1:-1])
 
 
 def _drive(

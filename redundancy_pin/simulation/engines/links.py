@@ -22,7 +22,7 @@ GROUND = -1
 """Index of the base among the links."""
 
 _PURE = 1e-12
-"""Part of a motion subspace, of length 1, below which it counts as zero: URDF axes are normalised in double precision."""
+"""Part of a motion subspace, of length 1, that counts as zero: URDF axes are normalised in double precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +185,7 @@ def _axis(model: pin.Model, data: pin.Data, index: int) -> tuple[Literal["revolu
         if np.abs(slide).max() < _PURE:
             return "revolute", turn
     raise UnsupportedRobotError(
-        f"Joint {str(model.names[index])!r} has type {joint.shortname()}; outside engines get joints of one freedom only.",
+        f"Joint {str(model.names[index])!r} has type {joint.shortname()}, which is not translated for outside engines.",
         remedy="Build it from revolute, continuous and prismatic joints.",
         joint=str(model.names[index]),
         type=str(joint.shortname()),

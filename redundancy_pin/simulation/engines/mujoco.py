@@ -1,9 +1,9 @@
 """MuJoCo: the tree in minimal coordinates, the closures as its soft equality constraints.
 
 MuJoCo's constraints are springs and dampers by design: along a constraint the acceleration is pulled towards
-−b ṙ − k r, and the constraint force costs a little, so that the chains stay open by a gap in proportion to the force. With
-the stiffest reference MuJoCo takes (a time constant of two steps) and the highest impedance (0.9999) the gap falls with
-the square of the step; how far the motion is off is for ``run.deviation`` to say.
+−b ṙ − k r, and the constraint force costs a little, so that the chains stay open by a gap in proportion to the force.
+With the stiffest reference MuJoCo takes (a time constant of two steps) and the highest impedance (0.9999) the gap falls
+with the square of the step; how far the motion is off is for ``run.deviation`` to say.
 """
 
 from __future__ import annotations
@@ -251,9 +251,7 @@ def _text(value: object) -> str:
 
 
 def _site(body: ElementTree.Element, name: str, frame: FrameOnLink, offset: Array) -> None:
-    _add(
-        body, "site", name=name, pos=frame.translation + frame.rotation @ offset, quat=_quaternion(frame.rotation)
-    )
+    _add(body, "site", name=name, pos=frame.translation + frame.rotation @ offset, quat=_quaternion(frame.rotation))
 
 
 def _quaternion(rotation: Array) -> Array:

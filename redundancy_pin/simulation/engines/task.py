@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,7 +28,8 @@ class Task:
     Attributes:
         robot: the robot.
         start, end: first and last time, s.
-        breaks: (b,) inner times at which efforts jump, s: integration stops there and starts anew.
+        breaks: (b,) inner times at which efforts or their slope jump, s: a step ends there and a new one starts. An
+            integrator of order two keeps its order only if no step reaches across.
         q: (nq,) closed configuration at the start, carriers included.
         v: (nv,) velocity there that keeps the closures.
         efforts: main efforts and carrier forces, N or N·m.
@@ -73,7 +75,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A stretch of a task without jumps, cut into equal steps.
+    """A stretch of a task between two breaks, cut into equal steps.
 
     Attributes:
         t: (S + 1,) times, s.
@@ -96,7 +98,7 @@ def segments(task: Task, step: float) -> tuple[Segment, ...]:
         raise InputError(f"The step is {step} s.", remedy="Pass a positive number of seconds.", step=step)
     edges = [task.start, *task.breaks, task.end]
     found = []
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
+    for left, right in itertools.pairwise(edges):
         # a quotient that is whole up to rounding must not cost a step more
         count = max(1, int(np.ceil((right - left) / step * (1.0 - 1e-12))))
         t = np.linspace(left, right, count + 1)
