@@ -1,0 +1,137 @@
+"""Efforts as functions of time, against the plan they come from and against the other backend."""
+
+import numpy as np
+import pytest
+import zoo
+from engine_oracles import Timed
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.simulation.engines import Task, drive_of_motion, drive_of_plan
+from redundancy_pin.simulation.engines.cases import SHORT, straight
+from redundancy_pin.simulation.engines.task import segments
+
+EFFORT_TOLERANCE = 1e-6
+"""N: beside a singular node the planner's own residual of 1e-9 N is divided by the distance to it."""
+
+
+@pytest.fixture(scope="module")
+def planned():
+    robot = zoo.robot_of("2rpr", **SHORT.arguments)
+    trajectory = SHORT.trajectory(robot)
+    return robot, trajectory, rp.plan_whole_trajectory(rp.RneaDynamics(robot), trajectory)
+
+
+def test_the_short_case_crosses_a_singularity(planned):
+    robot, trajectory, _ = planned
+    (crossing,) = rp.find_crossings(robot, trajectory)
+    assert crossing.crosses
+    assert crossing.kind.label == "type_ii"
+
+
+def test_efforts_are_those_of_the_plan_at_its_nodes_and_of_the_other_backend_between(planned):
+    robot, trajectory, plan = planned
+    drive = drive_of_plan(rp.RneaDynamics(robot), plan, trajectory)
+    np.testing.assert_allclose(drive.task.efforts(plan.t)[:, :2], plan.tau, atol=EFFORT_TOLERANCE)
+    assert drive.plan_gap < EFFORT_TOLERANCE
+    assert drive.resolution < EFFORT_TOLERANCE
+    t = np.sort(np.random.default_rng(0).uniform(0.0, trajectory.duration, 500))
+    (crossing,) = rp.find_crossings(robot, trajectory)
+    t = t[np.abs(t - crossing.t) > 1e-3]
+    reduced = rp.VirtualWork(robot).reduce(trajectory.sample_at(t), drive.carriers(t))
+    expected = np.concatenate([rp.distribute(reduced).tau, reduced.carrier_force], axis=1)
+    np.testing.assert_allclose(drive.task.efforts(t), expected, atol=EFFORT_TOLERANCE)
+
+
+def test_a_plan_whose_trajectory_is_not_at_hand_is_read_between_its_samples(planned):
+    robot, trajectory, plan = planned
+    exact = drive_of_plan(rp.RneaDynamics(robot), plan, trajectory)
+    read = drive_of_plan(rp.RneaDynamics(robot), plan)
+    t = np.linspace(0.0, trajectory.duration, 777)
+    # quintics over 5 ms
+    np.testing.assert_allclose(read.platform(t).x, exact.platform(t).x, atol=1e-9)
+    np.testing.assert_allclose(read.task.efforts(t), exact.task.efforts(t), atol=2e-3)
+
+
+def test_the_carriers_of_a_stepwise_plan_are_read_with_a_gap_that_is_told():
+    robot = zoo.robot_of("3rrr")
+    trajectory = rp.trajectory.reference.corner(0.025)
+    plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(dt=0.02), lam=0.5)
+    drive = drive_of_plan(rp.RneaDynamics(robot), plan, trajectory)
+    np.testing.assert_allclose(
+        drive.carriers(np.array(plan.t[plan.t > 0.9][:1])).s[0], plan.carriers.s[plan.t > 0.9][0]
+    )
+    # backward differences are no derivatives: the force of the motion that is read is not the plan's
+    assert np.isfinite(drive.plan_gap)
+    assert drive.plan_gap > 1e-3
+
+
+def test_the_start_is_closed_and_moves_with_the_platform_and_the_carriers():
+    robot = zoo.robot_of("3rrr")
+    motion = Timed(robot, 0.2)
+    drive = drive_of_motion(rp.RneaDynamics(robot), motion, lambda t: zoo.carriers_at(robot, t))
+    state = zoo.system_of(robot).evaluate(np.array(drive.task.q)[None])
+    assert np.abs(state.phi).max() < 1e-11
+    assert np.abs(state.Jc[0] @ drive.task.v).max() < 1e-11
+    np.testing.assert_allclose(state.Jx[0] @ drive.task.v, motion.sample_at([0.0]).xd[0], atol=1e-11)
+    np.testing.assert_allclose(drive.task.v[robot.carrier_velocity], zoo.carriers_at(robot, [0.0]).sd[0])
+
+
+def test_jumping_efforts_are_given_on_both_sides():
+    robot = zoo.robot_of("3rrr")
+    trajectory = rp.trajectory.reference.corner(0.025)
+    drive = drive_of_motion(rp.RneaDynamics(robot), trajectory)
+    assert set(trajectory.breaks) <= set(drive.task.breaks)
+    both = rp.RneaDynamics(robot).reduce(trajectory.sample_at(np.repeat(trajectory.breaks, 2)))
+    expected = rp.distribute(both).tau
+    assert np.abs(expected[0] - expected[1]).max() > 1.0
+    np.testing.assert_allclose(drive.task.efforts(trajectory.breaks, side="left")[:, :3], expected[0::2], atol=1e-9)
+    np.testing.assert_allclose(drive.task.efforts(trajectory.breaks)[:, :3], expected[1::2], atol=1e-9)
+
+
+def test_steps_end_at_breaks_and_none_is_too_long():
+    robot = zoo.robot_of("3rrr")
+    task = drive_of_motion(rp.RneaDynamics(robot), rp.trajectory.reference.corner(0.025)).task
+    parts = segments(task, 0.003)
+    edges = [task.start, *task.breaks, task.end]
+    assert [float(part.t[0]) for part in parts] == edges[:-1]
+    assert [float(part.t[-1]) for part in parts] == edges[1:]
+    for part in parts:
+        assert part.step <= 0.003 * (1 + 1e-9)
+        np.testing.assert_allclose(np.diff(part.t), part.step, rtol=1e-9)
+    np.testing.assert_array_equal(parts[2].effort[-1], task.efforts(parts[2].t[-1:], side="left")[0])
+    np.testing.assert_array_equal(parts[3].effort[0], task.efforts(parts[3].t[:1])[0])
+
+
+def test_a_singular_instant_without_carriers_that_help_has_no_efforts():
+    robot = zoo.robot_of("2rpr", end_effector_mass=0.5)
+    motion = straight((0.15, 0.1), (0.2, -0.1), 0.6)
+    (crossing,) = rp.find_crossings(robot, motion)
+    # sixteen Chebyshev points do not contain the middle of a stretch; an odd place of the crossing would
+    nodes = 0.01 * np.sort(np.cos(np.pi * (np.arange(16) + 0.5) / 16) + 1.0) / 2.0
+    shifted = crossing.t - nodes[5]
+    with pytest.raises(InfeasiblePlanError, match="no finite efforts") as caught:
+        drive_of_motion(rp.RneaDynamics(robot), motion, knots=[shifted, shifted + 0.01])
+    assert caught.value.details["t"] == pytest.approx(crossing.t, abs=1e-6)
+    assert "plan_whole_trajectory" in caught.value.remedy
+
+
+def test_another_trajectory_is_refused(planned):
+    robot, _, plan = planned
+    with pytest.raises(InputError, match="The plan runs from 0 to 0.6 s, the trajectory to 0.7 s"):
+        drive_of_plan(rp.RneaDynamics(robot), plan, straight((0.15, 0.1), (0.2, -0.1), 0.7))
+
+
+def test_breaks_outside_the_interval_are_refused():
+    robot = zoo.robot_of("four_bar")
+    q, v = np.array(robot.q_reference), np.zeros(robot.model.nv)
+    with pytest.raises(InputError, match="does not increase"):
+        Task(robot, 0.0, 1.0, q, v, lambda t, side="right": np.zeros((len(t), 1)), np.array([1.5]))
+
+
+@pytest.mark.parametrize("step", [0.0, -1e-3, np.nan, np.inf])
+def test_a_step_that_is_none_is_refused(step):
+    robot = zoo.robot_of("four_bar")
+    task = drive_of_motion(rp.RneaDynamics(robot), straight((1.0,), (1.1,), 0.1)).task
+    with pytest.raises(InputError, match="The step is"):
+        segments(task, step)
