@@ -41,7 +41,9 @@ def random_tree(seed: int, joints: int = 5) -> Robot:
         pin.JointModelRZ,
     ]
     for index in range(joints):
-        parent = int(rng.integers(0, index + 1))
+        # Pinocchio wants branches one after the other: go on from the last joint, or from one below it
+        below = [int(j) for j in model.supports[index]]
+        parent = below[int(rng.integers(0, len(below)))] if index % 2 else index
         kind = kinds[(index + seed) % len(kinds)]()
         joint = model.addJoint(parent, kind, _placement(rng), f"joint_{index}")
         points = rng.normal(size=(4, 3)) * 0.2
