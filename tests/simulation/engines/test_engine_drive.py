@@ -53,17 +53,20 @@ def test_a_plan_whose_trajectory_is_not_at_hand_is_read_between_its_samples(plan
     np.testing.assert_allclose(read.task.efforts(t), exact.task.efforts(t), atol=2e-3)
 
 
-def test_the_carriers_of_a_stepwise_plan_are_read_with_a_gap_that_is_told():
+def test_the_carriers_of_a_stepwise_plan_are_read_through_its_samples():
     robot = zoo.robot_of("3rrr")
     trajectory = rp.trajectory.reference.corner(0.025)
     plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(dt=0.02), lam=0.0)
     drive = drive_of_plan(rp.RneaDynamics(robot), plan)
-    np.testing.assert_allclose(
-        drive.carriers(np.array(plan.t[plan.t > 0.9][:1])).s[0], plan.carriers.s[plan.t > 0.9][0]
-    )
-    # backward differences are no derivatives: the force of the motion that is read is not the plan's
-    assert np.isfinite(drive.plan_gap)
-    assert drive.plan_gap > 1e-3
+    assert drive.plan_gap < EFFORT_TOLERANCE
+    once = np.append(np.diff(plan.t) > 0.0, True)  # of the two at a jump, the later
+    read = drive.carriers(plan.t[once])
+    np.testing.assert_allclose(read.s, plan.carriers.s[once], atol=1e-12)
+    np.testing.assert_allclose(read.sd, plan.carriers.sd[once], atol=1e-9)
+    # a motion: ṡ is the derivative of s between the samples, where backward differences are not
+    t, h = np.linspace(0.101, 0.119, 7), 1e-6
+    slope = (drive.carriers(t + h).s - drive.carriers(t - h).s) / (2 * h)
+    np.testing.assert_allclose(drive.carriers(t).sd, slope, atol=1e-6)
 
 
 def test_the_start_is_closed_and_moves_with_the_platform_and_the_carriers():
