@@ -75,7 +75,7 @@ def run_mujoco(
     parts = segments(task, step)
     longest = max(part.step for part in parts)
     constant = TIME_CONSTANT * longest if time_constant is None else time_constant
-    if not constant >= TIME_CONSTANT * longest:
+    if not constant >= TIME_CONSTANT * longest * (1.0 - _ROUNDING):
         raise InputError(
             f"The time constant is {constant:g} s with steps of {longest:g} s.",
             remedy="MuJoCo takes none below two steps: shorten the step.",
@@ -259,6 +259,9 @@ def _quaternion(rotation: Array) -> Array:
     x, y, z, w = pin.Quaternion(np.array(rotation)).coeffs()
     return np.array([w, x, y, z])
 
+
+_ROUNDING = 1e-9
+"""By which the longest step may exceed the one asked for: times are divided."""
 
 _TRIALS = 5
 """Random configurations at which a row has to be idle."""
