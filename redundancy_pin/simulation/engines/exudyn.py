@@ -124,12 +124,10 @@ class ExudynSystem:
             )
 
         self.markers = [(marker(closure.a), marker(closure.b)) for closure in tree.closures]
-        for pair, closure in zip(self.markers, tree.closures, strict=True):
-            self.mbs.AddObject(
-                items.ObjectJointGeneric(
-                    markerNumbers=list(pair), constrainedAxes=[int(axis in closure.axes) for axis in AXES]
-                )
-            )
+        for (first, second), closure in zip(self.markers, tree.closures, strict=True):
+            for pair, axes in _joints(first, second, closure.axes):
+                mask = [int(axis in axes) for axis in AXES]
+                self.mbs.AddObject(items.ObjectJointGeneric(markerNumbers=pair, constrainedAxes=mask))
         self.mbs.Assemble()
 
     def place(self, coordinates: Array, rates: Array) -> None:
@@ -189,6 +187,19 @@ class ExudynSystem:
         integration.newton.absoluteTolerance = tolerance
         settings.solution.file.write = False
         return settings
+
+
+def _joints(first: Any, second: Any, axes: tuple[str, ...]) -> list[tuple[list[Any], tuple[str, ...]]]:
+    """Return the joints of a closure: pairs of markers with the axes they hold.
+
+    A single rotation row is no symmetric matter: rz holds y of one frame normal to x of the other. Here y is of frame
+    a (``kinematics.closure``: rx, ry, rz in a cycle), in Exudyn of the second marker for rx and rz, of the first for ry.
+    """
+    rotations = tuple(axis for axis in axes if axis.startswith("r"))
+    if rotations not in (("rx",), ("rz",)):
+        return [([first, second], axes)]
+    translations = tuple(axis for axis in axes if not axis.startswith("r"))
+    return [([first, second], translations), ([second, first], rotations)]
 
 
 def _list(target: Any, arrays: Sequence[Array]) -> Any:

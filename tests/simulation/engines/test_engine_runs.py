@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 import zoo
 from engine_oracles import Timed, integrated, random_state, random_tree
+from spatial_chains import CHAINS, chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError
-from redundancy_pin.robot import Closure
 from redundancy_pin.simulation.engines import (
     RunStatus,
     Task,
@@ -235,15 +235,53 @@ def test_mujoco_refuses_an_open_tree_without_inertia():
     assert "piston_mass" in caught.value.remedy
 
 
-def test_exudyn_takes_a_closure_to_the_ground(exudyn, engine):
-    """The four-bar with its loop cut at the ground: the same machine, so the same motion."""
-    given = zoo.robot_of("four_bar")
-    drive = drive_of_motion(rp.RneaDynamics(given), Timed(given, 0.2))
-    turned = dataclasses.replace(
-        given, closures=tuple(Closure(c.name, c.frame_b, c.frame_a, c.axes) for c in given.closures)
-    )
-    task = Task(turned, drive.task.start, drive.task.end, drive.task.q, drive.task.v, drive.task.efforts)
-    assert deviation(drive, engine(task, step=5e-4)).largest < MOTION_TOLERANCE
+CYCLES = {"x": (2, 0, 1), "y": (1, 2, 0), "z": (0, 1, 2)}
+"""For each axis that takes the place of z: the old axes that become x, y, z."""
+
+
+def remounted(robot, axis):
+    """The same machine: both closure frames turned so that ``axis`` takes the place of z, and the mask with them."""
+    cycle = CYCLES[axis]
+    turn = pin.SE3(np.eye(3)[:, cycle], np.zeros(3))
+    model = pin.Model(robot.model)
+    (closure,) = robot.closures
+    for name in (closure.frame_a, closure.frame_b):
+        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        frame.placement = frame.placement * turn
+    axes = tuple(sorted(name[:-1] + "xyz"[cycle.index("xyz".index(name[-1]))] for name in closure.axes))
+    return dataclasses.replace(robot, model=model, closures=(dataclasses.replace(closure, axes=axes),))
+
+
+class Swing:
+    """The crank of a small chain swings about its reference."""
+
+    duration = 0.3
+    breaks = np.empty(0)
+
+    def __init__(self, robot):
+        self._home = zoo.home_of(robot)[0]
+
+    def sample_at(self, times):
+        t = np.asarray(times, dtype=float)
+        angle = self._home + 0.4 * np.sin(5 * t)
+        return rp.PlatformMotion(t, angle[:, None], 2 * np.cos(5 * t)[:, None], -10 * np.sin(5 * t)[:, None])
+
+
+@pytest.mark.parametrize("axis", "xyz")
+@pytest.mark.parametrize("name", CHAINS)
+def test_universal_hinge_and_cylindrical_closures_and_continuous_joints(engine, name, axis):
+    robot = chain_of(name)
+    drive = drive_of_motion(rp.RneaDynamics(robot), Swing(robot))
+    given = drive.task
+    task = Task(remounted(robot, axis), given.start, given.end, given.q, given.v, given.efforts, given.breaks)
+    if engine is run_mujoco and name in ("universal", "cylindrical"):
+        with pytest.raises(UnsupportedRobotError, match="no constraint of MuJoCo"):
+            engine(task, step=1e-3)
+        return
+    run = engine(task, step=1e-3)
+    assert run.status == RunStatus.COMPLETED
+    assert deviation(drive, run).largest < MOTION_TOLERANCE
+    assert np.abs(run.x - run.x[0]).max() > 0.3
 
 
 def test_the_growth_of_an_error_is_time_for_a_body_that_is_free(exudyn):
