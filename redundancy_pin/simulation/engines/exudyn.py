@@ -193,7 +193,7 @@ def _joints(first: Any, second: Any, axes: tuple[str, ...]) -> list[tuple[list[A
     """Return the joints of a closure: pairs of markers with the axes they hold.
 
     A single rotation row is no symmetric matter: rz holds y of one frame normal to x of the other. Here y is of frame
-    a (``kinematics.closure``: rx, ry, rz in a cycle), in Exudyn of the second marker for rx and rz, of the first for ry.
+    a (``kinematics.closure`` goes round in a cycle), in Exudyn of the second marker for rx and rz, of the first for ry.
     """
     rotations = tuple(axis for axis in axes if axis.startswith("r"))
     if rotations not in (("rx",), ("rz",)):
