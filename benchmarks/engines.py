@@ -39,7 +39,7 @@ STEPS = (1e-3, 1.25e-4)
 LOADED = next(case for case in CASES if case.name == "3-RRR turn while moving")
 """Through a type II pose, where the closures carry most."""
 
-LADDER = tuple(8e-3 / 2**i for i in range(9))
+LADDER = tuple(8e-3 / 2 ** (i / 2) for i in range(17))
 REPEATS = 5
 ENGINES = {"exudyn": run_exudyn, "mujoco": run_mujoco}
 

@@ -1,5 +1,8 @@
 """Every case in every engine, to 1e-5 m over the whole motion without control: ``make engines``."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 import redundancy_pin as rp
@@ -28,3 +31,12 @@ def test_the_planned_efforts_make_the_planned_motion(engine, case):
     run = engine(drive.task, step=STEP)
     assert run.status == RunStatus.COMPLETED
     assert deviation(drive, run).largest < MOTION_TOLERANCE
+
+
+def test_the_example_of_the_page_runs_as_written(capsys):
+    page = Path(__file__).resolve().parents[3] / "docs" / "engines.md"
+    example = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)[0]
+    exec(compile(example, page.name, "exec"), {})
+    status, *errors = capsys.readouterr().out.split()
+    assert status == "RunStatus.COMPLETED"
+    assert all(float(error) < MOTION_TOLERANCE for error in errors)

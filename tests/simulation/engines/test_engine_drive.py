@@ -43,6 +43,14 @@ def test_efforts_are_those_of_the_plan_at_its_nodes_and_of_the_other_backend_bet
     np.testing.assert_allclose(drive.task.efforts(t), expected, atol=EFFORT_TOLERANCE)
 
 
+def test_every_node_of_a_plan_ends_a_step(planned):
+    """There the slope of the efforts jumps; a step across it has an error of lower order."""
+    robot, trajectory, plan = planned
+    task = drive_of_plan(rp.RneaDynamics(robot), plan, trajectory).task
+    ends = np.concatenate([part.t[[0, -1]] for part in segments(task, 0.02)])
+    assert set(plan.t) <= set(ends)
+
+
 def test_a_plan_whose_trajectory_is_not_at_hand_is_read_between_its_samples(planned):
     robot, trajectory, plan = planned
     exact = drive_of_plan(rp.RneaDynamics(robot), plan, trajectory)
