@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import time
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -224,12 +225,13 @@ def _integrate(mj: Any, model: Any, data: Any, task: Task, tree: LinkTree, part:
     coordinates, rates = np.empty((count + 1, len(at))), np.empty((count + 1, len(at)))
     coordinates[0], rates[0] = data.qpos[at], data.qvel[at]
     step, warnings = mj.mj_step, data.warning
-    began = time.perf_counter()
-    for k in range(count):
-        data.qfrc_applied[:] = effort[k]
-        step(model, data)
-        coordinates[k + 1], rates[k + 1] = data.qpos[at], data.qvel[at]
-    seconds = time.perf_counter() - began
+    with _silent(mj):
+        began = time.perf_counter()
+        for k in range(count):
+            data.qfrc_applied[:] = effort[k]
+            step(model, data)
+            coordinates[k + 1], rates[k + 1] = data.qpos[at], data.qvel[at]
+        seconds = time.perf_counter() - began
     # MuJoCo starts over from the reference position when a state is not finite, and only counts a warning
     kinds = (mj.mjtWarning.mjWARN_BADQPOS, mj.mjtWarning.mjWARN_BADQVEL, mj.mjtWarning.mjWARN_BADQACC)
     bad = any(warnings[int(kind)].number for kind in kinds)
@@ -238,6 +240,17 @@ def _integrate(mj: Any, model: Any, data: Any, task: Task, tree: LinkTree, part:
     kept = int((np.abs(np.diff(coordinates, axis=0)).max(axis=1) > _LEAP).argmax()) + 1
     message = f"MuJoCo found its own state unstable and started over near {part.t[kept - 1]:.6g} s."
     return Raw(part.t[:kept], coordinates[:kept], rates[:kept], seconds, message)
+
+
+@contextmanager
+def _silent(mj: Any) -> Iterator[None]:
+    """Keep MuJoCo from printing its warnings and writing them to MUJOCO_LOG.TXT: they are in the result."""
+    before = mj.get_mju_user_warning()
+    mj.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mj.set_mju_user_warning(before)
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:

@@ -130,6 +130,7 @@ class Deviation:
         turn: (N,) angle by which the platform (the independent revolute joints) is off, rad; zero where none turns.
         carriers: (N, k) distance of each carrier from its place on the track, m.
         gap: (N,) closure gap, m (rotation rows: rad).
+        completed: whether the run reached its end.
     """
 
     t: Array
@@ -137,10 +138,16 @@ class Deviation:
     turn: Array
     carriers: Array
     gap: Array
+    completed: bool
 
     @property
     def largest(self) -> float:
-        """Largest of platform, turn and carriers, in m and rad alike: what a tolerance is compared with."""
+        """Largest of platform, turn and carriers, in m and rad alike: what a tolerance is compared with.
+
+        Infinite where the run did not reach its end: what is missing is not right.
+        """
+        if not self.completed:
+            return float("inf")
         parts = (self.platform, self.turn, self.carriers)
         return max(float(np.max(part, initial=0.0)) for part in parts)
 
@@ -157,6 +164,7 @@ def deviation(drive: Drive, run: EngineRun) -> Deviation:
         turn=read_only(np.linalg.norm(off[:, turns], axis=1)),
         carriers=read_only(np.abs(run.s - drive.carriers(run.t).s)),
         gap=run.gap,
+        completed=run.status == RunStatus.COMPLETED,
     )
 
 

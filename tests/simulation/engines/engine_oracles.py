@@ -27,7 +27,7 @@ class Timed:
         return self._motion.at(np.asarray(times, dtype=float))
 
 
-def random_tree(seed: int, joints: int = 5) -> Robot:
+def random_tree(seed: int, joints: int = 5, ordered: bool = True) -> Robot:
     """A branched tree without closures: skew axes, every supported type of joint, full inertias, skew gravity."""
     rng = np.random.default_rng(seed)
     model = pin.Model()
@@ -41,9 +41,11 @@ def random_tree(seed: int, joints: int = 5) -> Robot:
         pin.JointModelRZ,
     ]
     for index in range(joints):
-        # Pinocchio wants branches one after the other: go on from the last joint, or from one below it
+        # Pinocchio's mass matrix wants branches one after the other: go on from the last joint, or from one below it
         below = [int(j) for j in model.supports[index]]
         parent = below[int(rng.integers(0, len(below)))] if index % 2 else index
+        if not ordered:
+            parent = (0, 1, 2, 1, 3, 2)[index % 6]
         kind = kinds[(index + seed) % len(kinds)]()
         joint = model.addJoint(parent, kind, _placement(rng), f"joint_{index}")
         points = rng.normal(size=(4, 3)) * 0.2

@@ -68,6 +68,7 @@ def test_a_plan_through_a_type_ii_pose_makes_the_planned_motion(engine, short):
     off = deviation(short, run)
     assert off.largest < MOTION_TOLERANCE
     assert len(off.t) == run.steps + 1
+    assert (np.diff(run.t) > 0.0).all()
     assert run.x[-1] == pytest.approx((0.2, -0.1), abs=MOTION_TOLERANCE)
 
 
@@ -102,7 +103,7 @@ def test_both_engines_are_of_second_order(engine, smooth):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_tree_with_skew_axes_falls_as_pinocchio_says(engine, seed):
-    robot = random_tree(seed, joints=6)
+    robot = random_tree(seed, joints=6, ordered=seed > 0)
     q, v = random_state(robot, seed)
     model = robot.model
 
@@ -125,6 +126,23 @@ def test_other_robots_follow_too(engine, name):
     assert run.status == RunStatus.COMPLETED
     assert deviation(drive, run).largest < MOTION_TOLERANCE
     assert np.abs(run.x[-1] - run.x[0]).max() > 100 * MOTION_TOLERANCE
+
+
+def test_a_deviation_sees_platform_turn_and_carriers(exudyn, smooth):
+    run = run_exudyn(smooth.task, step=1e-2)
+    base = deviation(smooth, run)
+    x, s = run.x.copy(), run.s.copy()
+    x[5, 1] += 1.0
+    x[6, 2] += 2.0 * np.pi + 0.5
+    s[7, 2] -= 2.0
+    off = deviation(smooth, dataclasses.replace(run, x=x, s=s))
+    assert off.platform[5] == pytest.approx(1.0, abs=1e-2)
+    assert off.turn[6] == pytest.approx(0.5, abs=1e-2)
+    assert off.carriers[7, 2] == pytest.approx(2.0, abs=1e-2)
+    assert off.largest == pytest.approx(2.0, abs=1e-2)
+    assert base.largest < 1e-2
+    stopped = deviation(smooth, dataclasses.replace(run, status=RunStatus.STOPPED))
+    assert stopped.largest == np.inf
 
 
 def test_exudyn_holds_the_closures_to_rounding(exudyn, short):
@@ -150,7 +168,8 @@ def test_exudyn_says_where_it_gave_up(exudyn, smooth, capfd):
     assert "FAILED" not in capfd.readouterr().out
 
 
-def test_mujoco_says_where_it_started_over(mujoco, smooth):
+def test_mujoco_says_where_it_started_over(mujoco, smooth, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo would write MUJOCO_LOG.TXT
     given = smooth.task
     task = Task(
         given.robot, given.start, given.end, given.q, given.v, lambda t, side="right": np.full((len(t), 6), 1e12)
@@ -159,6 +178,8 @@ def test_mujoco_says_where_it_started_over(mujoco, smooth):
     assert run.status == RunStatus.STOPPED
     assert "started over" in run.message
     assert run.t[-1] < given.end
+    assert not list(tmp_path.iterdir())
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_gap_of_soft_constraints_grows_with_the_square_of_their_time_constant(mujoco, smooth):
