@@ -9,7 +9,7 @@ off the ends of a stretch, so τ is never asked for at a singular node itself; t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +41,7 @@ class Drive:
         carriers: the same for the carriers.
         resolution: largest of the last three Chebyshev coefficients of any effort, N or N·m: how well the polynomials
             resolve it.
+        plan: the plan, if there is one.
         plan_gap: largest difference between these efforts and the plan's own at its samples, N or N·m; NaN without one.
     """
 
@@ -48,7 +49,8 @@ class Drive:
     platform: Callable[[Array], PlatformMotion]
     carriers: Callable[[Array], CarrierMotion]
     resolution: float
-    plan_gap: float
+    plan: Plan | None = None
+    plan_gap: float = float("nan")
 
 
 def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | None = None) -> Drive:
@@ -79,7 +81,7 @@ def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | 
     own = drive.task.efforts(plan.t)
     own[jumping] = drive.task.efforts(plan.t[jumping], side="left")
     off = np.abs(own - planned)
-    return Drive(drive.task, drive.platform, drive.carriers, drive.resolution, float(np.nanmax(off, initial=0.0)))
+    return replace(drive, plan=plan, plan_gap=float(np.nanmax(off, initial=0.0)))
 
 
 def drive_of_motion(
@@ -142,7 +144,7 @@ def _drive(
     q[robot.carrier_position] = its_carriers.s[0]
     v[robot.carrier_velocity] = its_carriers.sd[0]
     task = Task(robot, float(edges[0]), float(edges[-1]), q, v, polynomials, breaks)
-    return Drive(task, source.sample_at, carriers, _resolution(polynomials), float("nan"))
+    return Drive(task, source.sample_at, carriers, _resolution(polynomials))
 
 
 def _carriers_of(plan: Plan) -> Callable[[Array], CarrierMotion]:

@@ -1,9 +1,13 @@
 """Efforts as functions of time, against the plan they come from and against the other backend."""
 
+import itertools
+
 import numpy as np
 import pytest
 import zoo
 from engine_oracles import Timed
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
@@ -33,6 +37,7 @@ def test_efforts_are_those_of_the_plan_at_its_nodes_and_of_the_other_backend_bet
     robot, trajectory, plan = planned
     drive = drive_of_plan(rp.RneaDynamics(robot), plan, trajectory)
     np.testing.assert_allclose(drive.task.efforts(plan.t)[:, :2], plan.tau, atol=EFFORT_TOLERANCE)
+    assert drive.plan is plan
     assert drive.plan_gap < EFFORT_TOLERANCE
     assert drive.resolution < EFFORT_TOLERANCE
     t = np.sort(np.random.default_rng(0).uniform(0.0, trajectory.duration, 500))
@@ -138,6 +143,23 @@ def test_breaks_outside_the_interval_are_refused():
     q, v = np.array(robot.q_reference), np.zeros(robot.model.nv)
     with pytest.raises(InputError, match="does not increase"):
         Task(robot, 0.0, 1.0, q, v, lambda t, side="right": np.zeros((len(t), 1)), np.array([1.5]))
+
+
+@settings(max_examples=30)
+@given(step=st.floats(1e-3, 10.0), where=st.lists(st.floats(0.01, 0.99), max_size=5, unique=True))
+def test_any_breaks_and_any_step_cut_the_whole_interval(step, where):
+    robot = zoo.robot_of("four_bar")
+    q, v = np.array(robot.q_reference), np.zeros(robot.model.nv)
+    task = Task(robot, 0.0, 1.0, q, v, lambda t, side="right": np.zeros((len(t), 1)), np.sort(where))
+    parts = segments(task, step)
+    assert [parts[0].t[0], parts[-1].t[-1]] == [0.0, 1.0]
+    assert set(where) <= {float(part.t[-1]) for part in parts}
+    for part, following in itertools.pairwise(parts):
+        assert part.t[-1] == following.t[0]
+    for part in parts:
+        assert (np.diff(part.t) > 0.0).all()
+        assert part.step <= step * (1 + 1e-9)
+        assert len(part.effort) == len(part.t)
 
 
 @pytest.mark.parametrize("step", [0.0, -1e-3, np.nan, np.inf])
