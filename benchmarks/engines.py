@@ -44,8 +44,8 @@ REPEATS = 5
 ENGINES = {"exudyn": run_exudyn, "mujoco": run_mujoco}
 
 Simulate = Callable[[Drive, float], tuple[Array, Array, Array]]
-"""From a drive (it has plan and task) and the tolerance to times (N,), platform coordinates (N, n) and carrier positions
-(N, k)."""
+"""From a drive, which has plan and task, and the tolerance to times (N,), platform coordinates (N, n) and carrier
+positions (N, k)."""
 
 
 def installed():
