@@ -17,6 +17,8 @@ from redundancy_pin.planners.stepwise import plan_stepwise
 from redundancy_pin.planners.switch_off import plan_switch_off
 from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.simulation import simulate
+from redundancy_pin.view import show
+from redundancy_pin.visualisation import plots as plot
 
 __all__ = [
     "CarrierMotion",
@@ -36,6 +38,8 @@ __all__ = [
     "plan_stepwise",
     "plan_switch_off",
     "plan_whole_trajectory",
+    "plot",
+    "show",
     "simulate",
     "simulation",
     "singular_locus",
