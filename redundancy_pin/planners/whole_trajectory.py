@@ -168,7 +168,9 @@ def _watched(task: Task, grid: Grid) -> Grid:
     """Return the grid with a middle node in every step near a singularity."""
     reduced = task.dynamics.along(task.source.sample_at(grid.t)).reduce()
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
-    near: BoolArray = values[:, -1] < NEAR * values[:, 0]
+    # the only singular value of a single freedom is compared with what it is elsewhere
+    size = values[:, 0] if values.shape[1] > 1 else values.max()
+    near: BoolArray = values[:, -1] < NEAR * size
     return with_middles(grid, np.logical_or(near[1:], near[:-1]))
 
 
