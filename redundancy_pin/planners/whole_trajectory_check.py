@@ -36,7 +36,7 @@ SMALL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class DenseCheck:
-    """Efforts τ = W⁻¹ f of the planned motion between the nodes, by the backend.
+    """Efforts τ = W⁻¹ f of the planned motion between the nodes, and carrier forces, by the backend.
 
     Attributes:
         peak: largest |τ| between the nodes, N or N·m.
@@ -45,8 +45,8 @@ class DenseCheck:
         ratio: of both, or of the effort of an actuator between the nodes and its limit where that is lower than the
             peak at the nodes; efforts that are nothing beside those of the parked robot count as equal.
         points: number of points.
-        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes by what is worth a middle node, and
-            those beside them.
+        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes, or carrier forces their limits, by
+            what is worth a middle node, and those beside them.
         broken: limits of main efforts and carrier forces that are exceeded between the nodes by more than is accepted.
     """
 
@@ -59,6 +59,11 @@ class DenseCheck:
     broken: tuple[LimitEvent, ...]
 
     @property
+    def passed(self) -> bool:
+        """Whether efforts and forces between the nodes are accepted."""
+        return self.ratio <= ALLOWED and not self.broken
+
+    @property
     def summary(self) -> dict[str, object]:
         """The check as plain data."""
         return {
@@ -68,7 +73,7 @@ class DenseCheck:
             "time_of_peak": self.time,
             "peak_effort_at_nodes": self.peak_at_nodes,
             "ratio": self.ratio,
-            "passed": self.ratio <= ALLOWED,
+            "passed": self.passed,
         }
 
 
@@ -99,14 +104,17 @@ def dense_check(task: Task, problem: WholeProblem, course: CarrierCourse, tau: A
     # an actuator with a limit below the peak of the others is judged by its limit
     least = np.maximum(np.minimum(at_nodes, limit), SMALL * problem.scales.tau)
     relative = (efforts / least).max(axis=1)
+    robot, force = task.dynamics.robot, np.array([limits.force for limits in task.settings.limits])
+    forces = np.asarray(reduced.carrier_force)
     step = np.searchsorted(grid.t, times, side="right") - 1
     exceeding = np.zeros(len(grid.h), dtype=bool)
-    marked = step[relative > MARKED, None] + np.arange(-BESIDE, BESIDE + 1)
+    marked = step[(relative > MARKED) | (np.abs(forces) > MARKED * force).any(axis=1), None] + np.arange(
+        -BESIDE, BESIDE + 1
+    )
     exceeding[np.clip(marked, 0, len(grid.h) - 1)] = True
     worst = int(efforts.max(axis=1).argmax())
-    robot, force = task.dynamics.robot, np.array([limits.force for limits in task.settings.limits])
     broken = limits_broken("effort", robot.actuated, times, found, limit, ALLOWED)
-    broken += limits_broken("force", robot.carriers, times, np.asarray(reduced.carrier_force), force, ALLOWED)
+    broken += limits_broken("force", robot.carriers, times, forces, force, ALLOWED)
     return DenseCheck(
         peak=float(efforts[worst].max()),
         time=float(times[worst]),

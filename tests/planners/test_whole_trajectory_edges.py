@@ -71,6 +71,21 @@ def test_a_jump_on_a_singular_instant_has_two_limits(y):
     assert plan.diagnostics["objective"]["effort"] == pytest.approx(apart.diagnostics["objective"]["effort"], rel=1e-3)
 
 
+def test_carrier_forces_are_looked_at_between_the_nodes():
+    """On few nodes the force exceeds its limit by 8 % between them; that was a plan within limits."""
+    dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.02)
+    settings = {"objective": "carrier_acceleration", "end": "free", "dt": trajectory.duration / 12}
+    free = plan_whole_trajectory(dynamics, trajectory, refinements=0, **settings)
+    settings["carrier_force"] = limit = 0.9 * float(np.abs(free.carrier_force).max())
+    for refinements in (0, 3):
+        plan = plan_whole_trajectory(dynamics, trajectory, refinements=refinements, **settings)
+        times = np.setdiff1d(np.linspace(plan.t[0], plan.t[-1], 5000), plan.t)
+        reduced = dynamics.reduce(trajectory.sample_at(times), course_of(plan).at(times))
+        most = float(np.abs(reduced.carrier_force).max())
+        assert (plan.status is PlanStatus.VIOLATES_LIMITS) == (most > 1.05 * limit)
+        assert plan.status is (PlanStatus.WITHIN_LIMITS if refinements else PlanStatus.VIOLATES_LIMITS)
+
+
 def test_an_actuator_with_a_low_limit_is_looked_at_between_the_nodes():
     """Of two actuators one has a limit below the peak of the other, which hid it: it was exceeded by 36 %."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), reference.circle(0.5, 0.2, 0.05)
