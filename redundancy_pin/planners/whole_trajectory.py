@@ -65,10 +65,10 @@ def plan_whole_trajectory(
     For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory_curved``).
 
     The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
-    included. Where efforts between the nodes exceed the peak at the nodes, or efforts or carrier forces their limits, by
-    more than 5 %, the steps get a node in the middle across which the jerk is continuous, and the plan is made again
-    (``refinements``). ``diagnostics["dense_check"]`` has what is left of it; limits left exceeded by more make the status
-    violates_limits, and ``limits.violated`` has them.
+    included. Where efforts between the nodes exceed the peak at the nodes, or efforts or carrier forces their limits,
+    by more than 5 %, the steps get a node in the middle across which the jerk is continuous, and the plan is made again
+    (``refinements``). ``diagnostics["dense_check"]`` has what is left of it; limits left exceeded by more make the
+    status violates_limits, and ``limits.violated`` has them.
 
     Args:
         dynamics: either backend.
