@@ -11,7 +11,6 @@ from redundancy_pin.errors import ModelFileError
 from redundancy_pin.robot.arguments import Argument, as_text, from_text, parsed
 from redundancy_pin.robot.inertias import require_inertias, require_no_mimics
 
-
 _XACRO = threading.Lock()
 """xacro keeps its stacks in globals: two threads at once empty each other's."""
 
