@@ -55,7 +55,7 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
             "objective": value(problem, best.values),
             "fits": list(found.fits),
             "nodes": len(problem.grid.t),
-            "singular_instants": problem.grid.t[problem.grid.singular].tolist(),
+            "singular_instants": np.unique(problem.grid.t[problem.grid.singular]).tolist(),
             "singular_nodes": [int(i) for i in problem.grid.singular],
             "smooth_nodes": [int(i) for i in np.flatnonzero(problem.grid.smooth)],
             "dense_check": checks[-1].summary,
