@@ -101,7 +101,8 @@ def local_rate(
     apart = float(away[away > 0.0].min())
     if (away == 0.0).any():
         sign = 1.0 if t == source.start or (side == "right" and t < source.end) else -1.0
-        offsets, weights = (sign * np.array(part) for part in zip(*_AHEAD, strict=True))
+        # times have to increase on the left as well
+        offsets, weights = (sign * np.array(part)[:: int(sign)] for part in zip(*_AHEAD, strict=True))
         apart = min(APART, 0.19 * apart)
     else:
         offsets, weights = (np.array(part) for part in zip(*_CENTRAL, strict=True))

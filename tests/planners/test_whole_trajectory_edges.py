@@ -7,10 +7,12 @@ import pytest
 import yaml
 import zoo
 
-from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
+from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
 from redundancy_pin.errors import InputError
+from redundancy_pin.planners.continuous_motion import continuous_motion
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
+from redundancy_pin.planners.whole_trajectory_singular import singular_node
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.chains import ChainedPath
 from redundancy_pin.trajectory.segments import Arc, Line
@@ -181,3 +183,16 @@ def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
 def test_settings_of_the_wrong_kind_are_named(setting):
     with pytest.raises(InputError):
         plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), **setting)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_rates_of_a_fit_beside_a_jump_are_one_sided(side):
+    """For curved tracks they come from differences, which must not reach across; for straight ones from elsewhere."""
+    dynamics, source = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), continuous_motion(through_a_jump(0.0))
+    (t,) = source.breaks
+    parked = CarrierMotion.parked(1, 2)
+    exact, fitted = (singular_node(dynamics, source, 0, t, 0.01, around, side).rate for around in (None, parked))
+    for name in ("W", "f0"):
+        expected = getattr(exact, name)
+        # differences of order four over a millisecond
+        np.testing.assert_allclose(getattr(fitted, name), expected, atol=1e-5 * np.abs(expected).max())
