@@ -97,7 +97,9 @@ class Drive:
 
     def command(self, t: float, state: State) -> tuple[Array, Array]:
         """Return the efforts that act: τ (m,) and carrier forces (k,)."""
-        tau, force = self.controller.effort(t, state)
+        return self._limit(*self.controller.effort(t, state))
+
+    def _limit(self, tau: Array, force: Array) -> tuple[Array, Array]:
         if self._limited:
             tau = np.clip(tau, -self.tau_limit, self.tau_limit)
             force = np.clip(force, -self.force_limit, self.force_limit)
@@ -123,7 +125,7 @@ class Drive:
                 f"{type(self.controller).__name__}.effort returned {answer!r} at t = {t:.6g} s.",
                 remedy=f"Return main efforts ({self.robot.m},) and carrier forces ({self.robot.k},), finite numbers.",
             )
-        return self.command(t, state)
+        return self._limit(*answer)
 
 
 def limit(values: ArrayLike | None, count: int, name: str) -> Array:
