@@ -51,13 +51,15 @@ class ClosedChain:
         names = list(self.system.tree.support)
         ids = [model.getFrameId(name, pin.FrameType.BODY) for name in names]
         pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
-        # views into Pinocchio's memory, taken once: looking them up costs as much as the arithmetic
-        self._frames = [(i, data.oMf[frame].rotation, data.oMf[frame].translation) for i, frame in enumerate(ids)]
-        self._frame_ids = ids
-        self.J = data.J
-        self.dJ = data.dJ
         self._axes = np.zeros((len(ids), 4, 3))
         self._flat = self._axes.reshape(-1, 3)
+        # views into Pinocchio's memory and into ours, taken once: looking them up costs as much as the arithmetic
+        self._frames = [
+            (self._axes[i, :3].T, self._axes[i, 3], data.oMf[frame].rotation, data.oMf[frame].translation)
+            for i, frame in enumerate(ids)
+        ]
+        self.J = data.J
+        self.dJ = data.dJ
         self.support = np.zeros((len(ids), model.nv))
         for i, name in enumerate(names):
             self.support[i, list(self.system.tree.support[name])] = 1.0
@@ -69,11 +71,16 @@ class ClosedChain:
             row_of_partner.append(4 * b + (row.axis_b if row.rotation else 3))
             first.append(a)
             second.append(b)
-        self._axis = np.array(row_of_axis, dtype=np.intp)
-        self._partner = np.array(row_of_partner, dtype=np.intp)
+        # directions a of all rows, then their partners c: the point p_B, or the axis b of a rotation row
+        self._vectors = np.array(row_of_axis + row_of_partner, dtype=np.intp)
         self.first, self.second = np.array(first, dtype=np.intp), np.array(second, dtype=np.intp)
-        self._sign = np.array([row.sign for _, row in self.system.rows])[:, None]
+        self._bodies = np.concatenate([self.first, self.second])
+        self._swapped = np.roll(np.arange(2 * self.rows), self.rows)
+        signs = [row.sign for _, row in self.system.rows]
+        self._signs = np.array(signs + [1.0] * self.rows)[:, None]
+        self._turned = np.repeat([1.0, -1.0], self.rows)[:, None]
         self.slides = np.array([0.0 if row.rotation else 1.0 for _, row in self.system.rows])[:, None]
+        self._moving = np.concatenate([0.0 * self.slides, self.slides])
         self.mask = self.support[self.second] - self.support[self.first]
         self._wrench = np.zeros((self.rows, 6))
         self._wrench_rate = np.zeros((self.rows, 6))
@@ -82,15 +89,16 @@ class ClosedChain:
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
         pin.computeJointJacobiansTimeVariation(self.model, self.data, q, v)
-        for (i, rotation, translation), frame in zip(self._frames, self._frame_ids, strict=True):
-            pin.updateFramePlacement(self.model, self.data, frame)
-            self._axes[i, :3] = rotation.T
-            self._axes[i, 3] = translation
-        self.q, self.v = q, v
-        self.direction = a = self._flat.take(self._axis, 0) * self._sign
-        self.point = c = self._flat.take(self._partner, 0)
-        self._wrench[:, :3] = a * self.slides
-        self._wrench[:, 3:] = cross(c, a)
+        pin.updateFramePlacements(self.model, self.data)
+        for axes, origin, rotation, translation in self._frames:
+            axes[:] = rotation
+            origin[:] = translation
+        self.v = v
+        self.q = q
+        self._pairs = pairs = self._flat.take(self._vectors, 0) * self._signs
+        self.direction, self.point = pairs[: self.rows], pairs[self.rows :]
+        self._wrench[:, :3] = self.direction * self.slides
+        self._wrench[:, 3:] = cross(self.point, self.direction)
 
     def residual(self) -> Array:
         """Return (r,) the closure residuals Φ, m; for rotation rows the sine of the angle that is off."""
@@ -123,14 +131,15 @@ class ClosedChain:
 
     def _wrench_rates(self, v: Array) -> tuple[Array, Array]:
         """Return ẇ (r, 6) and the velocity of B's body relative to A's at the world origin (r, 6)."""
-        twists = self.frame_twists(v)
-        of_a, of_b = twists.take(self.first, 0), twists.take(self.second, 0)
-        direction_rate = cross(of_a[:, 3:], self.direction)
-        point_rate = of_b[:, :3] * self.slides + cross(of_b[:, 3:], self.point)
+        twists = self.frame_twists(v).take(self._bodies, 0)
+        pairs, rows = self._pairs, self.rows
+        rates = cross(twists[:, 3:], pairs) + twists[:, :3] * self._moving
+        # ċ × a + c × ȧ = ċ × a − ȧ × c: one call for both
+        parts = cross(rates.take(self._swapped, 0) * self._turned, pairs)
         rate = self._wrench_rate
-        rate[:, :3] = direction_rate * self.slides
-        rate[:, 3:] = cross(point_rate, self.direction) + cross(self.point, direction_rate)
-        return rate, of_b - of_a
+        rate[:, :3] = rates[:rows] * self.slides
+        rate[:, 3:] = parts[:rows] + parts[rows:]
+        return rate, twists[rows:] - twists[:rows]
 
     def frame_origin(self, index: int) -> Array:
         """Return (3,) the origin of one of the followed frames, world axes, m."""

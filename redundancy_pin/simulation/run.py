@@ -6,9 +6,10 @@ import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
-from scipy.integrate import DOP853, RK45
+from scipy.integrate import DOP853, RK45, OdeSolver
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array
@@ -18,19 +19,50 @@ from redundancy_pin.simulation.events import Event, Watcher
 from redundancy_pin.simulation.machine import Command, Machine
 from redundancy_pin.simulation.result import SimulationStatus, Statistics
 
-Interpolant = Callable[[float], Array]
-"""From a time inside a step to y = (q, v)."""
-
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45}
 """Explicit Runge-Kutta methods of scipy of order 8 and 5. The lower order is cheaper where a sampled controller makes
 every step short."""
 
-_LOOKS = np.array([0.25, 0.5, 0.75, 1.0])
+_LOOKS = (0.25, 0.5, 0.75, 1.0)
 """Where in a step the watched functions are looked at: a carrier that touches its end stop and leaves within one step
 is not missed."""
 
 GAP_LIMIT = 1e-9
 """Closure gap, m, that the projection must not leave."""
+
+
+class Step:
+    """An accepted step of an integrator, as a function of time.
+
+    Args:
+        solver: the integrator, after the step.
+        before: y and ẏ at the start of the step.
+    """
+
+    def __init__(self, solver: OdeSolver, before: tuple[Array, Array]) -> None:
+        self.start, self.end = float(solver.t_old), float(solver.t)
+        self._solver, self._before, self._after = solver, before, (solver.y, solver.f)
+
+    @cached_property
+    def _dense(self) -> Callable[[float], Array]:
+        # three more evaluations: made only where something asks for it
+        interpolant: Callable[[float], Array] = self._solver.dense_output()
+        return interpolant
+
+    def __call__(self, t: float) -> Array:
+        """Return y at a time in the step, to the accuracy of the integrator."""
+        if t == self.start:
+            return self._before[0]
+        return self._after[0] if t == self.end else self._dense(t)
+
+    def guess(self, fraction: float) -> Array:
+        """Return y at a fraction of the step, from the cubic through y and ẏ at both ends: good enough to look."""
+        (y0, f0), (y1, f1) = self._before, self._after
+        x, h = fraction, self.end - self.start
+        if x == 1.0:
+            return y1
+        slope: Array = x * (1.0 - x) * h * ((1.0 - x) * f0 - x * f1)
+        return slope + y0 + (y1 - y0) * x * x * (3.0 - 2.0 * x)
 
 
 @dataclass(frozen=True)
@@ -165,17 +197,18 @@ class Run:
         while solver.status == "running":
             if self._steps >= settings.max_steps:
                 return self._failed(solver.t, solver.y, f"{self._steps} steps did not reach the end")
+            before = solver.y, solver.f
             message = solver.step()
             if solver.status == "failed":
                 why = str(message) if machine.trouble is None else str(machine.trouble)
                 return self._failed(solver.t, solver.y, f"no step is short enough: {why}")
             machine.trouble = None
             self._steps += 1
-            dense = solver.dense_output()
-            values, stop = self._look(dense, solver.t_old, solver.t, values)
-            self._write_before(solver.t if stop is None else stop, dense)
+            step = Step(solver, before)
+            values, stop = self._look(step, values)
+            self._write_before(solver.t if stop is None else stop, step)
             if stop is not None:
-                return stop, machine.project(stop, dense(stop))[0], SimulationStatus.STOPPED_BY_EVENT
+                return stop, machine.project(stop, step(stop))[0], SimulationStatus.STOPPED_BY_EVENT
             projected, found, left = machine.project(solver.t, solver.y)
             self._correction = max(self._correction, found)
             if left > GAP_LIMIT:
@@ -194,19 +227,17 @@ class Run:
         self._reason = f"At t = {t:.9g} s {why.rstrip('.')}."
         return float(t), y, SimulationStatus.FAILED
 
-    def _look(self, dense: Interpolant, start: float, end: float, before: Array) -> tuple[Array, float | None]:
+    def _look(self, step: Step, before: Array) -> tuple[Array, float | None]:
         """Find events in a step; return the watched functions at its end and the time of the first terminal event."""
         nq = self._machine.robot.model.nq
-        left = start
+        left = step.start
         found: list[Event] = []
         for look in _LOOKS:
-            right = start + look * (end - start)
-            after = self._watcher.values(dense(right)[:nq])
+            right = step.start + look * (step.end - step.start)
+            after = self._watcher.values(step.guess(look)[:nq])
             for i in self._watcher.crossed(before, after):
                 watch = self._watcher.watches[i]
-                found.append(
-                    Event(watch.kind, watch.name, self._root(dense, i, (left, right), before[i]), watch.terminal)
-                )
+                found.append(Event(watch.kind, watch.name, self._root(step, i, left, right), watch.terminal))
             left, before = right, after
         for event in sorted(found, key=lambda event: event.t):
             self._events.append(event)
@@ -214,17 +245,23 @@ class Run:
                 return before, event.t
         return before, None
 
-    def _root(self, dense: Interpolant, index: int, between: tuple[float, float], before: float) -> float:
+    def _root(self, step: Step, index: int, left: float, right: float) -> float:
+        """Return when a watched function changes sign; the end that is nearer to it where rounding hides the change."""
         nq = self._machine.robot.model.nq
-        if before == 0.0:
-            return between[0]
-        return float(brentq(lambda t: self._watcher.values(dense(t)[:nq])[index], *between, xtol=1e-14, rtol=1e-14))
 
-    def _write_before(self, end: float, dense: Interpolant) -> None:
+        def value(t: float) -> float:
+            return float(self._watcher.values(step(t)[:nq])[index])
+
+        at_left, at_right = value(left), value(right)
+        if at_left * at_right >= 0.0:
+            return left if abs(at_left) <= abs(at_right) else right
+        return float(brentq(value, left, right, xtol=1e-14, rtol=1e-14))
+
+    def _write_before(self, end: float, step: Step) -> None:
         """Record the grid times before ``end``; what happens at the end of a stretch belongs to the next."""
         while self._grid[self._next] < end:
             t = float(self._grid[self._next])
-            self._write(t, dense(t))
+            self._write(t, step(t))
             self._next += 1
 
     def _write(self, t: float, y: Array) -> None:

@@ -53,7 +53,7 @@ def simulate(
     rtol: float = RTOL,
     atol: float = ATOL,
     max_step: float = np.inf,
-    max_steps: int = 1_000_000,
+    max_steps: int = 200_000,
     integrator: Literal["DOP853", "RK45"] = "DOP853",
     way: Way = "projected",
 ) -> Simulation:
