@@ -99,26 +99,46 @@ def allocate(
     residual = float(np.linalg.norm(wanted - full @ answer))
     if residual > size:
         return Allocation(answer[:m], answer[m:], residual, margin, AllocationStatus.UNBALANCED)
-    status = AllocationStatus.EXACT
-    free = np.ones(len(scale), dtype=bool)
-    limit = np.full(m, np.inf) if effort_limit is None else effort_limit
-    for _ in range(m):  # each round fixes at least one effort at its limit
-        over = np.abs(answer[:m]) > limit
-        if not over.any():
-            break
-        status = AllocationStatus.SATURATED
-        free[:m] &= ~over
-        answer[:m][over] = np.sign(answer[:m][over]) * limit[over]
-        rest = wanted - full[:, ~free] @ answer[~free] - full[:, free] @ start[free]
-        parts = np.linalg.svd(weighted[:, free], full_matrices=False)
-        rank = parts[1] > RANK_TOLERANCE * values[0]
-        answer[free] = start[free] + scale[free] * _solve(*parts, rank, rest)
-        residual = float(np.linalg.norm(wanted - full @ answer))
-        if residual > size:
-            status = AllocationStatus.BEYOND_LIMITS
-    answer[:m] = np.clip(answer[:m], -limit, limit)
+    if effort_limit is None or (np.abs(answer[:m]) <= effort_limit).all():
+        return Allocation(answer[:m], answer[m:], residual, margin, AllocationStatus.EXACT)
+    room = np.full((2, len(scale)), np.inf)
+    room[:, :m] = (effort_limit - planned) / effort_scale, (effort_limit + planned) / effort_scale
+    answer = start + scale * _bounded(weighted, wanted - full @ start, -room[1], room[0])
     residual = float(np.linalg.norm(wanted - full @ answer))
+    status = AllocationStatus.SATURATED if residual <= size else AllocationStatus.BEYOND_LIMITS
     return Allocation(answer[:m], answer[m:], residual, margin, status)
+
+
+def _bounded(matrix: Array, wanted: Array, lower: Array, upper: Array) -> Array:
+    """Return the shortest y within bounds with A y = wanted, or as near to it as the clamped entries allow.
+
+    An active set: the entry that is farthest beyond its bound is clamped there, and one that would come back into its
+    bounds if it were free is freed. The answer is continuous in ``wanted``, so an integrator can follow it.
+    """
+    clamped = np.zeros(matrix.shape[1], dtype=bool)
+    value = np.zeros(matrix.shape[1])
+    for _ in range(_MOST_CHANGES * matrix.shape[1]):
+        rest = wanted - matrix[:, clamped] @ value[clamped]
+        u, values, vt = np.linalg.svd(matrix[:, ~clamped], full_matrices=False)
+        kept = values > RANK_TOLERANCE * np.abs(matrix).max()
+        value[~clamped] = _solve(u, values, vt, kept, rest)
+        multiplier = u[:, kept] @ ((u[:, kept].T @ rest) / values[kept] ** 2)
+        beyond = np.where(clamped, 0.0, np.maximum(value - upper, lower - value))
+        if beyond.max() > 0.0:
+            worst = int(beyond.argmax())
+            clamped[worst] = True
+            value[worst] = min(max(value[worst], lower[worst]), upper[worst])
+            continue
+        wish = matrix.T @ multiplier
+        returning = np.where(clamped, np.where(value == upper, upper - wish, wish - lower), 0.0)
+        if returning.max() <= RESIDUAL_TOLERANCE or not kept.all() or len(values) < len(wanted):
+            break
+        clamped[int(returning.argmax())] = False
+    return np.clip(value, lower, upper)
+
+
+_MOST_CHANGES = 4
+"""Changes of the active set for each entry before the last answer is taken as it is; its residual tells."""
 
 
 def _solve(u: Array, values: Array, vt: Array, kept: Array, wanted: Array) -> Array:

@@ -47,13 +47,13 @@ class TorqueCommand:
 
 
 class ComputedTorque(Tracking):
-    """Inverse dynamics of the actual state with desired accelerations
+    """Inverse dynamics of the actual state with desired accelerations.
 
         ẍ = ẍ_d − 2 ζ ω ė − ω² e,   s̈ = s̈_d − 2 ζ ω_s ė_s − ω_s² e_s + δ,
 
     efforts and δ from ``allocate``. Away from a type II pose δ is small and platform and carriers obey two decoupled
-    linear equations. Towards one the carriers take over: the platform keeps its equation, the carriers leave theirs by δ
-    and come back afterwards. It gives up, by feeding the plan's efforts forward, at a type I pose and where main
+    linear equations. Towards one the carriers take over: the platform keeps its equation, the carriers leave theirs by
+    δ and come back afterwards. It gives up, by feeding the plan's efforts forward, at a type I pose and where main
     actuators and carriers together have no effect in some direction that the force needs (``UNBALANCED``).
 
     Args:
@@ -64,8 +64,8 @@ class ComputedTorque(Tracking):
         damping: ζ of both.
         effort_scale: scalar or (m,) τ̂, main effort beyond the plan's that counts as much as â; the largest planned
             efforts when left out.
-        carrier_scale: scalar or (k,) â, carrier acceleration beyond the wanted one, m/s²; a tenth of the largest planned
-            |s̈| when left out.
+        carrier_scale: scalar or (k,) â, carrier acceleration beyond the wanted one, m/s²; a tenth of the largest
+            planned |s̈| when left out.
         effort_limit: scalar or (m,) largest |τ|; what it cuts off is left to the carriers.
         sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
             answer will act.

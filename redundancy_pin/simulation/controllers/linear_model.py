@@ -8,10 +8,10 @@ import numpy as np
 from scipy.linalg import expm
 
 from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.simulation.chain import ClosedChain
 from redundancy_pin.simulation.linearise import linearise
 from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.state import State
-from redundancy_pin.simulation.chain import ClosedChain
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,8 @@ def sampled_model(model: LinearModel, start: float, end: float, period: float, d
 
     Args:
         model: the continuous one.
-        start, end: s.
+        start: first sampling instant, s.
+        end: last one at the latest, s.
         period: sampling period, s.
         delay: from reading the state to the change of the efforts, s; at most one period.
     """

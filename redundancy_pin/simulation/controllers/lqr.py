@@ -150,9 +150,7 @@ def _sampled(model: LinearModel, weights: LqrWeights, sampling: Sampling) -> tup
     found = sampled_model(model, float(model.t[0]), float(model.t[-1]), period, sampling.delay)
     extra = found.transition.shape[1] - len(Q)
     Q = block_diag(Q, np.zeros((extra, extra))) if extra else Q
-    final, holds = _final(
-        lambda: solve_discrete_are(found.transition[-1], found.input[-1], Q, R), Q / period
-    )
+    final, holds = _final(lambda: solve_discrete_are(found.transition[-1], found.input[-1], Q, R), Q / period)
     return found.t, discrete_riccati(found.transition, found.input, Q, R, final), holds
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import lapack
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import RANK_TOLERANCE, Array
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.chain import ClosedChain
@@ -60,8 +60,9 @@ class ReducedModel:
         model, data, n, rows = robot.model, chain.data, robot.n, chain.rows
         chain.update(q, v)
         stacked = np.concatenate([chain.jacobian(), chain.platform_jacobian()])
-        _, _, inverse, singular = lapack.dgesv(stacked[:, self._columns], self._identity)
-        if singular:
+        system = stacked[:, self._columns]
+        _, _, inverse, singular = lapack.dgesv(system, self._identity)
+        if singular or np.abs(system).max() * np.abs(inverse).max() * RANK_TOLERANCE > 1.0:
             raise SingularPoseError(
                 f"{robot.name} is at a type I pose: platform and carriers do not describe its motion there.",
                 remedy="Control it along a motion that keeps away from this pose.",

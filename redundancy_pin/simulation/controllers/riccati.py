@@ -117,11 +117,11 @@ def _checked(P: Array) -> float:
     least = float("nan")
     if finite:
         values = np.linalg.eigvalsh(P)
-        least = float((values[:, 0] / np.maximum(values[:, -1], np.finfo(float).tiny)).min())
+        least = float((values[:, 0] / np.maximum(np.abs(values).max(axis=1), np.finfo(float).tiny)).min())
     if not finite or least < -NEGATIVE:
         raise InputError(
             f"The Riccati equation has no positive solution: smallest relative eigenvalue {least:.3g}.",
-            remedy="Weights must be symmetric, and positive for every effort; lengthen nothing else than the horizon.",
+            remedy="Pass Q and the final cost without negative eigenvalues, and less extreme weights.",
             least=least,
         )
     return least

@@ -20,9 +20,7 @@ class Tracking:
         sampling: how it will be sampled, if it will be.
     """
 
-    def __init__(
-        self, plan: Plan | MotionReference, motion: TimedTrajectory | None, sampling: Sampling | None
-    ) -> None:
+    def __init__(self, plan: Plan | MotionReference, motion: TimedTrajectory | None, sampling: Sampling | None) -> None:
         self.reference = plan if isinstance(plan, MotionReference) else plan_reference(plan, motion=motion)
         self.robot = self.reference.robot
         self.sampling = sampling
