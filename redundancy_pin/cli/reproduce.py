@@ -7,7 +7,7 @@ import click
 from redundancy_pin.cli.options import json_option
 from redundancy_pin.cli.output import console, print_json, progress
 from redundancy_pin.experiments import reproduce as run_job
-from redundancy_pin.experiments.report import judged_table, terminal_table, thesis_table
+from redundancy_pin.experiments.report import findings_table, judged_table, terminal_table, thesis_table
 
 
 @click.command()
@@ -36,5 +36,7 @@ def reproduce(out: str, as_json: bool) -> None:
     screen.print(thesis_table(done.compared))
     if done.study is not None:
         screen.print(judged_table(done.study))
+    if done.beyond is not None:
+        screen.print(findings_table(done.beyond))
     passed = f"cross-check passed: {len(done.check.rows)} checks"
     screen.print(f"{passed}. Results are in {done.folder} (start with report.html or report.md).")

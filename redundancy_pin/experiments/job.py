@@ -10,6 +10,12 @@ from pathlib import Path
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.errors import CrossCheckError
+from redundancy_pin.experiments.beyond.files import write_figures, write_plans
+from redundancy_pin.experiments.beyond.pictures import FIGURES as BEYOND_FIGURES
+from redundancy_pin.experiments.beyond.settings import FULL as BEYOND_FULL
+from redundancy_pin.experiments.beyond.settings import BeyondSettings
+from redundancy_pin.experiments.beyond.study import Beyond, require_solver, run_beyond
+from redundancy_pin.experiments.beyond.study import parts as beyond_parts
 from redundancy_pin.experiments.csv_text import csv_text
 from redundancy_pin.experiments.experiment import Experiment
 from redundancy_pin.experiments.figures import comparison_figure, effort_figure, path_figure
@@ -54,6 +60,7 @@ class Reproduction:
         results: of each experiment.
         compared: statements of the thesis beside our numbers.
         study: the planned experiments; None if they were left out.
+        beyond: the chapter beyond the thesis; None if it was left out.
         summary: what ``summary.json`` holds.
     """
 
@@ -62,6 +69,7 @@ class Reproduction:
     results: tuple[Result, ...]
     compared: tuple[Compared, ...]
     study: Study | None
+    beyond: Beyond | None
     summary: dict[str, object]
 
 
@@ -70,6 +78,7 @@ def reproduce(
     experiments: Sequence[Experiment] = EXPERIMENTS,
     *,
     study: StudySettings | None = FULL,
+    beyond: BeyondSettings | None = BEYOND_FULL,
     samples: int = CROSS_CHECK_SAMPLES,
     progress: Progress | None = None,
 ) -> Reproduction:
@@ -81,17 +90,20 @@ def reproduce(
         folder: where to put the results.
         experiments: what to run without a planner.
         study: extent of the planned experiments; None leaves them out.
+        beyond: extent of the chapter beyond the thesis; None leaves it out.
         samples: random states of each robot in the cross-check.
         progress: told how far the job is.
 
     Raises:
         CrossCheckError: the backends disagree.
         OutputError: the folder cannot be written or holds other files.
-        RedundancyPinError: an experiment cannot run, or matplotlib is not installed.
+        RedundancyPinError: an experiment cannot run, or matplotlib or, for the last chapter, casadi is not installed.
     """
     require_matplotlib()
+    if beyond:
+        require_solver()
     require_replaceable(folder)
-    planned = PARTS + len(FIGURES) if study else 0
+    planned = (PARTS + len(FIGURES) if study else 0) + (beyond_parts(beyond) + len(BEYOND_FIGURES) if beyond else 0)
     steps = _Steps(2 * len(experiments) + planned + _CROSS_CHECK_STEPS, progress)
     robots = sorted({experiment.robot for experiment in experiments})
     check = require_agreement(robots, samples, lambda done, total: steps.part("cross-check", done / total))
@@ -101,6 +113,7 @@ def reproduce(
         steps.next(experiment.name)
     compared = compare_with_thesis(results)
     found = run_study(study, steps.next) if study else None
+    further = run_beyond(beyond, found.store if found else None, steps.next) if beyond else None
     with replacing_folder(folder) as temporary:
         for result in results:
             write_result(temporary, result)
@@ -108,12 +121,15 @@ def reproduce(
         write_comparisons(temporary, results)
         if found:
             write_thesis_figures(temporary, found, steps.next)
-        blocks = report(results, check, compared, found)
+        if further:
+            write_plans(temporary, further, CSV_DIGITS)
+            write_figures(temporary, further, PICTURE_SUFFIXES, steps.next)
+        blocks = report(results, check, compared, found, further)
         write_text(temporary / "report.md", markdown(blocks))
         write_text(temporary / "report.html", html(blocks, temporary))
-        data = summary(results, check, compared, found, [path.name for path in temporary.iterdir()])
+        data = summary(results, check, compared, found, further, [path.name for path in temporary.iterdir()])
         write_text(temporary / MANIFEST, json.dumps(data, indent=2, allow_nan=False) + "\n")
-    return Reproduction(Path(folder), check, tuple(results), compared, found, data)
+    return Reproduction(Path(folder), check, tuple(results), compared, found, further, data)
 
 
 def require_agreement(

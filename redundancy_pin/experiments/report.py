@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from rich.table import Table as TerminalTable
 
 from redundancy_pin.crosscheck import CrossCheckReport
+from redundancy_pin.experiments.beyond.sections import chapter
+from redundancy_pin.experiments.beyond.study import Beyond
 from redundancy_pin.experiments.document import (
     Block,
     Bullets,
@@ -70,8 +72,22 @@ def judged_table(study: Study) -> TerminalTable:
     return found
 
 
+def findings_table(beyond: Beyond) -> TerminalTable:
+    """Return what follows from the chapter beyond the thesis as a table."""
+    found = TerminalTable(title="beyond the thesis: planning over the whole trajectory")
+    for heading in ("claim", "verdict", "here"):
+        found.add_column(heading)
+    for row in beyond.findings:
+        found.add_row(row.claim, row.stands, row.here)
+    return found
+
+
 def report(
-    results: Sequence[Result], check: CrossCheckReport, compared: Sequence[Compared], study: Study | None = None
+    results: Sequence[Result],
+    check: CrossCheckReport,
+    compared: Sequence[Compared],
+    study: Study | None = None,
+    beyond: Beyond | None = None,
 ) -> list[Block]:
     """Return the report as blocks, to be written as Markdown or HTML.
 
@@ -80,6 +96,7 @@ def report(
         check: the cross-check.
         compared: statements about these motions.
         study: the planned experiments; None if they were not run.
+        beyond: the chapter beyond the thesis; None if it was not run.
     """
     return [
         Heading("Results: internal redundancy in parallel manipulators", 1),
@@ -89,6 +106,7 @@ def report(
         ),
         Paragraph("Made with " + ", ".join(f"{name} {version}" for name, version in versions().items()) + "."),
         *(findings(study) if study else ()),
+        *(chapter(beyond) if beyond else ()),
         Heading("Cross-check of the backends on random states"),
         _cross_check(check),
         Heading("Motions without a planner"),

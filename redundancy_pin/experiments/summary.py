@@ -10,6 +10,7 @@ from typing import Any
 
 import redundancy_pin
 from redundancy_pin.crosscheck import CrossCheckReport
+from redundancy_pin.experiments.beyond.study import Beyond
 from redundancy_pin.experiments.planned.study import Study
 from redundancy_pin.experiments.result import Result
 from redundancy_pin.experiments.stated import Compared
@@ -17,7 +18,7 @@ from redundancy_pin.experiments.stated import Compared
 FORMAT = "redundancy_pin results"
 FORMAT_VERSION = 1
 
-_PACKAGES = ("pin", "numpy", "scipy", "xacrodoc", "matplotlib")
+_PACKAGES = ("pin", "numpy", "scipy", "xacrodoc", "matplotlib", "casadi")
 
 
 def summary(
@@ -25,6 +26,7 @@ def summary(
     check: CrossCheckReport,
     compared: Sequence[Compared],
     study: Study | None,
+    beyond: Beyond | None,
     files: Sequence[str],
 ) -> dict[str, Any]:
     """Return everything worth keeping of a run as plain data.
@@ -34,6 +36,7 @@ def summary(
         check: the cross-check that came first.
         compared: statements of the thesis beside our numbers.
         study: the planned experiments; None if they were not run.
+        beyond: the chapter beyond the thesis; None if it was not run.
         files: every file of the results folder, relative to it; a later run replaces the folder only if these are all.
     """
     return {
@@ -44,6 +47,7 @@ def summary(
         "experiments": {result.experiment.name: _case(result) for result in results},
         "thesis": [row.as_dict() for row in compared],
         "planned": study.as_dict() if study else None,
+        "beyond": beyond.as_dict() if beyond else None,
         "notes": list(NOTES),
         "files": sorted(files),
     }

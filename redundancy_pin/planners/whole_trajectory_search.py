@@ -66,8 +66,6 @@ def search(problem: WholeProblem, carriers: tuple[str, ...], warm: CarrierCourse
             again = Solver(program, left, {"ipopt.mu_strategy": "adaptive"}).solve(solution.values)
             solution = again if again.optimal or (again.feasible and not solution.feasible) else solution
         solutions.append(solution)
-        if solution.infeasible:
-            break
     usable = [solution for solution in solutions if solution.feasible]
     if not usable:
         elastic = relax(problem, carriers, _guess(problem, warm, 0), seconds, solutions[0].message)

@@ -23,6 +23,7 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     small = tuple(replace(entry, dt=0.02) for entry in picked)
     monkeypatch.setattr(job.reproduce, "__defaults__", (small,))
     monkeypatch.setitem(job.reproduce.__kwdefaults__, "study", None)
+    monkeypatch.setitem(job.reproduce.__kwdefaults__, "beyond", None)
 
 
 def test_tables(tmp_path: Path) -> None:

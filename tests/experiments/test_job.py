@@ -17,8 +17,8 @@ from redundancy_pin.errors import CrossCheckError, OutputError
 from redundancy_pin.experiments import Reproduction, job
 from redundancy_pin.experiments.stated import STATEMENTS, compare_with_thesis
 
-reproduce = functools.partial(job.reproduce, study=None)
-"""The job without the planned experiments, which have tests of their own."""
+reproduce = functools.partial(job.reproduce, study=None, beyond=None)
+"""The job without the planned experiments and the last chapter, which have tests of their own."""
 
 SAMPLES = 20
 """Random states of the cross-check: it has tests of its own."""

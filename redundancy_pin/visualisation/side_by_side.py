@@ -1,0 +1,111 @@
+"""Plans of one motion side by side: efforts and carriers, one column a plan, with common axes for the carriers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.visualisation.style import INSTANT_COLOR, STROKES, figure
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_ROWS = ("position", "speed", "acceleration")
+_LABELS = {"position": "s [m]", "speed": "ṡ [m/s]", "acceleration": "s̈ [m/s²]"}
+_HEADROOM = 1.08
+
+
+def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: Sequence[float] = ()) -> Figure:
+    """Draw plans of the same motion in columns: main efforts, and s, ṡ, s̈ of the carriers with their limits.
+
+    Each effort panel has its own scale, as efforts of different planners can be orders of magnitude apart; its peak
+    stands above it. The rows of the carriers share their scales.
+
+    Args:
+        title: of the figure.
+        plans: by what the column is called.
+        unit: of the main efforts.
+        instants: singular instants, s, drawn as dotted lines.
+
+    Raises:
+        RedundancyPinError: matplotlib is not installed.
+    """
+    with figure(2.0 + 2.6 * len(plans), 8.0) as drawn:
+        axes = drawn.subplots(4, len(plans), sharex=True, squeeze=False, height_ratios=(1.25, 1.0, 1.0, 1.0))
+        drawn.suptitle(title, fontsize=10.5)
+        for column, (name, plan) in enumerate(plans.items()):
+            _efforts(axes[0, column], name, plan, unit)
+            for row, quantity in enumerate(_ROWS, start=1):
+                _carriers(axes[row, column], plan, quantity)
+            for axis in axes[:, column]:
+                for instant in instants:
+                    axis.axvline(instant, color=INSTANT_COLOR, linewidth=0.9, linestyle=(0, (1, 1.5)), zorder=1.6)
+            axes[3, column].set_xlabel("time t [s]")
+        for row, quantity in enumerate(_ROWS, start=1):
+            _share(list(axes[row]), list(plans.values()), quantity)
+            axes[row, 0].set_ylabel(_LABELS[quantity])
+        axes[0, 0].set_ylabel(f"main effort τ [{unit}]")
+        axes[0, 0].set_xlim(0.0, max(float(plan.t[-1]) for plan in plans.values()))
+        handles: list[Artist] = []
+        labels: list[str] = []
+        for axis in (axes[0, -1], axes[1, -1]):
+            found = axis.get_legend_handles_labels()
+            handles, labels = handles + found[0], labels + found[1]
+        drawn.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+        drawn.align_ylabels(axes[:, 0])
+        return drawn
+
+
+def values_of(plan: Plan, quantity: str) -> Array:
+    """Return (N, k) position, speed or acceleration of the carriers, m, m/s or m/s²."""
+    return {"position": plan.carriers.s, "speed": plan.carriers.sd, "acceleration": plan.carriers.sdd}[quantity]
+
+
+def _efforts(axes: Axes, name: str, plan: Plan, unit: str) -> None:
+    for i in range(plan.tau.shape[1]):
+        stroke = STROKES[i % len(STROKES)]
+        axes.plot(plan.t, plan.tau[:, i], color=stroke.color, linestyle=stroke.dash, label=f"actuator {i + 1}")
+    axes.set_title(f"{name}\npeak {float(plan.peak_effort.max()):.3g} {unit}, {plan.status.value}", fontsize=8.5)
+
+
+def _carriers(axes: Axes, plan: Plan, quantity: str) -> None:
+    values = values_of(plan, quantity)
+    if not values.shape[1]:
+        axes.text(0.5, 0.5, "no carriers", transform=axes.transAxes, ha="center", va="center", color="#6E6E6E")
+        return
+    for i in range(values.shape[1]):
+        stroke = STROKES[i % len(STROKES)]
+        axes.plot(plan.t, values[:, i], color=stroke.color, linestyle=stroke.dash, label=f"carrier {i + 1}")
+
+
+def _share(axes: list[Axes], plans: list[Plan], quantity: str) -> None:
+    """Give the panels of a row one scale that holds the curves, and draw the limits."""
+    limits = [limit for plan in plans for limit in _limits(plan, quantity)]
+    finite = [limit for limit in limits if np.isfinite(limit)]
+    largest = max((float(np.abs(values_of(plan, quantity)).max(initial=0.0)) for plan in plans), default=0.0)
+    shown = [limit for limit in finite if abs(limit) <= 3.0 * largest]
+    top = _HEADROOM * (max([largest, *(abs(limit) for limit in shown)]) or 1.0)
+    for i, axis in enumerate(axes):
+        axis.set_ylim(-top, top)
+        for limit in sorted(set(shown)):
+            label = "limit" if limit == max(shown) else None
+            axis.axhline(limit, color="#000000", linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.8, label=label)
+        if i:
+            axis.tick_params(labelleft=False)
+
+
+def _limits(plan: Plan, quantity: str) -> tuple[float, ...]:
+    found: list[float] = []
+    for limit in plan.limits.judged_by:
+        if quantity == "position":
+            found += [limit.lower, limit.upper]
+        else:
+            most = limit.speed if quantity == "speed" else limit.acceleration
+            found += [-most, most]
+    return tuple(found)

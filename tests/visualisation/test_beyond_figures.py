@@ -1,0 +1,78 @@
+"""Figures of the last chapter show what they are given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from redundancy_pin.experiments.beyond.cases import SwitchOff, whole
+from redundancy_pin.experiments.beyond.tasks import CROSSINGS
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.visualisation.bars import plot_bars
+from redundancy_pin.visualisation.side_by_side import plot_side_by_side
+from redundancy_pin.visualisation.speed_border import Attempts, plot_speed_border
+from redundancy_pin.visualisation.style import save
+from redundancy_pin.visualisation.trade_off import TradeCurve, plot_trade_off
+
+
+@pytest.fixture(scope="module")
+def plans() -> dict[str, Plan]:
+    task = CROSSINGS[0]
+    return {"off": SwitchOff(task).plan("virtual-work"), "whole": whole(task, "effort", 4.0).plan("virtual-work")}
+
+
+def written(figure: Figure, folder: Path) -> None:
+    save(figure, folder / "figure.png")
+    assert (folder / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_columns_show_each_plan_and_its_limits(plans: dict[str, Plan], tmp_path: Path) -> None:
+    figure = plot_side_by_side("circle", plans, "N", instants=[0.57, 0.88])
+    axes = np.array(figure.axes).reshape(4, 2)
+    for column, (name, plan) in enumerate(plans.items()):
+        assert name in axes[0, column].get_title()
+        assert f"{plan.peak_effort.max():.3g} N" in axes[0, column].get_title()
+        assert plan.status.value in axes[0, column].get_title()
+        parts = (plan.tau, plan.carriers.s, plan.carriers.sd, plan.carriers.sdd)
+        for axis, values in zip(axes[:, column], parts, strict=True):
+            for i in range(2):
+                np.testing.assert_array_equal(axis.lines[i].get_ydata(), values[:, i])
+        levels = [line.get_ydata()[0] for line in axes[1, column].lines if len(set(line.get_ydata())) == 1]
+        assert {-0.2, 0.2} <= set(levels)
+        assert sum(list(line.get_xdata()) == [0.57, 0.57] for line in axes[0, column].lines) == 1
+    for row in range(1, 4):  # one scale a row, and every curve inside
+        assert axes[row, 0].get_ylim() == axes[row, 1].get_ylim()
+    assert axes[1, 0].get_ylim()[1] > np.abs(plans["off"].carriers.s).max()
+    written(figure, tmp_path)
+
+
+def test_bars_show_values_and_gaps(tmp_path: Path) -> None:
+    figure = plot_bars("title", ["+++", "---"], "mode", "τ", {"a": np.array([1.0, 2.0]), "b": np.array([np.nan, 3.0])})
+    heights = [bar.get_height() for bar in figure.axes[0].patches]
+    assert heights == [1.0, 2.0, 0.0, 3.0]
+    assert [text.get_text() for text in figure.axes[0].texts] == ["none"]
+    written(figure, tmp_path)
+
+
+def test_border_shows_speeds_with_and_without_a_plan(tmp_path: Path) -> None:
+    tried = Attempts("circle", np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3]))
+    figure = plot_speed_border("title", [tried])
+    found, without = figure.axes[0].lines
+    assert list(found.get_xdata()) == [0.5, 1.0]
+    assert list(found.get_ydata()) == [0.2, 1.4]
+    assert list(without.get_xdata()) == [1.2, 1.3]
+    written(figure, tmp_path)
+
+
+def test_trade_off_shows_curve_and_marks(tmp_path: Path) -> None:
+    curve = TradeCurve("corner", "N·m", np.array([[1.0, 5.0], [2.0, 3.0]]), {"stepwise": (3.0, 4.0)})
+    figure = plot_trade_off("title", [curve])
+    line, mark = figure.axes[0].lines
+    assert list(line.get_xdata()) == [1.0, 2.0]
+    assert list(line.get_ydata()) == [5.0, 3.0]
+    assert (list(mark.get_xdata()), list(mark.get_ydata())) == ([3.0], [4.0])
+    assert mark.get_label() == "stepwise"
+    written(figure, tmp_path)
