@@ -11,6 +11,7 @@ from redundancy_pin.cli.inverse_dynamics import inverse_dynamics
 from redundancy_pin.cli.plan import plan
 from redundancy_pin.cli.reproduce import reproduce
 from redundancy_pin.cli.singularities import singularities
+from redundancy_pin.cli.study import study
 from redundancy_pin.cli.validate import validate
 
 __all__ = ["main"]
@@ -37,6 +38,6 @@ def _keep_lines(command: click.Command) -> None:
             _keep_lines(part)
 
 
-for _command in (reproduce, inverse_dynamics, singularities, plan, validate, info):
+for _command in (reproduce, inverse_dynamics, singularities, plan, study, validate, info):
     main.add_command(_command)
 _keep_lines(main)

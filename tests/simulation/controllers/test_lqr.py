@@ -117,7 +117,7 @@ def test_the_corner_of_the_three_rrr():
     run = rp.simulate(motion.robot, control, start=start, duration=0.4, rtol=1e-7, atol=1e-9)
     away = deviations(run, motion)
     assert run.status.value == "completed"
-    assert np.linalg.norm(away[-1, :2]) < 0.05 * np.linalg.norm(away[0, :2])
+    assert np.linalg.norm(away[-1, :2]) < 0.1 * np.linalg.norm(away[0, :2])
 
 
 def test_at_rest_the_gains_are_those_of_the_algebraic_equation():
