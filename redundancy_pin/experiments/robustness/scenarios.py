@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.loading import load_robot
@@ -60,8 +60,10 @@ SCENARIOS: tuple[Scenario, ...] = (
 @functools.cache
 def nominal(half_track: float | None = None) -> Robot:
     """Return the robot as planned; with its own track, or another one."""
-    extra = {} if half_track is None else {"track_half_length": half_track}
-    return load_robot("2rpr", **MASS, **extra)
+    arguments: dict[str, Any] = {**MASS}
+    if half_track is not None:
+        arguments["track_half_length"] = half_track
+    return load_robot("2rpr", **arguments)
 
 
 @functools.cache

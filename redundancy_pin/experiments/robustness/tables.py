@@ -54,6 +54,7 @@ def study_csv(study: Study) -> str:
     """Return all trials as CSV."""
     names = [name for name in Trial.__dataclass_fields__ if name != "reason"]
     columns = {name: np.array([getattr(trial, name) for trial in study.trials]) for name in names}
+    columns["scenario"] = np.array([trial.scenario.replace(",", ";") for trial in study.trials])
     return csv_text({**columns, "success": np.array([int(trial.success) for trial in study.trials])})
 
 

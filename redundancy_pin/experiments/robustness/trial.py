@@ -108,8 +108,9 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
     if isinstance(control, ComputedTorque):
         control.history.clear()
     point = motion.at(scenario.start)
+    arguments: dict[str, Any] = {**MASS, **drawn.arguments}
     try:
-        robot = load_robot("2rpr", **{**MASS, **drawn.arguments})
+        robot = load_robot("2rpr", **arguments)
         run = simulate(
             robot,
             _Amplifier(_through_encoders(control, motion, drawn, imperfections), drawn.random, imperfections.noise),
