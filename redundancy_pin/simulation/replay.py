@@ -35,7 +35,7 @@ AWAY, SPEED = 1e-3, 1e-2
 """Where controllers start: this far, m, and at this speed, m/s, from the planned start, along every coordinate together
 (rotations over the characteristic length)."""
 
-MOST_STEPS = 5000
+MOST_STEPS = 1000
 """Steps in addition to those that samples and breaks ask for: towards a pose at which a massless machine has no
 acceleration steps would shrink for ever."""
 

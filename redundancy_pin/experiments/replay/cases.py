@@ -94,7 +94,7 @@ class ReplayCase:
 
 CASES: tuple[ReplayCase, ...] = (
     ReplayCase(_LIGHT, SWITCH_OFF, _MASSLESS),
-    ReplayCase(_LIGHT, EFFORT, _MASSLESS),
+    ReplayCase(_LIGHT, EFFORT, ("open loop",)),
     ReplayCase(_HEAVY, SWITCH_OFF),
     ReplayCase(_HEAVY, EFFORT),
     ReplayCase(_HEAVY_LINE, SWITCH_OFF),

@@ -11,16 +11,17 @@ from redundancy_pin.simulation.replay import AWAY, SAMPLING, SPEED, Replay
 
 SET_UP = (
     "Plans are fed to the forward dynamics of their own robot. Open loop the machine starts exactly where the plan "
-    "does and gets the efforts of the continuous motion that the plan stands for; 'samples' are the efforts at the samples "
-    "of the plan alone, linear in between, which shows what its discretisation costs. Computed torque and LQR are "
-    f"digital ({1.0 / SAMPLING.period:g} Hz, {1e3 * SAMPLING.delay:g} ms of delay) and start {1e3 * AWAY:g} mm and "
-    f"{1e3 * SPEED:g} mm/s off, so their largest error is at least that. Errors are distances of the platform from the "
-    "planned motion, rotations times the characteristic length."
+    "does and gets the efforts of the continuous motion that the plan stands for; 'samples' are the efforts at the "
+    "samples of the plan alone, linear in between, which shows what its discretisation costs. Computed torque and LQR "
+    f"are digital ({1.0 / SAMPLING.period:g} Hz, {1e3 * SAMPLING.delay:g} ms of delay) and start {1e3 * AWAY:g} mm "
+    f"and {1e3 * SPEED:g} mm/s off, so their largest error is at least that. Errors are distances of the platform "
+    "from the planned motion, rotations times the characteristic length."
 )
 MASSLESS = (
     "The 2-RPR of the thesis has no mass but its carriers: with them at s = 0, and at every type II pose, forces do "
-    "not determine its motion. Its plans cannot be replayed as forces; with carriers moved along their plan they can, up "
-    "to the type II pose. The crossings are therefore replayed on the machine with masses, in plan and replay alike."
+    "not determine its motion, so its plans cannot be replayed as forces. With carriers moved along their plan they "
+    "can, up to the type II pose. The crossings are therefore replayed on the machine with masses, in plan and replay "
+    "alike."
 )
 
 
