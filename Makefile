@@ -10,6 +10,7 @@ PYTHON  ?=
 VENV    ?= .venv
 OUT     ?= results
 SAMPLES ?= 100000
+JOBS    ?= $(shell getconf _NPROCESSORS_ONLN)
 
 CANDIDATES := $(or $(PYTHON),python3.13 python3.12 python3.11 python3.10 python3)
 BIN        := $(VENV)/bin
@@ -22,12 +23,12 @@ HAS_VENV := import ensurepip, venv
 # ... and where the stubs of its newest numpy keep dtypes through arithmetic (numpy 2.2 is the last one for Python 3.10)
 TYPED    := import sys; sys.exit(sys.version_info < (3, 11))
 
-.PHONY: help test reproduce validate bench clean
+.PHONY: help test reproduce validate long bench engines pictures clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1 \2/p' Makefile | while read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
 	@echo
-	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES (of validate)."
+	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES and JOBS (of validate)."
 
 test: $(STAMP) ## lint, types, import contracts, tests (under five minutes on two cores)
 	$(BIN)/ruff check .
@@ -41,10 +42,22 @@ reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: resu
 	$(BIN)/redundancy-pin reproduce --out "$(OUT)"
 
 validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random states
-	$(BIN)/redundancy-pin validate --samples $(SAMPLES)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin validate --samples $(SAMPLES) --jobs $(JOBS)
+
+long: $(STAMP) ## the planner against its oracle and its limits on long lists of random tasks
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m long
 
 bench: $(STAMP) ## time the backends and planners
 	$(BIN)/python benchmarks/run.py
+
+pictures: $(STAMP) ## draw the pictures of the README into docs/pictures
+	$(BIN)/python docs/pictures/draw.py
+
+engines: $(STAMP) ## planned efforts in Exudyn and MuJoCo: every motion to 1e-5 m, and the tables of docs/engines.md
+	@$(BIN)/python -c 'import exudyn, mujoco' 2>/dev/null || \
+	  $(BIN)/python -m pip install --quiet --no-input --disable-pip-version-check --editable '.[dev,engines]'
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m engines -n auto tests/simulation/engines
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/engines.py
 
 clean: ## remove the environment, build products and caches (not the results)
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import qr
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, frozen
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, frozen
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
-from redundancy_pin.kinematics.modes import mode_name
+from redundancy_pin.kinematics.modes import mode_name, working_modes
 from redundancy_pin.kinematics.projection import project
 from redundancy_pin.kinematics.search import search_nearest
 from redundancy_pin.robot import AXES, Closure, Robot
@@ -64,9 +64,7 @@ def load_robot(
     q_reference, gap, closed = search_nearest(system, np.array(robot.q_reference), target[0], known)
     if not closed:
         raise DeclarationError(
-            f"The reference of {robot.name} does not close"
-            + (f" in working mode {mode_name(robot.working_mode)}" if robot.working_mode else "")
-            + f": the best of many starts leaves a gap of {gap:.3g}.",
+            _not_closed(robot, q_reference, gap),
             remedy="Correct `reference` in the declaration, or the lengths given as arguments.",
             gap=gap,
         )
@@ -74,6 +72,17 @@ def load_robot(
     robot = replace(robot, q_reference=frozen(q_reference), characteristic_length=length)
     _check_reference_rank(robot)
     return robot
+
+
+def _not_closed(robot: Robot, nearest: Array, gap: float) -> str:
+    if gap >= CLOSURE_TOLERANCE:
+        mode = f" in working mode {mode_name(robot.working_mode)}" if robot.working_mode else ""
+        return f"The reference of {robot.name} does not close{mode}: the best of many starts leaves a gap of {gap:.3g}."
+    found = mode_name(tuple(working_modes(robot, nearest[None])[0]))
+    return (
+        f"The reference of {robot.name} does not close in working mode {mode_name(robot.working_mode)}, only in others "
+        f"such as {found}."
+    )
 
 
 def _check_mobility(system: ConstraintSystem) -> None:

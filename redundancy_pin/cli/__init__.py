@@ -8,8 +8,10 @@ import redundancy_pin
 from redundancy_pin.cli.errors import OneLineErrors
 from redundancy_pin.cli.info import info
 from redundancy_pin.cli.inverse_dynamics import inverse_dynamics
+from redundancy_pin.cli.map import map_command
 from redundancy_pin.cli.plan import plan
 from redundancy_pin.cli.reproduce import reproduce
+from redundancy_pin.cli.show import show
 from redundancy_pin.cli.singularities import singularities
 from redundancy_pin.cli.study import study
 from redundancy_pin.cli.validate import validate
@@ -26,7 +28,8 @@ __all__ = ["main"]
 def main() -> None:
     """Dynamics of parallel robots with internal redundancy.
 
-    Exit codes: 0 done, 1 a check failed, 2 bad input, 3 a plan breaks limits (one line on stderr says what).
+    Exit codes: 0 done, 1 a check failed, 2 bad input or no plan exists, 3 a plan breaks limits, 4 a plan keeps them but
+    is no optimum (one line on stderr says what).
     """
 
 
@@ -38,6 +41,6 @@ def _keep_lines(command: click.Command) -> None:
             _keep_lines(part)
 
 
-for _command in (reproduce, inverse_dynamics, singularities, plan, study, validate, info):
+for _command in (reproduce, inverse_dynamics, singularities, plan, map_command, show, study, validate, info):
     main.add_command(_command)
 _keep_lines(main)

@@ -38,11 +38,11 @@ class RobotOptions:
             InputError: an option that cannot be read.
             RedundancyPinError: whatever ``load_robot`` raises.
         """
-        arguments: dict[str, Any] = dict(_setting(text) for text in self.settings)
+        arguments: dict[str, Any] = dict(parse_setting(text) for text in self.settings)
         return load_robot(
             self.source,
-            gravity=None if self.gravity is None else _vector(self.gravity),
-            working_mode=None if self.mode is None else _mode(self.mode),
+            gravity=None if self.gravity is None else parse_vector(self.gravity),
+            working_mode=None if self.mode is None else parse_mode(self.mode),
             **arguments,
         )
 
@@ -90,7 +90,12 @@ def _robot_option_list(required: bool) -> list[Callable[[Any], Any]]:
     ]
 
 
-def _setting(text: str) -> tuple[str, float | bool | str]:
+def parse_setting(text: str) -> tuple[str, float | bool | str]:
+    """Return name and value of ``NAME=VALUE``.
+
+    Raises:
+        InputError: text of another form, or a name that has an option of its own.
+    """
     name, separator, value = text.partition("=")
     name, value = name.strip(), value.strip()
     if not (separator and name and value):
@@ -106,14 +111,24 @@ def _setting(text: str) -> tuple[str, float | bool | str]:
         return name, value
 
 
-def _mode(text: str) -> tuple[int, ...]:
+def parse_mode(text: str) -> tuple[int, ...]:
+    """Return the working mode that a row of signs stands for, ±1 a leg.
+
+    Raises:
+        InputError: anything but signs.
+    """
     signs = {"+": 1, "-": -1}
     if not text or not set(text) <= set(signs):
         raise InputError(f"--mode {text!r} is not a row of + and -.", remedy="Write --mode +-+, one sign a leg.")
     return tuple(signs[sign] for sign in text)
 
 
-def _vector(text: str) -> tuple[float, ...]:
+def parse_vector(text: str) -> tuple[float, ...]:
+    """Return gravity from ``X,Y,Z``, m/s².
+
+    Raises:
+        InputError: not three numbers.
+    """
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:

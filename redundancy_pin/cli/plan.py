@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -12,7 +11,8 @@ import click
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
 from redundancy_pin.cli.output import progress
 from redundancy_pin.cli.plan_output import print_plan, require_outputs, warn, write_outputs
-from redundancy_pin.cli.plan_problem import PLANNERS, STEP, Problem, problem
+from redundancy_pin.cli.plan_parameters import PREFIX, planner_options
+from redundancy_pin.cli.plan_problem import STEP, Problem, problem
 from redundancy_pin.cli.plan_problem_file import read_problem
 from redundancy_pin.cli.plan_trajectory import FLAGS, parse_trajectory, trajectory_options
 from redundancy_pin.errors import InputError
@@ -24,8 +24,11 @@ from redundancy_pin.trajectory import Trajectory, from_csv
 BREAKS_LIMITS = 3
 """Exit code where there is a plan, but it breaks limits of the carriers or needs unbounded efforts."""
 
-_PREFIX = "parameter_"
-"""Of the arguments that are parameters of a planner: the speed of a trajectory is not that of a carrier."""
+NOT_OPTIMAL = 4
+"""Exit code where there is a plan that keeps all limits, but the optimiser stopped before it had an optimum."""
+
+EXIT_CODES = {PlanStatus.WITHIN_LIMITS: 0, PlanStatus.STOPPED_EARLY: NOT_OPTIMAL}
+"""Exit code of each status that has one of its own; the others are ``BREAKS_LIMITS``."""
 
 
 def _output_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -52,8 +55,8 @@ def plan(
     r"""Plan the motion of the carriers.
 
     By one of the planners below, or as a problem file says. Exit codes: 0 the plan keeps all limits; 3 there is a plan
-    and it is written, but it breaks limits or needs unbounded efforts (one line on stderr says which); 2 bad input, or
-    no plan exists.
+    and it is written, but it breaks limits or needs unbounded efforts (one line on stderr says which); 4 there is a
+    plan and it is written, but the optimiser stopped before it had an optimum; 2 bad input, or no plan exists.
 
     \b
     Examples:
@@ -74,22 +77,9 @@ def plan(
     return None
 
 
-def _parameter(planner: str, flag: str, name: str, metavar: str, text: str) -> Callable[..., Any]:
-    """Return a flag for a parameter of a planner, with the planner's own default in its help."""
-    default = inspect.signature(PLANNERS[planner]).parameters[name].default
-    said = "" if default is None else f"  [default: {default}]"
-    return click.option(flag, f"{_PREFIX}{name}", metavar=metavar, help=f"{text}{said}")
-
-
 @plan.command("switch-off")
 @_shared_options
-@_parameter("switch-off", "--threshold", "threshold", "NUMBER", "Measure beyond which the actuators are off.")
-@_parameter("switch-off", "--measure", "measure", "WORD", "condition (number of W), or margin.")
-@_parameter("switch-off", "--ramp-down", "ramp_down", "SECONDS", "Duration of the ramp to zero.")
-@_parameter("switch-off", "--return-time", "return_time", "SECONDS", "Duration of the return, or shortest.")
-@_parameter("switch-off", "--datum", "datum", "S[,S...]", "Where the carriers park, m.")
-@_parameter("switch-off", "--dt", "dt", "SECONDS", "Spacing of the samples of the plan.")
-@_parameter("switch-off", "--scheme", "scheme", "WORD", "integration, or backward_differences as in the thesis.")
+@planner_options("switch-off")
 def switch_off(**given: Any) -> int:
     r"""Cross singularities with the actuators off.
 
@@ -106,29 +96,8 @@ def switch_off(**given: Any) -> int:
 
 @plan.command("stepwise")
 @_shared_options
-@_parameter("stepwise", "--lam", "lam", "NUMBER", "Fraction of the baseline effort to aim at, 0 to 1.")
-@click.option(
-    "--baseline",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Parameters that make the robot its own baseline: carriers=false.",
-)
+@planner_options("stepwise")
 @click.option("--step", type=float, metavar="SECONDS", help=f"Length of the steps.  [default: {STEP:g}]")
-@_parameter("stepwise", "--active", "active", "WORD", "always, or accelerating: only while the platform accelerates.")
-@_parameter("stepwise", "--max-speed", "speed", "V[,V...]", "Limit of the carriers in place of theirs, m/s.")
-@_parameter("stepwise", "--max-acceleration", "acceleration", "A[,A...]", "The same, m/s².")
-@_parameter("stepwise", "--track", "track", "LOWER,UPPER", "Ends of the tracks in place of theirs, m.")
-@_parameter("stepwise", "--return-time", "return_time", "SECONDS", "Duration of a return, or shortest.")
-@_parameter("stepwise", "--start", "start", "S[,S...]", "Where the carriers start, m.")
-@_parameter("stepwise", "--datum", "datum", "S[,S...]", "Where the carriers return to, m.")
-@_parameter("stepwise", "--stop", "stop", "WORD", "When the carriers come to rest: after the motion, or within it.")
-@_parameter("stepwise", "--brake-time", "brake_time", "SECONDS", "Time to brake the carriers in.")
-@click.option(
-    "--anticipate/--no-anticipate",
-    f"{_PREFIX}anticipate",
-    default=None,
-    help="Keep carriers able to stop before their track ends.  [default: --anticipate]",
-)
 def stepwise(**given: Any) -> int:
     r"""Least torque around corners, step by step.
 
@@ -143,12 +112,32 @@ def stepwise(**given: Any) -> int:
     return _from_flags("stepwise", given)
 
 
+@plan.command("whole-trajectory")
+@_shared_options
+@planner_options("whole-trajectory")
+def whole_trajectory(**given: Any) -> int:
+    r"""Least effort over the whole motion.
+
+    Carriers and main actuators are planned together: the motors stay on, through singularities too, and every limit of
+    track, speed, acceleration, jerk, effort and carrier force is kept. Where nothing keeps them all, the error says
+    which limit is in the way, when, and how much would suffice. Needs the extra `optimal`.
+
+    \b
+    Examples:
+      redundancy-pin plan whole-trajectory --robot 2rpr --trajectory circle --speed 0.5 \
+          --objective effort --objective peak=2 --out plan.npz --plot plan.png
+      redundancy-pin plan whole-trajectory --robot 3rrr --mode +++ --trajectory corner --radius 0.013 \
+          --max-effort 8 --max-jerk 200 --json
+    """
+    return _from_flags("whole-trajectory", given)
+
+
 def _from_flags(planner: str, given: Mapping[str, Any]) -> int:
     motion_path = given["motion_path"]
     robot = RobotOptions(given["robot"], given["settings"], given["mode"], given["gravity"])
     settings = given.get("baseline", ())
     baseline = replace(robot, settings=(*robot.settings, *settings)) if settings else None
-    parameters = {name.removeprefix(_PREFIX): value for name, value in given.items() if name.startswith(_PREFIX)}
+    parameters = {name.removeprefix(PREFIX): value for name, value in given.items() if name.startswith(PREFIX)}
 
     def read() -> Problem:
         motion = _motion(given["trajectory"], motion_path, {flag: given[flag] for flag in FLAGS})
@@ -182,9 +171,9 @@ def _run(
         advance(0, 3, "reading")
         asked = read()
         advance(1, 3, asked.planner)
-        found = asked.solve()
+        found = asked.solve(lambda text: advance(1, 3, text))
         advance(2, 3, "writing")
         write_outputs(found, out, plot)
     print_plan(found, out, plot, as_json=as_json)
     warn(found)
-    return 0 if found.status is PlanStatus.WITHIN_LIMITS else BREAKS_LIMITS
+    return EXIT_CODES.get(found.status, BREAKS_LIMITS)

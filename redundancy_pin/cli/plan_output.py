@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from redundancy_pin.errors import OutputError
 from redundancy_pin.files import replacing_file, require_writable
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.whole_trajectory_check import ALLOWED
 from redundancy_pin.visualisation.plan_figures import plot_plan
 from redundancy_pin.visualisation.style import picture_format, require_matplotlib, save
 
@@ -81,6 +82,19 @@ def warn(plan: Plan) -> None:
             f"warning: no finite main efforts:{where} at {len(bad)} of {len(plan.t)} samples, where W is singular.",
             err=True,
         )
+    if plan.status is PlanStatus.STOPPED_EARLY:
+        click.echo(
+            f"warning: this is no optimum: the optimiser stopped early ({plan.diagnostics.get('solver')}). The plan "
+            "keeps every limit, but there may be a better one; allow more --seconds.",
+            err=True,
+        )
+    ratio = _ratio_between_nodes(plan)
+    if ratio > ALLOWED:
+        click.echo(
+            f"warning: the efforts between the nodes are {ratio:.4g} times those at the nodes; allow more "
+            "--refinements, or a shorter --dt.",
+            err=True,
+        )
 
 
 def summary(plan: Plan) -> dict[str, Any]:
@@ -90,6 +104,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "planner": plan.planner,
         "backend": plan.backend,
         "status": plan.status.value,
+        "optimal": plan.diagnostics.get("optimal"),
         "samples": len(plan.t),
         "start": float(plan.t[0]),
         "end": float(plan.t[-1]),
@@ -107,6 +122,32 @@ def summary(plan: Plan) -> dict[str, Any]:
         "parameters": plan.parameters,
         "diagnostics": plan.diagnostics,
     }
+
+
+def status_text(plan: Plan) -> str:
+    """Return the status in words; of a plan that is no optimum, that as well."""
+    said = plan.status.value.replace("_", " ")
+    if plan.diagnostics.get("optimal", True):
+        return said
+    return f"{said}: no optimum, the solver says {plan.diagnostics.get('solver')}"
+
+
+def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
+    """Give what an optimised plan says of its optimum and its nodes."""
+    if "optimal" not in plan.diagnostics:
+        return
+    weights: Any = plan.parameters["objective"]
+    yield "minimised", ", ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights.items())
+    found: Any = plan.diagnostics
+    reached = "local optimum" if found["optimal"] else "NOT an optimum"
+    yield "reached", f"{reached} in {found['iterations']} iterations, {found['seconds']:.3g} s"
+    yield "nodes", f"{found['nodes']}, {len(found['singular_nodes'])} of them singular"
+    yield "efforts between the nodes", f"at most {_ratio_between_nodes(plan):.6g} times those at the nodes"
+
+
+def _ratio_between_nodes(plan: Plan) -> float:
+    ratios: Any = plan.diagnostics.get("dense_ratios") or (1.0,)
+    return float(ratios[-1])
 
 
 def _same_file(first: str, second: str) -> bool:
@@ -135,7 +176,7 @@ def _phase_times(plan: Plan) -> list[dict[str, Any]]:
 def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
     found = summary(plan)
     table = Table(title=f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {plan.backend}", show_header=False)
-    table.add_row("status", plan.status.value.replace("_", " "))
+    table.add_row("status", status_text(plan))
     table.add_row("time [s]", f"{found['start']:.6g} to {found['end']:.6g}, {found['samples']} samples")
     table.add_row("phases [s]", _phases(found["phases"]))
     main = _effort_unit(plan, plan.robot.actuated)
@@ -145,6 +186,8 @@ def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
     table.add_row("energy, main actuators [J]", number(plan.main_energy))
     table.add_row("energy, carriers [J]", number(plan.carrier_energy))
     table.add_row("smallest margin", number(found["smallest_margin"]))
+    for name, text in _of_the_optimum(plan):
+        table.add_row(name, text)
     table.add_row("limits broken", _events(plan.limits.violated, broken=True))
     table.add_row("limits touched", _events(plan.limits.binding, broken=False))
     for name, path in (("plan", out), ("picture", plot)):

@@ -1,128 +1,122 @@
-"""Parameters of the planners as users write them: what kind of value each one is."""
+"""Parameters of the planners, declared once: from here come the flags, the keys of problem files and the help."""
 
 from __future__ import annotations
 
-import math
+import inspect
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
-import numpy as np
+import click
 
-from redundancy_pin.arrays import frozen
 from redundancy_pin.cli.keys import require_known
-from redundancy_pin.errors import InputError
+from redundancy_pin.cli.plan_values import Reader, flag, number, number_or_word, numbers, weights, whole, word
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.stepwise import plan_stepwise
+from redundancy_pin.planners.switch_off import plan_switch_off
+from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
 
-Reader = Callable[[str, object], Any]
-"""From the name of a parameter and the value as written to the value the planner takes."""
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+PLANNERS: Mapping[str, Callable[..., Plan]] = {
+    "switch-off": plan_switch_off,
+    "stepwise": plan_stepwise,
+    "whole-trajectory": plan_whole_trajectory,
+}
+"""Planners, by the name the command line uses."""
+
+PREFIX = "parameter_"
+"""Of the arguments that are parameters of a planner: the speed of a trajectory is not that of a carrier."""
 
 
-def number(name: str, value: object) -> float:
-    """Return a number; text with one is accepted (YAML reads ``1e-3`` as text).
+@dataclass(frozen=True)
+class Parameter:
+    """How users write a parameter of a planner.
 
-    Raises:
-        InputError: anything else.
+    Attributes:
+        read: from the value as written to the one the planner takes.
+        metavar: stands for the value in the help.
+        text: what it is, for the help.
+        flag: on the command line; made from the name when left out.
+        multiple: whether the flag may be repeated.
     """
-    if not isinstance(value, bool) and isinstance(value, (int, float, str)):
-        try:
-            return float(value)
-        except (ValueError, OverflowError):
-            pass
-    raise InputError(f"{name} is {value!r}, not a number.", remedy="Write a number, such as 0.5 (SI units).", name=name)
+
+    read: Reader
+    metavar: str
+    text: str
+    flag: str = ""
+    multiple: bool = False
 
 
-def numbers(name: str, value: object) -> Any:
-    """Return a number, or an array of the numbers of nested lists or of text such as ``0.1,-0.1``.
+_MAX_SPEED = Parameter(numbers, "V[,V...]", "Limit of the carriers in place of theirs, m/s.", "--max-speed")
+_MAX_ACCELERATION = Parameter(numbers, "A[,A...]", "The same, m/s².", "--max-acceleration")
+_TRACK = Parameter(numbers, "LOWER,UPPER", "Ends of the tracks in place of theirs, m.")
+_START = Parameter(numbers, "S[,S...]", "Where the carriers start, m.")
 
-    Raises:
-        InputError: anything else.
-    """
-    if isinstance(value, str) and "," in value:
-        value = [part.strip() for part in value.split(",")]
-    if not isinstance(value, list):
-        return number(name, value)
-    rows = [numbers(name, entry) for entry in value]
-    if len({np.shape(row) for row in rows}) != 1:
-        raise InputError(f"{name} is {value!r}, not a row of numbers.", remedy="Write [0.1, -0.1].", name=name)
-    return frozen(rows)
-
-
-def whole(name: str, value: object) -> int:
-    """Return a whole number.
-
-    Raises:
-        InputError: anything else.
-    """
-    found = number(name, value)
-    if not math.isfinite(found) or found != int(found):
-        raise InputError(f"{name} is {value!r}, not a whole number.", remedy="Write a number such as 4.", name=name)
-    return int(found)
-
-
-def number_or_word(name: str, value: object) -> float | str:
-    """Return a number, or the word as it stands (the planner knows which words it takes).
-
-    Raises:
-        InputError: neither.
-    """
-    if isinstance(value, str):
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return number(name, value)
-
-
-def word(name: str, value: object) -> str:
-    """Return a word as it stands.
-
-    Raises:
-        InputError: no text.
-    """
-    if not isinstance(value, str):
-        raise InputError(f"{name} is {value!r}, not a word.", remedy="Write text.", name=name)
-    return value
-
-
-def flag(name: str, value: object) -> bool:
-    """Return a truth value.
-
-    Raises:
-        InputError: neither true nor false.
-    """
-    if not isinstance(value, bool):
-        raise InputError(f"{name} is {value!r}, neither true nor false.", remedy="Write true or false.", name=name)
-    return value
-
-
-SWITCH_OFF: Mapping[str, Reader] = {
-    "threshold": number,
-    "measure": word,
-    "ramp_down": number,
-    "return_time": number_or_word,
-    "datum": numbers,
-    "dt": number,
-    "scheme": word,
+SWITCH_OFF: Mapping[str, Parameter] = {
+    "threshold": Parameter(number, "NUMBER", "Measure beyond which the actuators are off."),
+    "measure": Parameter(word, "WORD", "condition (number of W), or margin."),
+    "ramp_down": Parameter(number, "SECONDS", "Duration of the ramp to zero."),
+    "return_time": Parameter(number_or_word, "SECONDS", "Duration of the return, or shortest."),
+    "datum": Parameter(numbers, "S[,S...]", "Where the carriers park, m."),
+    "dt": Parameter(number, "SECONDS", "Spacing of the samples of the plan."),
+    "scheme": Parameter(word, "WORD", "integration, or backward_differences as in the thesis."),
 }
 """Parameters of ``plan_switch_off``."""
 
-STEPWISE: Mapping[str, Reader] = {
-    "lam": number,
-    "active": word,
-    "start": numbers,
-    "datum": numbers,
-    "return_time": number_or_word,
-    "stop": word,
-    "brake_time": number,
-    "anticipate": flag,
-    "speed": numbers,
-    "acceleration": numbers,
-    "track": numbers,
-    "least_margin": number,
-    "between": whole,
+STEPWISE: Mapping[str, Parameter] = {
+    "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort to aim at, 0 to 1."),
+    "active": Parameter(word, "WORD", "always, or accelerating: only while the platform accelerates."),
+    "speed": _MAX_SPEED,
+    "acceleration": _MAX_ACCELERATION,
+    "track": _TRACK,
+    "return_time": Parameter(number_or_word, "SECONDS", "Duration of a return, or shortest."),
+    "start": _START,
+    "datum": Parameter(numbers, "S[,S...]", "Where the carriers return to, m."),
+    "stop": Parameter(word, "WORD", "When the carriers come to rest: after the motion, or within it."),
+    "brake_time": Parameter(number, "SECONDS", "Time to brake the carriers in."),
+    "anticipate": Parameter(
+        flag, "", "Keep carriers able to stop before their track ends.", "--anticipate/--no-anticipate"
+    ),
+    "least_margin": Parameter(number, "NUMBER", "Smallest margin of W along the motion."),
+    "between": Parameter(whole, "N", "Points inside each step at which the efforts are checked as well."),
 }
 """Parameters of ``plan_stepwise``, but for the baseline, which is a robot."""
 
-PARAMETERS: Mapping[str, Mapping[str, Reader]] = {"switch-off": SWITCH_OFF, "stepwise": STEPWISE}
+WHOLE_TRAJECTORY: Mapping[str, Parameter] = {
+    "objective": Parameter(
+        weights,
+        "WORD[=WEIGHT]",
+        "What to minimise: effort, peak, tracking, carrier_force, carrier_acceleration, energy; may be repeated.",
+        multiple=True,
+    ),
+    "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort that tracking aims at, 0 to 1."),
+    "start": Parameter(numbers, "S[,S...]", "Where the carriers start, m; at the datum when left out."),
+    "start_speed": Parameter(numbers, "V[,V...]", "Their speeds there, m/s."),
+    "end": Parameter(word, "WORD", "How they end: free, rest, datum (at rest there), or periodic."),
+    "datum": Parameter(numbers, "S[,S...]", "Where the carriers park, m."),
+    "track": _TRACK,
+    "speed": _MAX_SPEED,
+    "acceleration": _MAX_ACCELERATION,
+    "jerk": Parameter(numbers, "J[,J...]", "Limit of the carriers' jerk, m/s³.", "--max-jerk"),
+    "effort": Parameter(numbers, "E[,E...]", "Limit of the main efforts, N or N·m.", "--max-effort"),
+    "carrier_force": Parameter(numbers, "F[,F...]", "Limit of the carriers' forces, N.", "--max-carrier-force"),
+    "dt": Parameter(number, "SECONDS", "Largest step between nodes."),
+    "starts": Parameter(whole, "N", "First guesses to optimise from."),
+    "seconds": Parameter(number, "SECONDS", "Time bound of each solution."),
+    "refinements": Parameter(whole, "N", "How often the nodes may be refined."),
+}
+"""Parameters of ``plan_whole_trajectory``, but for the baseline, which is a robot."""
+
+PARAMETERS: Mapping[str, Mapping[str, Parameter]] = {
+    "switch-off": SWITCH_OFF,
+    "stepwise": STEPWISE,
+    "whole-trajectory": WHOLE_TRAJECTORY,
+}
+"""Parameters by planner."""
+
+WITH_BASELINE = ("stepwise", "whole-trajectory")
+"""Planners that can aim at a fraction of the efforts of a baseline robot."""
 
 
 def read_parameters(planner: str, given: Mapping[str, object]) -> dict[str, Any]:
@@ -130,11 +124,45 @@ def read_parameters(planner: str, given: Mapping[str, object]) -> dict[str, Any]
 
     Args:
         planner: a key of ``PARAMETERS``.
-        given: values as written; None for those left out.
+        given: values as written; None, or nothing of what may be repeated, for those left out.
 
     Raises:
         InputError: an unknown parameter, or a value of the wrong kind.
     """
-    readers = PARAMETERS[planner]
-    require_known(given, tuple(readers), f"the planner {planner}")
-    return {name: readers[name](name, value) for name, value in given.items() if value is not None}
+    known = PARAMETERS[planner]
+    require_known(given, tuple(known), f"the planner {planner}")
+    return {name: known[name].read(name, value) for name, value in given.items() if value is not None and value != ()}
+
+
+def planner_options(planner: str) -> Callable[[_Command], _Command]:
+    """Add the flags of a planner's parameters to a command, with the planner's own defaults in the help."""
+
+    def decorate(command: _Command) -> _Command:
+        if planner in WITH_BASELINE:
+            command = click.option(
+                "--baseline",
+                multiple=True,
+                metavar="NAME=VALUE",
+                help="Parameters that make the robot its own baseline: carriers=false.",
+            )(command)
+        for name, parameter in reversed(list(PARAMETERS[planner].items())):
+            command = _option(planner, name, parameter)(command)
+        return command
+
+    return decorate
+
+
+def _option(planner: str, name: str, parameter: Parameter) -> Callable[[_Command], _Command]:
+    default = inspect.signature(PLANNERS[planner]).parameters[name].default
+    written = parameter.flag or f"--{name.replace('_', '-')}"
+    if "/" in written:
+        said = written.partition("/")[0 if default else 2]
+        return click.option(written, f"{PREFIX}{name}", default=None, help=f"{parameter.text}  [default: {said}]")
+    said = "" if default is None else f"  [default: {default}]"
+    return click.option(
+        written,
+        f"{PREFIX}{name}",
+        metavar=parameter.metavar,
+        multiple=parameter.multiple,
+        help=f"{parameter.text}{said}",
+    )

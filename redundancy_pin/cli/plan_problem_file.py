@@ -10,9 +10,10 @@ import yaml
 
 from redundancy_pin.cli.keys import require_choice, require_known
 from redundancy_pin.cli.options import RobotOptions
-from redundancy_pin.cli.plan_parameters import number, numbers, word
-from redundancy_pin.cli.plan_problem import PLANNERS, Problem, problem
+from redundancy_pin.cli.plan_parameters import PLANNERS
+from redundancy_pin.cli.plan_problem import Problem, problem
 from redundancy_pin.cli.plan_trajectory import make_trajectory
+from redundancy_pin.cli.plan_values import number, numbers, word
 from redundancy_pin.errors import InputError
 from redundancy_pin.experiments.backends import RNEA
 from redundancy_pin.motion import PlatformMotion

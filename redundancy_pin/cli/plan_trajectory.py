@@ -7,74 +7,16 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import click
-from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import checked
 from redundancy_pin.cli.keys import require_choice, require_known
 from redundancy_pin.errors import InputError
 from redundancy_pin.experiments.experiment import PATHS
-from redundancy_pin.trajectory import Path, SpeedProfile, Trajectory, rounded_polygon, through_points, with_constant
+from redundancy_pin.experiments.trajectories import TRAJECTORIES
+from redundancy_pin.trajectory import Trajectory
 
 FLAGS = ("speed", "radius", "ramp_time", "ramp_length", "straight", "side", "alpha")
 """Keys of trajectories that are flags of their own; the rest can be written as ``name:key=value``."""
-
-
-def points(
-    points: ArrayLike,
-    speed: float,
-    ramp_time: float,
-    ramp_length: float | None = None,
-    closed: bool = False,
-    alpha: float | None = None,
-) -> Trajectory:
-    """Return a motion along a smooth path through points; two of them give a straight line.
-
-    Args:
-        points: (N, n) points, m.
-        speed: cruising speed, m/s.
-        ramp_time: duration of each ramp, s.
-        ramp_length: length of each ramp, m.
-        closed: whether to return to the first point.
-        alpha: constant orientation, rad, added as last coordinate.
-
-    Raises:
-        InputError: as ``through_points`` and ``SpeedProfile``.
-    """
-    return _along(through_points(points, closed=closed), speed, ramp_time, ramp_length, alpha)
-
-
-def polygon(
-    vertices: ArrayLike,
-    radius: float,
-    speed: float,
-    ramp_time: float,
-    ramp_length: float | None = None,
-    closed: bool = False,
-    alpha: float | None = None,
-) -> Trajectory:
-    """Return a motion along a polygon with rounded corners.
-
-    Args:
-        vertices: (N, n) corners, m; the first and last are the ends unless ``closed``.
-        radius: of the arcs, m.
-        speed: cruising speed, m/s.
-        ramp_time: duration of each ramp, s.
-        ramp_length: length of each ramp, m.
-        closed: whether to return to the first corner.
-        alpha: constant orientation, rad, added as last coordinate.
-
-    Raises:
-        InputError: as ``rounded_polygon`` and ``SpeedProfile``.
-    """
-    return _along(rounded_polygon(vertices, radius, closed=closed), speed, ramp_time, ramp_length, alpha)
-
-
-TRAJECTORIES: Mapping[str, Callable[..., Trajectory]] = {
-    **{str(name): make for name, make in PATHS.items()},
-    "points": points,
-    "polygon": polygon,
-}
-"""Makers of trajectories: those of the thesis, and two for the user's own paths."""
 
 
 def make_trajectory(name: str, options: Mapping[str, Any]) -> Trajectory:
@@ -103,13 +45,7 @@ def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory
     Raises:
         InputError: as ``make_trajectory``, a pair that cannot be read, or a key given twice.
     """
-    name, _, rest = text.partition(":")
-    options: dict[str, Any] = {}
-    for pair in filter(None, rest.split(",")):
-        key, separator, value = pair.partition("=")
-        if not separator:
-            raise InputError(f"{pair!r} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
-        options[key.strip()] = value.strip()
+    name, options = split_trajectory(text)
     for key, number in flags.items():
         if number is None:
             continue
@@ -117,6 +53,22 @@ def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory
             raise InputError(f"{key} of the {name} is given twice.", remedy="Leave one of them out.", key=key)
         options[key] = number
     return make_trajectory(name, options)
+
+
+def split_trajectory(text: str) -> tuple[str, dict[str, Any]]:
+    """Return the name and the options, as text, of ``name:key=value,...``.
+
+    Raises:
+        InputError: a pair that cannot be read.
+    """
+    name, _, rest = text.partition(":")
+    options: dict[str, Any] = {}
+    for pair in filter(None, rest.split(",")):
+        key, separator, value = pair.partition("=")
+        if not separator:
+            raise InputError(f"{pair!r} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
+        options[key.strip()] = value.strip()
+    return name, options
 
 
 def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -140,11 +92,6 @@ def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:
         metavar="NAME[:KEY=VALUE,...]",
         help=f"Trajectory to follow: {', '.join(PATHS)}; such as circle, or line:speed=0.2.",
     )(command)
-
-
-def _along(path: Path, speed: float, ramp_time: float, ramp_length: float | None, alpha: float | None) -> Trajectory:
-    whole = path if alpha is None else with_constant(path, alpha)
-    return Trajectory(whole, SpeedProfile(whole.length, speed, ramp_time, ramp_length))
 
 
 def _value(key: str, value: object, where: str) -> Any:

@@ -20,8 +20,9 @@ from redundancy_pin.cli.output import console, print_json, progress
 )
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
+@click.option("--jobs", default=1, show_default=True, metavar="J", help="Processes that share the work.")
 @json_option
-def validate(robots: tuple[str, ...], samples: int, seed: int, as_json: bool) -> int:
+def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_json: bool) -> int:
     r"""Check the dynamics on random states.
 
     The backends against each other, and against balances of power and momentum, finite differences, and forward
@@ -29,10 +30,10 @@ def validate(robots: tuple[str, ...], samples: int, seed: int, as_json: bool) ->
 
     \b
     Example:
-      redundancy-pin validate --robot 3rrr --samples 10000 --seed 1
+      redundancy-pin validate --robot 3rrr --samples 10000 --seed 1 --jobs 4
     """
     with progress("validate") as advance:
-        report = crosscheck.run(robots or None, samples, seed, lambda done, total: advance(done, total, ""))
+        report = crosscheck.run(robots or None, samples, seed, lambda done, total: advance(done, total, ""), jobs)
     if as_json:
         print_json(report.as_dict())
     else:

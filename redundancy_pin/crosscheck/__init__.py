@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
 
-from redundancy_pin.crosscheck.cases import Case, Masses, random_cases
+from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
 from redundancy_pin.crosscheck.parity import check_parity, check_parity_on_singularities
 from redundancy_pin.crosscheck.physics import (
     check_derivatives,
@@ -26,8 +29,24 @@ Progress = Callable[[int, int], None]
 """Called with the states done and the states in all."""
 
 
+@dataclass(frozen=True)
+class _Batch:
+    """One case that a worker draws and checks."""
+
+    robot: str
+    index: int
+    samples: int
+    seed: int
+    vary: bool
+    massless: bool = False
+
+
 def run(
-    robots: Sequence[str] | None = None, samples: int = 2000, seed: int = 0, progress: Progress | None = None
+    robots: Sequence[str] | None = None,
+    samples: int = 2000,
+    seed: int = 0,
+    progress: Progress | None = None,
+    jobs: int = 1,
 ) -> CrossCheckReport:
     """Check the dynamics of robots on random states and return the worst deviations.
 
@@ -39,31 +58,65 @@ def run(
         samples: random states for each robot.
         seed: seed of the random states; the same seed gives the same report.
         progress: told how far it is.
+        jobs: processes that share the work; the report does not depend on it.
 
     Raises:
-        InputError: ``samples`` is not positive, or ``seed`` is negative.
+        InputError: ``samples`` or ``jobs`` is not positive, or ``seed`` is negative.
         RedundancyPinError: a robot does not load, or no reachable motion of it is found.
     """
     if samples < 1:
         raise InputError(f"samples is {samples}.", remedy="Ask for at least one state.", samples=samples)
     if seed < 0:
         raise InputError(f"seed is {seed}.", remedy="Pass a whole number from zero up.", seed=seed)
-    names = tuple(robots) if robots else shipped_robots()
-    tally = Tally()
-    done, total = 0, samples * len(names)
+    if jobs < 1:
+        raise InputError(f"jobs is {jobs}.", remedy="Ask for at least one process.", jobs=jobs)
+    work = list(_batches(tuple(robots) if robots else shipped_robots(), samples, seed))
+    total = sum(batch.samples for batch in work)
+    found: dict[int, Tally] = {}
+    done = 0
+    for number, found[number] in _each(work, jobs):
+        done += work[number].samples
+        if progress:
+            progress(done, total)
+    merged = Tally()
+    for number in sorted(found):
+        merged.merge(found[number])
+    return CrossCheckReport(merged.rows(), seed)
+
+
+def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[_Batch]:
     for position, name in enumerate(names):
         vary = name in shipped_robots()
-        for case in random_cases(name, samples, seed + 1000 * position, vary=vary, masses=Masses.ALL):
-            _check(tally, case)
-            done += len(case.t)
-            if progress:
-                progress(done, total)
-        if load_robot(name).closed_form == "2rpr" and vary:
-            for case in random_cases(
-                name, max(1, samples // 4), seed + 7, carriers=True, masses=Masses.ZERO_STAYS_ZERO
-            ):
-                _check_massless(tally, case)
-    return CrossCheckReport(tally.rows(), seed)
+        own = seed + 1000 * position
+        yield from (_Batch(name, index, size, own, vary) for index, size in enumerate(batches(samples)))
+        if vary and load_robot(name).closed_form == "2rpr":
+            sizes = batches(max(1, samples // 4))
+            yield from (_Batch(name, index, size, seed + 7, vary, massless=True) for index, size in enumerate(sizes))
+
+
+def _each(work: Sequence[_Batch], jobs: int) -> Iterator[tuple[int, Tally]]:
+    """Yield the number of each batch with its tally, in the order they get ready."""
+    if jobs == 1 or len(work) == 1:
+        yield from ((number, _checked(batch)) for number, batch in enumerate(work))
+        return
+    # fork would copy the threads of the numerical libraries in an unknown state
+    with ProcessPoolExecutor(min(jobs, len(work)), mp_context=get_context("spawn")) as pool:
+        pending = {pool.submit(_checked, batch): number for number, batch in enumerate(work)}
+        try:
+            yield from ((pending[ready], ready.result()) for ready in as_completed(pending))
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _checked(batch: _Batch) -> Tally:
+    """Draw the case of a batch and check it."""
+    tally = Tally()
+    name, samples, seed, index = batch.robot, batch.samples, batch.seed, batch.index
+    if batch.massless:
+        _check_massless(tally, random_case(name, samples, seed, index, carriers=True, masses=Masses.ZERO_STAYS_ZERO))
+    else:
+        _check(tally, random_case(name, samples, seed, index, vary=batch.vary, masses=Masses.ALL))
+    return tally
 
 
 def _check(tally: Tally, case: Case) -> None:

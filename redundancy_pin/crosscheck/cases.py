@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -91,21 +90,30 @@ class Case:
         return CarrierMotion(*(self.tracks(t, order) for order in range(3)))
 
 
-def random_cases(
+def batches(samples: int) -> tuple[int, ...]:
+    """Return how many states each case holds, ``samples`` in all."""
+    size = max(1, min(STATES_PER_CASE, -(-samples // FEWEST_CASES)))
+    whole, rest = divmod(samples, size)
+    return (size,) * whole + ((rest,) if rest else ())
+
+
+def random_case(
     source: str,
     samples: int,
     seed: int,
+    index: int = 0,
     *,
     vary: bool = True,
     carriers: bool | None = None,
     masses: Masses = Masses.SOME,
-) -> Iterator[Case]:
-    """Yield cases that hold ``samples`` states in all.
+) -> Case:
+    """Return one case; cases of different ``index`` are independent draws.
 
     Args:
         source: name of a shipped robot or path of a declaration.
-        samples: states in all.
-        seed: seed; the same seed gives the same cases.
+        samples: number of states.
+        seed: seed; the same seed and index give the same case.
+        index: number of the draw.
         vary: draw xacro arguments, gravity and working mode at random.
         carriers: force the argument ``carriers`` (drawn when left out, mostly true).
         masses: which of the masses that are zero by default get a positive value.
@@ -113,16 +121,9 @@ def random_cases(
     Raises:
         RedundancyPinError: no reachable motion was found (the robot's parameters leave no workspace).
     """
-    left = samples
-    size = max(1, min(STATES_PER_CASE, -(-samples // FEWEST_CASES)))
-    for index in itertools.count():
-        if left <= 0:
-            return
-        rng = np.random.default_rng([seed, index])
-        # the first draw has its carriers, so that nothing about carriers goes unchecked by chance
-        with_carriers = True if carriers is None and index == 0 else carriers
-        yield _draw(source, min(left, size), rng, vary, with_carriers, masses)
-        left -= size
+    # the first draw has its carriers, so that nothing about carriers goes unchecked by chance
+    with_carriers = True if carriers is None and index == 0 else carriers
+    return _draw(source, samples, np.random.default_rng([seed, index]), vary, with_carriers, masses)
 
 
 def _draw(
@@ -156,7 +157,7 @@ def random_robot(
     Raises:
         DeclarationError: the drawn lengths do not close.
     """
-    nominal = load_robot(source)
+    nominal = _nominal(source)
     arguments: dict[str, object] = {}
     for name, value in nominal.parameters.items():
         if isinstance(value, bool):
@@ -169,6 +170,11 @@ def random_robot(
     modes = all_working_modes(nominal)
     mode = modes[int(rng.integers(len(modes)))] or None
     return load_robot(source, gravity=tuple(rng.normal(0.0, 6.0, 3)), working_mode=mode, **arguments)
+
+
+@lru_cache
+def _nominal(source: str) -> Robot:
+    return load_robot(source)
 
 
 def regular(case: Case, motion: PlatformMotion, margin: float = 0.05) -> BoolArray:

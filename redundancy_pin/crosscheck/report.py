@@ -69,10 +69,18 @@ class Tally:
 
     def add(self, robot: str, check: str, deviation: Array, tolerance: float) -> None:
         """Add deviations (N,) of one check."""
-        samples, worst, _ = self._worst.get((robot, check), (0, 0.0, tolerance))
         here = float(np.max(deviation, initial=0.0)) if np.isfinite(deviation).all() else float("nan")
-        combined = float(np.maximum(worst, here))  # keeps a NaN
-        self._worst[robot, check] = (samples + len(deviation), combined, tolerance)
+        self._add(robot, check, len(deviation), here, tolerance)
+
+    def merge(self, other: Tally) -> None:
+        """Add everything another tally has collected."""
+        for (robot, check), collected in other._worst.items():
+            self._add(robot, check, *collected)
+
+    def _add(self, robot: str, check: str, samples: int, worst: float, tolerance: float) -> None:
+        before, worst_before, _ = self._worst.get((robot, check), (0, 0.0, tolerance))
+        combined = float(np.maximum(worst_before, worst))  # keeps a NaN
+        self._worst[robot, check] = (before + samples, combined, tolerance)
 
     def rows(self) -> tuple[CheckRow, ...]:
         """Return one row a check, in the order of first appearance."""

@@ -79,7 +79,7 @@ class FollowedPath:
             raise WorkingModeError(
                 f"At t = {t:.9g} s the configuration between two samples lies on another branch.",
                 remedy="Ask for a finer spacing, or keep away from type I singularities.",
-                t=t,
+                time=t,
             )
         return solution.q
 
@@ -166,7 +166,7 @@ def _with_missing_samples(
         raise WorkingModeError(
             f"No sample of the path lies in working mode {mode_name(robot.working_mode)}.",
             remedy="Keep the legs away from full stretch, full fold and zero length.",
-            t=float(t[0]),
+            time=float(t[0]),
         )
     nearest = known[np.abs(missing[:, None] - known).argmin(axis=1)]
     solution = assemble(system, q[nearest], x[missing], max_iterations=_SLOW_NEWTON)
@@ -181,7 +181,7 @@ def _with_missing_samples(
         raise WorkingModeError(
             f"The path cannot be followed in working mode {mode_name(robot.working_mode)} at t = {lost:.9g} s.",
             remedy="Keep the legs away from full stretch, full fold and zero length.",
-            t=lost,
+            time=lost,
         )
     return filled
 
@@ -216,7 +216,7 @@ def _require_no_jump(system: ConstraintSystem, law: PositionLaw, t: Array, q: Ar
                 f"The configuration jumps at t = {left:.9g} s (by {span:.3g} rad or m): the path runs through a type I "
                 "singularity, behind which the working mode is another branch.",
                 remedy="Keep the legs away from full stretch, full fold and zero length.",
-                t=left,
+                time=left,
             )
 
 
@@ -231,7 +231,7 @@ def _require_closed(times: Array, gap: Array) -> None:
         raise UnreachablePoseError(
             f"The pose at t = {times[k]:.9g} s cannot be reached: the chains stay open by {gap[k]:.3g} m.",
             remedy="Keep the motion inside the workspace.",
-            t=float(times[k]),
+            time=float(times[k]),
             gap=float(gap[k]),
         )
 
@@ -252,7 +252,7 @@ def _raise_border(system: ConstraintSystem, law: PositionLaw, t: Array, q: Array
         f"The path leaves the workspace at t = {inside:.9g} s: by t = {t[bad]:.6g} s the chains stay open by "
         f"{gap:.3g} m.",
         remedy="Keep the motion inside the workspace; its border is a type I singularity.",
-        t=float(inside),
+        time=float(inside),
         gap=gap,
     )
 

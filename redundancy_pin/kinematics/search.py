@@ -9,6 +9,7 @@ from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.kinematics.modes import in_working_mode
+from redundancy_pin.kinematics.recombination import recombined
 
 _STARTS = (1, 16, 240)
 """Starts in each round of a search: the guess itself, then random ones."""
@@ -36,6 +37,9 @@ def search(system: ConstraintSystem, guess: Array, x: Array) -> tuple[Array, flo
         if usable.any():
             nearest = int(np.argmin(np.where(usable, np.abs(q - guess).sum(axis=1), np.inf)))
             return q[nearest], float(solution.gap[nearest]), True
+        mixed = _recombined(system, q[solution.closed], guess, x)
+        if mixed is not None:
+            return mixed
         gap = np.where(np.isfinite(solution.gap), solution.gap, np.inf)
         if gap.min() < best_gap:
             best_q, best_gap = q[int(gap.argmin())], float(gap.min())
@@ -62,9 +66,10 @@ def search_nearest(system: ConstraintSystem, guess: Array, x: Array, listed: Int
     found = [_assemble_around(system, guess, x, 1, rng)]
     found += [_assemble_around(system, guess, x, _NEAR_STARTS, rng, kept=kept) for kept in (listed, listed[:0])]
     q = _wrapped(system, np.concatenate([solution.q for solution in found]))
-    usable = np.concatenate([solution.closed for solution in found]) & in_working_mode(system.robot, q)
+    closed = np.concatenate([solution.closed for solution in found])
+    usable = closed & in_working_mode(system.robot, q)
     if not usable.any():
-        return search(system, guess, x)
+        return _recombined(system, q[closed], guess, x) or search(system, guess, x)
     columns = listed if len(listed) else np.arange(len(guess))
     away = q[:, columns] - guess[columns]
     turning = np.isin(columns, _angle_positions(system))
@@ -73,6 +78,18 @@ def search_nearest(system: ConstraintSystem, guess: Array, x: Array, listed: Int
     distance = np.abs(away).sum(axis=1).round(9) + 1e-12 * np.abs(q - guess).sum(axis=1)
     nearest = int(np.argmin(np.where(usable, distance, np.inf)))
     return q[nearest], float(np.concatenate([solution.gap for solution in found])[nearest]), True
+
+
+def _recombined(system: ConstraintSystem, q: Array, guess: Array, x: Array) -> tuple[Array, float, bool] | None:
+    """Return a configuration in the working mode whose legs come from several closed ones (N, nq), if there is one."""
+    candidate = recombined(system, q, guess)
+    if candidate is None:
+        return None
+    solution = assemble(system, candidate[None], x[None], shortest_step=_SHORTEST_STEP)
+    settled = _wrapped(system, solution.q)
+    if not (solution.closed[0] and in_working_mode(system.robot, settled)[0]):
+        return None
+    return settled[0], float(solution.gap[0]), True
 
 
 def _assemble_around(

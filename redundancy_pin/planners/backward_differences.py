@@ -116,6 +116,6 @@ def _position(
         f"At t = {t:.6g} s no position of the carriers balances the prescribed efforts: {left:.3g} N are left.",
         remedy="Use the integration scheme, or a shorter step.",
         constraint="carrier_motion",
-        t=t,
+        time=t,
         amount=left,
     )

@@ -189,6 +189,6 @@ def no_return(use: LimitUse, exit_time: float, available: float) -> InfeasiblePl
         "return_time and accept a plan that violates limits.",
         constraint=use.quantity,
         carrier=use.carrier,
-        t=use.t,
+        time=use.t,
         amount=use.amount,
     )

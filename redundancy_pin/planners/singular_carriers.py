@@ -80,7 +80,7 @@ def lost_directions(equation: CarrierEquation, start: float, end: float) -> list
             remedy="Their tracks have to be laid so that the carriers act in every coordinate (on the 2-RPR: away "
             "from the base hinge), or the motion must leave the singularity.",
             constraint="carrier_effect",
-            t=start,
+            time=start,
             amount=end - start,
         )
     found = []
@@ -126,7 +126,7 @@ def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> 
         remedy="Pass the singularity without acceleration along this direction or without the masses that need it"
         + (", or leave the main actuators on: they could carry it." if instant.by_main else "."),
         constraint="singular_pose",
-        t=instant.t,
+        time=instant.t,
         amount=abs(force),
         main_actuators_could=instant.by_main,
         direction=tuple(float(component) for component in direction),

@@ -121,7 +121,7 @@ def _unbounded(
             f"{stuck.s[farthest]:.3g} m with {stuck.sd[farthest]:.3g} m/s.",
             remedy="Shorten the window (a threshold nearer to the singularity), or park the carriers elsewhere.",
             constraint="carrier_motion",
-            t=stuck.t,
+            time=stuck.t,
             amount=float(abs(stuck.s[farthest])),
         )
     if near:
@@ -133,6 +133,6 @@ def _unbounded(
         f"{stuck.defect:.3g} N are left.",
         remedy="Shorten the window (a threshold nearer to the singularity) or slow down.",
         constraint="carrier_motion",
-        t=stuck.t,
+        time=stuck.t,
         amount=stuck.defect,
     )

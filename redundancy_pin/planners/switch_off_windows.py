@@ -90,7 +90,7 @@ def require_inside(window: Interval, start: float, end: float, ramp_down: float)
             f"The motion begins at t = {start:.6g} s inside the region in which the actuators have to be off.",
             remedy="Start the motion further from the singularity, or move the threshold.",
             constraint="ramp_down",
-            t=start,
+            time=start,
             amount=ramp_down,
         )
     earliest = window.start - ramp_down
@@ -101,7 +101,7 @@ def require_inside(window: Interval, start: float, end: float, ramp_down: float)
             f"but the motion begins at {start:.6g} s: {missing:.3g} s are missing.",
             remedy="Start the motion further from the singularity, shorten ramp_down, or move the threshold.",
             constraint="ramp_down",
-            t=window.start,
+            time=window.start,
             amount=missing,
         )
     if window.open_end:
@@ -109,6 +109,6 @@ def require_inside(window: Interval, start: float, end: float, ramp_down: float)
             f"The motion ends at t = {end:.6g} s inside the region in which the actuators have to be off.",
             remedy="End the motion further from the singularity, or move the threshold.",
             constraint="window_end",
-            t=end,
+            time=end,
             amount=end - window.start,
         )

@@ -97,35 +97,31 @@ class Drive:
 
     def command(self, t: float, state: State) -> tuple[Array, Array]:
         """Return the efforts that act: τ (m,) and carrier forces (k,)."""
-        return self._limit(*self.controller.effort(t, state))
-
-    def _limit(self, tau: Array, force: Array) -> tuple[Array, Array]:
-        if self._limited:
-            tau = np.clip(tau, -self.tau_limit, self.tau_limit)
-            force = np.clip(force, -self.force_limit, self.force_limit)
-        return tau, force
+        return self._saturated(*self.controller.effort(t, state))
 
     def checked_command(self, t: float, state: State) -> tuple[Array, Array]:
-        """Return ``command`` after checking its form.
+        """Return ``command`` after checking what the controller returns.
 
         Raises:
             InputError: the controller returns something else than (m,) and (k,) finite numbers.
         """
         answer = self.controller.effort(t, state)
-        good = isinstance(answer, tuple) and len(answer) == 2
-        if good:
-            tau, force = (np.asarray(part, dtype=float) for part in answer)
-            good = (
-                tau.shape == (self.robot.m,)
-                and force.shape == (self.robot.k,)
-                and bool(np.isfinite(tau).all() and np.isfinite(force).all())
-            )
-        if not good:
+        parts = [np.array(part, dtype=float) for part in answer] if isinstance(answer, tuple) else []
+        shapes = [(self.robot.m,), (self.robot.k,)]
+        if [part.shape for part in parts] != shapes or not all(np.isfinite(part).all() for part in parts):
             raise InputError(
                 f"{type(self.controller).__name__}.effort returned {answer!r} at t = {t:.6g} s.",
                 remedy=f"Return main efforts ({self.robot.m},) and carrier forces ({self.robot.k},), finite numbers.",
             )
-        return self._limit(*answer)
+        return self._saturated(*parts)
+
+    def _saturated(self, tau: Array, force: Array) -> tuple[Array, Array]:
+        if not self._limited:
+            return tau, force
+        return (
+            np.clip(tau, -self.tau_limit, self.tau_limit),
+            np.clip(force, -self.force_limit, self.force_limit),
+        )
 
 
 def limit(values: ArrayLike | None, count: int, name: str) -> Array:

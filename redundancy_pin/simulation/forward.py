@@ -25,9 +25,12 @@ from redundancy_pin.simulation.chain import ClosedChain
 from redundancy_pin.simulation.partition import Partition, choose
 
 LEAST_INERTIA = 1e-8
-"""Share of its inertia that a free motion may keep when all others yield, below which the model counts as massless in
-some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps shrink to
-nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
+"""Inertia that a free motion must have when all before it yield, as a share of the largest, for the model not to count
+as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps
+shrink to nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
+
+_POOR_CHOICE = 1e-2
+"""Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +65,10 @@ class ForwardDynamics:
         self._free: IntArray = nothing if prescribed else self._carriers
         self._given: IntArray = self._carriers if prescribed else nothing
         self._scale = velocity_scale(robot)
+        self.least_inertia = 1.0
+        """Smallest pivot of the mass matrix over the largest, in kg, at the last state asked for."""
+        self._fresh = False
+        """Whether the independent velocities were chosen for the next configuration that is asked for."""
         self._set(self.choose_partition(np.array(robot.q_reference)))
 
     def choose_partition(self, q: Array) -> Partition:
@@ -80,12 +87,15 @@ class ForwardDynamics:
             SingularPoseError: the closures have lost rank there.
         """
         self._set(self.choose_partition(q))
+        self._fresh = True
 
     def _set(self, partition: Partition) -> None:
         self.partition = partition
         self._basis = np.zeros((self.robot.model.nv, len(partition.independent)), order="F")
         self._basis[partition.independent, np.arange(len(partition.independent))] = 1.0
         self._particular = np.zeros(self.robot.model.nv)
+        self._inverse_scale = 1.0 / self._scale[partition.independent]
+        self._system = np.empty((self.chain.rows, len(partition.independent) + 1), order="F")
         self._columns = np.concatenate([partition.dependent, partition.independent])
 
     def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array:
@@ -110,21 +120,28 @@ class ForwardDynamics:
             dependent = self.partition.dependent
             jacobian = chain.jacobian().take(self._columns, 1)
             rows = chain.rows
-            system = np.empty((rows, jacobian.shape[1] - rows + 1), order="F")
+            system = self._system
             system[:, :-1] = jacobian[:, rows:]
             system[:, -1] = chain.bias()
-            _, _, solved, singular = lapack.dgesv(jacobian[:, :rows], system, overwrite_b=1)
-            if singular:
+            factor, _, solved, _ = lapack.dgesv(jacobian[:, :rows], system, overwrite_b=1)
+            pivots = [abs(pivot) for pivot in factor.diagonal().tolist()]
+            if not self._fresh and min(pivots) < _POOR_CHOICE * max(pivots):
                 self.adapt(q)  # raises where the closures themselves have lost rank
                 return self.acceleration(q, v, force, carrier_acceleration)
-            basis[dependent] = -solved[:, :-1]
-            particular[dependent] = -solved[:, -1]
+            self._fresh = False
+            np.negative(solved, out=solved)
+            basis[dependent] = solved[:, :-1]
+            particular[dependent] = solved[:, -1]
         effort = pin.rnea(model, data, q, v, particular)
         mass = pin.crba(model, data, q)
         # the binding leaves the lower triangle alone, and dsymm reads the upper one only
         reduced = blas.dgemm(1.0, basis, blas.dsymm(1.0, mass, basis), trans_a=1)
         factor, z, failed = lapack.dposv(reduced, basis.T.dot(force - effort))
-        if failed or not _has_inertia(reduced, factor):
+        inertia = ((factor.diagonal() * self._inverse_scale) ** 2).tolist()
+        self.least_inertia = 0.0 if failed else min(inertia) / max(max(inertia), 1e-300)
+        if not self.least_inertia > LEAST_INERTIA:
+            if not np.isfinite(reduced).all():  # a trial step of an integrator, far off
+                return np.full(model.nv, np.nan)
             raise self._ill_posed(reduced)
         result: Array = particular + basis.dot(z)
         return result
@@ -148,21 +165,17 @@ class ForwardDynamics:
         carrier = missing[self._carriers] if self.prescribed else force[self._carriers]
         return Acceleration(a, np.asarray(closure), np.asarray(carrier))
 
-    def reduced_mass(self, q: Array) -> Array:
-        """Return Nᵀ M N at a configuration (nq,), in the present independent velocities."""
-        self.acceleration_basis(q)
-        mass = pin.crba(self.robot.model, self.chain.data, q)
-        reduced: Array = blas.dgemm(1.0, self._basis, blas.dsymm(1.0, mass, self._basis), trans_a=1)
-        return reduced
+    def velocity_basis(self, q: Array) -> Array:
+        """Return N (nv, d) at a configuration (nq,): the tree velocities that the closures allow.
 
-    def acceleration_basis(self, q: Array) -> Array:
-        """Return N (nv, d): the tree velocities that the closures allow, per unit of each independent one."""
+        Its columns belong to the independent velocities of the present partition; ``adapt`` chooses one that suits q.
+        """
         self.chain.update(q, np.zeros(self.robot.model.nv))
         if self.chain.rows:
             jacobian = self.chain.jacobian()
             dependent, independent = self.partition.dependent, self.partition.independent
             self._basis[dependent] = -np.linalg.solve(jacobian[:, dependent], jacobian[:, independent])
-        return self._basis
+        return self._basis.copy()
 
     def _ill_posed(self, reduced: Array) -> IllPosedModelError:
         """Return the error that names the motion without inertia."""
@@ -177,20 +190,16 @@ class ForwardDynamics:
             if share[_columns(robot, j)].max() > 0.1 * share.max()
         ]
         masses = [name for name, value in robot.parameters.items() if name.endswith("_mass") and value == 0.0]
-        hint = f"Give it mass, for example load_robot({robot.name!r}, {masses[0]}=0.1). " if masses else ""
-        hint = (
-            f"Give it mass, for example load_robot({robot.name!r}, end_effector_mass=0.1). "
-            if "end_effector_mass" in masses
-            else hint
-        )
+        masses.sort(key=lambda name: name != "end_effector_mass")  # what such a machine lacks most often
+        example = f"for example load_robot({robot.name!r}, {masses[0]}=0.1)" if masses else "in its URDF"
         drive = (
-            "" if self.prescribed or not robot.k else 'Carriers driven by motion (carriers="motion") need less of it.'
+            "" if self.prescribed or not robot.k else ' Carriers driven by motion (carriers="motion") need less of it.'
         )
         return IllPosedModelError(
             f"A motion that the closures of {robot.name} leave free has no inertia: the mass matrix in independent "
             f"coordinates has condition number {condition:.3g}, so forces do not determine the acceleration of "
             f"{', '.join(moved)}.",
-            remedy=(hint or "Give every part that moves freely a mass. ") + drive,
+            remedy=f"Give it mass, {example}.{drive}",
             condition=condition,
             direction=direction.tolist(),
             joints=tuple(moved),
@@ -200,9 +209,3 @@ class ForwardDynamics:
 def _columns(robot: Robot, joint: int) -> slice:
     found = robot.model.joints[joint]
     return slice(found.idx_v, found.idx_v + found.nv)
-
-
-def _has_inertia(matrix: Array, factor: Array) -> bool:
-    """Return whether every pivot of the Cholesky factor keeps a share of its diagonal entry."""
-    pivots = factor.diagonal()
-    return bool((pivots * pivots > LEAST_INERTIA * matrix.diagonal()).all())

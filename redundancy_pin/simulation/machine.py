@@ -81,6 +81,8 @@ class Machine:
     def __call__(self, t: float, y: Array) -> Array:
         """Return ẏ; NaN where there is none, with ``trouble`` saying why: the integrator then tries a shorter step."""
         self.evaluations += 1
+        if y[0] != y[0]:  # a stage after one that had no answer
+            return np.full(len(y), np.nan)
         state = self.state(t if t < self.until else float(np.nextafter(self.until, -np.inf)), y)
         try:
             acceleration = self._acceleration(state, self._force(state, self.command(state)))
@@ -97,6 +99,8 @@ class Machine:
         """
         command = self.command(state)
         force = self._force(state, command)
+        if self._other is not None:  # the closure forces need a partition that suits the configuration
+            self.dynamics.adapt(state.q)
         acceleration = self._acceleration(state, force)
         return command, self.dynamics.forces(state.q, state.v, force, acceleration)
 

@@ -36,6 +36,9 @@ BESIDE = 0.3
 DEGREE_BESIDE = 5
 """Of τ in the pieces at a singular instant, from the rest of the piece and the τ that the plan states there."""
 
+POLE = 1e-2
+"""Last coefficients of the efforts in a piece, relative to the largest, from which they have a pole there."""
+
 SINGULAR = 1e-6
 """Margin of W, relative to the largest along the motion, below which a sample of a plan counts as singular."""
 
@@ -258,11 +261,12 @@ def _beside(nodes: Array, tau: Array, value: Array, *, at_left: bool) -> Array:
 
 
 def _require_finite(series: Array, left: Array) -> None:
-    bad = ~np.isfinite(series).all(axis=(1, 2))
+    size = np.abs(series).max(initial=0.0, where=np.isfinite(series))
+    bad = ~np.isfinite(series).all(axis=(1, 2)) | (np.abs(series[:, -2:]).max(axis=(1, 2)) > POLE * size)
     if bad.any():
         t = float(left[int(np.flatnonzero(bad)[0])])
         raise InfeasiblePlanError(
-            f"From t = {t:.6g} s on, the motion has no finite efforts.",
+            f"In the step from t = {t:.6g} s on, the motion has no finite efforts.",
             remedy="It meets a type II singularity that it may not cross: plan it with plan_whole_trajectory.",
             constraint="effort",
             time=t,

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
-from scipy.integrate import DOP853, RK45, OdeSolver
+from scipy.integrate import DOP853, RK45
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.simulation.control import Sampling
 from redundancy_pin.simulation.events import Event, Watcher
 from redundancy_pin.simulation.machine import Command, Machine
 from redundancy_pin.simulation.result import SimulationStatus, Statistics
+from redundancy_pin.simulation.schedule import SAME, Schedule
+from redundancy_pin.simulation.step import Step
 
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45}
 """Explicit Runge-Kutta methods of scipy of order 8 and 5. The lower order is cheaper where a sampled controller makes
@@ -27,42 +27,19 @@ _LOOKS = (0.25, 0.5, 0.75, 1.0)
 """Where in a step the watched functions are looked at: a carrier that touches its end stop and leaves within one step
 is not missed."""
 
+_BRIEF = 2e-3
+"""s; in a step shorter than this only the end is looked at: at 10 m/s² a carrier touches its stop by 5 µm in it."""
+
+SHORTEST = 1e-8
+"""s; a machine whose motion takes steps shorter than this, many in a row, is not one."""
+
+_MOST_SHORT = 20
+
+_LITTLE_INERTIA = 1e-3
+"""Share of the largest inertia below which an inertia is blamed for a motion that blows up."""
+
 GAP_LIMIT = 1e-9
 """Closure gap, m, that the projection must not leave."""
-
-
-class Step:
-    """An accepted step of an integrator, as a function of time.
-
-    Args:
-        solver: the integrator, after the step.
-        before: y and ẏ at the start of the step.
-    """
-
-    def __init__(self, solver: OdeSolver, before: tuple[Array, Array]) -> None:
-        self.start, self.end = float(solver.t_old), float(solver.t)
-        self._solver, self._before, self._after = solver, before, (solver.y, solver.f)
-
-    @cached_property
-    def _dense(self) -> Callable[[float], Array]:
-        # three more evaluations: made only where something asks for it
-        interpolant: Callable[[float], Array] = self._solver.dense_output()
-        return interpolant
-
-    def __call__(self, t: float) -> Array:
-        """Return y at a time in the step, to the accuracy of the integrator."""
-        if t == self.start:
-            return self._before[0]
-        return self._after[0] if t == self.end else self._dense(t)
-
-    def guess(self, fraction: float) -> Array:
-        """Return y at a fraction of the step, from the cubic through y and ẏ at both ends: good enough to look."""
-        (y0, f0), (y1, f1) = self._before, self._after
-        x, h = fraction, self.end - self.start
-        if x == 1.0:
-            return y1
-        slope: Array = x * (1.0 - x) * h * ((1.0 - x) * f0 - x * f1)
-        return slope + y0 + (y1 - y0) * x * x * (3.0 - 2.0 * x)
 
 
 @dataclass(frozen=True)
@@ -114,6 +91,7 @@ class Run:
         grid: (G,) times at which to record, s, first and last included.
         breaks: inner times at which efforts jump, s.
         sampling: of a digital controller, or None.
+        first: efforts that the controller commands at the start.
     """
 
     def __init__(
@@ -124,28 +102,33 @@ class Run:
         grid: Array,
         breaks: Array,
         sampling: Sampling | None,
+        first: Command,
     ) -> None:
         self._machine, self._watcher, self._settings = machine, watcher, settings
         self._grid, self._sampling, self._breaks = grid, sampling, breaks
-        self._record = Record()
+        self._record, self._first = Record(), first
+        self._same = SAME * float(grid[1] - grid[0])
         self._events: list[Event] = []
-        self._steps = self._restarts = self._next = 0
+        self._steps = self._restarts = self._next = self._short = 0
         self._correction = 0.0
         self._suggested: float | None = None
         self._reason = ""
         self._y: Array = np.empty(0)
+        self._watched: Array = np.empty(0)
 
     def __call__(self, y: Array) -> Outcome:
         """Integrate from y = (q, v) at the first time of the grid."""
         began = time.perf_counter()
         t, end = float(self._grid[0]), float(self._grid[-1])
         y = self._y = self._machine.project(t, y)[0]
+        self._watched = self._watcher.values(y[: self._machine.robot.model.nq])
         status = SimulationStatus.COMPLETED
-        for left, right in self._stretches(t, end):
-            t, y, status = self._stretch(left, right, y)
-            self._y = y
-            if status is not SimulationStatus.COMPLETED:
-                break
+        with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
+            for left, right in self._stretches(t, end):
+                t, y, status = self._stretch(left, right, y)
+                self._y = y
+                if status is not SimulationStatus.COMPLETED:
+                    break
         self._write(t, y)
         statistics = Statistics(
             self._steps, self._machine.evaluations, self._restarts, self._correction, time.perf_counter() - began
@@ -162,27 +145,20 @@ class Run:
 
     def _sampled(self, sampling: Sampling, start: float, end: float) -> Iterator[tuple[float, float]]:
         """Yield the stretches between readings of the state, changes of the held efforts, and breaks."""
-        machine, same = self._machine, _SAME * sampling.period
-        count = max(1, int(np.ceil((end - start) / sampling.period - _SAME)))
-        reads: Array = start + sampling.period * np.arange(count, dtype=np.float64)
-        acts = reads + sampling.delay
-        commands: list[Command] = []
-        acting = 0
-        for left, right in itertools.pairwise(_merged([reads, acts, self._breaks], start, end, same)):
-            if len(commands) < len(reads) and reads[len(commands)] <= left + same:
+        machine, commands, acting = self._machine, [self._first], 0
+        schedule = Schedule(sampling, start, end)
+        for left, right in itertools.pairwise(schedule.edges(self._breaks)):
+            if schedule.reads(left) > len(commands):
                 commands.append(machine.checked_command(machine.state(left, self._y)))
-            while acting + 1 < len(commands) and acts[acting + 1] <= left + same:
-                acting += 1
+            acting = max(acting, min(schedule.acts(left), len(commands)) - 1)
             machine.held = commands[acting]
             yield left, right
 
     def _stretch(self, start: float, end: float, y: Array) -> tuple[float, Array, SimulationStatus]:
         """Integrate over one stretch; return where it ended."""
         machine, settings = self._machine, self._settings
-        nq = machine.robot.model.nq
         self._restarts += 1
         machine.until = end
-        machine.dynamics.adapt(y[:nq])
         solver = INTEGRATORS[settings.integrator](
             machine,
             start,
@@ -193,7 +169,6 @@ class Run:
             max_step=settings.max_step,
             first_step=None if self._suggested is None else min(self._suggested, end - start),
         )
-        values = self._watcher.values(y[:nq])
         while solver.status == "running":
             if self._steps >= settings.max_steps:
                 return self._failed(solver.t, solver.y, f"{self._steps} steps did not reach the end")
@@ -204,8 +179,14 @@ class Run:
                 return self._failed(solver.t, solver.y, f"no step is short enough: {why}")
             machine.trouble = None
             self._steps += 1
+            short = solver.step_size < SHORTEST and solver.status == "running"
+            self._short = self._short + 1 if short else 0
+            if self._short >= _MOST_SHORT:
+                return self._failed(
+                    solver.t, solver.y, f"the steps have shrunk to {solver.step_size:.2g} s: {self._why()}"
+                )
             step = Step(solver, before)
-            values, stop = self._look(step, values)
+            stop = self._look(step)
             self._write_before(solver.t if stop is None else stop, step)
             if stop is not None:
                 return stop, machine.project(stop, step(stop))[0], SimulationStatus.STOPPED_BY_EVENT
@@ -213,53 +194,70 @@ class Run:
             self._correction = max(self._correction, found)
             if left > GAP_LIMIT:
                 return self._failed(solver.t, projected, f"the closures leave a gap of {left:.3g} m")
-            try:
-                machine.dynamics.adapt(projected[:nq])
-            except SingularPoseError as error:
-                return self._failed(solver.t, projected, str(error))
             solver.y = projected
             if solver.status == "running":
                 solver.f = machine(solver.t, projected)
         self._suggested = solver.h_abs
         return end, solver.y, SimulationStatus.COMPLETED
 
+    def _why(self) -> str:
+        """Return what makes a motion blow up, as far as it shows."""
+        inertia = self._machine.dynamics.least_inertia
+        if inertia < _LITTLE_INERTIA:
+            return (
+                f"a free motion has hardly any inertia, {inertia:.2g} of the largest, so accelerations grow without "
+                "bound. Give every part mass (such as end_effector_mass=0.1)"
+            )
+        return "something grows without bound. Check the efforts of the controller"
+
     def _failed(self, t: float, y: Array, why: str) -> tuple[float, Array, SimulationStatus]:
         self._reason = f"At t = {t:.9g} s {why.rstrip('.')}."
         return float(t), y, SimulationStatus.FAILED
 
-    def _look(self, step: Step, before: Array) -> tuple[Array, float | None]:
-        """Find events in a step; return the watched functions at its end and the time of the first terminal event."""
-        nq = self._machine.robot.model.nq
-        left = step.start
-        found: list[Event] = []
-        for look in _LOOKS:
-            right = step.start + look * (step.end - step.start)
-            after = self._watcher.values(step.guess(look)[:nq])
-            for i in self._watcher.crossed(before, after):
-                watch = self._watcher.watches[i]
-                found.append(Event(watch.kind, watch.name, self._root(step, i, left, right), watch.terminal))
-            left, before = right, after
-        for event in sorted(found, key=lambda event: event.t):
+    def _look(self, step: Step) -> float | None:
+        """Find events in a step; return the time of the first terminal one."""
+        found, last = self._crossings(step, step.guess)
+        if found:  # look again on the integrator's own interpolant, which costs more
+            found, last = self._crossings(step, step.exactly)
+        self._watched = last
+        events = []
+        for i, left, right in found:
+            watch = self._watcher.watches[i]
+            events.append(Event(watch.kind, watch.name, self._root(step, i, left, right), watch.terminal))
+        for event in sorted(events, key=lambda event: event.t):
             self._events.append(event)
             if event.terminal:
-                return before, event.t
-        return before, None
+                return event.t
+        return None
+
+    def _crossings(self, step: Step, at: Callable[[float], Array]) -> tuple[list[tuple[int, float, float]], Array]:
+        """Return which watched functions change sign between which fractions of a step, and their values at its end."""
+        nq = self._machine.robot.model.nq
+        left, before = 0.0, self._watched
+        found = []
+        for right in _LOOKS if step.end - step.start > _BRIEF else _LOOKS[-1:]:
+            after = self._watcher.values(at(right)[:nq])
+            found += [(i, left, right) for i in self._watcher.crossed(before, after)]
+            left, before = right, after
+        return found, before
 
     def _root(self, step: Step, index: int, left: float, right: float) -> float:
-        """Return when a watched function changes sign; the end that is nearer to it where rounding hides the change."""
+        """Return the time at which a watched function changes sign between two fractions of a step."""
         nq = self._machine.robot.model.nq
 
-        def value(t: float) -> float:
-            return float(self._watcher.values(step(t)[:nq])[index])
+        def value(fraction: float) -> float:
+            return float(self._watcher.values(step.exactly(fraction)[:nq])[index])
 
         at_left, at_right = value(left), value(right)
-        if at_left * at_right >= 0.0:
-            return left if abs(at_left) <= abs(at_right) else right
-        return float(brentq(value, left, right, xtol=1e-14, rtol=1e-14))
+        if at_left * at_right < 0.0:
+            fraction = float(brentq(value, left, right, xtol=1e-14, rtol=1e-14))
+        else:  # zero to rounding at one end: it starts or ends there
+            fraction = left if abs(at_left) <= abs(at_right) else right
+        return step.time(fraction)
 
     def _write_before(self, end: float, step: Step) -> None:
         """Record the grid times before ``end``; what happens at the end of a stretch belongs to the next."""
-        while self._grid[self._next] < end:
+        while self._grid[self._next] < end - self._same:
             t = float(self._grid[self._next])
             self._write(t, step(t))
             self._next += 1
@@ -270,15 +268,3 @@ class Run:
         self._record.y.append(projected)
         self._record.held.append(self._machine.held)
         self._record.gap.append(left)
-
-
-_SAME = 1e-9
-"""Instants closer than this fraction of a sampling period are one."""
-
-
-def _merged(parts: Sequence[Array], start: float, end: float, same: float) -> list[float]:
-    """Return the sorted instants strictly between start and end, one of each group that is the same, with both ends."""
-    inner = np.sort(np.concatenate(parts))
-    inner = inner[(inner > start + same) & (inner < end - same)]
-    kept = inner[np.diff(inner, prepend=-np.inf) > same]
-    return [start, *kept.tolist(), end]

@@ -6,22 +6,21 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, frozen, read_only
-from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
-from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.collect import collect
 from redundancy_pin.simulation.control import CarrierLaw, Constant, Controller, Drive, Sampling, limit
 from redundancy_pin.simulation.events import Watcher
 from redundancy_pin.simulation.feed_forward import FeedForward
 from redundancy_pin.simulation.machine import External, Machine, Way
+from redundancy_pin.simulation.reference import plan_reference
 from redundancy_pin.simulation.result import Simulation
-from redundancy_pin.simulation.run import INTEGRATORS, Outcome, Run, Settings
+from redundancy_pin.simulation.run import INTEGRATORS, Run, Settings
 from redundancy_pin.simulation.state import State, closed_state
 
 RTOL = 1e-11
@@ -109,10 +108,11 @@ def simulate(
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     _require_closed(machine, first)
     watcher.require_allowed(first.q)
-    machine.checked_command(first)
+    command = machine.held = machine.checked_command(first)
     machine.dynamics.adapt(first.q)
     machine.loads(first)
-    outcome = Run(machine, watcher, settings, grid, breaks, sampling)(np.concatenate([first.q, first.v]))
+    machine.held = None
+    outcome = Run(machine, watcher, settings, grid, breaks, sampling, command)(np.concatenate([first.q, first.v]))
     parameters = {
         "drive": drive.planner if isinstance(drive, Plan) else type(controller).__name__,
         "carriers": carriers,
@@ -128,14 +128,15 @@ def simulate(
         "way": way,
         "dt": dt,
     }
-    return _result(machine, outcome, parameters)
+    return collect(machine, outcome, parameters)
 
 
 def _controller(robot: Robot, drive: Plan | Controller | None) -> Controller:
     if drive is None:
         return Constant(np.zeros(robot.m), np.zeros(robot.k))
     if isinstance(drive, Plan):
-        return FeedForward(drive)
+        own = robot if robot_record(robot) == drive.robot else None
+        return FeedForward(plan_reference(drive, robot=own))
     if not callable(getattr(drive, "effort", None)):
         raise InputError(
             f"simulate was given {type(drive).__name__} for the drive.",
@@ -215,63 +216,3 @@ def _require_closed(machine: Machine, state: State) -> None:
             gap=gap,
             rate=rate,
         )
-
-
-def _result(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -> Simulation:
-    """Evaluate forces, accelerations and energies at the samples and put everything together."""
-    robot, record = machine.robot, outcome.record
-    model, data = robot.model, machine.chain.data
-    count = len(record.t)
-    q, v = (np.array(part) for part in zip(*((y[: model.nq], y[model.nq :]) for y in record.y), strict=True))
-    a, energy = np.full((count, model.nv), np.nan), np.empty(count)
-    tau, carrier_force = np.full((count, robot.m), np.nan), np.full((count, robot.k), np.nan)
-    closure_force = np.full((count, machine.chain.rows), np.nan)
-    for i, (t, y, held) in enumerate(zip(record.t, record.y, record.held, strict=True)):
-        machine.held = held
-        energy[i] = pin.computeKineticEnergy(model, data, q[i], v[i]) + pin.computePotentialEnergy(model, data, q[i])
-        try:
-            machine.dynamics.adapt(q[i])
-            (tau[i], _), loads = machine.loads(machine.state(t, y))
-        except (IllPosedModelError, SingularPoseError):
-            continue  # a failed simulation ends there: the efforts have no accelerations
-        a[i], closure_force[i], carrier_force[i] = loads.a, loads.closure_force, loads.carrier_force
-    system = ConstraintSystem(robot)
-    evaluated = system.evaluate(q)
-    columns = robot.carrier_velocity
-    return Simulation(
-        t=frozen(record.t),
-        q=read_only(q),
-        v=read_only(v),
-        a=read_only(a),
-        x=read_only(_running_on(robot, coordinates(robot, evaluated))),
-        xd=read_only(np.einsum("nij,nj->ni", evaluated.Jx, v)),
-        s=frozen(q[:, robot.carrier_position]),
-        sd=frozen(v[:, columns]),
-        sdd=frozen(a[:, columns]),
-        tau=read_only(tau),
-        carrier_force=read_only(carrier_force),
-        actuated_rate=frozen(v[:, robot.actuated_velocity]),
-        closure_force=read_only(closure_force),
-        gap=frozen(np.abs(evaluated.phi).max(axis=1, initial=0.0)),
-        energy=read_only(energy),
-        events=outcome.events,
-        status=outcome.status,
-        reason=outcome.reason,
-        statistics=outcome.statistics,
-        robot=robot_record(robot),
-        parameters=parameters,
-    )
-
-
-def _running_on(robot: Robot, x: Array) -> Array:
-    """Let angles of the platform and of continuous joints run on past π."""
-    if x.ndim == 3:
-        return x
-    if robot.platform is not None:
-        turning = [axis.startswith("r") for axis in robot.platform.axes]
-    else:
-        model = robot.model
-        turning = [model.joints[model.getJointId(name)].nq == 2 for name in robot.independent_joints]
-    x = x.copy()
-    x[:, turning] = np.unwrap(x[:, turning], axis=0)
-    return x

@@ -88,6 +88,8 @@ def plan_title(plan: Plan) -> str:
     """Return one line that says what the plan is and how it ended."""
     robot, planner, status = plan.robot.name, plan.planner.replace("_", " "), plan.status.value.replace("_", " ")
     said = f"{robot}: {planner}, {status}"
+    if not plan.diagnostics.get("optimal", True):
+        said = f"{said}, NOT an optimum"
     if plan.status is not PlanStatus.VIOLATES_LIMITS:
         return said
     broken = sorted({f"{event.quantity} of {event.carrier}" for event in plan.limits.violated})
@@ -102,6 +104,9 @@ def _draw_efforts(axes: Axes, plan: Plan, reference: Array | None, name: str) ->
     draw_series(axes, plan.t, plan.tau, symbols)
     # next to a singularity efforts without a plan grow without bound and would flatten everything else
     fit_to(axes, plan.tau, plan.sample_status == SampleStatus.REGULAR)
+    bounds = _numbers(plan.parameters.get("effort"))
+    if len(bounds) == len(symbols) and np.isfinite(bounds).any():
+        draw_limits(axes, plan.tau, [(-bound, bound) for bound in bounds])
     axes.set_ylabel(f"main {_effort(plan, plan.robot.actuated)}")
     legend_above(axes, len(symbols) + 1)
 

@@ -14,12 +14,14 @@ import yaml
 from command_line import call, refused, write_motion
 
 import redundancy_pin as rp
-from redundancy_pin.cli.plan_parameters import STEPWISE, SWITCH_OFF, number, numbers
-from redundancy_pin.cli.plan_trajectory import TRAJECTORIES
+from redundancy_pin.cli.plan_parameters import STEPWISE, SWITCH_OFF, WHOLE_TRAJECTORY
+from redundancy_pin.cli.plan_values import number, numbers
 from redundancy_pin.errors import InputError
+from redundancy_pin.experiments.trajectories import TRAJECTORIES
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.stepwise import plan_stepwise
 from redundancy_pin.planners.switch_off import plan_switch_off
+from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
 from redundancy_pin.trajectory import from_csv, reference
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "problem.yaml"
@@ -175,11 +177,16 @@ def test_the_documented_problem_names_every_key_there_is() -> None:
         keys = {key.strip() for key in said[1].partition(":")[0].split(",")}
         assert keys == set(inspect.signature(make).parameters), name
     words = set(re.findall(r"\w+", text))
-    assert {*SWITCH_OFF, *STEPWISE, "planner", "robot", "set", "mode", "gravity", "backend", "motion", "step"} <= words
+    assert {*SWITCH_OFF, *STEPWISE, *WHOLE_TRAJECTORY} <= words
+    assert {"planner", "robot", "set", "mode", "gravity", "backend", "motion", "step"} <= words
 
 
 def test_every_parameter_of_the_planners_can_be_written() -> None:
-    for planner, known in ((plan_switch_off, set(SWITCH_OFF)), (plan_stepwise, {*STEPWISE, "baseline"})):
+    for planner, known in (
+        (plan_switch_off, set(SWITCH_OFF)),
+        (plan_stepwise, {*STEPWISE, "baseline"}),
+        (plan_whole_trajectory, {*WHOLE_TRAJECTORY, "baseline", "progress"}),
+    ):
         keywords = {
             name
             for name, parameter in inspect.signature(planner).parameters.items()
@@ -376,7 +383,7 @@ def test_a_picture_that_fails_leaves_no_plan(tmp_path: Path, monkeypatch: pytest
 
 
 def test_examples_in_the_help_keep_their_lines() -> None:
-    for command in ((), ("switch-off",), ("stepwise",)):
+    for command in ((), ("switch-off",), ("stepwise",), ("whole-trajectory",)):
         lines = [line.strip() for line in call("plan", *command, "--help").stdout.splitlines()]
         assert any(line.startswith("redundancy-pin plan") and line.endswith("\\") for line in lines)
         assert not any("\\b" in line for line in lines)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from redundancy_pin import crosscheck
-from redundancy_pin.crosscheck.cases import Masses, Wave, random_cases
+from redundancy_pin.crosscheck import physics
+from redundancy_pin.crosscheck.cases import Masses, Wave, random_case
 from redundancy_pin.crosscheck.report import CrossCheckReport, Tally, relative
+from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import backend as virtual_work
 from redundancy_pin.errors import InputError, ModelFileError, UnreachablePoseError
 
@@ -38,6 +40,41 @@ def test_same_seed_same_numbers_other_seed_other_numbers(report):
     other = crosscheck.run(["four_bar"], samples=60, seed=4)
     assert first == again
     assert [row.worst for row in first.rows] != [row.worst for row in other.rows]
+
+
+def test_the_number_of_processes_does_not_change_the_report():
+    one, two = (crosscheck.run(["four_bar", "2rpr"], samples=20, seed=5, jobs=jobs) for jobs in (1, 2))
+    assert one == two
+
+
+def test_an_error_in_a_process_reaches_the_caller():
+    with pytest.raises(ModelFileError, match="no robot"):
+        crosscheck.run(["four_bar", "no_such_robot"], samples=5, jobs=2)
+
+
+def test_progress_counts_every_state_of_every_batch():
+    seen = []
+    crosscheck.run(["four_bar"], samples=10, progress=lambda done, total: seen.append((done, total)))
+    assert [total for _, total in seen] == [10] * len(seen)
+    assert [done for done, _ in seen] == [3, 6, 9, 10]
+
+
+def test_energy_differences_are_exact_for_polynomials_of_degree_eight():
+    """Declared order: errors of the difference quotient start at the ninth derivative."""
+    x = physics._ENERGY_OFFSETS.astype(float)
+    slopes = [float(physics._ENERGY_WEIGHTS @ x**degree) for degree in range(11)]
+    np.testing.assert_allclose(slopes[:9], [0, 1, *[0] * 7], atol=1e-11)  # rounding of 6⁸ = 1.7e6
+    assert abs(slopes[9]) > 1.0
+
+
+def test_power_of_the_fastest_state_of_the_long_run():
+    """One state in 1e5 that sixth-order differences with 0.5 ms could not follow."""
+    case = random_case("five_bar", 250, 2000, 101, masses=Masses.ALL)
+    tally = Tally()
+    physics.check_power(tally, case, RneaDynamics(case.robot), "rnea")
+    (row,) = tally.rows()
+    assert row.passed
+    assert row.worst < 1e-10
 
 
 class Tampered:
@@ -94,10 +131,17 @@ def test_the_worst_of_several_batches_counts_and_nan_stays():
         tally.add("robot", "check", np.array(deviation), 2.5)
     (row,) = tally.rows()
     assert (row.samples, row.worst, row.passed) == (3, 3.0, False)
+    other = Tally()
+    other.add("robot", "check", np.array([7.0]), 2.5)
+    other.add("robot", "other check", np.array([1.0]), 2.5)
+    tally.merge(other)
+    assert [(row.check, row.samples, row.worst) for row in tally.rows()] == [("check", 4, 7.0), ("other check", 1, 1.0)]
     tally.add("robot", "check", np.array([np.nan]), 2.5)
     tally.add("robot", "check", np.array([0.0]), 2.5)
-    assert np.isnan(tally.rows()[0].worst)
-    assert not tally.rows()[0].passed
+    other.merge(tally)
+    for judged in (tally, other):
+        assert np.isnan(judged.rows()[0].worst)
+        assert not judged.rows()[0].passed
 
 
 def test_relative_deviation_is_by_sample():
@@ -119,7 +163,7 @@ def test_waves_have_exact_derivatives():
 
 def test_pose_motion_of_the_gough_platform_is_consistent():
     """Twists against finite differences of the poses they belong to."""
-    case = next(iter(random_cases("gough", 5, 0, masses=Masses.ALL)))
+    case = random_case("gough", 5, 0, masses=Masses.ALL)
     h = 1e-5
     before, at, after = (case.motion(case.t + shift) for shift in (-h, 0.0, h))
     np.testing.assert_allclose((after.x[:, :3, 3] - before.x[:, :3, 3]) / (2 * h), at.xd[:, :3], atol=1e-7)
@@ -130,7 +174,7 @@ def test_pose_motion_of_the_gough_platform_is_consistent():
 
 
 def test_cases_vary_parameters_modes_and_gravity():
-    cases = [case for seed in range(4) for case in random_cases("3rrr", 10, seed)]
+    cases = [random_case("3rrr", 3, seed, index) for seed in range(4) for index in range(4)]
     assert len({case.robot.working_mode for case in cases}) > 1
     assert len({case.robot.parameters["distal_length"] for case in cases}) == len(cases)
     assert all(np.linalg.norm(case.robot.gravity) > 0 for case in cases)
@@ -139,6 +183,8 @@ def test_cases_vary_parameters_modes_and_gravity():
 def test_bad_input_is_refused():
     with pytest.raises(InputError, match="samples is 0"):
         crosscheck.run(["2rpr"], samples=0)
+    with pytest.raises(InputError, match="jobs is 0"):
+        crosscheck.run(["2rpr"], samples=5, jobs=0)
     with pytest.raises(InputError, match="seed is -1"):
         crosscheck.run(["2rpr"], samples=5, seed=-1)
     with pytest.raises(ModelFileError, match="no robot"):

@@ -15,6 +15,7 @@ from redundancy_pin.kinematics.branch import find_on_branch
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, moved
 from redundancy_pin.kinematics.modes import in_working_mode, working_modes
+from redundancy_pin.kinematics.recombination import recombined
 from redundancy_pin.kinematics.search import search
 from redundancy_pin.robot import Robot
 
@@ -113,3 +114,28 @@ def test_search_turns_joints_all_around_whatever_the_characteristic_length() -> 
     q, _, closed = search(ConstraintSystem(robot), np.array(robot.q_reference), zoo.home_of(zoo.robot_of("3rrr")))
     assert closed
     np.testing.assert_array_equal(working_modes(robot, q[None])[0], [-1, -1, -1])
+
+
+@pytest.mark.parametrize("mode", [(-1, -1, -1, -1, -1, -1), (1, -1, 1, 1, -1, -1), (-1, 1, 1, -1, 1, 1)])
+def test_every_mode_of_six_legs_is_found_for_other_lengths(mode: tuple[int, ...]) -> None:
+    """One random start in 64 falls to a given mode of six legs: they are put together leg by leg."""
+    robot = load_robot("gough", base_radius=0.7, platform_radius=0.27, height=0.52, working_mode=mode)
+    assembled = zoo.system_of(robot).evaluate(np.array(robot.q_reference)[None])
+    assert np.abs(assembled.phi).max() < CLOSURE_TOLERANCE
+    np.testing.assert_array_equal(working_modes(robot, np.array(robot.q_reference)[None])[0], mode)
+    lengths = [
+        robot.q_reference[robot.model.joints[robot.model.getJointId(f"slide_{leg}")].idx_q] for leg in range(1, 7)
+    ]
+    np.testing.assert_array_equal(np.sign(lengths), mode)
+
+
+def test_legs_are_not_mixed_where_one_is_right_in_none() -> None:
+    robot = zoo.robot_of("3rrr", working_mode=(1, 1, 1))
+    other = zoo.robot_of("3rrr", working_mode=(-1, 1, 1))
+    guess, q = np.array(robot.q_reference), np.array(other.q_reference)
+    assert recombined(zoo.system_of(robot), q[None], guess) is None
+    assert recombined(zoo.system_of(robot), q[None][:0], guess) is None
+    third = np.array(zoo.robot_of("3rrr", working_mode=(1, -1, 1)).q_reference)
+    mixed = recombined(zoo.system_of(robot), np.array([q, third]), guess)
+    np.testing.assert_array_equal(working_modes(robot, mixed[None])[0], [1, 1, 1])
+    assert np.abs(zoo.system_of(robot).evaluate(mixed[None]).phi).max() < CLOSURE_TOLERANCE

@@ -162,7 +162,7 @@ def test_leaving_the_workspace_names_the_time() -> None:
     trajectory = along(with_constant(through_points([start, end]), [0.0]))
     with pytest.raises(UnreachablePoseError, match="leaves the workspace at t = ") as caught:
         find_crossings(zoo.robot_of("3rrr"), trajectory)
-    assert caught.value.details["t"] == pytest.approx(time_at_arc(trajectory, 0.5), abs=1e-8)
+    assert caught.value.details["time"] == pytest.approx(time_at_arc(trajectory, 0.5), abs=1e-8)
 
 
 def test_a_path_through_a_base_hinge_is_refused() -> None:

@@ -41,7 +41,7 @@ def test_end_effector_mass_needs_a_force_along_the_legs(mass):
         details = caught.value.details
         assert details["constraint"] == "singular_pose"
         assert details["amount"] == pytest.approx(needed, rel=1e-8)
-        assert details["t"] == pytest.approx(t, abs=1e-10)
+        assert details["time"] == pytest.approx(t, abs=1e-10)
         sign = np.sign(trajectory.evaluate(t).xdd[0])  # the force that has to act on the mass
         np.testing.assert_allclose(details["direction"], [sign, 0.0], atol=1e-9)
         assert details["main_actuators_could"] is True  # a leg pushes along itself; it is off, not powerless
@@ -99,7 +99,7 @@ def test_five_bar_has_no_bounded_crossing(start, end, speed):
     assert caught.value.details["constraint"] == "singular_pose"
     assert caught.value.details["amount"] > 1e-3
     assert "brought there" in caught.value.message  # it depends on what the carriers have done until then
-    t, direction = caught.value.details["t"], np.array(caught.value.details["direction"])
+    t, direction = caught.value.details["time"], np.array(caught.value.details["direction"])
     motion = along(start, end, speed).sample_at([t])
     elbows = elbows_of(motion.x[0])
     line = elbows[1] - elbows[0]
@@ -143,7 +143,7 @@ def test_window_at_the_start_and_at_the_end():
     with pytest.raises(InfeasiblePlanError, match="ends") as caught:
         plan_switch_off(two_rpr(), along((0.2, 0.4), (0.2, 0.02)))
     assert caught.value.details["constraint"] == "window_end"
-    assert caught.value.details["t"] == pytest.approx(along((0.2, 0.4), (0.2, 0.02)).duration)
+    assert caught.value.details["time"] == pytest.approx(along((0.2, 0.4), (0.2, 0.02)).duration)
 
 
 def test_ramp_down_that_does_not_fit():

@@ -1,0 +1,207 @@
+"""``redundancy-pin map``: what a machine can do, over two of its parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from redundancy_pin.cli.errors import FAILED_CHECK, INTERRUPTED
+from redundancy_pin.cli.keys import require_choice
+from redundancy_pin.cli.map_output import print_map, warn_of_failures
+from redundancy_pin.cli.options import json_option, parse_mode, parse_setting, parse_vector, robot_options
+from redundancy_pin.cli.output import progress
+from redundancy_pin.cli.plan_parameters import PARAMETERS, read_parameters
+from redundancy_pin.cli.plan_trajectory import split_trajectory
+from redundancy_pin.cli.plan_values import number
+from redundancy_pin.errors import InputError
+from redundancy_pin.experiments.backends import BACKENDS, RNEA, VIRTUAL_WORK
+from redundancy_pin.experiments.feasibility import (
+    LIMITS,
+    OTHER,
+    PRESETS,
+    STEPWISE,
+    SWITCH_OFF,
+    WHOLE,
+    MapProblem,
+    Verdict,
+    feasibility_map,
+    parse_axis,
+    write_map,
+)
+from redundancy_pin.experiments.feasibility.result import Direction
+from redundancy_pin.experiments.feasibility.sweep import require_sense
+from redundancy_pin.experiments.feasibility.written import JOURNAL, make_folder
+from redundancy_pin.experiments.trajectories import TRAJECTORIES
+from redundancy_pin.visualisation.style import require_matplotlib
+
+
+def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    for name, text in reversed(list(LIMITS.items())):
+        flag = f"--{name.replace('_', '-')}"
+        command = click.option(flag, type=float, metavar="NUMBER", help=f"Limit: {text}; inf for none.")(command)
+    return command
+
+
+@click.command("map")
+@robot_options()
+@click.option("--backend", type=click.Choice(list(BACKENDS)), help="How to compute; virtual-work where it can.")
+@click.option(
+    "--trajectory",
+    metavar="NAME[:KEY=VALUE,...]",
+    help=f"Motion: {', '.join(TRAJECTORIES)}; points are written as points=0.2 0.4;0.3 0.4.",
+)
+@click.option("--x", "x_text", metavar="AXIS", help="NAME=LOW:HIGH:COUNT, with :log at its end for a logarithmic one.")
+@click.option("--y", "y_text", metavar="AXIS", help="The same, or NAME=V,V,...: values one by one.")
+@_limit_options
+@click.option(
+    "--planner",
+    "planners",
+    type=click.Choice([SWITCH_OFF, STEPWISE, WHOLE]),
+    multiple=True,
+    help="May be repeated.  [default: that of the thesis, and whole-trajectory]",
+)
+@click.option(
+    "--parameter",
+    "parameters",
+    multiple=True,
+    metavar="PLANNER:NAME=VALUE",
+    help="Of a planner, such as whole-trajectory:objective=peak; may be repeated.",
+)
+@click.option("--refine", default=2, show_default=True, metavar="N", help="How often the border is bisected.")
+@click.option("--along", type=click.Choice(["x", "y"]), default="x", show_default=True, help="Axis of the bisection.")
+@click.option("--jobs", default=-1, show_default=True, metavar="N", help="Processes; -1: one for each core.")
+@click.option("--out", metavar="FOLDER", help="Where journal, tables and pictures go.  [default: map-ROBOT]")
+@json_option
+def map_command(**given: Any) -> int:
+    r"""What a machine can do: two parameters swept.
+
+    Every cell of a grid goes to the planner of the thesis and to the whole-trajectory planner. The pictures show side
+    by side where they find a plan within every limit, its peak effort, and which limit is in the way elsewhere. Axes
+    are keys of the trajectory (speed, radius, ramp_time, ...), limits (stroke, max_speed, max_acceleration, max_jerk,
+    max_effort, max_carrier_force), and numeric arguments of the robot (carrier_mass, ...).
+
+    Finished cells are kept in FOLDER/journal.jsonl: after an interruption the same command goes on where it was.
+    Exit code 1: a planner failed in every cell.
+
+    \b
+    Examples:
+      redundancy-pin map --robot 2rpr
+      redundancy-pin map --robot 3rrr --x radius=0.013:0.05:8 --y carrier_mass=0.5:5:8 --max-effort 4 --jobs 8
+    """
+    problem = problem_of(given)
+    require_matplotlib()
+    along = _direction(given["along"])
+    require_sense(problem, jobs=given["jobs"], refine=given["refine"], along=along)
+    folder = make_folder(given["out"] or f"map-{Path(problem.robot).stem}")
+    done = [0, 0]
+    try:
+        with progress("map") as advance:
+
+            def tell(count: int, total: int, what: str) -> None:
+                done[:] = count, total
+                advance(count, total, what)
+
+            found = feasibility_map(
+                problem,
+                folder / JOURNAL,
+                jobs=given["jobs"],
+                refine=given["refine"],
+                along=along,
+                progress=tell,
+            )
+    except KeyboardInterrupt:
+        said = f"{done[0]} of {done[1]} cells are in {folder / JOURNAL}; the same command goes on from there."
+        click.echo(f"interrupted: {said}", err=True)
+        raise click.exceptions.Exit(INTERRUPTED) from None
+    files = write_map(found, folder)
+    print_map(found, folder, files, as_json=given["as_json"])
+    warn_of_failures(found)
+    nothing = any(found.counts(name)[Verdict.FAILED.value] == len(found.of(name)) for name in problem.planners)
+    return FAILED_CHECK if nothing else 0
+
+
+def problem_of(given: Mapping[str, Any]) -> MapProblem:
+    """Return the problem that the options describe; what is left out comes from the preset of the robot.
+
+    Raises:
+        InputError: an option that cannot be read, or does not fit the others.
+    """
+    robot = given["robot"]
+    preset = PRESETS.get(robot, OTHER)
+    if given["trajectory"] is None and robot not in PRESETS:
+        raise InputError(f"There is no usual motion of {robot}.", remedy="Add --trajectory.")
+    name, options = split_trajectory(given["trajectory"]) if given["trajectory"] else (preset.trajectory, {})
+    usual = name == preset.trajectory
+    x, y = parse_axis(given["x_text"] or preset.x), parse_axis(given["y_text"] or preset.y)
+    limits = {**(preset.limits if usual else {})}
+    limits |= {key: float(given[key]) for key in LIMITS if given[key] is not None}
+    for axis, text in ((x, given["x_text"]), (y, given["y_text"])):
+        if axis.name in limits and given.get(axis.name) is None:
+            del limits[axis.name]
+        if text is None and given.get(axis.name) is not None:
+            raise InputError(
+                f"--{axis.name.replace('_', '-')} fixes {axis.name}, which is an axis of this map.",
+                remedy="Name other axes with --x and --y.",
+            )
+    parameters: dict[str, dict[str, Any]] = {}
+    for text in given["parameters"]:
+        planner, key, value = _parameter(text)
+        parameters.setdefault(planner, {}).setdefault(key, []).append(value)
+    return MapProblem(
+        robot=robot,
+        x=x,
+        y=y,
+        trajectory=name,
+        options={key: _option(key, value) for key, value in options.items()},
+        settings=dict(parse_setting(text) for text in given["settings"]),
+        mode=() if given["mode"] is None else parse_mode(given["mode"]),
+        gravity=None if given["gravity"] is None else parse_vector(given["gravity"]),
+        backend=given["backend"] or (VIRTUAL_WORK if robot in PRESETS else RNEA),
+        limits={key: value for key, value in limits.items() if not math.isinf(value)},
+        planners=given["planners"] or (preset.thesis, WHOLE),
+        parameters={planner: _read(planner, values) for planner, values in parameters.items()},
+    )
+
+
+def _option(key: str, text: str) -> Any:
+    """Return an option of a trajectory: a number, true or false, or rows of them such as ``0.2 0.4; 0.3 0.4``."""
+    if text in ("true", "false"):
+        return text == "true"
+    if ";" in text:
+        return [[number(key, value) for value in row.split()] for row in text.split(";")]
+    return number(key, text)
+
+
+def _parameter(text: str) -> tuple[str, str, str]:
+    planner, colon, rest = text.partition(":")
+    key, separator, value = rest.partition("=")
+    if not (colon and separator and key.strip() and value.strip()):
+        raise InputError(
+            f"--parameter {text!r} is not PLANNER:NAME=VALUE.", remedy="Write --parameter switch-off:threshold=20."
+        )
+    return require_choice(planner.strip(), (SWITCH_OFF, STEPWISE, WHOLE), "the planner"), key.strip(), value.strip()
+
+
+def _read(planner: str, given: Mapping[str, list[str]]) -> dict[str, Any]:
+    """Return parameters of a planner as plain data; repeated ones belong together where the planner takes several."""
+    if planner == STEPWISE and "dt" in given:  # a flag of its own on the command line of the planner
+        rest = {key: values for key, values in given.items() if key != "dt"}
+        return {**_read(planner, rest), "dt": number("dt", given["dt"][-1])}
+    values = {
+        key: tuple(texts) if (known := PARAMETERS[planner].get(key)) and known.multiple else texts[-1]
+        for key, texts in given.items()
+    }
+    return {key: _plain(value) for key, value in read_parameters(planner, values).items()}
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _direction(text: str) -> Direction:
+    return "x" if text == "x" else "y"

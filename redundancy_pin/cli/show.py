@@ -1,0 +1,107 @@
+"""``redundancy-pin show``: a robot, a motion or a plan to look at."""
+
+from __future__ import annotations
+
+import click
+
+from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
+from redundancy_pin.cli.output import print_json
+from redundancy_pin.errors import InputError
+from redundancy_pin.files import require_writable
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.plan_file import load_plan, load_robot_of
+from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory import carriers_from_csv, from_csv
+from redundancy_pin.view import show as view
+from redundancy_pin.visualisation.show import View, require_html, require_meshcat
+
+
+@click.command()
+@robot_options(required=False)
+@click.option("--plan", "plan_path", metavar="NPZ", help="Plan to show, as `plan --out` writes it.")
+@click.option("--motion", "motion_path", metavar="CSV", help="Motion to show, as `inverse-dynamics` reads it.")
+@click.option("--html", "out", metavar="HTML", help="Write one file that plays offline, instead of a live viewer.")
+@click.option("--forces/--no-forces", default=True, show_default=True, help="Whether arrows are shown at first.")
+@click.option("--force-scale", type=float, default=1.0, metavar="NUMBER", help="Factor on the length of arrows.")
+@click.option("--open", "open_browser", is_flag=True, help="Open it in the default browser.")
+@json_option
+def show(
+    robot: str | None,
+    settings: tuple[str, ...],
+    mode: str | None,
+    gravity: str | None,
+    plan_path: str | None,
+    motion_path: str | None,
+    out: str | None,
+    forces: bool,
+    force_scale: float,
+    open_browser: bool,
+    as_json: bool,
+) -> None:
+    r"""Show a robot in motion.
+
+    Links, joints, tracks, carriers, the path of the platform, efforts as arrows; platform and path have the colour of
+    the margin to a singularity. Without --plan and --motion: its motion in the thesis, or a small swing.
+
+    With --html one self-contained file is written. Without, a meshcat server runs until Ctrl-C; its address is
+    printed. No display is needed for either.
+
+    \b
+    Examples:
+      redundancy-pin show --robot 3rrr --html 3rrr.html
+      redundancy-pin show --plan plan.npz --open
+    """
+    require_meshcat()
+    if out:
+        require_html(out)
+        require_writable(out)
+    options = RobotOptions(robot or "", settings, mode, gravity)
+    seen = _view(options, plan_path, motion_path, forces, force_scale)
+    if out:
+        seen.save(out)
+        _report(seen, out, as_json=as_json)
+        if open_browser:
+            click.launch(out)
+        return
+    live = seen.serve(open_browser=open_browser)
+    try:
+        _report(seen, live.url, as_json=as_json)
+        live.wait()
+    except KeyboardInterrupt:
+        pass  # how a live view is meant to end
+    finally:
+        live.close()
+
+
+def _view(
+    options: RobotOptions, plan_path: str | None, motion_path: str | None, forces: bool, force_scale: float
+) -> View:
+    if plan_path and motion_path:
+        raise InputError("--plan and --motion are both given.", remedy="Give one of them: a plan has its own motion.")
+    if plan_path:
+        plan = load_plan(plan_path)
+        return view(plan, robot=_robot_of(plan, options), forces=forces, force_scale=force_scale)
+    if not options.source:
+        raise InputError("There is nothing to show.", remedy="Add --robot NAME or --plan NPZ.")
+    robot = options.load()
+    if not motion_path:
+        return view(robot, forces=forces, force_scale=force_scale)
+    return view(robot, from_csv(motion_path), carriers_from_csv(motion_path), forces=forces, force_scale=force_scale)
+
+
+def _robot_of(plan: Plan, options: RobotOptions) -> Robot:
+    """Return the robot of a plan; --robot says where its files are now."""
+    if not options.is_plain:
+        raise InputError(
+            "--set, --mode and --gravity cannot change the robot of a plan.", remedy="Leave them out, or plan again."
+        )
+    return load_robot_of(plan, options.source or None)
+
+
+def _report(seen: View, where: str, *, as_json: bool) -> None:
+    scene = seen.scene
+    if as_json:
+        facts = {"title": scene.title, "frames": len(scene.t), "duration": scene.duration, "where": where}
+        print_json(facts)
+    else:
+        click.echo(f"{scene.title}: {scene.duration:.4g} s in {len(scene.t)} frames, at {where}")

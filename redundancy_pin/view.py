@@ -1,0 +1,158 @@
+"""One line to see a robot move: a plan, a motion, or just a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.coordinates import coordinates, row_scale
+from redundancy_pin.kinematics.state import lift
+from redundancy_pin.loading import load_robot
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.plan_file import load_robot_of
+from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory import reference
+from redundancy_pin.visualisation.scene_motion import ShownMotion, make_scene
+from redundancy_pin.visualisation.show import View
+
+SWING_DURATION = 2.0
+"""Of the default motion of a robot that has none in the thesis, s."""
+
+SWING = 0.15
+"""Its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow."""
+
+_HALVINGS = 8
+_DT = 0.005
+
+
+def show(
+    subject: Plan | Robot | str,
+    motion: PlatformMotion | None = None,
+    carriers: CarrierMotion | None = None,
+    *,
+    robot: Robot | None = None,
+    forces: bool = True,
+    force_scale: float = 1.0,
+    height: int = 480,
+) -> View:
+    """Return a moving picture: links, joints, tracks, carriers, efforts as arrows, and how near singularities are.
+
+    In a notebook ``rp.show(plan)`` as the last line of a cell plays it; ``.save("out.html")`` writes one file that
+    plays offline; ``.serve()`` starts a live viewer. The platform and the path it traces are coloured by the margin to
+    type II.
+
+    Args:
+        subject: a plan; or a robot, or the name or path of one.
+        motion: of a robot; when left out, its trajectory in the thesis or a small swing there and back.
+        carriers: of a robot; parked at zero when left out.
+        robot: of a plan, if its files have moved or it is already at hand.
+        forces: whether arrows are shown at first.
+        force_scale: factor on their length.
+        height: of the picture in a notebook, pixels.
+
+    Raises:
+        InputError: a motion or carriers together with a plan, or a motion that is not the robot's.
+        RedundancyPinError: what ``load_robot``, ``load_robot_of`` and ``lift`` raise.
+    """
+    if isinstance(subject, Plan):
+        if motion is not None or carriers is not None:
+            raise InputError("A plan has its own motions.", remedy="Pass a robot instead of the plan, or no motion.")
+        shown = plan_shown(subject, robot or load_robot_of(subject))
+    else:
+        if robot is not None:
+            raise InputError("robot= goes with a plan.", remedy="Pass the robot first, without robot=.")
+        loaded = subject if isinstance(subject, Robot) else load_robot(subject)
+        shown = motion_shown(loaded, motion, carriers)
+    return View(make_scene(shown, force_scale=force_scale), forces=forces, height=height)
+
+
+def plan_shown(plan: Plan, robot: Robot) -> ShownMotion:
+    """Return what a plan shows.
+
+    Args:
+        plan: the plan.
+        robot: its robot.
+    """
+    title = f"{robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}"
+    return ShownMotion(robot, title, plan.motion, plan.carriers, plan.margin, plan.tau, plan.carrier_force)
+
+
+def motion_shown(robot: Robot, motion: PlatformMotion | None, carriers: CarrierMotion | None) -> ShownMotion:
+    """Return what a robot shows along a motion, its efforts by the RNEA backend.
+
+    Args:
+        robot: the robot.
+        motion: its default motion when left out.
+        carriers: parked at zero when left out.
+
+    Raises:
+        RedundancyPinError: as ``RneaDynamics.reduce``.
+    """
+    followed = default_motion(robot) if motion is None else motion
+    sliding = CarrierMotion.parked(len(followed), robot.k) if carriers is None else carriers
+    reduced = RneaDynamics(robot).reduce(followed, sliding)
+    efforts = distribute(reduced)
+    return ShownMotion(robot, robot.name, followed, sliding, efforts.margin, efforts.tau, reduced.carrier_force)
+
+
+def default_motion(robot: Robot) -> PlatformMotion:
+    """Return a short motion: the thesis's circle or corner for its machines, else a swing there and back.
+
+    Raises:
+        InputError: the robot cannot swing about its reference.
+    """
+    made: dict[str, Callable[[], PlatformMotion]] = {
+        "2rpr": lambda: reference.circle().sample(_DT),
+        "3rrr": lambda: reference.corner().sample(_DT),
+    }
+    if robot.closed_form in made:
+        try:
+            motion = made[robot.closed_form]()
+            lift(robot, motion)
+        except (UnreachablePoseError, SingularPoseError, WorkingModeError):
+            pass  # other lengths or another working mode
+        else:
+            return motion
+    for halving in range(_HALVINGS):
+        motion = _swing(robot, SWING * 0.5**halving)
+        try:
+            lift(robot, motion)
+        except (UnreachablePoseError, SingularPoseError, WorkingModeError):
+            continue
+        return motion
+    raise InputError(f"{robot.name} cannot move about its reference.", remedy="Pass a motion.")
+
+
+def _swing(robot: Robot, amplitude: float) -> PlatformMotion:
+    """Move by κ(t) d, κ = sin²(π t/T): from rest at the reference and back to it, smooth when repeated."""
+    t = np.arange(0.0, SWING_DURATION + 0.5 * _DT, _DT)
+    rate = np.pi / SWING_DURATION
+    kappa = np.sin(rate * t) ** 2
+    kappa_d, kappa_dd = rate * np.sin(2.0 * rate * t), 2.0 * rate**2 * np.cos(2.0 * rate * t)
+    direction = amplitude * robot.characteristic_length / row_scale(robot)
+    start = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))[0]
+    if robot.platform is None or not robot.platform.is_pose:
+        x = start + np.outer(kappa, direction)
+    else:
+        x = _along_screw(start, kappa, direction, robot)
+    return PlatformMotion(t, x, np.outer(kappa_d, direction), np.outer(kappa_dd, direction))
+
+
+def _along_screw(start: Array, kappa: Array, direction: Array, robot: Robot) -> Array:
+    """Return poses (N, 4, 4): the origin moves straight, the platform turns about an axis fixed in the world."""
+    axes = ("x", "y", "z", "rx", "ry", "rz")
+    screw = np.zeros(6)
+    if robot.platform is not None:
+        screw[[axes.index(axis) for axis in robot.platform.axes]] = direction
+    poses: Array = np.tile(start, (len(kappa), 1, 1))
+    poses[:, :3, 3] += np.outer(kappa, screw[:3])
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(kappa, screw[3:])).as_matrix() @ start[:3, :3]
+    return poses

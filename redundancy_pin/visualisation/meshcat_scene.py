@@ -1,0 +1,230 @@
+"""A scene on meshcat: objects once, then one animation. Works on a live viewer and on a recorder alike.
+
+Everything that changes with time belongs to groups (pose, size, shown or not) and nothing to materials: a browser that
+connects late is sent the animation first and the objects after it, and finds groups but no materials then.
+"""
+
+from __future__ import annotations
+
+import uuid
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.visualisation.meshcat_shapes import Mesh, arc, arrow, plate, tube
+from redundancy_pin.visualisation.meshcat_tracks import clip, pose_tracks, scale_tracks, visible_tracks
+from redundancy_pin.visualisation.scene import Arrow, Plate, Scene, Solid
+from redundancy_pin.visualisation.scene_colors import (
+    EFFORT_COLORS,
+    MARGIN_COLORS,
+    ROLE_COLORS,
+    UNKNOWN_COLOR,
+    code,
+    margin_classes,
+    rgb,
+)
+from redundancy_pin.visualisation.scene_parts import along_z, place
+
+PATH_RADIUS = 0.008
+"""Of the traced path, in sizes of the machine."""
+
+_POINT_RADIUS = 0.09
+"""Of a platform that is a point, in sizes of the machine."""
+
+_CLEAR = 0.35
+"""Opacity of what other things must be seen through."""
+
+_NOTHING = 1e-6
+"""Least size of an arrow, m: viewers warn of objects without any."""
+
+_DISTANCE = 1.4
+"""Of the camera, in radii of what it must see: its view is 75 degrees high."""
+
+_ENDLESS = 2**31 - 1
+"""Repetitions of the animation."""
+
+
+def send_scene(viewer: Any, scene: Scene, *, forces: bool = True) -> None:
+    """Send a scene to a viewer.
+
+    Args:
+        viewer: a ``meshcat.Visualizer``.
+        scene: the scene.
+        forces: whether arrows are shown at first; a viewer can switch them.
+    """
+    from meshcat.animation import Animation
+    from meshcat.path import Path
+
+    clips: dict[Any, Any] = {}
+
+    def move(path: str, tracks: list[Any]) -> None:
+        if tracks:
+            clips[Path(("meshcat", *path.split("/")))] = clip(tracks)
+
+    _set_stage(viewer, scene)
+    bodies = [f"robot/{_plain(name)}" for name in scene.names]
+    for j, path in enumerate(bodies):
+        viewer[path].set_transform(scene.placement[0, j])
+        move(path, pose_tracks(scene.t, scene.placement[:, j]))
+    # shapes of a platform stand back for the plate whose colour says something
+    covered = {item.body for item in scene.plates if len(item.corners) >= 3 and item.role == "platform"}
+    for solid in scene.solids:
+        path = f"{bodies[solid.body]}/{_plain(solid.name)}"
+        opacity = _CLEAR if solid.body in covered and solid.role == "link" else 1.0
+        _add(viewer, path, _primitive(solid), _material(solid.color, opacity), solid.placement)
+    for flat in scene.plates:
+        _add_plate(viewer, scene, flat, bodies[flat.body], move)
+    for effort in scene.arrows:
+        _add_arrow(viewer, scene, effort, move)
+    viewer["forces"].set_property("visible", forces)
+    _add_path(viewer, scene)
+    viewer.set_animation(Animation(clips=clips), play=True, repetitions=_ENDLESS)
+
+
+def _set_stage(viewer: Any, scene: Scene) -> None:
+    """White behind, no grid, and a camera that sees all of the motion."""
+    for end in ("top_color", "bottom_color"):
+        viewer["/Background"].set_property(end, [1.0, 1.0, 1.0])
+    for name in ("/Grid", "/Axes"):
+        viewer[name].set_property("visible", False)
+    points = np.concatenate([scene.placement[:, 1:, :3, 3].reshape(-1, 3), scene.placement[0, :1, :3, 3], scene.path])
+    low, high = points.min(axis=0), points.max(axis=0)
+    radius = 0.5 * float(np.linalg.norm(high - low)) + 0.2 * scene.size
+    flat = high[2] - low[2] < 0.02 * scene.size
+    # a flat machine is seen from above with x to the right; any other obliquely
+    direction = np.array([0.0, -0.25, 1.0]) if flat else np.array([0.8, -1.0, 0.6])
+    x, y, z = _DISTANCE * radius * direction / np.linalg.norm(direction)
+    # meshcat's camera looks at the origin whatever is done to it: what is to be in the middle goes there
+    viewer.set_transform(place(translation=-0.5 * (low + high)))
+    # the camera hangs in a frame whose y axis points up
+    viewer["/Cameras/default/rotated/<object>"].set_property("position", [float(x), float(z), float(-y)])
+
+
+def _add_plate(viewer: Any, scene: Scene, item: Plate, parent: str, move: Any) -> None:
+    """A platform has a copy in the colour of each class of the margin that occurs, shown while it lasts."""
+    path = f"{parent}/plate_{_plain(item.name)}"
+    placement = np.eye(4)
+    if len(item.corners) >= 3:
+        geometry = _mesh(plate(item.corners, item.thickness))
+    elif len(item.corners) == 2:
+        along = item.corners[1] - item.corners[0]
+        length = float(np.linalg.norm(along))
+        placement = place(along_z(along / length), item.corners.mean(axis=0)) @ _Y_TO_Z
+        geometry = _geometry().Cylinder(length, item.thickness)
+    else:
+        placement = place(translation=item.corners[0])
+        geometry = _geometry().Sphere(_POINT_RADIUS * scene.size)
+    if item.role != "platform":
+        _add(viewer, path, geometry, _material(ROLE_COLORS[item.role], opacity=_CLEAR), placement)
+        return
+    classes = margin_classes(scene.margin)
+    for number in sorted(set(classes.tolist())):
+        color = MARGIN_COLORS[number] if number >= 0 else UNKNOWN_COLOR
+        shown: BoolArray = classes == number
+        copy = f"{path}_margin_{number if number >= 0 else 'unknown'}"
+        _add(viewer, copy, geometry, _flat(color), placement)
+        viewer[copy].set_property("visible", bool(shown[0]))
+        if not shown.all():
+            move(copy, visible_tracks(scene.t, shown))
+
+
+def _add_arrow(viewer: Any, scene: Scene, item: Arrow, move: Any) -> None:
+    path = f"forces/{item.group}_{_plain(item.name)}"
+    placement = scene.placement[:, item.body] @ place(along_z(item.axis))
+    length = np.where(np.abs(item.length) < _NOTHING, _NOTHING, item.length)
+    size = np.abs(length)
+    if item.turning:  # mirrored, an arc turns the other way round
+        scale = np.stack([size, length, size], axis=1)
+    else:  # all arrows are equally wide but for short ones
+        wide = np.minimum(size, 0.35 * scene.size)
+        scale = np.stack([wide, wide, length], axis=1)
+    viewer[path].set_transform(placement[0])
+    move(path, pose_tracks(scene.t, placement))
+    viewer[f"{path}/effort"].set_transform(np.diag([*scale[0], 1.0]))
+    move(f"{path}/effort", scale_tracks(scene.t, scale))
+    geometry = _mesh(arc() if item.turning else arrow())
+    _add(viewer, f"{path}/effort/arrow", geometry, _on_top(color=code(EFFORT_COLORS[item.group])), np.eye(4))
+
+
+def _add_path(viewer: Any, scene: Scene) -> None:
+    for name, radius in (("halo", 2.0 * PATH_RADIUS), ("margin", PATH_RADIUS)):  # white about it: seen on any ground
+        vertices, triangles, owner = tube(scene.path, radius * scene.size)
+        if not len(vertices):
+            return
+        color = np.ones(vertices.shape) if name == "halo" else _path_colors(scene)[owner]
+        geometry = _geometry().TriangularMeshGeometry(vertices, triangles, color=color)
+        _add(viewer, f"path/{name}", geometry, _on_top(vertexColors=True), np.eye(4))
+
+
+def _path_colors(scene: Scene) -> Array:
+    """Return (N, 3) the colour of each sample of the path."""
+    palette = np.array([rgb(color) for color in (*MARGIN_COLORS, UNKNOWN_COLOR)])  # −1 is the last
+    colors: Array = palette[margin_classes(scene.path_margin)]
+    return colors
+
+
+def _add(viewer: Any, path: str, geometry: Any, material: Any, placement: Array) -> None:
+    """Set an object. Identifiers, else random, follow from its path: the same scene gives the same bytes."""
+    thing = _geometry().Mesh(geometry, material)
+    for kind, element in (("object", thing), ("geometry", geometry), ("material", material)):
+        element.uuid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"redundancy_pin/{path}/{kind}"))
+    viewer[path].set_object(thing)
+    viewer[path].set_transform(placement)
+
+
+def _primitive(solid: Solid) -> Any:
+    geometry = _geometry()
+    if solid.shape == "box":
+        return geometry.Box(list(solid.size))
+    if solid.shape == "sphere":
+        return geometry.Sphere(solid.size[0])
+    radius, length = solid.size
+    return _mesh(_cylinder(radius, length))
+
+
+def _cylinder(radius: float, length: float) -> Mesh:
+    """Return a closed cylinder about z; meshcat's own stands on y."""
+    around = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    circle = np.stack([np.cos(around), np.sin(around)], axis=1)
+    profile = [(0.0, -0.5), (radius, -0.5), (radius, -0.5), (radius, 0.5), (radius, 0.5), (0.0, 0.5)]
+    rings = np.array([[[r * x, r * y, z * length] for x, y in circle] for r, z in profile])
+    here, side = np.arange(24), (np.arange(24) + 1) % 24
+    faces = []
+    for ring in (0, 2, 4):  # doubled rings keep the edges sharp
+        a, b, c, d = (24 * ring + here, 24 * ring + side, 24 * (ring + 1) + here, 24 * (ring + 1) + side)
+        faces += [np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)]
+    return rings.reshape(-1, 3), np.concatenate(faces).astype(np.intp)
+
+
+def _mesh(mesh: Mesh) -> Any:
+    return _geometry().TriangularMeshGeometry(*mesh)
+
+
+def _material(color: str, opacity: float = 1.0) -> Any:
+    return _geometry().MeshLambertMaterial(color=code(color), opacity=opacity)
+
+
+def _flat(color: str) -> Any:
+    """Return a material that light does not change: its colour means something."""
+    return _geometry().MeshBasicMaterial(color=code(color))
+
+
+def _on_top(**settings: Any) -> Any:
+    """Return a material of its exact colour that nothing hides: drawn after all opaque things, whatever is nearer."""
+    return _geometry().MeshBasicMaterial(transparent=True, depthTest=False, **settings)
+
+
+def _geometry() -> Any:
+    from meshcat import geometry
+
+    return geometry
+
+
+def _plain(name: str) -> str:
+    """Return a name that is one step of a path."""
+    return name.replace("/", "_")
+
+
+_Y_TO_Z = place(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+"""Turns meshcat's cylinders, which stand on y, to z."""

@@ -1,0 +1,256 @@
+"""The exported page in a real browser: opened from disk with the network off, looked at while it plays."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zoo
+
+from redundancy_pin.view import show
+from redundancy_pin.visualisation.scene_colors import EFFORT_COLORS, MARGIN_COLORS, ROLE_COLORS, rgb
+
+pytest.importorskip("meshcat")
+pytest.importorskip("selenium", reason="selenium drives the browser: pip install 'redundancy_pin[dev]'")
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None or DRIVER is None,
+    reason="Chromium or its driver is not installed (Debian: apt install chromium chromium-driver)",
+)
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=800,700",
+)
+
+EXACT = 3
+"""Levels of 255 by which a colour that no light changes may be off: rounding of the browser's colour management."""
+
+SHADED = 0.06
+"""Deviation of the direction of a colour in RGB space that white light leaves as it is (Lambert)."""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+    driver.execute_cdp_cmd("Network.enable", {})
+    offline = {"offline": True, "latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
+    driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline)
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The 3-RRR on its corner, playing."""
+    file = tmp_path_factory.mktemp("page") / "out.html"
+    show(zoo.robot_of("3rrr")).save(file)
+    _open(browser, file)
+    return browser
+
+
+def _open(browser: Any, file: Path) -> None:
+    browser.get(file.as_uri())
+    _wait(browser)
+
+
+def _wait(browser: Any) -> None:
+    """Wait until the scene is there and moves."""
+    _until(browser, "return typeof animator !== 'undefined' && animator.actions.length > 0 && animator.time > 0")
+
+
+def _until(browser: Any, condition: str) -> None:
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(browser, 30).until(lambda driver: driver.execute_script(condition))
+
+
+def _seek(browser: Any, t: float) -> None:
+    browser.execute_script("if (animator.playing) { byId('play').click(); } goTo(arguments[0]); viewer.render();", t)
+
+
+def _picture(browser: Any) -> np.ndarray:
+    """Return the canvas as (h, w, 3), 0 to 255; panels that lie over it are hidden."""
+    from matplotlib.image import imread
+
+    hide = "for (const e of [byId('panel'), byId('bar'), viewer.gui.domElement]) e.style.visibility = 'hidden'; "
+    browser.execute_script(hide + "viewer.render();")
+    pixels = imread(io.BytesIO(browser.get_screenshot_as_png()), format="png")
+    return np.round(255.0 * pixels[:, :, :3])
+
+
+def _is(picture: np.ndarray, color: str) -> np.ndarray:
+    """Return (h, w) where a picture has a colour that light does not change."""
+    return np.abs(picture - 255.0 * np.array(rgb(color))).max(axis=2) <= EXACT
+
+
+def _is_shaded(picture: np.ndarray, color: str) -> np.ndarray:
+    """Return (h, w) where a picture has a colour in some light."""
+    wanted = np.array(rgb(color)) / np.linalg.norm(rgb(color))
+    length = np.linalg.norm(picture, axis=2)
+    direction = picture / np.maximum(length, 1.0)[:, :, None]
+    return (np.linalg.norm(direction - wanted, axis=2) < SHADED) & (length > 60.0)
+
+
+def _middle(where: np.ndarray) -> np.ndarray:
+    return np.argwhere(where).mean(axis=0)
+
+
+def test_the_robots_colours_are_on_the_screen(page: Any) -> None:
+    _seek(page, 0.9)  # inside the corner, where the carriers' forces are largest
+    picture = _picture(page)
+    assert _is(picture, MARGIN_COLORS[-1]).sum() > 300  # platform, far from singularities
+    assert _is(picture, EFFORT_COLORS["main"]).sum() > 20
+    assert _is(picture, EFFORT_COLORS["carrier"]).sum() > 20
+    for role, least in (("carrier", 50), ("track", 200), ("closure", 20)):
+        assert _is_shaded(picture, ROLE_COLORS[role]).sum() > least, role
+    for color in MARGIN_COLORS[:-1]:
+        assert not _is(picture, color).any()
+
+
+def test_the_platform_moves_as_the_motion_says(page: Any) -> None:
+    """Along +y by 0.12 + 0.025 m, then along −x by as much: up in the picture, then left."""
+    middles = []
+    for t in (0.0, 0.9, 1.79):
+        _seek(page, t)
+        middles.append(_middle(_is(_picture(page), MARGIN_COLORS[-1])))
+    up, left = middles[1] - middles[0], middles[2] - middles[1]
+    assert up[0] < -5.0
+    assert abs(up[1]) < 0.3 * abs(up[0])
+    assert left[1] < -5.0
+    assert abs(left[0]) < 0.3 * abs(left[1])
+
+
+WATCH = """
+const done = arguments[0], seen = [];
+const watch = () => {
+  seen.push([animator.clock.oldTime / 1000, animator.time]);
+  if (seen.at(-1)[0] - seen[0][0] > 1.0) { done(seen); } else { requestAnimationFrame(watch); }
+};
+requestAnimationFrame(watch);
+"""
+"""Real time, s, at which a frame was made, and time of the motion shown in it, for a second."""
+
+SAME_FRAME = 0.01
+"""s; both clocks are read for the same frame, one of them rounded to the nearest tenth of a millisecond."""
+
+
+def test_it_plays_by_itself_at_true_speed(page: Any) -> None:
+    page.refresh()
+    _wait(page)
+    assert page.execute_script("return animator.duration") == pytest.approx(reference_duration(), abs=1e-6)
+    seen = np.array(page.execute_async_script(WATCH))
+    played = np.unwrap(seen[:, 1], period=reference_duration())
+    assert np.ptp(seen[:, 0]) > 0.9
+    assert np.ptp(played) == pytest.approx(np.ptp(seen[:, 0]), abs=SAME_FRAME)
+
+
+def test_pictures_change_while_it_plays(page: Any) -> None:
+    """Slowly, so that two pictures are never a whole round apart."""
+    _seek(page, 0.3)
+    page.execute_script("byId('speed').value = 0.25; byId('speed').onchange({target: byId('speed')});")
+    page.execute_script("byId('play').click();")
+    before = _picture(page)
+    seen = np.array(page.execute_async_script(WATCH))
+    after = _picture(page)
+    page.execute_script("byId('speed').value = 1; byId('speed').onchange({target: byId('speed')});")
+    assert np.ptp(seen[:, 1]) == pytest.approx(0.25 * np.ptp(seen[:, 0]), abs=SAME_FRAME)
+    assert (np.abs(after - before).max(axis=2) > 20.0).sum() > 100
+
+
+def test_it_starts_again_at_its_end(page: Any) -> None:
+    _seek(page, reference_duration() - 0.05)
+    page.execute_script("byId('play').click();")
+    _until(page, "return animator.playing && animator.time < 0.5 * duration")
+
+
+def reference_duration() -> float:
+    """Two straights of 0.12 m and a quarter circle of 0.025 m at 0.2 m/s; ramps of 0.4 s cover half as much."""
+    return (0.24 + 0.5 * np.pi * 0.025) / 0.2 + 0.4
+
+
+def test_forces_can_be_switched_and_scaled(page: Any) -> None:
+    _seek(page, 0.9)
+    color = EFFORT_COLORS["carrier"]
+    usual = _is(_picture(page), color).sum()
+    page.execute_script("byId('scale').value = 0.5; byId('scale').oninput({target: byId('scale')});")
+    larger = _is(_picture(page), color).sum()
+    page.execute_script("byId('forces').click();")
+    off = _is(_picture(page), color).sum()
+    page.execute_script(
+        "byId('forces').click(); byId('scale').value = 0; byId('scale').oninput({target: byId('scale')});"
+    )
+    assert off == 0
+    assert larger > 2 * usual
+    assert _is(_picture(page), color).sum() == usual
+
+
+def test_nothing_is_asked_of_the_network_and_no_error_is_logged(page: Any) -> None:
+    assert page.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)") == []
+    assert [entry for entry in page.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_the_path_of_a_crossing_turns_red_and_the_platform_with_it(browser: Any, tmp_path: Path) -> None:
+    view = show(zoo.robot_of("2rpr"))
+    view.save(tmp_path / "crossing.html")
+    _open(browser, tmp_path / "crossing.html")
+    singular = float(view.scene.t[int(np.argmin(view.scene.margin))])
+    _seek(browser, singular)
+    at = _is(_picture(browser), MARGIN_COLORS[0]).sum()
+    _seek(browser, 0.0)
+    away = _is(_picture(browser), MARGIN_COLORS[0]).sum()
+    assert away > 20  # the path keeps its colours
+    assert at > away + 100  # the platform has it only there
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_a_notebook_cell_plays_too(browser: Any, tmp_path: Path) -> None:
+    file = tmp_path / "cell.html"
+    file.write_text(f"<!DOCTYPE html><meta charset='utf-8'>{show('four_bar')._repr_html_()}", encoding="utf-8")
+    browser.get(file.as_uri())
+    browser.switch_to.frame(0)
+    _wait(browser)
+    picture = _picture(browser)
+    assert _is_shaded(picture, ROLE_COLORS["closure"]).sum() > 20
+    browser.switch_to.default_content()
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_the_browser_would_notice(browser: Any, tmp_path: Path) -> None:
+    """A page that asks the network and fails in its script is seen to: the checks above can fail."""
+    file = tmp_path / "bad.html"
+    file.write_text('<img src="https://example.org/a.png"><script>throw new Error("no")</script>')
+    browser.get(file.as_uri())
+    time.sleep(0.2)
+    levels = [entry["level"] for entry in browser.get_log("browser")]
+    assert "SEVERE" in levels
+    assert browser.execute_script("return performance.getEntriesByType('resource').length") == 1
