@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,9 @@ from redundancy_pin.visualisation.style import STROKES, figure, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_IN_A_ROW = 3
+"""Entries of a legend that fit beside each other; more take several rows of like length."""
 
 
 def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mapping[str, tuple[Array, Array]]) -> Figure:
@@ -29,6 +33,7 @@ def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mappin
     with figure(7.0, 1.0 + 1.6 * len(names)) as drawn:
         panels = list(drawn.subplots(len(names), 1, sharex=True, sharey=True, squeeze=False)[:, 0])
         drawn.suptitle(title, fontsize=10.5)
+        columns = math.ceil(len(cases) / math.ceil(len(cases) / _IN_A_ROW))
         for i, (panel, name) in enumerate(zip(panels, names, strict=True)):
             for stroke, (label, (t, tau)) in zip(STROKES, cases.items(), strict=False):
                 peak = float(np.nanmax(np.abs(tau[:, i]), initial=0.0))
@@ -36,7 +41,7 @@ def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mappin
                     t, tau[:, i], color=stroke.color, linestyle=stroke.dash, label=f"{label}: peak {peak:.3g} {unit}"
                 )
             panel.set_ylabel(f"{name} [{unit}]")
-            legend_above(panel, len(cases))
+            legend_above(panel, columns)
         panels[-1].set_xlabel("time t [s]")
         end = max(float(t[-1]) for t, _ in cases.values())
         panels[-1].set_xlim(0.0, end)
