@@ -14,8 +14,8 @@ from redundancy_pin.visualisation.style import STROKES, figure, legend_above
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_IN_A_ROW = 3
-"""Entries of a legend that fit beside each other; more take several rows of like length."""
+_LETTERS, _KEY = 96, 9
+"""Letters of a legend that fit beside each other, and how many of them an entry takes with its line and space."""
 
 
 def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mapping[str, tuple[Array, Array]]) -> Figure:
@@ -33,7 +33,6 @@ def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mappin
     with figure(7.0, 1.0 + 1.6 * len(names)) as drawn:
         panels = list(drawn.subplots(len(names), 1, sharex=True, sharey=True, squeeze=False)[:, 0])
         drawn.suptitle(title, fontsize=10.5)
-        columns = math.ceil(len(cases) / math.ceil(len(cases) / _IN_A_ROW))
         for i, (panel, name) in enumerate(zip(panels, names, strict=True)):
             for stroke, (label, (t, tau)) in zip(STROKES, cases.items(), strict=False):
                 peak = float(np.nanmax(np.abs(tau[:, i]), initial=0.0))
@@ -41,7 +40,10 @@ def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mappin
                     t, tau[:, i], color=stroke.color, linestyle=stroke.dash, label=f"{label}: peak {peak:.3g} {unit}"
                 )
             panel.set_ylabel(f"{name} [{unit}]")
-            legend_above(panel, columns)
+            longest = max(len(text) for text in panel.get_legend_handles_labels()[1])
+            fit = max(1, _LETTERS // (_KEY + longest))
+            rows = math.ceil(len(cases) / fit)
+            legend_above(panel, math.ceil(len(cases) / rows))
         panels[-1].set_xlabel("time t [s]")
         end = max(float(t[-1]) for t, _ in cases.values())
         panels[-1].set_xlim(0.0, end)
