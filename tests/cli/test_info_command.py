@@ -103,7 +103,8 @@ def test_a_robot_without_description_and_parameters_has_no_empty_places(tmp_path
     (tmp_path / "bare.urdf").write_text(
         '<robot name="bare"><link name="base"/><link name="arm"><inertial><mass value="1"/>'
         '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        '<joint name="crank" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint></robot>'
+        '<joint name="crank" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>'
+        "</robot>"
     )
     (tmp_path / "robot.yaml").write_text(
         "name: bare\nurdf: bare.urdf\nactuated: [crank]\nindependent: {joints: [crank]}\n"
