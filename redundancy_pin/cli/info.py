@@ -143,11 +143,12 @@ def _list_robots(as_json: bool) -> None:
 
 
 def _tables(found: dict[str, Any]) -> Group:
-    return Group(_general(found), _joints(found), _closures(found), _parameters(found), *_limits(found))
+    return Group(_general(found), _joints(found), _closures(found), *_parameters(found), *_limits(found))
 
 
 def _general(found: dict[str, Any]) -> Table:
-    table = Table(title=f"{found['name']}: {found['description']}", show_header=False)
+    title = ": ".join(part for part in (found["name"], found["description"]) if part)
+    table = Table(title=title, show_header=False)
     for name, count in found["counts"].items():
         table.add_row(name, str(count))
     independent = found["independent"]
@@ -187,14 +188,16 @@ def _closures(found: dict[str, Any]) -> Table:
     return table
 
 
-def _parameters(found: dict[str, Any]) -> Table:
+def _parameters(found: dict[str, Any]) -> list[Table]:
+    if not found["parameters"]:
+        return []
     table = Table(title="parameters (--set NAME=VALUE)")
     table.add_column("parameter")
     for heading in ("value", "default"):
         table.add_column(heading, justify="right")
     for name, entry in found["parameters"].items():
         table.add_row(name, _text(entry["value"]), _text(entry["default"]))
-    return table
+    return [table]
 
 
 def _limits(found: dict[str, Any]) -> list[Table]:

@@ -98,7 +98,7 @@ def _quadprog() -> Callable[..., tuple[Array, ...]]:
     except ImportError as error:
         raise RedundancyPinError(
             "Efforts leave their bounds and the quadratic programmes that bring them back need quadprog.",
-            remedy="Run: pip install redundancy_pin[bounds]",
+            remedy="Install it with `pip install 'redundancy_pin[bounds]'`.",
             extra="bounds",
         ) from error
     solver: Callable[..., tuple[Array, ...]] = solve_qp

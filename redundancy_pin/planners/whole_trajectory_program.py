@@ -31,7 +31,7 @@ def casadi() -> Any:
     except ImportError as error:
         raise RedundancyPinError(
             "Planning over the whole trajectory needs casadi, which is not installed.",
-            remedy="pip install redundancy_pin[optimal]",
+            remedy="Install it with `pip install 'redundancy_pin[optimal]'`.",
         ) from error
     return library
 

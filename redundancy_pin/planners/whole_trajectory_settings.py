@@ -179,15 +179,20 @@ def _weights(objective: Objective | Mapping[Objective, float]) -> dict[Objective
 def _bounds(values: ArrayLike, name: str, length: int) -> Array:
     bounds = _vector(values, name, length, finite=False)
     if not (bounds > 0.0).all():
-        raise InputError(f"{name} limits must be positive: {values!r}.", remedy="Pass inf for none.", name=name)
+        raise InputError(f"{name} limits must be positive: {_plain(values)!r}.", remedy="Pass inf for none.", name=name)
     return bounds
+
+
+def _plain(values: ArrayLike) -> object:
+    """Return them as they are typed, for messages: the command line hands over arrays."""
+    return values.tolist() if isinstance(values, np.ndarray) else values
 
 
 def _vector(values: ArrayLike, name: str, length: int, *, finite: bool = True) -> Array:
     try:
         vector = np.broadcast_to(np.asarray(values, dtype=float), (length,))
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is {values!r}, expected {length} numbers or one.", name=name) from error
+        raise InputError(f"{name} is {_plain(values)!r}, expected {length} numbers or one.", name=name) from error
     if np.isnan(vector).any() or (finite and not np.isfinite(vector).all()):
-        raise InputError(f"{name} is {values!r}, expected finite numbers.", name=name)
+        raise InputError(f"{name} is {_plain(values)!r}, expected finite numbers.", name=name)
     return frozen(vector)

@@ -38,7 +38,7 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
     Raises:
         RedundancyPinError: matplotlib is not installed.
     """
-    with figure(7.0, 4.2) as drawn:
+    with figure(7.0, 4.6) as drawn:
         axes = drawn.subplots()
         drawn.suptitle(title, fontsize=10.5)
         for stroke, tried in zip(STROKES, attempts, strict=False):
@@ -53,5 +53,5 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
         axes.set_yscale("log")
         axes.set_xlabel("cruising speed [m/s] (crosses: no plan found)")
         axes.set_ylabel("largest main force [N]")
-        legend_above(axes, 2)
+        legend_above(axes, 1)
         return drawn

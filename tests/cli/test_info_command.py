@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 from command_line import call, refused
@@ -96,3 +97,19 @@ def test_version() -> None:
 )
 def test_mistakes_are_one_line(arguments: tuple[str, ...], says: str) -> None:
     assert says in refused(*arguments)
+
+
+def test_a_robot_without_description_and_parameters_has_no_empty_places(tmp_path: Path) -> None:
+    (tmp_path / "bare.urdf").write_text(
+        '<robot name="bare"><link name="base"/><link name="arm"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="crank" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>'
+        "</robot>"
+    )
+    (tmp_path / "robot.yaml").write_text(
+        "name: bare\nurdf: bare.urdf\nactuated: [crank]\nindependent: {joints: [crank]}\n"
+        "reference: {platform: [0.0], guess: {crank: 0.0}}\n"
+    )
+    text = call("info", "--robot", tmp_path).stdout
+    assert "bare:" not in text
+    assert "--set" not in text

@@ -228,3 +228,16 @@ def test_weights_as_users_write_them() -> None:
     for value in (None, 1, [1], ("peak=", "effort")):
         with pytest.raises(InputError):
             weights("objective", value)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("1,2", "effort is [1.0, 2.0], expected 3 numbers or one."),
+        ("1,-2,3", "effort limits must be positive: [1.0, -2.0, 3.0]. Pass inf for none."),
+    ],
+)
+def test_wrong_limits_are_said_as_they_were_typed(given: str, said: str) -> None:
+    assert refused("plan", "whole-trajectory", "--robot", "3rrr", "--trajectory", "corner", "--max-effort", given) == (
+        f"error: {said}"
+    )
