@@ -87,7 +87,8 @@ WHOLE_TRAJECTORY: Mapping[str, Parameter] = {
     "objective": Parameter(
         weights,
         "WORD[=WEIGHT]",
-        "What to minimise: effort, peak, tracking, carrier_force, carrier_acceleration, energy; may be repeated.",
+        "What to minimise: effort, peak, tracking, carrier_force, carrier_acceleration, effort_rate, energy; may be "
+        "repeated.",
         multiple=True,
     ),
     "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort that tracking aims at, 0 to 1."),

@@ -74,7 +74,8 @@ def plan_whole_trajectory(
         dynamics: either backend.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
         objective: what to minimise, or weights of several, each in its own unit: "effort" ∫ Σ τ² dt, "peak" max |τ|,
-            "tracking" ∫ Σ (τ − λ τ̂)² dt, "carrier_force" ∫ Σ F² dt, "carrier_acceleration" ∫ Σ s̈² dt, "energy"
+            "tracking" ∫ Σ (τ − λ τ̂)² dt, "carrier_force" ∫ Σ F² dt, "carrier_acceleration" ∫ Σ s̈² dt,
+            "effort_rate" ∫ Σ τ̇² dt (0.01 of it beside "effort" calms the efforts next to singularities), "energy"
             ∫ Σ |τ q̇| + Σ |F ṡ| dt.
         lam: λ of "tracking", 0 to 1.
         baseline: backend of the robot whose efforts are τ̂.

@@ -56,6 +56,8 @@ def add_objective(
             program.charge(copies[:1], share * scales.tau)
         elif name == "carrier_acceleration":
             program.charge_square(A, share * w * scales.sdd**2)
+        elif name == "effort_rate":
+            _charge_effort_rate(program, problem, tau, share)
         elif force is not None and name == "carrier_force":
             program.charge_square(force, share * w * scales.force**2)
         elif force is not None:
@@ -72,8 +74,20 @@ def _units(problem: WholeProblem, duration: float) -> dict[str, float]:
         "peak": scales.tau,
         "carrier_force": duration * float((scales.force**2).max()),
         "carrier_acceleration": duration * float((scales.sdd**2).max()),
+        "effort_rate": scales.tau**2 / duration,
         "energy": duration * power,
     }
+
+
+def _charge_effort_rate(program: Program, problem: WholeProblem, tau: IntArray, share: float) -> None:
+    """Charge ∫ Σ τ̇² dt, the efforts linear between the nodes; they may jump where the reference does."""
+    h = problem.grid.h
+    at = np.flatnonzero(h > 0.0)
+    change = program.variable("effort_change", (len(at), tau.shape[1]))
+    rows = program.rows(change.shape)
+    for variables, sign in ((tau[at + 1], 1.0), (tau[at], -1.0), (change, -1.0)):
+        program.add(rows, variables, sign)
+    program.charge_square(change, share * problem.scales.tau**2 / h[at, None])
 
 
 def _charge_energy(
@@ -107,6 +121,10 @@ def value(problem: WholeProblem, values: dict[str, Array]) -> dict[str, float]:
             found[name] = float((w * (tau - problem.target) ** 2).sum())
         elif name == "peak":
             found[name] = float(np.abs(tau).max())
+        elif name == "effort_rate":
+            h = problem.grid.h
+            at = np.flatnonzero(h > 0.0)
+            found[name] = float((np.diff(tau, axis=0)[at] ** 2 / h[at, None]).sum())
         elif name == "carrier_acceleration":
             found[name] = float((w * (values["sdd"] * scales.sdd) ** 2).sum())
         elif name == "carrier_force":

@@ -16,12 +16,12 @@ from redundancy_pin.planners.stepwise_limits import StepLimits, require_inside, 
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory.domain import positive
 
-Objective = Literal["effort", "peak", "tracking", "carrier_force", "carrier_acceleration", "energy"]
+Objective = Literal["effort", "peak", "tracking", "carrier_force", "carrier_acceleration", "effort_rate", "energy"]
 """What a plan minimises.
 
 effort: ∫ Σ τ² dt; peak: the largest |τ|; tracking: ∫ Σ (τ − λ τ̂)² dt; carrier_force: ∫ Σ F² dt of the carriers'
-actuators; carrier_acceleration: ∫ Σ s̈² dt; energy: ∫ Σ |τ q̇| + Σ |F ṡ| dt, what motors that cannot recover energy
-draw.
+actuators; carrier_acceleration: ∫ Σ s̈² dt; effort_rate: ∫ Σ τ̇² dt, jumps of the reference left out; energy:
+∫ Σ |τ q̇| + Σ |F ṡ| dt, what motors that cannot recover energy draw.
 """
 
 End = Literal["free", "rest", "datum", "periodic"]

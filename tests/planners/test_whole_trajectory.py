@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 import zoo
+from scipy.signal import find_peaks
 
 import redundancy_pin.planners.whole_trajectory_solver as solver
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_plan, plan_whole_trajectory
@@ -162,6 +163,11 @@ def measures(plan, target):
         "tracking": (w * (plan.tau - 0.5 * target(t)) ** 2).sum(),
         "carrier_force": (w * plan.carrier_force**2).sum(),
         "carrier_acceleration": (w * plan.carriers.sdd**2).sum(),
+        "effort_rate": sum(
+            ((after - before) ** 2).sum() / step
+            for before, after, step in zip(plan.tau, plan.tau[1:], np.diff(t), strict=False)
+            if step > 0.0
+        ),
         "energy": (w * np.abs(plan.main_power)).sum() + (w * np.abs(plan.carrier_power)).sum(),
     }
 
@@ -173,7 +179,7 @@ def test_each_objective_is_least_for_its_own_plan():
     def target(t):
         return distribute(baseline.reduce(trajectory.sample_at(t))).tau
 
-    names = ("effort", "peak", "tracking", "carrier_force", "carrier_acceleration", "energy")
+    names = ("effort", "peak", "tracking", "carrier_force", "carrier_acceleration", "effort_rate", "energy")
     found = {}
     for name in names:
         plan = plan_whole_trajectory(
@@ -181,7 +187,7 @@ def test_each_objective_is_least_for_its_own_plan():
         )
         found[name] = measures(plan, target)
         # the regularisation costs less than 1e-3 of each
-        np.testing.assert_allclose(plan.diagnostics["objective"][name], found[name][name], rtol=1e-6)
+        np.testing.assert_allclose(plan.diagnostics["objective"][name], found[name][name], rtol=1e-6, atol=1e-12)
     for name in names:
         for other in names:
             assert found[name][name] <= found[other][name] * (1.0 + 1e-3), (name, other)
@@ -200,6 +206,24 @@ def test_weights_trade_one_objective_for_another():
     )
     assert efforts == sorted(efforts)
     assert accelerations == sorted(accelerations, reverse=True)
+
+
+def reversals(tau):
+    """How often each effort turns round and moves back by more than a twentieth of the peak."""
+    least = 0.05 * np.abs(tau).max()
+    return np.array([sum(len(find_peaks(sign * series, prominence=least)[0]) for sign in (1, -1)) for series in tau.T])
+
+
+def test_a_little_weight_on_the_rate_calms_the_efforts_beside_singularities():
+    plain, calm = (
+        plan_whole_trajectory(two_rpr(), circle(), objective=objective, dt=0.01)
+        for objective in ("effort", {"effort": 1.0, "effort_rate": 0.01})
+    )
+    assert reversals(plain.tau).max() > 20
+    assert reversals(calm.tau).max() < 10
+    for plan, most in ((plain, 0.21), (calm, 0.27)):
+        assert plan.diagnostics["dense_check"]["passed"]
+        assert plan.diagnostics["dense_check"]["peak_effort"] < most
 
 
 def test_ends():
@@ -312,7 +336,7 @@ def test_sampled_motion_gives_the_plan_of_its_trajectory():
 
 def test_missing_solver_is_one_clear_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(RedundancyPinError, match=r"pip install redundancy_pin\[optimal\]"):
+    with pytest.raises(RedundancyPinError, match=r"pip install 'redundancy_pin\[optimal\]'"):
         plan_whole_trajectory(two_rpr(), circle(), dt=0.1)
 
 

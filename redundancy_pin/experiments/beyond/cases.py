@@ -36,9 +36,11 @@ class SwitchOff:
 
     Attributes:
         task: the motion.
+        threshold: condition number from which on they are off.
     """
 
     task: Task
+    threshold: float
 
     def plan(self, backend: str) -> Plan:
         """Plan the crossing.
@@ -49,7 +51,7 @@ class SwitchOff:
         return plan_switch_off(
             self.task.machine.dynamics(backend),
             self.task.trajectory(),
-            threshold=self.task.threshold,
+            threshold=self.threshold,
             ramp_down=self.task.ramp_down,
             return_time=RETURN_TIME,
         )

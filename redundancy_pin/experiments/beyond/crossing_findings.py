@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from redundancy_pin.experiments.beyond.fastest import UNDECIDED, Fastest
 from redundancy_pin.experiments.beyond.rows import Row
-from redundancy_pin.experiments.beyond.ways import EFFORT, PEAK, SWITCH_OFF
+from redundancy_pin.experiments.beyond.ways import EFFORT, LATE, PEAK, SWITCH_OFF, SWITCH_OFF_LATE
 from redundancy_pin.experiments.planned.conclusions import verdict
 
 THESIS_SPEED = 0.75
@@ -35,6 +35,13 @@ def crossing_finding(rows: Sequence[Row]) -> Said:
         f"objectives. Switching off keeps the limits on {_named(kept)}, breaks them on {_named(broken)}, and has no "
         f"plan for {_named(none)}."
     )
+    late = [task for task, ways in groups.items() if SWITCH_OFF_LATE in ways and ways[SWITCH_OFF_LATE].sound]
+    if saved := [task for task in late if task in broken]:
+        forces = ", ".join(f"{groups[task][SWITCH_OFF_LATE].worst:.3g} {offs[task].unit}" for task in saved)
+        here += (
+            f" Switching off only beyond a condition number of {LATE:g} keeps the limits on {_named(saved)} too, with "
+            f"a largest main force of {forces}."
+        )
     pairs = [(ways[EFFORT], ways[SWITCH_OFF]) for ways in groups.values() if ways[EFFORT].exists and
              ways[SWITCH_OFF].exists]  # fmt: skip
     if pairs:

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from redundancy_pin.experiments.beyond.corner_findings import corner_finding, cost_finding
-from redundancy_pin.experiments.beyond.crossing_findings import crossing_finding, heavy_finding, speed_finding
+from redundancy_pin.experiments.beyond.crossing_findings import crossing_finding, heavy_finding, speed_finding, times
 from redundancy_pin.experiments.beyond.fastest import Fastest
 from redundancy_pin.experiments.beyond.modes import ModeRows
 from redundancy_pin.experiments.beyond.optimality import SAME_PLAN, BackendRow, StartsRow
 from redundancy_pin.experiments.beyond.rows import Row
 from redundancy_pin.experiments.beyond.targets import BETWEEN
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS
-from redundancy_pin.experiments.beyond.ways import OBJECTIVES
+from redundancy_pin.experiments.beyond.ways import EFFORT, OBJECTIVES, SMOOTH, SMOOTHING
 from redundancy_pin.experiments.planned.conclusions import verdict
 
 
@@ -98,6 +98,14 @@ def _calm(rows: Sequence[Row]) -> Finding:
                 f" Of these, {', '.join(crossed)} cross a singularity: beside it W⁻¹ magnifies every kink of s̈, and "
                 "within their limits efforts may swing from node to node. Peaks hold, but it asks much of a motor."
             )
+    if smooth := [row for row in found if row.way == SMOOTH]:
+        least = {row.task: row for row in found if row.way == EFFORT}
+        peaks = [row.worst / least[row.task].worst for row in smooth if row.task in least]
+        here += (
+            f" With a weight of {SMOOTHING:g} on the rate of the efforts they turn round at most "
+            f"{max(row.reversals for row in smooth):.0f} times on the {len(smooth)} crossings"
+        )
+        here += f", with {times(peaks)} times the peak of the least effort." if peaks else "."
     return Finding("The efforts are calm enough for motors as they are.", here, verdict(len(calm), len(found)))
 
 

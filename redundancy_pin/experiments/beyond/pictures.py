@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from redundancy_pin.experiments.beyond.bounds_sections import FASTEST_FIGURE, TRADE_FIGURE
-from redundancy_pin.experiments.beyond.cases import SwitchOff
 from redundancy_pin.experiments.beyond.modes import RADII
 from redundancy_pin.experiments.beyond.rows import Row
 from redundancy_pin.experiments.beyond.study import Beyond
@@ -19,10 +18,13 @@ from redundancy_pin.experiments.beyond.ways import (
     EFFORT,
     NONE,
     PEAK,
+    SMOOTH,
     STEPWISE,
     SWITCH_OFF,
+    SWITCH_OFF_LATE,
     case_of,
     stepwise_case,
+    switch_off_case,
 )
 from redundancy_pin.experiments.document import Block, Picture
 from redundancy_pin.experiments.planned.cases import mode_text
@@ -35,7 +37,7 @@ from redundancy_pin.visualisation.trade_off import TradeCurve, plot_trade_off
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_SHOWN = (NONE, STEPWISE, SWITCH_OFF, EFFORT, PEAK)
+_SHOWN = (NONE, STEPWISE, SWITCH_OFF, EFFORT, PEAK, SMOOTH)
 """Ways that the figures of a motion show, left to right, where there is a plan."""
 
 
@@ -84,8 +86,8 @@ def plan_of(beyond: Beyond, task: Task, way: str) -> Plan:
         InfeasiblePlanError: there is none.
     """
     store = beyond.store
-    if way == SWITCH_OFF:
-        return store.plan(SwitchOff(task), task.machine.backends[0])
+    if way in (SWITCH_OFF, SWITCH_OFF_LATE):
+        return store.plan(switch_off_case(task, way), task.machine.backends[0])
     if way == NONE:
         return store.thesis.baseline(stepwise_case(task, 0.0))
     if way == STEPWISE:

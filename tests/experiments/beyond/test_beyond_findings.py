@@ -21,7 +21,17 @@ from redundancy_pin.experiments.beyond.optimality import BackendRow, StartsRow
 from redundancy_pin.experiments.beyond.rows import INFEASIBLE, Row
 from redundancy_pin.experiments.beyond.targets import targets
 from redundancy_pin.experiments.beyond.tasks import CORNERS
-from redundancy_pin.experiments.beyond.ways import EFFORT, NONE, PARKED, PEAK, PEAK_FREE, STEPWISE, SWITCH_OFF
+from redundancy_pin.experiments.beyond.ways import (
+    EFFORT,
+    NONE,
+    PARKED,
+    PEAK,
+    PEAK_FREE,
+    SMOOTH,
+    STEPWISE,
+    SWITCH_OFF,
+    SWITCH_OFF_LATE,
+)
 
 GOOD, BROKEN = "within_limits", "violates_limits"
 
@@ -32,11 +42,13 @@ def row(task: str, way: str, peak: float, **changes: object) -> Row:
     return replace(plain, **changes)  # type: ignore[arg-type]
 
 
-def crossings(off: str = BROKEN, whole: str = GOOD) -> list[Row]:
+def crossings(off: str = BROKEN, whole: str = GOOD, late: str = GOOD) -> list[Row]:
     return [
         row("circle-0.5", SWITCH_OFF, 28.0, status=off, before=2.8),
+        row("circle-0.5", SWITCH_OFF_LATE, 23.0, status=late),
         row("circle-0.5", EFFORT, 0.28, status=whole),
         row("circle-0.5", PEAK, 0.14),
+        row("circle-0.5", SMOOTH, 0.35, reversals=7.0),
         row("heavy-0.5", SWITCH_OFF, math.nan, status=INFEASIBLE, why="nothing can carry it", missing=0.25),
         row("heavy-0.5", EFFORT, 2.2),
         row("heavy-0.5", PEAK, 1.1),
@@ -93,10 +105,22 @@ def test_crossing_follows_the_statuses() -> None:
     assert "keeps the limits on none" in here
     assert "0.01 times the largest main force" in here
     assert "0.1 times the largest until the motors are off" in here
+    assert (
+        "beyond a condition number of 20 keeps the limits on circle-0.5 too, with a largest main force of 23 N" in here
+    )
+    assert "condition number of 20" not in crossing_finding(crossings(late=BROKEN))[1]
     _, here, stands = crossing_finding(crossings(off=GOOD, whole="stopped_early"))
     assert stands == "stands with conditions"
     assert "1 of 2 motions" in here
     assert "keeps the limits on circle-0.5, breaks them on none" in here
+
+
+def test_calm_efforts_follow_the_reversals() -> None:
+    said = the(made(), "calm enough").here
+    assert "turn round at most 7 times on the 1 crossings, with 1.2 times the peak of the least effort" in said
+    restless = [replace(one, reversals=40.0) if one.way == EFFORT else one for one in crossings()]
+    said = the(made(rows=[*restless, *corners()]), "calm enough").here
+    assert "at worst one does 40 times" in said
 
 
 def test_masses_follow_the_plans() -> None:

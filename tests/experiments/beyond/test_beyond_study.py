@@ -20,7 +20,7 @@ from redundancy_pin.experiments.beyond import QUICK, Beyond
 from redundancy_pin.experiments.beyond.pictures import FIGURES
 from redundancy_pin.experiments.beyond.rows import Row
 from redundancy_pin.experiments.beyond.tasks import TASKS, Task
-from redundancy_pin.experiments.beyond.ways import EFFORT, NONE, PEAK, SWITCH_OFF
+from redundancy_pin.experiments.beyond.ways import EFFORT, NONE, PEAK, SWITCH_OFF, SWITCH_OFF_LATE
 from redundancy_pin.visualisation import style
 
 ROUNDING = 1e-9
@@ -96,8 +96,7 @@ def test_every_motion_has_its_rows() -> None:
         ways = {row.way for row in beyond().of(task)}
         assert {EFFORT, PEAK, SWITCH_OFF if task.crosses else NONE} <= ways
     assert {(row.task, row.way) for row in beyond().rows if not row.exists} == {
-        ("heavy-0.5", SWITCH_OFF),
-        ("five-bar-0.3", SWITCH_OFF),
+        (task, way) for task in ("heavy-0.5", "five-bar-0.3") for way in (SWITCH_OFF, SWITCH_OFF_LATE)
     }
     assert len([row for row in beyond().rows if row.file and row.exists]) >= 2 * len(TASKS)
 
