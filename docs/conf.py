@@ -1,0 +1,103 @@
+"""Sphinx configuration: `make docs` builds the pages into build/docs, warnings are errors, nothing is fetched.
+
+Pages beside this file are picked up by the table of contents of index.md without being named there; so are notebooks.
+"""
+
+from __future__ import annotations
+
+import filecmp
+import os
+import re
+import shutil
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+import redundancy_pin
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+from api_pages import write_pages  # noqa: E402 - it lies beside this file
+
+project = "redundancy_pin"
+author = "The redundancy_pin developers"
+copyright = author
+version = release = redundancy_pin.__version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_click", "mathml"]
+html_math_renderer = "mathml"
+exclude_patterns = ["pictures", "examples"]
+html_static_path: list[str] = []
+suppress_warnings = ["ref.python"]  # an annotation that two classes of the same name fit links to one of them
+highlight_language = "none"
+
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True  # attributes of dataclasses are a list, not objects of their own
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 90
+
+html_theme = "furo"
+html_title = f"redundancy_pin {release}"
+html_show_copyright = False
+html_copy_source = False
+
+# Notebooks live at the top of the checkout and are executed where they are copied to; one that fails, fails the build.
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(HERE.parent / "build" / "notebooks")
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+os.environ.setdefault("PYDEVD_DISABLE_FILE_VALIDATION", "1")  # the kernel's debugger would warn of frozen modules
+
+
+def collect_notebooks(source: Path, target: Path) -> None:
+    """Make a folder hold the notebooks of another one; those that have not changed keep their time."""
+    target.mkdir(exist_ok=True)
+    wanted = {path.name: path for path in source.glob("*.ipynb")}
+    for path in target.glob("*.ipynb"):
+        if path.name not in wanted:
+            path.unlink()
+    for name, path in wanted.items():
+        copy = target / name
+        if not (copy.is_file() and filecmp.cmp(path, copy, shallow=False)):
+            shutil.copyfile(path, copy)
+
+
+write_pages(HERE / "reference" / "api" / "modules")
+collect_notebooks(HERE.parent / "notebooks", HERE / "tutorials" / "notebooks")
+
+TOPICS = ("theory", "models", "whole_trajectory", "feasibility_map", "forward_dynamics", "control", "engines")
+"""Order of the pages beside this file; others follow."""
+
+
+def topics() -> list[str]:
+    """Return the names of the pages beside this file."""
+    found = sorted(path.stem for path in HERE.glob("*.md") if path.stem != "index")
+    return sorted(found, key=lambda name: TOPICS.index(name) if name in TOPICS else len(TOPICS))
+
+
+def fill_in_contents(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put the pages that are there in place of ``@topics@`` and ``@notebooks@``."""
+    notebooks = sorted(path.stem for path in (HERE / "tutorials" / "notebooks").glob("*.ipynb"))
+    source[0] = source[0].replace("@topics@", "\n".join(topics()))
+    source[0] = source[0].replace("@notebooks@", "\n".join(f"notebooks/{name}" for name in notebooks))
+
+
+def escape_bars(app: Sphinx, what: str, name: str, subject: object, options: object, lines: list[str]) -> None:
+    """Keep |τ| in docstrings an absolute value: reStructuredText takes it for a substitution."""
+    lines[:] = ["``".join(part if i % 2 else part.replace("|", r"\|") for i, part in enumerate(re.split("``", line)))
+                for line in lines]  # fmt: skip
+
+
+def setup(app: Sphinx) -> None:
+    """Connect the hooks."""
+    app.connect("source-read", fill_in_contents)
+    app.connect("autodoc-process-docstring", escape_bars)
