@@ -22,8 +22,13 @@ NAMES: Mapping[str, str] = {
 WITHOUT_ALL = ("redundancy_pin.trajectory.reference", "redundancy_pin.errors")
 """Modules of which everything is public, and which therefore have no ``__all__``."""
 
-NOT_AN_API = ("redundancy_pin.cli", "redundancy_pin.dynamics")
-"""Modules with an ``__all__`` that other pages describe."""
+NOT_AN_API = (
+    "redundancy_pin.cli",
+    "redundancy_pin.dynamics",
+    "redundancy_pin.experiments.beyond",
+    "redundancy_pin.experiments.planned",
+)
+"""Modules with an ``__all__`` that other pages describe, or that only the package itself imports."""
 
 
 def public_modules() -> list[str]:
