@@ -1,4 +1,4 @@
-"""What the pages show is true: Python runs, commands run or at least parse, declarations load, nothing is left out silently.
+"""What the pages show is true: Python runs, commands run or parse, declarations load, nothing is left out silently.
 
 A page is a session: its files, Python blocks and commands run in order, in one folder and one namespace. A comment in
 front of a block says what else to do with it::
@@ -22,7 +22,7 @@ import click
 import doc_blocks
 import pytest
 import yaml
-from command_line import call
+from cli.command_line import call
 from doc_blocks import Block, blocks_of
 
 import redundancy_pin as rp
