@@ -24,7 +24,7 @@ HAS_VENV := import ensurepip, venv
 # ... and where the stubs of its newest numpy keep dtypes through arithmetic (numpy 2.2 is the last one for Python 3.10)
 TYPED    := import sys; sys.exit(sys.version_info < (3, 11))
 
-.PHONY: help test reproduce validate bench pictures docs clean
+.PHONY: help test reproduce validate long bench engines pictures docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1 \2/p' Makefile | while read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
@@ -45,11 +45,20 @@ reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: resu
 validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random states
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin validate --samples $(SAMPLES) --jobs $(JOBS)
 
+long: $(STAMP) ## the planner against its oracle and its limits on long lists of random tasks
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m long
+
 bench: $(STAMP) ## time the backends and planners
 	$(BIN)/python benchmarks/run.py
 
 pictures: $(STAMP) ## draw the pictures of the README into docs/pictures
 	$(BIN)/python docs/pictures/draw.py
+
+engines: $(STAMP) ## planned efforts in Exudyn and MuJoCo: every motion to 1e-5 m, and the tables of docs/engines.md
+	@$(BIN)/python -c 'import exudyn, mujoco' 2>/dev/null || \
+	  $(BIN)/python -m pip install --quiet --no-input --disable-pip-version-check --editable '.[dev,engines]'
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m engines -n auto tests/simulation/engines
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/engines.py
 
 docs: $(DOCS_STAMP) ## build the documentation into build/docs; warnings are errors
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -q -W --keep-going -b html -d build/doctrees docs build/docs

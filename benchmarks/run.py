@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+import engines
 import planners_stepwise
 import planners_switch_off
 import planners_whole
@@ -138,6 +139,7 @@ def main():
     rows += planners_stepwise.rows()
     rows += planners_switch_off.rows()
     rows += planners_whole.rows()
+    rows += engines.rows()
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(json.dumps(rows, indent=2) + "\n")
 

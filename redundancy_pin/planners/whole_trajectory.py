@@ -10,11 +10,14 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import BoolArray
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory_check import ALLOWED, DenseCheck, dense_check
+from redundancy_pin.planners.whole_trajectory_curved import search_curved
+from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_grid import Grid, grid_of, singular_instants, with_middles
 from redundancy_pin.planners.whole_trajectory_plan import assemble
 from redundancy_pin.planners.whole_trajectory_prepare import Task, prepare
@@ -56,9 +59,10 @@ def plan_whole_trajectory(
     to (``whole_trajectory_singular``), and the carriers' jerk is continuous, which makes both limits the same.
 
     s̈ is linear between the nodes and may jump only where the reference acceleration jumps; s and ṡ follow exactly.
-    Track and speed limits hold between the nodes as well, by their Bézier hulls. For carriers on straight tracks f is
-    quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone (``carrier_model``): they are read
-    off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
+    Track and speed limits hold between the nodes as well, by their Bézier hulls where they are met. For carriers on
+    straight tracks f is quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone
+    (``carrier_model``): they are read off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
+    For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory_curved``).
 
     The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
     included. Where efforts between the nodes exceed the peak at the nodes by more than 5 %, the steps get a node in the
@@ -85,10 +89,12 @@ def plan_whole_trajectory(
         effort: scalar or (m,) limit of |τ|, N or N·m.
         dt: largest step between nodes, s.
         starts: number of first guesses; the first is parked carriers, the others are random swings (seeded). The best
-            optimum is kept and ``diagnostics["costs"]`` has all.
+            optimum is kept. ``diagnostics["starts"]`` says how many were asked for, tried and converged, which optima
+            they led to (cost and first guesses of each, best first), which guess won, and all costs and messages.
         seconds: time bound of each solution, s.
         refinements: how often the grid may be refined.
-        progress: called with a line of text at each stage.
+        progress: called with a line of text at each stage, and during it where the plan has 1000 nodes or more. What it
+            raises ends the planning.
 
     Returns:
         A plan whose samples are the nodes. ``status`` is stopped_early where the solver stopped before the conditions
@@ -96,9 +102,10 @@ def plan_whole_trajectory(
 
     Raises:
         InputError: a setting out of its domain.
-        UnsupportedRobotError: no carriers, or carriers on curved tracks.
+        UnsupportedRobotError: no carriers.
         InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, carrier, time, amount and
-            the limit that would suffice.
+            the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
+            (constraint "singular_touch"), where no finite efforts can be told.
         RedundancyPinError: casadi is not installed.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
@@ -128,12 +135,16 @@ def plan_whole_trajectory(
     task = Task(dynamics, continuous_motion(motion), settings, baseline)
     instants = singular_instants(dynamics, task.source)
     grid = _watched(task, grid_of(task.source, instants, settings.dt))
-    warm = None
+    warm, curved = None, False
     checks: list[DenseCheck] = []
     while True:
-        problem = prepare(task, grid)
         say(f"{len(grid.t)} nodes, {len(grid.singular)} of them singular: solving")
-        found = search(problem, robot.carriers, warm, settings.seconds)
+        problem = None if curved else _straight(task, grid)
+        if problem is None:
+            curved = True
+            problem, found = search_curved(task, grid, warm, progress)
+        else:
+            found = search(problem, robot.carriers, warm, settings.seconds, progress)
         warm, tau = found.best.course(problem), found.best.tau(problem)
         checks.append(dense_check(task, problem, warm, tau))
         say(f"peak effort {checks[-1].peak_at_nodes:.4g} at the nodes, {checks[-1].peak:.4g} between them")
@@ -143,10 +154,18 @@ def plan_whole_trajectory(
     return assemble(task, problem, found, checks, time.perf_counter() - began)
 
 
+def _straight(task: Task, grid: Grid) -> WholeProblem | None:
+    """Return the problem of carriers on straight tracks; None where f is not the polynomial it is for them."""
+    try:
+        return prepare(task, grid)
+    except UnsupportedRobotError as error:
+        if "deviation" in error.details:
+            return None
+        raise
+
+
 def _watched(task: Task, grid: Grid) -> Grid:
     """Return the grid with a middle node in every step near a singularity."""
-    if not len(grid.singular):
-        return grid
     reduced = task.dynamics.along(task.source.sample_at(grid.t)).reduce()
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
     near: BoolArray = values[:, -1] < NEAR * values[:, 0]

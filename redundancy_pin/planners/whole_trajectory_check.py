@@ -21,6 +21,13 @@ CLOSE = (1e-3, 1e-2)
 ALLOWED = 1.05
 """Largest effort between the nodes over the largest at the nodes that is accepted."""
 
+MARKED = 1.02
+"""Ratio from which a step gets a middle node once any exceeds what is accepted."""
+
+BESIDE = 4
+"""Steps on both sides of such a step that get one as well: the next plan would have its kink just beside the refined
+steps, and the grid would follow it one step at a time."""
+
 SMALL = 1e-3
 """Efforts below this fraction of the size of the efforts count as zero here."""
 
@@ -35,7 +42,8 @@ class DenseCheck:
         peak_at_nodes: largest |τ| at the nodes.
         ratio: of both; efforts that are nothing beside those of the parked robot count as equal.
         points: number of points.
-        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes by more than is accepted.
+        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes by what is worth a middle node, and
+            those beside them.
     """
 
     peak: float
@@ -83,7 +91,8 @@ def dense_check(task: Task, problem: WholeProblem, course: CarrierCourse, tau: A
     least = max(at_nodes, SMALL * problem.scales.tau)
     step = np.searchsorted(grid.t, times, side="right") - 1
     exceeding = np.zeros(len(grid.h), dtype=bool)
-    exceeding[step[largest > ALLOWED * least]] = True
+    marked = step[largest > MARKED * least, None] + np.arange(-BESIDE, BESIDE + 1)
+    exceeding[np.clip(marked, 0, len(grid.h) - 1)] = True
     worst = int(largest.argmax())
     ratio = max(float(largest[worst]), least) / least
     return DenseCheck(float(largest[worst]), float(times[worst]), at_nodes, ratio, len(times), exceeding)

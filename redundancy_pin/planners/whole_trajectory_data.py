@@ -44,6 +44,7 @@ class WholeProblem:
         target: (M, m) efforts that the objective "tracking" aims at.
         settings: limits, ends and objective.
         scales: sizes.
+        more_terms: (M, n, k, 2) coefficients of f by ṡ² and s s̈, for carriers on curved tracks.
     """
 
     grid: Grid
@@ -53,6 +54,7 @@ class WholeProblem:
     target: Array
     settings: WholeSettings
     scales: Scales
+    more_terms: Array | None = None
 
 
 def scales_of(model: CarrierModel, settings: WholeSettings, row_scale: Array, duration: float) -> Scales:

@@ -11,10 +11,14 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_limits import KINDS, scaled_bounds, slack_name
 from redundancy_pin.planners.whole_trajectory_nlp import build
-from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution, Solver
+from redundancy_pin.planners.whole_trajectory_progress import Say
+from redundancy_pin.planners.whole_trajectory_solver import Solution, Solver
 
 NOTHING = 1e-5
 """A relaxation below this fraction of a limit is none: the price of the objective and the reserve leave as much."""
+
+TOUCHED = 1e-4
+"""Fraction of its range within which a limit counts as reached."""
 
 OUT_OF_TIME = "Maximum_WallTime_Exceeded"
 """The solver's word for it."""
@@ -23,11 +27,16 @@ _UNITS = {"track": "m", "speed": "m/s", "acceleration": "m/s²", "jerk": "m/s³"
 
 
 def relax(
-    problem: WholeProblem, carriers: tuple[str, ...], guess: dict[str, Array], seconds: float, message: str
+    problem: WholeProblem,
+    carriers: tuple[str, ...],
+    guess: dict[str, Array],
+    seconds: float,
+    message: str,
+    say: Say | None = None,
 ) -> Solution:
     """Find the smallest relaxation of the limits that admits a plan, and return it where it is none.
 
-    First all limits may give way together, then each of those that did by itself.
+    First all limits may give way together, then each of those that did, or that are touched, by itself.
 
     Args:
         problem: the numbers.
@@ -35,6 +44,7 @@ def relax(
         guess: first guess.
         seconds: time bound, s.
         message: how the solver ended on the ordinary problem.
+        say: called with the progress of the solver.
 
     Raises:
         InfeasiblePlanError: limits have to give way. It carries ``constraint`` (the limit of the smallest relaxation),
@@ -43,16 +53,21 @@ def relax(
             or one of them is enough. Or nothing admits a plan, or the time ran out.
     """
     deadline = time.perf_counter() + seconds
-    elastic = Solver(build(problem, elastic=KINDS), seconds).solve(guess)
+    elastic = Solver(build(problem, elastic=KINDS), seconds, say=say).solve(guess)
     if not elastic.feasible:
         raise _nothing_helps(problem, elastic, message)
     let_out = [kind for kind in KINDS if _slack(elastic, kind) > NOTHING]
     if not let_out:
         return elastic
     alone = {}
-    for kind in let_out if len(let_out) > 1 else []:
-        left = max(deadline - time.perf_counter(), LEAST_SECONDS)
-        found = Solver(build(problem, elastic=(kind,)), left).solve(elastic.values)
+    # one that is only touched may do as well by itself: with a price on all, others gave way in its place
+    touched = [kind for kind in KINDS if kind not in let_out and _touched(problem, carriers, elastic, kind)]
+    candidates = [*let_out, *touched]
+    for kind in candidates if len(candidates) > 1 else []:
+        left = deadline - time.perf_counter()
+        if left <= 0.0:
+            break
+        found = Solver(build(problem, elastic=(kind,)), left, say=say).solve(elastic.values)
         if found.optimal:
             alone[kind] = found
     relaxed = alone or dict.fromkeys(let_out, elastic)
@@ -71,6 +86,16 @@ def relax(
 
 def _slack(solution: Solution, kind: str) -> float:
     return float(solution.values[slack_name(kind)][0])
+
+
+def _touched(problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, kind: str) -> bool:
+    """Return whether a limit is reached somewhere."""
+    if kind == "end" or (kind == "force" and "force" not in elastic.values):
+        return False
+    values, low, high, _ = _quantity(problem, carriers, elastic, kind)
+    with np.errstate(invalid="ignore"):
+        near = TOUCHED * np.where(np.isfinite(high - low), high - low, 0.0)
+    return bool(((values >= high - near) | (values <= low + near)).any())
 
 
 def _nothing_helps(problem: WholeProblem, elastic: Solution, message: str) -> InfeasiblePlanError:
@@ -132,8 +157,8 @@ def _quantity(
     """Return the values of a limited quantity at the nodes, its bounds, and whose they are."""
     u = problem.scales
     if kind == "jerk":
-        h = np.maximum(problem.grid.h, np.finfo(float).tiny)[:, None]
-        jerk = np.where(problem.grid.h[:, None] > 0.0, np.diff(elastic.values["sdd"], axis=0) * u.sdd / h, 0.0)
+        h = np.where(problem.grid.h > 0.0, problem.grid.h, np.inf)[:, None]
+        jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
         return jerk, -problem.settings.jerk, problem.settings.jerk, carriers
     name, size = {
         "track": ("s", u.s),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_program import Program
 
@@ -62,23 +62,32 @@ class Limiter:
         self._within([(block, np.ones(1))], low, high, _KIND_OF[name])
         return block
 
-    def between_nodes(self, S: IntArray, V: IntArray, A: IntArray) -> None:
-        """Keep track and speed between the nodes, and the jerk.
+    def jerk(self, A: IntArray) -> None:
+        """Keep the jerk, which is constant in a step."""
+        grid, jerk = self._problem.grid, self._problem.settings.jerk
+        if np.isfinite(jerk).any():
+            most = grid.h[:, None] * jerk / self._problem.scales.sdd
+            self._within([(A[1:], 1.0), (A[:-1], -1.0)], -most, most, "jerk")
+
+    def between_nodes(self, S: IntArray, V: IntArray, A: IntArray, steps: BoolArray) -> None:
+        """Keep track and speed between the nodes, in some of the steps.
 
         ṡ is quadratic and s cubic in a step: each lies in the hull of its Bézier points, of which the inner ones are
         added here.
+
+        Args:
+            S: (M, k) variables s.
+            V: (M, k) variables ṡ.
+            A: (M, k) variables s̈.
+            steps: (M − 1,) in which steps.
         """
         grid, u = self._problem.grid, self._problem.scales
-        at = np.flatnonzero(grid.h > 0.0)
+        at = np.flatnonzero(steps & (grid.h > 0.0))
         h = grid.h[at, None]
         self._within([(V[at], 1.0), (A[at], h * u.sdd / u.sd / 2.0)], *self._bounds["sd"], "speed")
         reach = h * u.sd / u.s / 3.0
         self._within([(S[at], 1.0), (V[at], reach)], *self._bounds["s"], "track")
         self._within([(S[at + 1], 1.0), (V[at + 1], -reach)], *self._bounds["s"], "track")
-        jerk = self._problem.settings.jerk
-        if np.isfinite(jerk).any():
-            most = grid.h[:, None] * jerk / u.sdd
-            self._within([(A[1:], 1.0), (A[:-1], -1.0)], -most, most, "jerk")
 
     def end(self, S: IntArray, V: IntArray, A: IntArray) -> None:
         """Fix the end as asked."""

@@ -51,6 +51,25 @@ class CarrierCourse:
             s + x * (sd + x * (sdd / 2.0 + x * jerk / 6.0)), sd + x * (sdd + x * jerk / 2.0), sdd + x * jerk
         )
 
+    def ranges(self) -> tuple[Array, Array, Array, Array]:
+        """Return the exact least and largest s and ṡ in every step, (M − 1, k) each: least s, largest s, then ṡ."""
+        h = np.diff(self.t)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            jerk = np.where(h > 0.0, np.diff(self.sdd, axis=0) / h, 0.0)
+            sd, sdd = self.sd[:-1], self.sdd[:-1]
+            stationary = -sdd / jerk
+            # ṡ = 0, from the root that does not cancel
+            q = -0.5 * (sdd + np.copysign(np.sqrt(sdd**2 - 2.0 * jerk * sd), sdd))
+            turns = [2.0 * q / jerk, sd / q]
+        ends = [np.zeros_like(jerk), np.broadcast_to(h, jerk.shape)]
+        found = []
+        for name, inner in (("s", turns), ("sd", [stationary])):
+            at = np.stack([*ends, *(np.clip(np.nan_to_num(x, nan=0.0), 0.0, h) for x in inner)])
+            speeds = sd + at * (sdd + at * jerk / 2.0)
+            values = self.s[:-1] + at * (sd + at * (sdd / 2.0 + at * jerk / 6.0)) if name == "s" else speeds
+            found += [values.min(axis=0), values.max(axis=0)]
+        return found[0], found[1], found[2], found[3]
+
     def at(self, times: Array) -> CarrierMotion:
         """Return the motion at (N,) times, after the jump where one falls on a jump."""
         step = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)

@@ -6,20 +6,30 @@ linear between nodes, so that the carriers' motion is integrated exactly by line
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_limits import Limiter
 from redundancy_pin.planners.whole_trajectory_objective import add_objective
 from redundancy_pin.planners.whole_trajectory_program import Program
 
 
-def build(problem: WholeProblem, elastic: tuple[str, ...] = ()) -> Program:
+def build(
+    problem: WholeProblem,
+    elastic: tuple[str, ...] = (),
+    between: Sequence[BoolArray] | None = None,
+    limit_force: bool = True,
+) -> Program:
     """Return the programme of a problem.
 
     Args:
         problem: the numbers.
+        between: groups of steps, (M − 1,) each, in which track and speed limits hold between the nodes as well; all
+            when left out. Their rows come last and group by group, so that those of a longer list are appended.
+        limit_force: whether the limits of the carriers' forces are held.
         elastic: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way.
     """
     program = Program()
@@ -28,11 +38,11 @@ def build(problem: WholeProblem, elastic: tuple[str, ...] = ()) -> Program:
     S, V, A = (limiter.variable(name, (nodes, k)) for name in ("s", "sd", "sdd"))
     tau = limiter.variable("tau", (nodes, problem.model.W.shape[2]))
     _integrate(program, problem, S, V, A)
-    limiter.between_nodes(S, V, A)
+    limiter.jerk(A)
     terms = ((S, None), (S, S), (V, None), (S, V), (A, None))
     _balance(program, problem, terms, tau)
     force = None
-    if limiter.limits_force or {"carrier_force", "energy"} & set(problem.settings.objective):
+    if (limit_force and limiter.limits_force) or {"carrier_force", "energy"} & set(problem.settings.objective):
         force = limiter.variable("force", (nodes, k))
         _carrier_forces(program, problem, terms, force)
     _smooth(program, problem, A)
@@ -41,6 +51,8 @@ def build(problem: WholeProblem, elastic: tuple[str, ...] = ()) -> Program:
     _start(program, problem, S, V)
     limiter.end(S, V, A)
     add_objective(program, problem, A, tau, force, V, limiter.price)
+    for steps in [np.ones(nodes - 1, dtype=bool)] if between is None else between:
+        limiter.between_nodes(S, V, A, steps)
     return program
 
 
@@ -88,6 +100,11 @@ def _balance(program: Program, problem: WholeProblem, terms: Terms, tau: IntArra
     for j, (first, second) in enumerate(terms):
         term = (first[:, None, :], None if second is None else second[:, None, :])
         _add_term(program, rows[:, :, None], term, -model.f_terms[..., j] * sizes(problem)[j] / row)
+    if problem.more_terms is not None:
+        S, V, A = (terms[j][0][:, None, :] for j in (0, 2, 4))
+        squares, products = np.moveaxis(problem.more_terms, -1, 0)
+        program.add_product(rows[:, :, None], V, V, -squares * scales.sd**2 / row)
+        program.add_product(rows[:, :, None], S, A, -products * scales.s * scales.sdd / row)
 
 
 def _carrier_forces(program: Program, problem: WholeProblem, terms: Terms, force: IntArray) -> None:
@@ -138,6 +155,11 @@ def _singular(
         program.add_product(rows, s, a, -c4 * us * ua)
         program.add(rows, A[step + 1], -c5 * ua / h)
         program.add(rows, A[step], c5 * ua / h)
+        if problem.more_terms is not None:
+            e1, e2 = np.einsum("i,ikj->jk", u, problem.more_terms[i]) / size
+            program.add_product(rows, v, a, -(2.0 * e1 + e2) * uv * ua)
+            program.add_product(rows, s, A[step + 1], -e2 * us * ua / h)
+            program.add_product(rows, s, A[step], e2 * us * ua / h)
 
 
 def _start(program: Program, problem: WholeProblem, S: IntArray, V: IntArray) -> None:

@@ -13,6 +13,10 @@ REGULARISATION = 1e-6
 carriers open they take the gentlest motion, and the plan is unique."""
 
 
+SHARED = 8
+"""Nodes that share one copy of the peak; 8 and 32 are a tenth faster than 1 and than all."""
+
+
 def add_objective(
     program: Program,
     problem: WholeProblem,
@@ -39,16 +43,17 @@ def add_objective(
             if name == "tracking":
                 program.charge(tau, -2.0 * share * w * scales.tau * problem.target)
         elif name == "peak":
-            # one copy a node, all equal: a single variable in every row would fill the solver's factors
-            top = program.variable("peak", (len(tau),), 0.0)
+            # a copy every few nodes, all equal: a single variable in every row would fill the solver's factors
+            copies = program.variable("peak", (-(-len(tau) // SHARED),), 0.0)
+            top = np.repeat(copies, SHARED)[: len(tau)]
             for sign in (1.0, -1.0):
                 rows = program.rows(tau.shape, -np.inf, 0.0)
                 program.add(rows, tau, sign)
                 program.add(rows, top[:, None], -1.0)
-            same = program.rows((len(tau) - 1,))
-            program.add(same, top[1:], 1.0)
-            program.add(same, top[:-1], -1.0)
-            program.charge(top[:1], share * scales.tau)
+            same = program.rows((len(copies) - 1,))
+            program.add(same, copies[1:], 1.0)
+            program.add(same, copies[:-1], -1.0)
+            program.charge(copies[:1], share * scales.tau)
         elif name == "carrier_acceleration":
             program.charge_square(A, share * w * scales.sdd**2)
         elif force is not None and name == "carrier_force":

@@ -26,6 +26,7 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
     actuators as coordinates, W τ = f leaves no choice.
     """
     robot, best = task.dynamics.robot, found.best
+    starts = found.summary
     tau = best.tau(problem)
     prescribed = tau.copy()
     if robot.m <= robot.n:
@@ -45,9 +46,11 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
             "iterations": best.iterations,
             "violation": best.violation,
             "cost": best.cost,
-            "costs": list(found.costs),
-            "solver_messages": list(found.messages),
+            "starts": starts,
+            "costs": starts["costs"],
+            "solver_messages": starts["messages"],
             "objective": value(problem, best.values),
+            "fits": list(found.fits),
             "nodes": len(problem.grid.t),
             "singular_instants": problem.grid.t[problem.grid.singular].tolist(),
             "singular_nodes": [int(i) for i in problem.grid.singular],

@@ -129,8 +129,8 @@ class Program:
         squared, square = self._square.collected(1)
         count = len(factor)
 
-        linear = library.DM(csc_matrix((slope, (rows, at)), shape=(self.row_count, self.size)))
-        combine = library.DM(csc_matrix((factor, (product_rows, np.arange(count))), shape=(self.row_count, count)))
+        linear = _matrix(csc_matrix((slope, (rows, at)), shape=(self.row_count, self.size)))
+        combine = _matrix(csc_matrix((factor, (product_rows, np.arange(count))), shape=(self.row_count, count)))
         g = linear @ x + combine @ (x[first.tolist()] * x[second.tolist()])
         q = np.bincount(priced, price, self.size)
         d = np.bincount(squared, square, self.size)
@@ -148,14 +148,14 @@ class Program:
             (np.concatenate([factor, factor]), (where[len(slope) :], np.concatenate([second, first]))),
             shape=(nonzero.nnz(), self.size),
         )
-        jacobian = library.MX(nonzero, library.DM(fixed) + library.DM(moving) @ x)
+        jacobian = library.MX(nonzero, library.DM(fixed) + _matrix(moving) @ x)
 
         low, high = np.minimum(first, second), np.maximum(first, second)
         upper, place = _pattern(np.concatenate([squared, low]), np.concatenate([squared, high]), self.size, self.size)
         own = np.bincount(place[: len(square)], 2.0 * square, upper.nnz())
         weight = factor * np.where(low == high, 2.0, 1.0)
         curved = csc_matrix((weight, (place[len(square) :], product_rows)), shape=(upper.nnz(), self.row_count))
-        hessian = library.MX(upper, lam_f * library.DM(own) + library.DM(curved) @ lam_g)
+        hessian = library.MX(upper, lam_f * library.DM(own) + _matrix(curved) @ lam_g)
 
         derivatives = {
             "grad_f": library.Function("grad_f", [x, p], [f, library.DM(q) + 2.0 * library.DM(d) * x]),
@@ -171,3 +171,10 @@ def _pattern(rows: IntArray, columns: IntArray, height: int, width: int) -> tupl
     starts = np.searchsorted(keys, np.arange(width + 1) * height)
     pattern = casadi().Sparsity(height, width, starts.tolist(), (keys % height).tolist())
     return pattern, where.ravel()
+
+
+def _matrix(matrix: csc_matrix) -> Any:
+    """Return a sparse matrix as the solver library's; its own conversion takes ten times as long."""
+    library = casadi()
+    pattern = library.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
+    return library.DM(pattern, matrix.data)

@@ -9,11 +9,12 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.whole_trajectory_between import solve
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_elastic import relax
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
-from redundancy_pin.planners.whole_trajectory_nlp import build
-from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution, Solver
+from redundancy_pin.planners.whole_trajectory_progress import LONG, Say
+from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution
 
 _SWINGS = 3
 """Sines of a random first guess."""
@@ -22,22 +23,62 @@ _REACH = 0.4
 """Largest excursion of a random first guess as a fraction of half the track."""
 
 
+SAME_COST = 1e-5
+"""Relative difference of the costs of two solutions from which they are different optima."""
+
+SAME_MOTION = 0.01
+"""Difference of the positions, as a fraction of half the track, from which they are."""
+
+
 @dataclass(frozen=True, eq=False)
 class Found:
     """The best solution and all that were found.
 
     Attributes:
         best: the best one.
-        costs: scaled objective from each first guess; NaN where none was reached.
-        messages: how the solver ended from each.
+        solutions: the outcome from each first guess.
+        asked: number of first guesses asked for.
+        fits: how often f was fitted from each guess, for carriers on curved tracks.
     """
 
     best: Solution
-    costs: tuple[float, ...]
-    messages: tuple[str, ...]
+    solutions: tuple[Solution, ...]
+    asked: int
+    fits: tuple[int, ...] = ()
+
+    @property
+    def summary(self) -> dict[str, object]:
+        """What is known about the optimum being the best: see ``plan_whole_trajectory``."""
+        optima: list[list[int]] = []
+        for number, solution in enumerate(self.solutions):
+            if solution.optimal:
+                for group in optima:
+                    if _same(self.solutions[group[0]], solution):
+                        group.append(number)
+                        break
+                else:
+                    optima.append([number])
+        optima.sort(key=lambda group: min(self.solutions[i].cost for i in group))
+        return {
+            "asked": self.asked,
+            "tried": len(self.solutions),
+            "converged": sum(len(group) for group in optima),
+            "won": next(i for i, solution in enumerate(self.solutions) if solution is self.best),
+            "optima": [{"cost": min(self.solutions[i].cost for i in group), "starts": group} for group in optima],
+            "costs": [found.cost if found.feasible else float("nan") for found in self.solutions],
+            "messages": [found.message for found in self.solutions],
+        }
 
 
-def search(problem: WholeProblem, carriers: tuple[str, ...], warm: CarrierCourse | None, seconds: float) -> Found:
+def _same(one: Solution, other: Solution) -> bool:
+    size = max(abs(one.cost), abs(other.cost))
+    apart = float(np.abs(one.values["s"] - other.values["s"]).max())
+    return abs(one.cost - other.cost) <= SAME_COST * size and apart <= SAME_MOTION
+
+
+def search(
+    problem: WholeProblem, carriers: tuple[str, ...], warm: CarrierCourse | None, seconds: float, say: Say | None = None
+) -> Found:
     """Solve a problem from all first guesses within a time bound.
 
     Args:
@@ -45,31 +86,25 @@ def search(problem: WholeProblem, carriers: tuple[str, ...], warm: CarrierCourse
         carriers: (k,) names, for messages.
         warm: a motion to begin with in place of parked carriers.
         seconds: time bound over all, s. The search for an explanation of a failure has as much again.
+        say: called with the progress where the plan is long.
 
     Raises:
         InfeasiblePlanError: no motion keeps every limit, or none was found in time; says which limit is in the way,
             where, and how much would suffice.
     """
     deadline = time.perf_counter() + seconds
-    program = build(problem)
+    say = say if len(problem.grid.t) >= LONG else None
     solutions: list[Solution] = []
     for number in range(problem.settings.starts):
         left = deadline - time.perf_counter()
         if solutions and left <= 0.0:
             break
-        guess = _guess(problem, warm if number == 0 else None, number)
-        solution = Solver(program, max(left, LEAST_SECONDS)).solve(guess)
-        left = deadline - time.perf_counter()
-        if (
-            not (solution.optimal or solution.infeasible) and left > 0.0
-        ):  # the other strategy often ends where this one crawls
-            again = Solver(program, left, {"ipopt.mu_strategy": "adaptive"}).solve(solution.values)
-            solution = again if again.optimal or (again.feasible and not solution.feasible) else solution
-        solutions.append(solution)
+        guess = first_guess(problem, warm if number == 0 else None, number)
+        solutions.append(solve(problem, guess, max(left, LEAST_SECONDS), say))
     usable = [solution for solution in solutions if solution.feasible]
     if not usable:
-        elastic = relax(problem, carriers, _guess(problem, warm, 0), seconds, solutions[0].message)
-        solution = Solver(program, seconds).solve(elastic.values)
+        elastic = relax(problem, carriers, first_guess(problem, warm, 0), seconds, solutions[0].message, say)
+        solution = solve(problem, elastic.values, seconds, say)
         if not solution.feasible:
             raise InfeasiblePlanError(
                 f"No plan was found within {seconds:g} s (the solver says {solution.message}), although none of the "
@@ -82,11 +117,10 @@ def search(problem: WholeProblem, carriers: tuple[str, ...], warm: CarrierCourse
         solutions.append(solution)
         usable = [solution]
     best = min(usable, key=lambda found: (not found.optimal, found.cost))
-    costs = tuple(found.cost if found.feasible else float("nan") for found in solutions)
-    return Found(best, costs, tuple(found.message for found in solutions))
+    return Found(best, tuple(solutions), problem.settings.starts)
 
 
-def _guess(problem: WholeProblem, warm: CarrierCourse | None, number: int) -> dict[str, Array]:
+def first_guess(problem: WholeProblem, warm: CarrierCourse | None, number: int) -> dict[str, Array]:
     """Return scaled s, ṡ, s̈: a motion that is known, parked carriers, or random swings about the start."""
     grid, u, settings = problem.grid, problem.scales, problem.settings
     if warm is not None:

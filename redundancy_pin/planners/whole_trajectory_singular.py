@@ -19,15 +19,24 @@ from numpy.polynomial import chebyshev
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import scaled
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel
 from redundancy_pin.planners.continuous_motion import ContinuousMotion
 from redundancy_pin.planners.piecewise_chebyshev import PiecewiseChebyshev
 from redundancy_pin.planners.timed_model import TimedModel
+from redundancy_pin.planners.whole_trajectory_local import local_rate
 
 LOST = 1e-6
 """Singular values below this fraction of the largest are lost at a singular instant; one that is only touched is known
 to the square root of rounding."""
+
+
+CROSSED = 1e-3
+"""Change of the vanishing singular value over the whole motion, at its rate at the singular instant and relative to the
+largest, from which the singularity is crossed. A touch leaves what rounding makes of it, 1e-6; on the circle of the
+2-RPR it is 4."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +57,12 @@ class SingularNode:
 
 
 def singular_node(
-    dynamics: Dynamics, source: ContinuousMotion, index: int, t: float, half_width: float
+    dynamics: Dynamics,
+    source: ContinuousMotion,
+    index: int,
+    t: float,
+    half_width: float,
+    around: CarrierMotion | None = None,
 ) -> SingularNode:
     """Read the derivatives of the model at a singular instant off a backend.
 
@@ -58,18 +72,50 @@ def singular_node(
         index: number of the node.
         t: the instant, s.
         half_width: the model is interpolated over so much time on both sides of it, s.
+        around: for carriers on curved tracks, the motion (one sample) around which the model is fitted.
 
     Raises:
         UnsupportedRobotError: see ``carrier_model``.
+        InfeasiblePlanError: the motion touches the singularity, rests in it or stays in it: (W; uᵀ Ẇ) lacks rank.
     """
-    model = TimedModel.of(dynamics, source, max(source.start, t - half_width), min(source.end, t + half_width))
-    rate = replace(model, interpolant=_derivative(model.interpolant)).at(np.array([t]))
+    if around is None:
+        model = TimedModel.of(dynamics, source, max(source.start, t - half_width), min(source.end, t + half_width))
+        rate = replace(model, interpolant=_derivative(model.interpolant)).at(np.array([t]))
+    else:
+        rate = local_rate(dynamics, source, t, around)
     reduced = dynamics.along(source.sample_at(np.array([t]))).reduce()
     A = scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0]
-    u, values, _ = np.linalg.svd(A)
+    u, values, v = np.linalg.svd(A)
     kept = int((values > LOST * values[0]).sum())
+    turning = scaled(rate.W, reduced.row_scale, reduced.column_scale)[0]
+    _require_crossing(u[:, kept:].T @ turning @ v[kept:].T / values[0], source, t)
     lost = u[:, kept:].T / reduced.row_scale
     return SingularNode(index, t, read_only(lost), rate)
+
+
+def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
+    """Check that the singular values that vanish do so at a rate; ``rate`` (r, r or more), 1/s, is that of W there."""
+    slowest = float(np.linalg.svd(rate, compute_uv=False)[-1]) if rate.size else 0.0
+    changed = slowest * (source.end - source.start)
+    if changed > CROSSED:
+        return
+    motion = source.sample_at(np.array([t]))
+    speed, most = float(np.abs(motion.xd).max()), float(np.abs(source.sample_at(_spread(source)).xd).max())
+    how = "rests in" if speed <= CROSSED * most else "touches, or follows,"
+    raise InfeasiblePlanError(
+        f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: what f and its rate say there "
+        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite beside it.",
+        remedy="Lead the motion across the singularity with a speed, or keep a distance from it.",
+        constraint="singular_touch",
+        time=t,
+        amount=changed,
+        at_rest=speed <= CROSSED * most,
+    )
+
+
+def _spread(source: ContinuousMotion) -> Array:
+    times: Array = np.linspace(source.start, source.end, 101)
+    return times
 
 
 def _derivative(interpolant: PiecewiseChebyshev) -> PiecewiseChebyshev:

@@ -12,6 +12,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.planners.whole_trajectory_program import Program, casadi
+from redundancy_pin.planners.whole_trajectory_progress import Say, watcher
 
 TOLERANCE = 1e-9
 """Of the conditions of a minimum, in scaled variables."""
@@ -19,9 +20,31 @@ TOLERANCE = 1e-9
 FEASIBLE = 1e-7
 """Violation of the scaled constraints below which a point that is not optimal may still be presented, as such."""
 
-
 LEAST_SECONDS = 1e-3
 """Time the solver is given when there is none left; it accepts none of zero."""
+
+ADAPTIVE = {"ipopt.mu_strategy": "adaptive"}
+"""Options for another attempt: this strategy often ends where the first one crawls."""
+
+QUICK = {
+    "ipopt.fast_step_computation": "yes",
+    "ipopt.mumps_permuting_scaling": 0,
+    "ipopt.mumps_scaling": 0,
+}
+"""Options for the first attempt: the programme is scaled already, and the steps are not refined. A third faster on the
+3-RRR; whether the result is an optimum is judged as strictly."""
+
+WARM = {
+    "ipopt.warm_start_init_point": "yes",
+    "ipopt.warm_start_bound_push": 1e-3,
+    "ipopt.warm_start_bound_frac": 1e-3,
+    "ipopt.warm_start_slack_bound_push": 1e-3,
+    "ipopt.warm_start_slack_bound_frac": 1e-3,
+    "ipopt.warm_start_mult_bound_push": 1e-3,
+    "ipopt.mu_init": 1e-7,
+}
+"""Options for beginning at the optimum of a programme with fewer rows: the fewest iterations over the barrier
+parameters 1e-3 to 1e-9 and the pushes 1e-3 to 1e-9, on 11 plans that needed more rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +60,7 @@ class Solution:
         violation: largest violation of a scaled constraint.
         iterations: number of iterations.
         seconds: time taken.
+        point: x and the multipliers of its bounds and of the rows, to begin from with more rows.
     """
 
     values: dict[str, Array]
@@ -47,11 +71,17 @@ class Solution:
     violation: float
     iterations: int
     seconds: float
+    point: tuple[Array, Array, Array]
 
     @property
     def infeasible(self) -> bool:
         """Whether the solver is convinced that no point keeps every constraint (nearby, as for any such solver)."""
         return self.message == "Infeasible_Problem_Detected"
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether the solver came near an optimum and no further: with steps refined it may."""
+        return self.message == "Solved_To_Acceptable_Level"
 
     def course(self, problem: WholeProblem) -> CarrierCourse:
         """Return the carriers' motion in units."""
@@ -68,8 +98,12 @@ class Solution:
 class Solver:
     """IPOPT on one programme, which it keeps with its derivatives for any number of first guesses."""
 
-    def __init__(self, program: Program, seconds: float, options: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self, program: Program, seconds: float, options: dict[str, Any] | None = None, say: Say | None = None
+    ) -> None:
         self._program, self._bounds = program, program.bounds()
+        self._watcher = None if say is None else watcher(program.size, program.row_count, say)
+        watch = {} if self._watcher is None else {"iteration_callback": self._watcher}
         functions, derivatives = program.functions()
         settings = {
             "ipopt.print_level": 0,
@@ -83,14 +117,27 @@ class Solver:
             "ipopt.mu_strategy": "monotone",
             "no_nlp_grad": True,  # multipliers of parameters, of which there are none
             **derivatives,
+            **watch,
             **(options or {}),
         }
         self._function = casadi().nlpsol("whole_trajectory", "ipopt", functions, settings)
 
-    def solve(self, guess: dict[str, Array]) -> Solution:
-        """Solve from one first guess, blocks by name; those left out start at zero."""
+    def solve(self, guess: dict[str, Array] | Solution) -> Solution:
+        """Solve from one first guess: blocks by name, of which those left out start at zero, or a solution.
+
+        A solution may be that of a programme with fewer rows (the first ones of this), and is begun from with its
+        multipliers; that is of use with the options ``WARM`` only.
+        """
         began = time.perf_counter()
-        found = self._function(x0=self._program.join(guess), **self._bounds)
+        if isinstance(guess, Solution):
+            x, lam_x, lam_g = guess.point
+            more = np.zeros(self._program.row_count - len(lam_g))
+            first = {"x0": x, "lam_x0": lam_x, "lam_g0": np.concatenate([lam_g, more])}
+        else:
+            first = {"x0": self._program.join(guess)}
+        found = self._function(**first, **self._bounds)
+        if self._watcher is not None and self._watcher.error is not None:
+            raise self._watcher.error
         stats = self._function.stats()
         x, g = np.asarray(found["x"]).ravel(), np.asarray(found["g"]).ravel()
         violation = max(
@@ -105,4 +152,5 @@ class Solver:
             violation=violation,
             iterations=int(stats["iter_count"]),
             seconds=time.perf_counter() - began,
+            point=(x, np.asarray(found["lam_x"]).ravel(), np.asarray(found["lam_g"]).ravel()),
         )

@@ -1,0 +1,1 @@
+"""Forward dynamics of closed chains."""

@@ -1,0 +1,178 @@
+"""From a planned motion to the efforts that make it, as functions of time, exact between the plan's samples too.
+
+Efforts read off a plan's samples by interpolation are off by a power of the sampling step, and beside a type II
+singularity that is magnified. Here the motion is taken as the function of time it is, and W τ = f is solved at 16
+Chebyshev points of every stretch between two nodes of the plan, inside which everything is analytic. The points keep
+off the ends of a stretch, so τ is never asked for at a singular node itself; the polynomial fills it in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import BPoly
+
+from redundancy_pin.arrays import Array, checked
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.kinematics.state import lift
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.planners.piecewise_chebyshev import PiecewiseChebyshev, fit
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
+from redundancy_pin.simulation.engines.task import Task
+
+STRETCH = 0.01
+"""Longest stretch of a motion that is no plan, s: 16 points in it resolve whatever a machine can follow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A planned motion and the task of following it without feedback.
+
+    Attributes:
+        task: initial state and efforts.
+        platform: from (N,) increasing times, s, to the planned platform motion there.
+        carriers: the same for the carriers.
+        resolution: largest of the last three Chebyshev coefficients of any effort, N or N·m: how well the polynomials
+            resolve it.
+        plan: the plan, if there is one.
+        plan_gap: largest difference between these efforts and the plan's own at its samples, N or N·m; NaN without one.
+    """
+
+    task: Task
+    platform: Callable[[Array], PlatformMotion]
+    carriers: Callable[[Array], CarrierMotion]
+    resolution: float
+    plan: Plan | None = None
+    plan_gap: float = float("nan")
+
+
+def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | None = None) -> Drive:
+    """Return the drive of a plan.
+
+    Between the samples the carriers of a whole-trajectory plan have linear accelerations, as planned; those of another
+    plan follow the quintic that matches s, ṡ, s̈ at both samples.
+
+    Args:
+        dynamics: either backend, for the robot of the plan.
+        plan: the plan.
+        trajectory: the platform motion it was made for; quintics between the plan's samples when left out.
+
+    Raises:
+        InputError: the trajectory is not that of the plan.
+        InfeasiblePlanError: efforts without a finite value; carries the time.
+    """
+    source = continuous_motion(trajectory or plan.motion)
+    if abs(source.start - plan.t[0]) + abs(source.end - plan.t[-1]) > _SAME_TIME * (plan.t[-1] - plan.t[0]):
+        raise InputError(
+            f"The plan runs from {plan.t[0]:.9g} to {plan.t[-1]:.9g} s, the trajectory to {source.end:.9g} s.",
+            remedy="Pass the trajectory the plan was made for.",
+        )
+    carriers = _carriers_of(plan)
+    drive = _drive(dynamics, source, carriers, np.unique(plan.t), np.unique(plan.t)[1:-1])
+    planned = np.concatenate([plan.tau, plan.carrier_force], axis=1)
+    jumping = np.append(plan.motion.jumps[1:], False)
+    own = drive.task.efforts(plan.t)
+    own[jumping] = drive.task.efforts(plan.t[jumping], side="left")
+    off = np.abs(own - planned)
+    return replace(drive, plan=plan, plan_gap=float(np.nanmax(off, initial=0.0)))
+
+
+def drive_of_motion(
+    dynamics: Dynamics,
+    trajectory: TimedTrajectory | PlatformMotion,
+    carriers: Callable[[Array], CarrierMotion] | None = None,
+    *,
+    knots: ArrayLike = (),
+) -> Drive:
+    """Return the drive of a platform motion and a carrier motion given as a function of time.
+
+    Args:
+        dynamics: either backend.
+        trajectory: the platform motion.
+        carriers: from (N,) times, s, to the carrier motion there, smooth between knots; parked at zero when left out.
+        knots: (c,) times, s, at which it is not smooth, and instants at which the platform is singular. Accelerations
+            may jump only where those of the trajectory do.
+
+    Raises:
+        InputError: knots that are not finite numbers.
+        InfeasiblePlanError: efforts without a finite value; carries the time.
+    """
+    source = continuous_motion(trajectory)
+    own = checked(knots, "knots", ("c",))
+    fixed = np.concatenate([[source.start, source.end], source.breaks, source.knots, own])
+    edges = np.unique(np.clip(fixed, source.start, source.end))
+    counts = np.ceil(np.diff(edges) / STRETCH).astype(int)
+    pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(edges[:-1], edges[1:], counts, strict=True)]
+    k = dynamics.robot.k
+    at = carriers or (lambda times: CarrierMotion.parked(len(times), k))
+    return _drive(dynamics, source, at, np.append(np.concatenate(pieces), edges[-1]), edges[1:-1])
+
+
+def _drive(
+    dynamics: Dynamics,
+    source: ContinuousMotion,
+    carriers: Callable[[Array], CarrierMotion],
+    edges: Array,
+    breaks: Array,
+) -> Drive:
+    def efforts(times: Array) -> Array:
+        reduced = dynamics.along(source.sample_at(times)).reduce(carriers(times))
+        tau = distribute(reduced).tau
+        bad = np.flatnonzero(~np.isfinite(tau).all(axis=1))
+        if len(bad):
+            t = float(times[bad[0]])
+            raise InfeasiblePlanError(
+                f"The motion has no finite efforts at {t:.9g} s.",
+                remedy="Plan the carriers through the singularity with plan_whole_trajectory.",
+                t=t,
+            )
+        return np.concatenate([tau, reduced.carrier_force], axis=1)
+
+    # infinite tolerance: the stretches are short enough, and division beside a singular node would chase its rounding
+    polynomials = fit(efforts, edges, np.empty(0), lambda values: np.ones(values.shape[1]), np.inf)
+    robot = dynamics.robot
+    first = edges[:1]
+    tree, its_carriers = lift(robot, source.sample_at(first)), carriers(first)
+    q, v = tree.q[0].copy(), tree.v[0].copy()
+    q[robot.carrier_position] = its_carriers.s[0]
+    v[robot.carrier_velocity] = its_carriers.sd[0]
+    task = Task(robot, float(edges[0]), float(edges[-1]), q, v, polynomials, breaks)
+    return Drive(task, source.sample_at, carriers, _resolution(polynomials))
+
+
+def _carriers_of(plan: Plan) -> Callable[[Array], CarrierMotion]:
+    given = plan.carriers
+    if plan.planner == "whole_trajectory":
+        return CarrierCourse(plan.t, given.s, given.sd, given.sdd).at
+    left = np.flatnonzero(np.diff(plan.t) > 0.0)
+    right = left + 1
+    h = (plan.t[right] - plan.t[left])[:, None]
+    s0, v0, a0, s1, v1, a1 = (part[i] for i in (left, right) for part in (given.s, given.sd, given.sdd))
+    control = np.stack(
+        [
+            s0,
+            s0 + h * v0 / 5.0,
+            s0 + 2.0 * h * v0 / 5.0 + h * h * a0 / 20.0,
+            s1 - 2.0 * h * v1 / 5.0 + h * h * a1 / 20.0,
+            s1 - h * v1 / 5.0,
+            s1,
+        ]
+    )
+    position = BPoly(control, np.append(plan.t[left], plan.t[-1]))
+    rate, second = position.derivative(), position.derivative(2)
+    return lambda times: CarrierMotion(position(times), rate(times), second(times))
+
+
+def _resolution(polynomials: PiecewiseChebyshev) -> float:
+    return float(np.abs(polynomials.coefficients[:, -3:]).max())
+
+
+_SAME_TIME = 1e-9
+"""How far, relative to the duration, plan and trajectory may differ in their times."""
