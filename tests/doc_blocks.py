@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 FENCE = re.compile(r"^(`{3,}|:{3,})(.*)$")
-MARK = re.compile(r"^<!-- (file|not run|exit code): (.+) -->$")
+MARK = re.compile(r"^<!-- (file|not run|raises|exit code): (.+) -->$")
 LEAST_REASON = 12
 """Characters: a reason is a sentence, not a shrug."""
 
@@ -21,7 +21,8 @@ class Block:
         line: number of its first line of text.
         language: what stands behind the fence.
         text: what stands between the fences.
-        marks: comments right in front of it: ``file`` it is written to, ``not run`` and why, ``exit code``.
+        marks: comments right in front of it: ``file`` it is written to, ``not run`` and why,
+            ``raises`` an error of this name, ``exit code``.
     """
 
     page: str

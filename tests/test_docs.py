@@ -5,6 +5,7 @@ front of a block says what else to do with it::
 
     <!-- file: my_robot/robot.yaml -->       it is a file of the session
     <!-- exit code: 3 -->                    its commands end so
+    <!-- raises: SolverError -->             it ends with this error
     <!-- not run: takes minutes because -->  it is compiled or parsed, its imports are made, and that is all
 """
 
@@ -127,7 +128,14 @@ def run_python(block: Block, session: dict[str, Any]) -> None:
     tree = ast.parse("\n" * (block.line - 1) + block.text, filename=block.page)
     if not block.runs:
         tree.body = [part for part in tree.body if isinstance(part, (ast.Import, ast.ImportFrom))]
-    exec(compile(tree, block.page, "exec"), session)
+    code = compile(tree, block.page, "exec")
+    try:
+        exec(code, session)
+    except Exception as error:
+        if type(error).__name__ != block.marks.get("raises"):
+            raise
+    else:
+        assert "raises" not in block.marks or not block.runs, f"{block.where}: no {block.marks['raises']}"
 
 
 def run_command(block: Block, command: str) -> None:
