@@ -5,10 +5,9 @@ Pages beside this file are picked up by the table of contents of index.md withou
 
 from __future__ import annotations
 
-import filecmp
+import json
 import os
 import re
-import shutil
 import sys
 from pathlib import Path
 
@@ -55,22 +54,31 @@ nb_execution_cache_path = str(HERE.parent / "build" / "notebooks")
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
-os.environ.setdefault("PYDEVD_DISABLE_FILE_VALIDATION", "1")  # the kernel's debugger would warn of frozen modules
 
 
 def collect_notebooks(source: Path, target: Path) -> None:
-    """Make a folder hold the notebooks of another one; those that have not changed keep their time."""
+    """Make a folder hold the notebooks of another one, with links to pages that lead from there."""
     target.mkdir(exist_ok=True)
-    wanted = {path.name: path for path in source.glob("*.ipynb")}
+    wanted = {path.name: path.read_text(encoding="utf-8") for path in source.glob("*.ipynb")}
     for path in target.glob("*.ipynb"):
         if path.name not in wanted:
             path.unlink()
-    for name, path in wanted.items():
-        copy = target / name
-        if not (copy.is_file() and filecmp.cmp(path, copy, shallow=False)):
-            shutil.copyfile(path, copy)
+    for name, text in wanted.items():
+        copy, text = target / name, text.replace("](../docs/", "](../../")
+        if not (copy.is_file() and copy.read_text(encoding="utf-8") == text):
+            copy.write_text(text, encoding="utf-8")
 
 
+def offer_kernel(folder: Path) -> None:
+    """Make "python3" this interpreter, whatever kernels the user has; it tells of errors only."""
+    kernel = folder / "kernels" / "python3" / "kernel.json"
+    kernel.parent.mkdir(parents=True, exist_ok=True)
+    launch = [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}", "--log-level=40"]
+    kernel.write_text(json.dumps({"argv": launch, "display_name": "Python 3", "language": "python"}), encoding="utf-8")
+    os.environ["JUPYTER_PATH"] = os.pathsep.join(filter(None, (str(folder), os.environ.get("JUPYTER_PATH"))))
+
+
+offer_kernel(HERE.parent / "build" / "jupyter")
 write_pages(HERE / "reference" / "api" / "modules")
 collect_notebooks(HERE.parent / "notebooks", HERE / "tutorials" / "notebooks")
 
