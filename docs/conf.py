@@ -28,7 +28,6 @@ version = release = redundancy_pin.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_click", "mathml"]
 html_math_renderer = "mathml"
 exclude_patterns = ["pictures", "examples"]
-html_static_path: list[str] = []
 suppress_warnings = ["ref.python"]  # an annotation that two classes of the same name fit links to one of them
 highlight_language = "none"
 
@@ -47,6 +46,8 @@ python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 90
 
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_title = f"redundancy_pin {release}"
 html_show_copyright = False
 html_copy_source = False
@@ -108,7 +109,16 @@ def escape_bars(app: Sphinx, what: str, name: str, subject: object, options: obj
                 for line in lines]  # fmt: skip
 
 
+def shorten_types(
+    app: Sphinx, what: str, name: str, subject: object, options: object, signature: str | None, returned: str | None
+) -> tuple[str | None, str | None]:
+    """Leave out the modules of types: signatures of dataclasses with default factories show them whole."""
+    short = signature and re.sub(r"~(?:\w+\.)*(\w+)", r"\1", signature).replace("<factory>", "...")
+    return short, returned
+
+
 def setup(app: Sphinx) -> None:
     """Connect the hooks."""
     app.connect("source-read", fill_in_contents)
     app.connect("autodoc-process-docstring", escape_bars)
+    app.connect("autodoc-process-signature", shorten_types)

@@ -26,7 +26,7 @@ def mathml(formula: str, *, block: bool) -> str:
     for element in list(tree.iter("munderover")):
         base, index, above = element
         if (above.text or "") in ACCENTS:  # the index of a dotted letter belongs beside it, not under it
-            dotted = ElementTree.Element("mover", accent="true")
+            dotted = ElementTree.Element("mover")
             dotted.extend([base, above])
             element.tag = "msub"
             element[:] = [dotted, index]
