@@ -18,6 +18,7 @@ import engines
 import planners_stepwise
 import planners_switch_off
 import planners_whole
+import simulation
 from plain_loop import PlainLoop
 
 import redundancy_pin as rp
@@ -139,6 +140,7 @@ def main():
     rows += planners_stepwise.rows()
     rows += planners_switch_off.rows()
     rows += planners_whole.rows()
+    rows += simulation.rows()
     rows += engines.rows()
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(json.dumps(rows, indent=2) + "\n")

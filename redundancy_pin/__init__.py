@@ -1,6 +1,6 @@
 """Closed-chain (parallel-robot) dynamics and planning on Pinocchio."""
 
-from redundancy_pin import trajectory
+from redundancy_pin import simulation, trajectory
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.reactions import joint_reactions
 from redundancy_pin.dynamics.rnea import RneaDynamics
@@ -16,6 +16,7 @@ from redundancy_pin.planners.plan_file import load_plan, load_robot_of
 from redundancy_pin.planners.stepwise import plan_stepwise
 from redundancy_pin.planners.switch_off import plan_switch_off
 from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
+from redundancy_pin.simulation import simulate
 from redundancy_pin.view import show
 from redundancy_pin.visualisation import plots as plot
 
@@ -39,6 +40,8 @@ __all__ = [
     "plan_whole_trajectory",
     "plot",
     "show",
+    "simulate",
+    "simulation",
     "singular_locus",
     "trajectory",
 ]

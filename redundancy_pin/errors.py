@@ -78,3 +78,7 @@ class OutputError(RedundancyPinError):
 
 class CrossCheckError(RedundancyPinError):
     """Two independent computations of the same quantity disagree."""
+
+
+class IllPosedModelError(RedundancyPinError):
+    """Forces do not determine the motion: a free motion has no inertia; carries condition number and direction."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray
 from redundancy_pin.crosscheck.cases import Case
@@ -11,6 +10,7 @@ from redundancy_pin.crosscheck.report import Tally, relative
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.simulation.pinocchio_way import ConstraintDynamics, has_point_closures
 
 _STENCIL = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 _STEP = 5e-4
@@ -86,7 +86,7 @@ def check_leg_momentum(tally: Tally, case: Case, dynamics: Dynamics, label: str)
 def check_round_trip(tally: Tally, case: Case, dynamics: Dynamics, label: str) -> None:
     """Efforts from inverse dynamics, given to Pinocchio's constrained forward dynamics, return the accelerations."""
     robot = case.robot
-    if not all(set(closure.axes) in ({"x", "y"}, {"x", "y", "z"}) for closure in robot.closures):
+    if not has_point_closures(robot):
         return  # the solver knows point closures only
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     rnea = RneaDynamics(robot).along(motion)
@@ -97,7 +97,7 @@ def check_round_trip(tally: Tally, case: Case, dynamics: Dynamics, label: str) -
     effort = np.zeros_like(v)
     effort[robot.actuated_velocity] = tau.T
     effort[robot.carrier_velocity] = reduced.carrier_force.T
-    solve = _ForwardDynamics(case)
+    solve = ConstraintDynamics(case.robot)
     forward = np.array([solve(q[:, k], v[:, k], effort[:, k]) for k in keep]).reshape(len(keep), len(v))
     tally.add(robot.name, f"inverse -> forward ({label})", relative(forward, a.T[keep]), ROUND_TRIP)
 
@@ -152,40 +152,3 @@ def _efforts(reduced: ReducedDynamics) -> tuple[Array, BoolArray]:
     safe = np.where(solvable[:, None, None], reduced.W, np.eye(*reduced.W.shape[1:]))
     tau: Array = (np.linalg.pinv(safe) @ reduced.f[:, :, None])[:, :, 0]
     return tau, solvable
-
-
-class _ForwardDynamics:
-    """Pinocchio's ``constraintDynamics`` for one robot, its point closures as 3D constraints.
-
-    A planar closure leaves the out-of-plane row of the 3D constraint empty; the damping keeps the solver regular there.
-    """
-
-    def __init__(self, case: Case) -> None:
-        self._model = model = case.robot.model
-        self._constraints = pin.StdVec_RigidConstraintModel()
-        self._constraint_data = pin.StdVec_RigidConstraintData()
-        for closure in case.robot.closures:
-            frame_a, frame_b = (
-                model.frames[model.getFrameId(f, pin.FrameType.BODY)] for f in (closure.frame_a, closure.frame_b)
-            )
-            constraint = pin.RigidConstraintModel(
-                pin.ContactType.CONTACT_3D,
-                model,
-                frame_a.parentJoint,
-                frame_a.placement,
-                frame_b.parentJoint,
-                frame_b.placement,
-                pin.ReferenceFrame.LOCAL,
-            )
-            self._constraints.append(constraint)
-            self._constraint_data.append(constraint.createData())
-        self._data = model.createData()
-        pin.initConstraintDynamics(model, self._data, self._constraints, self._constraint_data)
-        self._settings = pin.ProximalSettings(1e-14, 1e-8, 30)
-
-    def __call__(self, q: Array, v: Array, effort: Array) -> Array:
-        """Return the (nv,) accelerations under generalised forces (nv,)."""
-        acceleration = pin.constraintDynamics(
-            self._model, self._data, q, v, effort, self._constraints, self._constraint_data, self._settings
-        )
-        return np.array(acceleration)

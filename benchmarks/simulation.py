@@ -1,0 +1,100 @@
+"""Forward dynamics: one evaluation by both ways, and simulated time per wall time.
+
+The yardstick of an evaluation is Pinocchio's ``constraintDynamics``, compiled code for point closures and bodies with
+mass. The motion is that of the 3-RRR with its carriers, thrown from its reference pose without efforts, through
+singular poses; the whole of ``simulate`` is timed, its report included.
+"""
+
+import statistics
+import time
+
+import numpy as np
+
+import redundancy_pin as rp
+from redundancy_pin.simulation import Constant, ForwardDynamics, Sampling, closed_state
+from redundancy_pin.simulation.pinocchio_way import ConstraintDynamics
+
+REPEATS = 5
+CALLS = 500
+TARGET_US = 30.0
+DURATION = 2.0
+
+
+def seconds(action):
+    start = time.process_time()
+    result = action()
+    return time.process_time() - start, result
+
+
+def evaluation(robot):
+    dynamics, compiled = ForwardDynamics(robot), ConstraintDynamics(robot)
+    start = closed_state(robot, xd=[0.3, -0.2, 0.5], s=0.1, sd=0.4)
+    q, v, force = np.array(start.q), np.array(start.v), np.ones(robot.model.nv)
+    dynamics.adapt(q)
+    ours, theirs, ratios = [], [], []
+    for _ in range(2 * REPEATS):
+        a, mine = seconds(lambda: [dynamics.acceleration(q, v, force) for _ in range(CALLS)][-1])
+        b, other = seconds(lambda: [compiled(q, v, force) for _ in range(CALLS)][-1])
+        ours.append(1e6 * a / CALLS)
+        theirs.append(1e6 * b / CALLS)
+        ratios.append(a / b)
+    row = {
+        "what": "accelerations of the 3-RRR with carriers, projected equations against Pinocchio's constraintDynamics",
+        "projected_us": min(ours),
+        "constraint_dynamics_us": min(theirs),
+        "ratio": statistics.median(ratios),
+        "target_us": TARGET_US,
+        "relative_difference": float(np.abs(mine - other).max() / np.abs(mine).max()),
+    }
+    print(
+        f"{row['what']}: {row['projected_us']:.1f} us (target {TARGET_US:.0f}), "
+        f"{row['constraint_dynamics_us']:.1f} us; they differ by {row['relative_difference']:.1e}"
+    )
+    return row
+
+
+def whole(robot, title, drive, **options):
+    start = closed_state(robot, xd=[0.3, -0.2, 0.5], s=0.1, sd=0.1)
+    rates = []
+    for _ in range(REPEATS):
+        spent, run = seconds(
+            lambda: rp.simulate(robot, drive, start=start, duration=DURATION, dt=0.01, stop_at=(), **options)
+        )
+        rates.append(DURATION / spent)
+    row = {
+        "what": f"simulated time per processor time, 3-RRR with carriers, {title}",
+        "ratio": statistics.median(rates),
+        "steps": run.statistics.steps,
+        "evaluations": run.statistics.evaluations,
+        "gap": float(run.gap.max()),
+        "energy_drift": float(np.ptp(run.energy) / np.abs(run.energy).max()),
+    }
+    print(
+        f"{row['what']}: {row['ratio']:.1f} ({row['steps']} steps, {row['evaluations']} evaluations, gap "
+        f"{row['gap']:.0e} m, energy drift {row['energy_drift']:.0e})"
+    )
+    return row
+
+
+def rows():
+    robot = rp.load_robot("3rrr")
+    nothing = Constant(np.zeros(robot.m), np.zeros(robot.k))
+    return [
+        evaluation(robot),
+        whole(robot, "projected equations", nothing),
+        whole(robot, "Pinocchio's constraintDynamics", nothing, way="constraint_dynamics"),
+        whole(robot, "1 kHz controller, one sample of delay", nothing, sampling=Sampling(1e-3, 1e-3)),
+        whole(
+            robot,
+            "1 kHz controller, order 5 at 1e-7",
+            nothing,
+            sampling=Sampling(1e-3, 1e-3),
+            integrator="RK45",
+            rtol=1e-7,
+            atol=1e-8,
+        ),
+    ]
+
+
+if __name__ == "__main__":
+    rows()

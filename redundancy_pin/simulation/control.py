@@ -1,0 +1,138 @@
+"""What drives a machine: the protocol of controllers, and how a digital controller is sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.state import State
+
+CarrierLaw = Callable[[float], tuple[Array, Array, Array]]
+"""From time to carrier positions, speeds and accelerations, each (k,); smooth between the controller's ``breaks``."""
+
+
+class Controller(Protocol):
+    """What ``simulate`` needs of a controller.
+
+    Optional attributes, used where present:
+
+    - ``breaks``: times, s, at which the efforts jump or kink; the integration starts anew there.
+    - ``carrier_motion``: a ``CarrierLaw``, for carriers driven by motion.
+    - ``start_state(robot)``: the ``State`` to start from, and ``end``: the time at which the motion is over, s.
+    """
+
+    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        """Return main efforts (m,), N or N·m, and carrier forces (k,), N, at time t, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Constant:
+    """Constant efforts: zero unless given.
+
+    Attributes:
+        tau: (m,) main efforts, N or N·m.
+        carrier_force: (k,) carrier forces, N.
+    """
+
+    tau: Array
+    carrier_force: Array
+
+    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        """Return the efforts."""
+        return self.tau, self.carrier_force
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """A digital controller: it reads the state every ``period``, and its output acts ``delay`` later and is held.
+
+    Until its first output acts, the first output acts: the machine stands with the controller on.
+
+    Attributes:
+        period: s.
+        delay: from reading the state to the change of the efforts, s; may exceed the period.
+    """
+
+    period: float
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not (np.isfinite(self.period) and self.period > 0.0 and np.isfinite(self.delay) and self.delay >= 0.0):
+            raise InputError(
+                f"The sampling has period {self.period} s and delay {self.delay} s.",
+                remedy="Pass a positive period and a delay that is not negative.",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A controller behind its amplifiers: saturation, and the split into generalised forces.
+
+    Attributes:
+        robot: the robot.
+        controller: what commands the efforts.
+        tau_limit: (m,) largest |τ|, N or N·m; infinite where there is none.
+        force_limit: (k,) largest |carrier force|, N.
+    """
+
+    robot: Robot
+    controller: Controller
+    tau_limit: Array
+    force_limit: Array
+    _limited: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Note whether anything saturates."""
+        object.__setattr__(
+            self, "_limited", bool(np.isfinite(self.tau_limit).any() or np.isfinite(self.force_limit).any())
+        )
+
+    def command(self, t: float, state: State) -> tuple[Array, Array]:
+        """Return the efforts that act: τ (m,) and carrier forces (k,)."""
+        return self._saturated(*self.controller.effort(t, state))
+
+    def checked_command(self, t: float, state: State) -> tuple[Array, Array]:
+        """Return ``command`` after checking what the controller returns.
+
+        Raises:
+            InputError: the controller returns something else than (m,) and (k,) finite numbers.
+        """
+        answer = self.controller.effort(t, state)
+        parts = [np.array(part, dtype=float) for part in answer] if isinstance(answer, tuple) else []
+        shapes = [(self.robot.m,), (self.robot.k,)]
+        if [part.shape for part in parts] != shapes or not all(np.isfinite(part).all() for part in parts):
+            raise InputError(
+                f"{type(self.controller).__name__}.effort returned {answer!r} at t = {t:.6g} s.",
+                remedy=f"Return main efforts ({self.robot.m},) and carrier forces ({self.robot.k},), finite numbers.",
+            )
+        return self._saturated(*parts)
+
+    def _saturated(self, tau: Array, force: Array) -> tuple[Array, Array]:
+        if not self._limited:
+            return tau, force
+        return (
+            np.clip(tau, -self.tau_limit, self.tau_limit),
+            np.clip(force, -self.force_limit, self.force_limit),
+        )
+
+
+def limit(values: ArrayLike | None, count: int, name: str) -> Array:
+    """Return (count,) limits from a scalar, one value each, or None for no limit.
+
+    Raises:
+        InputError: wrong number of values, or one that is not positive.
+    """
+    given = np.full(1, np.inf) if values is None else np.atleast_1d(np.asarray(values, dtype=float))
+    if given.shape not in ((1,), (count,)) or not (given > 0.0).all():
+        raise InputError(
+            f"{name} is {values!r}.", remedy=f"Pass one positive number, or {count}, or None for no limit."
+        )
+    return np.broadcast_to(given, (count,))

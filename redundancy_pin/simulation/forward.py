@@ -1,0 +1,211 @@
+"""Accelerations of a closed chain under given efforts: the equations of motion in independent coordinates.
+
+With J_c N = 0 and J_c a₀ = −J̇_c v, accelerations are a = N z̈ + a₀ and closure forces drop out of
+
+    (Nᵀ M N) z̈ = Nᵀ (u − rnea(q, v, a₀)),
+
+u the generalised forces of main actuators, carriers and whatever else acts. z are tree coordinates chosen by rank
+(``partition``), so the equations are regular wherever J_c has full row rank and the free motions have inertia: at
+singularities of type I and type II too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg import blas, eigh, lapack
+
+from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.errors import IllPosedModelError
+from redundancy_pin.kinematics.coordinates import velocity_scale
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.chain import ClosedChain
+from redundancy_pin.simulation.partition import Partition, choose
+
+LEAST_INERTIA = 1e-8
+"""Inertia that a free motion must have when all before it yield, as a share of the largest, for the model not to count
+as massless in some direction. Rounding leaves 1e-16, but accelerations grow without bound on the way there, and steps
+shrink to nothing. A part of a thousandth of the mass of the others leaves 1e-3."""
+
+_POOR_CHOICE = 1e-2
+"""Ratio of the pivots of the dependent block of J_c below which the independent velocities are chosen anew."""
+
+
+@dataclass(frozen=True, eq=False)
+class Acceleration:
+    """What acts at one state.
+
+    Attributes:
+        a: (nv,) tree acceleration.
+        closure_force: (r,) forces of the closure rows, N or N·m, on frame B along the axes of frame A.
+        carrier_force: (k,) forces of the carriers' actuators, N.
+    """
+
+    a: Array
+    closure_force: Array
+    carrier_force: Array
+
+
+class ForwardDynamics:
+    """Forward dynamics in projected form, for one robot.
+
+    Args:
+        robot: the robot.
+        prescribed: whether the carriers' motion is given in place of their forces.
+    """
+
+    def __init__(self, robot: Robot, *, prescribed: bool = False) -> None:
+        self.robot = robot
+        self.chain = ClosedChain(robot)
+        self.prescribed = prescribed
+        nothing = np.empty(0, dtype=np.intp)
+        self._carriers = np.array(robot.carrier_velocity)
+        self._free: IntArray = nothing if prescribed else self._carriers
+        self._given: IntArray = self._carriers if prescribed else nothing
+        self._scale = velocity_scale(robot)
+        self.least_inertia = 1.0
+        """Smallest pivot of the mass matrix over the largest, in kg, at the last state asked for."""
+        self._fresh = False
+        """Whether the independent velocities were chosen for the next configuration that is asked for."""
+        self._set(self.choose_partition(np.array(robot.q_reference)))
+
+    def choose_partition(self, q: Array) -> Partition:
+        """Return the partition that suits a configuration (nq,).
+
+        Raises:
+            SingularPoseError: the closures have lost rank there.
+        """
+        self.chain.update(q, np.zeros(self.robot.model.nv))
+        return choose(self.chain.jacobian(), self._scale, self.chain.pose_columns, self._free, self._given)
+
+    def adapt(self, q: Array) -> None:
+        """Choose the independent velocities anew for a configuration (nq,).
+
+        Raises:
+            SingularPoseError: the closures have lost rank there.
+        """
+        self._set(self.choose_partition(q))
+        self._fresh = True
+
+    def _set(self, partition: Partition) -> None:
+        self.partition = partition
+        self._basis = np.zeros((self.robot.model.nv, len(partition.independent)), order="F")
+        self._basis[partition.independent, np.arange(len(partition.independent))] = 1.0
+        self._particular = np.zeros(self.robot.model.nv)
+        self._inverse_scale = 1.0 / self._scale[partition.independent]
+        self._system = np.empty((self.chain.rows, len(partition.independent) + 1), order="F")
+        self._columns = np.concatenate([partition.dependent, partition.independent])
+
+    def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array:
+        """Return the tree acceleration (nv,).
+
+        Args:
+            q: (nq,) closed configuration.
+            v: (nv,) velocity that the closures allow.
+            force: (nv,) generalised forces: efforts, carrier forces, friction.
+            carrier_acceleration: (k,) s̈ where the carriers' motion is prescribed, m/s².
+
+        Raises:
+            IllPosedModelError: a free motion has no inertia.
+            SingularPoseError: the closures have lost rank.
+        """
+        model, data, chain = self.robot.model, self.chain.data, self.chain
+        chain.update(q, v)
+        particular, basis = self._particular, self._basis
+        if carrier_acceleration is not None:
+            particular[self._given] = carrier_acceleration
+        if chain.rows:
+            dependent = self.partition.dependent
+            jacobian = chain.jacobian().take(self._columns, 1)
+            rows = chain.rows
+            system = self._system
+            system[:, :-1] = jacobian[:, rows:]
+            system[:, -1] = chain.bias()
+            factor, _, solved, _ = lapack.dgesv(jacobian[:, :rows], system, overwrite_b=1)
+            pivots = [abs(pivot) for pivot in factor.diagonal().tolist()]
+            if not self._fresh and min(pivots) < _POOR_CHOICE * max(pivots):
+                self.adapt(q)  # raises where the closures themselves have lost rank
+                return self.acceleration(q, v, force, carrier_acceleration)
+            self._fresh = False
+            np.negative(solved, out=solved)
+            basis[dependent] = solved[:, :-1]
+            particular[dependent] = solved[:, -1]
+        effort = pin.rnea(model, data, q, v, particular)
+        mass = pin.crba(model, data, q)
+        # the binding leaves the lower triangle alone, and dsymm reads the upper one only
+        reduced = blas.dgemm(1.0, basis, blas.dsymm(1.0, mass, basis), trans_a=1)
+        factor, z, failed = lapack.dposv(reduced, basis.T.dot(force - effort))
+        inertia = ((factor.diagonal() * self._inverse_scale) ** 2).tolist()
+        self.least_inertia = 0.0 if failed else min(inertia) / max(max(inertia), 1e-300)
+        if not self.least_inertia > LEAST_INERTIA:
+            if not np.isfinite(reduced).all():  # a trial step of an integrator, far off
+                return np.full(model.nv, np.nan)
+            raise self._ill_posed(reduced)
+        result: Array = particular + basis.dot(z)
+        return result
+
+    def forces(self, q: Array, v: Array, force: Array, a: Array) -> Acceleration:
+        """Return closure forces and carrier forces that go with an acceleration.
+
+        Args:
+            q: (nq,) configuration.
+            v: (nv,) velocity.
+            force: (nv,) generalised forces without those of carriers driven by motion.
+            a: (nv,) from ``acceleration``.
+        """
+        chain, partition = self.chain, self.partition
+        chain.update(q, v)
+        missing = np.array(pin.rnea(self.robot.model, chain.data, q, v, a)) - force
+        closure = np.zeros(chain.rows)
+        if chain.rows:
+            block = chain.jacobian()[:, partition.dependent]
+            _, _, closure, _ = lapack.dgesv(block.T, missing[partition.dependent])
+        carrier = missing[self._carriers] if self.prescribed else force[self._carriers]
+        return Acceleration(a, np.asarray(closure), np.asarray(carrier))
+
+    def velocity_basis(self, q: Array) -> Array:
+        """Return N (nv, d) at a configuration (nq,): the tree velocities that the closures allow.
+
+        Its columns belong to the independent velocities of the present partition; ``adapt`` chooses one that suits q.
+        """
+        self.chain.update(q, np.zeros(self.robot.model.nv))
+        if self.chain.rows:
+            jacobian = self.chain.jacobian()
+            dependent, independent = self.partition.dependent, self.partition.independent
+            self._basis[dependent] = -np.linalg.solve(jacobian[:, dependent], jacobian[:, independent])
+        return self._basis.copy()
+
+    def _ill_posed(self, reduced: Array) -> IllPosedModelError:
+        """Return the error that names the motion without inertia."""
+        robot = self.robot
+        values, vectors = eigh(reduced)
+        condition = float(values[-1] / max(abs(values[0]), np.finfo(float).tiny))
+        direction = self._basis @ vectors[:, 0]
+        share = np.abs(direction * self._scale)
+        moved = [
+            str(robot.model.names[j])
+            for j in range(1, robot.model.njoints)
+            if share[_columns(robot, j)].max() > 0.1 * share.max()
+        ]
+        masses = [name for name, value in robot.parameters.items() if name.endswith("_mass") and value == 0.0]
+        masses.sort(key=lambda name: name != "end_effector_mass")  # what such a machine lacks most often
+        example = f"for example load_robot({robot.name!r}, {masses[0]}=0.1)" if masses else "in its URDF"
+        drive = (
+            "" if self.prescribed or not robot.k else ' Carriers driven by motion (carriers="motion") need less of it.'
+        )
+        return IllPosedModelError(
+            f"A motion that the closures of {robot.name} leave free has no inertia: the mass matrix in independent "
+            f"coordinates has condition number {condition:.3g}, so forces do not determine the acceleration of "
+            f"{', '.join(moved)}.",
+            remedy=f"Give it mass, {example}.{drive}",
+            condition=condition,
+            direction=direction.tolist(),
+            joints=tuple(moved),
+        )
+
+
+def _columns(robot: Robot, joint: int) -> slice:
+    found = robot.model.joints[joint]
+    return slice(found.idx_v, found.idx_v + found.nv)

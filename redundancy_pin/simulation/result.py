@@ -1,0 +1,152 @@
+"""What a simulation returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline
+
+from redundancy_pin.arrays import Array, checked
+from redundancy_pin.errors import InputError
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.archive import write_archive
+from redundancy_pin.planners.robot_record import RobotRecord
+from redundancy_pin.simulation.events import Event
+
+FORMAT = "redundancy_pin simulation"
+"""What a saved simulation calls itself."""
+
+VERSION = 1
+"""Version of the file format."""
+
+
+class SimulationStatus(Enum):
+    """How a simulation ended."""
+
+    COMPLETED = "completed"
+    """It reached its end."""
+    STOPPED_BY_EVENT = "stopped_by_event"
+    """An event it was told to stop at came first: the last of ``events``."""
+    FAILED = "failed"
+    """The integration could not go on; ``reason`` says why, and the samples end there."""
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What the integration took.
+
+    Attributes:
+        steps: accepted steps.
+        evaluations: evaluations of the accelerations.
+        restarts: how often the integrator started anew, at breaks and samples of a controller.
+        largest_correction: largest closure gap, m, at the end of a step before the projection took it away.
+        seconds: time it took, s.
+    """
+
+    steps: int
+    evaluations: int
+    restarts: int
+    largest_correction: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A simulated motion; the arrays are read-only.
+
+    N samples, n coordinates, m main actuators, k carriers, r closure rows.
+
+    Where efforts jump, the sample holds those after the jump.
+
+    Attributes:
+        t: (N,) time, s.
+        q: (N, nq) tree configurations, chains closed.
+        v: (N, nv) tree velocities.
+        a: (N, nv) tree accelerations.
+        x: (N, n) platform coordinates, base frame, m and rad (angles run on past π), or poses (N, 4, 4).
+        xd: (N, n) their rate, m/s and rad/s; the world-aligned twist for poses.
+        s, sd, sdd: (N, k) carrier positions, m, speeds, m/s, and accelerations, m/s².
+        tau: (N, m) main efforts that acted, N or N·m.
+        carrier_force: (N, k) forces of the carriers' actuators, N: those that acted, or those that a prescribed
+            motion took.
+        actuated_rate: (N, m) rates of the main actuators, m/s or rad/s.
+        closure_force: (N, r) forces of the closure rows on their second frame, along the axes of the first, N or N·m.
+        gap: (N,) closure gap, m (rotation rows: sine of the angle).
+        energy: (N,) kinetic plus potential energy, J (zero height at the world origin).
+        events: what happened, in order of time.
+        status: how it ended.
+        reason: why it failed; empty otherwise.
+        statistics: what the integration took.
+        robot: the robot, in plain data.
+        parameters: how it was run, in plain data.
+    """
+
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    x: Array
+    xd: Array
+    s: Array
+    sd: Array
+    sdd: Array
+    tau: Array
+    carrier_force: Array
+    actuated_rate: Array
+    closure_force: Array
+    gap: Array
+    energy: Array
+    events: tuple[Event, ...]
+    status: SimulationStatus
+    reason: str
+    statistics: Statistics
+    robot: RobotRecord
+    parameters: Mapping[str, object] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.t)
+
+    @property
+    def work(self) -> Array:
+        """(N,) work of all actuators since the start, J: trapezoidal sum of their power over the samples."""
+        power = (self.tau * self.actuated_rate).sum(axis=1) + (self.carrier_force * self.sd).sum(axis=1)
+        steps = 0.5 * (power[1:] + power[:-1]) * np.diff(self.t)
+        total: Array = np.concatenate([[0.0], np.cumsum(steps)])
+        return total
+
+    @property
+    def carriers(self) -> CarrierMotion:
+        """The carriers' motion."""
+        return CarrierMotion(self.s, self.sd, self.sdd)
+
+    def at(self, times: ArrayLike) -> tuple[Array, Array]:
+        """Return x and ẋ, each (T, n), at times (T,) within the simulation, from the cubics through x and ẋ.
+
+        Between samples Δt apart x is off by O(Δt⁴), and by O(Δt²) of the jump in a step where efforts jump.
+
+        Raises:
+            InputError: times outside the simulation, or poses.
+        """
+        instants = checked(np.atleast_1d(np.asarray(times)), "times", ("T",))
+        if self.x.ndim == 3 or instants.min() < self.t[0] or instants.max() > self.t[-1]:
+            what = "it moves a pose" if self.x.ndim == 3 else f"it lasts from {self.t[0]:.6g} to {self.t[-1]:.6g} s"
+            raise InputError(
+                f"The simulation cannot be asked for x at these times: {what}.", remedy="Simulate with a finer dt."
+            )
+        kept = np.append(np.diff(self.t) > 0.0, True)
+        spline = CubicHermiteSpline(self.t[kept], self.x[kept], self.xd[kept])
+        return spline(instants), spline(instants, 1)
+
+    def save(self, path: str | Path) -> None:
+        """Write the simulation to a file without loss (npz with JSON inside); ``load_simulation`` reads it.
+
+        Raises:
+            OutputError: the file cannot be written; an earlier one is as it was.
+        """
+        write_archive(path, FORMAT, VERSION, self)

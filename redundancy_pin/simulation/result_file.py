@@ -1,0 +1,74 @@
+"""Simulations in files: read back with every inconsistency refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.errors import InputError
+from redundancy_pin.planners.archive import damaged, read_archive
+from redundancy_pin.planners.robot_record import RobotRecord
+from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.simulation.events import Event
+from redundancy_pin.simulation.result import FORMAT, VERSION, Simulation, SimulationStatus, Statistics
+
+
+def load_simulation(path: str | Path) -> Simulation:
+    """Read a simulation that was saved with ``Simulation.save``. Nothing in the file is executed.
+
+    Raises:
+        PlanFileError: the file is missing, truncated, damaged, no simulation, of a newer format, or its arrays do not
+            fit together.
+    """
+    record = read_archive(path, FORMAT, VERSION)
+    try:
+        simulation = _simulation(record)
+        _check(simulation)
+    except InputError as error:
+        raise damaged(path, error.message.removesuffix(".")) from error
+    except KeyError as error:
+        raise damaged(path, f"{error.args[0]!r} is missing") from error
+    except (TypeError, ValueError, AttributeError) as error:
+        raise damaged(path, f"it does not hold a simulation's fields ({error})") from error
+    return simulation
+
+
+def _simulation(record: Mapping[str, Any]) -> Simulation:
+    values = {field.name: record[field.name] for field in fields(Simulation)}
+    robot = dict(values["robot"])
+    robot["carrier_limits"] = tuple(CarrierLimits(**entry) for entry in robot["carrier_limits"])
+    values["robot"] = RobotRecord(**robot)
+    values["events"] = tuple(Event(**entry) for entry in values["events"])
+    values["status"] = SimulationStatus(values["status"])
+    values["statistics"] = Statistics(**values["statistics"])
+    return Simulation(**values)
+
+
+def _check(simulation: Simulation) -> None:
+    """Check that the arrays fit together."""
+    count, robot = len(simulation.t), simulation.robot
+    n, nv = simulation.xd.shape[1], simulation.v.shape[1]
+    m, k = len(robot.actuated), len(robot.carriers)
+    poses = simulation.x.ndim == 3
+    for name, shape in (
+        ("t", (count,)),
+        ("q", (count, len(robot.q_reference))),
+        ("v", (count, nv)),
+        ("a", (count, nv)),
+        ("x", (count, 4, 4) if poses else (count, n)),
+        ("xd", (count, n)),
+        *((name, (count, k)) for name in ("s", "sd", "sdd", "carrier_force")),
+        *((name, (count, m)) for name in ("tau", "actuated_rate")),
+        ("closure_force", (count, simulation.closure_force.shape[1])),
+        ("gap", (count,)),
+        ("energy", (count,)),
+    ):
+        value = getattr(simulation, name)
+        if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+            raise InputError(f"{name} is no array of floats")
+        if value.shape != shape:
+            raise InputError(f"{name} has shape {value.shape}, but the rest of the simulation needs {shape}")

@@ -1,0 +1,270 @@
+"""The march through time: an integrator of a library, a projection after every step, restarts where efforts jump."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.integrate import DOP853, RK45
+from scipy.optimize import brentq
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.simulation.control import Sampling
+from redundancy_pin.simulation.events import Event, Watcher
+from redundancy_pin.simulation.machine import Command, Machine
+from redundancy_pin.simulation.result import SimulationStatus, Statistics
+from redundancy_pin.simulation.schedule import SAME, Schedule
+from redundancy_pin.simulation.step import Step
+
+INTEGRATORS = {"DOP853": DOP853, "RK45": RK45}
+"""Explicit Runge-Kutta methods of scipy of order 8 and 5. The lower order is cheaper where a sampled controller makes
+every step short."""
+
+_LOOKS = (0.25, 0.5, 0.75, 1.0)
+"""Where in a step the watched functions are looked at: a carrier that touches its end stop and leaves within one step
+is not missed."""
+
+_BRIEF = 2e-3
+"""s; in a step shorter than this only the end is looked at: at 10 m/s² a carrier touches its stop by 5 µm in it."""
+
+SHORTEST = 1e-8
+"""s; a machine whose motion takes steps shorter than this, many in a row, is not one."""
+
+_MOST_SHORT = 20
+
+_LITTLE_INERTIA = 1e-3
+"""Share of the largest inertia below which an inertia is blamed for a motion that blows up."""
+
+GAP_LIMIT = 1e-9
+"""Closure gap, m, that the projection must not leave."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of the integration.
+
+    Attributes:
+        rtol, atol: relative and absolute tolerance of a step.
+        max_step: longest step, s.
+        max_steps: most steps before it is given up.
+        integrator: a key of ``INTEGRATORS``.
+    """
+
+    rtol: float
+    atol: float
+    max_step: float
+    max_steps: int
+    integrator: str
+
+
+@dataclass(eq=False)
+class Record:
+    """Samples as they come in."""
+
+    t: list[float] = field(default_factory=list)
+    y: list[Array] = field(default_factory=list)
+    held: list[Command | None] = field(default_factory=list)
+    gap: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a run left: samples, events, how it ended."""
+
+    record: Record
+    events: tuple[Event, ...]
+    status: SimulationStatus
+    reason: str
+    statistics: Statistics
+
+
+class Run:
+    """One integration from a state to an end.
+
+    Args:
+        machine: what is integrated.
+        watcher: what is watched for.
+        settings: of the integration.
+        grid: (G,) times at which to record, s, first and last included.
+        breaks: inner times at which efforts jump, s.
+        sampling: of a digital controller, or None.
+        first: efforts that the controller commands at the start.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        watcher: Watcher,
+        settings: Settings,
+        grid: Array,
+        breaks: Array,
+        sampling: Sampling | None,
+        first: Command,
+    ) -> None:
+        self._machine, self._watcher, self._settings = machine, watcher, settings
+        self._grid, self._sampling, self._breaks = grid, sampling, breaks
+        self._record, self._first = Record(), first
+        self._same = SAME * float(grid[1] - grid[0])
+        self._events: list[Event] = []
+        self._steps = self._restarts = self._next = self._short = 0
+        self._correction = 0.0
+        self._suggested: float | None = None
+        self._reason = ""
+        self._y: Array = np.empty(0)
+        self._watched: Array = np.empty(0)
+
+    def __call__(self, y: Array) -> Outcome:
+        """Integrate from y = (q, v) at the first time of the grid."""
+        began = time.perf_counter()
+        t, end = float(self._grid[0]), float(self._grid[-1])
+        y = self._y = self._machine.project(t, y)[0]
+        self._watched = self._watcher.values(y[: self._machine.robot.model.nq])
+        status = SimulationStatus.COMPLETED
+        with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
+            for left, right in self._stretches(t, end):
+                t, y, status = self._stretch(left, right, y)
+                self._y = y
+                if status is not SimulationStatus.COMPLETED:
+                    break
+        self._write(t, y)
+        statistics = Statistics(
+            self._steps, self._machine.evaluations, self._restarts, self._correction, time.perf_counter() - began
+        )
+        return Outcome(self._record, tuple(self._events), status, self._reason, statistics)
+
+    def _stretches(self, start: float, end: float) -> Iterator[tuple[float, float]]:
+        """Yield stretches over which the efforts are smooth; set what a sampled controller holds before each."""
+        if self._sampling is None:
+            edges = [start, *self._breaks.tolist(), end]
+            yield from itertools.pairwise(edges)
+        else:
+            yield from self._sampled(self._sampling, start, end)
+
+    def _sampled(self, sampling: Sampling, start: float, end: float) -> Iterator[tuple[float, float]]:
+        """Yield the stretches between readings of the state, changes of the held efforts, and breaks."""
+        machine, commands, acting = self._machine, [self._first], 0
+        schedule = Schedule(sampling, start, end)
+        for left, right in itertools.pairwise(schedule.edges(self._breaks)):
+            if schedule.reads(left) > len(commands):
+                commands.append(machine.checked_command(machine.state(left, self._y)))
+            acting = max(acting, min(schedule.acts(left), len(commands)) - 1)
+            machine.held = commands[acting]
+            yield left, right
+
+    def _stretch(self, start: float, end: float, y: Array) -> tuple[float, Array, SimulationStatus]:
+        """Integrate over one stretch; return where it ended."""
+        machine, settings = self._machine, self._settings
+        self._restarts += 1
+        machine.until = end
+        solver = INTEGRATORS[settings.integrator](
+            machine,
+            start,
+            y,
+            end,
+            rtol=settings.rtol,
+            atol=settings.atol,
+            max_step=settings.max_step,
+            first_step=None if self._suggested is None else min(self._suggested, end - start),
+        )
+        while solver.status == "running":
+            if self._steps >= settings.max_steps:
+                return self._failed(solver.t, solver.y, f"{self._steps} steps did not reach the end")
+            before = solver.y, solver.f
+            message = solver.step()
+            if solver.status == "failed":
+                why = str(message) if machine.trouble is None else str(machine.trouble)
+                return self._failed(solver.t, solver.y, f"no step is short enough: {why}")
+            machine.trouble = None
+            self._steps += 1
+            short = solver.step_size < SHORTEST and solver.status == "running"
+            self._short = self._short + 1 if short else 0
+            if self._short >= _MOST_SHORT:
+                return self._failed(
+                    solver.t, solver.y, f"the steps have shrunk to {solver.step_size:.2g} s: {self._why()}"
+                )
+            step = Step(solver, before)
+            stop = self._look(step)
+            self._write_before(solver.t if stop is None else stop, step)
+            if stop is not None:
+                return stop, machine.project(stop, step(stop))[0], SimulationStatus.STOPPED_BY_EVENT
+            projected, found, left = machine.project(solver.t, solver.y)
+            self._correction = max(self._correction, found)
+            if left > GAP_LIMIT:
+                return self._failed(solver.t, projected, f"the closures leave a gap of {left:.3g} m")
+            solver.y = projected
+            if solver.status == "running":
+                solver.f = machine(solver.t, projected)
+        self._suggested = solver.h_abs
+        return end, solver.y, SimulationStatus.COMPLETED
+
+    def _why(self) -> str:
+        """Return what makes a motion blow up, as far as it shows."""
+        inertia = self._machine.dynamics.least_inertia
+        if inertia < _LITTLE_INERTIA:
+            return (
+                f"a free motion has hardly any inertia, {inertia:.2g} of the largest, so accelerations grow without "
+                "bound. Give every part mass (such as end_effector_mass=0.1)"
+            )
+        return "something grows without bound. Check the efforts of the controller"
+
+    def _failed(self, t: float, y: Array, why: str) -> tuple[float, Array, SimulationStatus]:
+        self._reason = f"At t = {t:.9g} s {why.rstrip('.')}."
+        return float(t), y, SimulationStatus.FAILED
+
+    def _look(self, step: Step) -> float | None:
+        """Find events in a step; return the time of the first terminal one."""
+        found, last = self._crossings(step, step.guess)
+        if found:  # look again on the integrator's own interpolant, which costs more
+            found, last = self._crossings(step, step.exactly)
+        self._watched = last
+        events = []
+        for i, left, right in found:
+            watch = self._watcher.watches[i]
+            events.append(Event(watch.kind, watch.name, self._root(step, i, left, right), watch.terminal))
+        for event in sorted(events, key=lambda event: event.t):
+            self._events.append(event)
+            if event.terminal:
+                return event.t
+        return None
+
+    def _crossings(self, step: Step, at: Callable[[float], Array]) -> tuple[list[tuple[int, float, float]], Array]:
+        """Return which watched functions change sign between which fractions of a step, and their values at its end."""
+        nq = self._machine.robot.model.nq
+        left, before = 0.0, self._watched
+        found = []
+        for right in _LOOKS if step.end - step.start > _BRIEF else _LOOKS[-1:]:
+            after = self._watcher.values(at(right)[:nq])
+            found += [(i, left, right) for i in self._watcher.crossed(before, after)]
+            left, before = right, after
+        return found, before
+
+    def _root(self, step: Step, index: int, left: float, right: float) -> float:
+        """Return the time at which a watched function changes sign between two fractions of a step."""
+        nq = self._machine.robot.model.nq
+
+        def value(fraction: float) -> float:
+            return float(self._watcher.values(step.exactly(fraction)[:nq])[index])
+
+        at_left, at_right = value(left), value(right)
+        if at_left * at_right < 0.0:
+            fraction = float(brentq(value, left, right, xtol=1e-14, rtol=1e-14))
+        else:  # zero to rounding at one end: it starts or ends there
+            fraction = left if abs(at_left) <= abs(at_right) else right
+        return step.time(fraction)
+
+    def _write_before(self, end: float, step: Step) -> None:
+        """Record the grid times before ``end``; what happens at the end of a stretch belongs to the next."""
+        while self._grid[self._next] < end - self._same:
+            t = float(self._grid[self._next])
+            self._write(t, step(t))
+            self._next += 1
+
+    def _write(self, t: float, y: Array) -> None:
+        projected, _, left = self._machine.project(t, y)
+        self._record.t.append(t)
+        self._record.y.append(projected)
+        self._record.held.append(self._machine.held)
+        self._record.gap.append(left)

@@ -1,0 +1,218 @@
+"""``simulate``: from a robot and what drives it to a simulated motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.robot_record import robot_record
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.collect import collect
+from redundancy_pin.simulation.control import CarrierLaw, Constant, Controller, Drive, Sampling, limit
+from redundancy_pin.simulation.events import Watcher
+from redundancy_pin.simulation.feed_forward import FeedForward
+from redundancy_pin.simulation.machine import External, Machine, Way
+from redundancy_pin.simulation.reference import plan_reference
+from redundancy_pin.simulation.result import Simulation
+from redundancy_pin.simulation.run import INTEGRATORS, Run, Settings
+from redundancy_pin.simulation.state import State, closed_state
+
+RTOL = 1e-11
+"""Default relative tolerance of a step. Energy then drifts by some 1e-10 of itself in ten seconds."""
+
+ATOL = 1e-12
+"""Default absolute tolerance of a step, m, rad, m/s and rad/s."""
+
+LEAST_RTOL = 2.5e-14
+"""Below this scipy's step control sees rounding only."""
+
+START_GAP = 1e-6
+"""Closure gap, m, and speed at which closures part, m/s, that a start state may have; it is projected."""
+
+
+def simulate(
+    robot: Robot,
+    drive: Plan | Controller | None = None,
+    *,
+    start: State | None = None,
+    duration: float | None = None,
+    dt: float = 5e-3,
+    carriers: Literal["force", "motion"] = "force",
+    sampling: Sampling | None = None,
+    effort_limit: ArrayLike | None = None,
+    carrier_force_limit: ArrayLike | None = None,
+    external: External | None = None,
+    stop_at: Sequence[str] = ("track", "joint_limit"),
+    rtol: float = RTOL,
+    atol: float = ATOL,
+    max_step: float = np.inf,
+    max_steps: int = 200_000,
+    integrator: Literal["DOP853", "RK45"] = "DOP853",
+    way: Way = "projected",
+) -> Simulation:
+    """Simulate a closed-chain robot under given efforts.
+
+    Accelerations come from the equations of motion in independent coordinates chosen by the rank of the closures
+    (``forward``), so a type II pose is nothing special. The state that is integrated is that of the tree; after every
+    step it is projected onto the closures, at the level of positions and of velocities.
+
+    Args:
+        robot: the robot; it may differ from the one that a plan was made for or a controller knows.
+        drive: a plan, whose efforts are fed forward (``FeedForward``); a controller (``control.Controller``); or
+            nothing: no efforts.
+        start: state to start from, closed to within 1e-6 m; that of the plan or controller, else the reference
+            configuration at rest, when left out.
+        duration: s; to the end of the plan or controller when left out.
+        dt: interval between the samples of the result, s; the integrator chooses its own steps.
+        carriers: whether forces drive the carriers, or they follow the motion of the plan or controller exactly and the
+            result has the forces that takes.
+        sampling: makes the controller a digital one; it is asked at every instant when left out.
+        effort_limit: scalar or (m,) largest |τ| that the amplifiers give, N or N·m.
+        carrier_force_limit: the same for the carriers, N.
+        external: further generalised forces (nv,) as a function of the state: friction, disturbances.
+        stop_at: kinds of events (``events.KINDS``) that end the simulation; all kinds are reported.
+        rtol: relative tolerance of each step of the integrator.
+        atol: its absolute tolerance, m, rad, m/s and rad/s.
+        max_step: longest step, s.
+        max_steps: number of steps after which it is given up.
+        integrator: explicit Runge-Kutta method of scipy: of order 8, or of order 5.
+        way: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
+
+    Returns:
+        A ``Simulation``. What goes wrong on the way is said by its status: an event at which it stopped, or a failure
+        with its reason, the samples before it kept.
+
+    Raises:
+        InputError: a setting out of its domain, a start that is not closed or beyond a stop, a controller that returns
+            something else than efforts, no duration.
+        IllPosedModelError: at the start, forces do not determine the acceleration: a free motion has no inertia.
+        SingularPoseError: at the start, the closures have lost rank.
+        UnsupportedRobotError: see ``way`` and ``FeedForward``.
+    """
+    if not isinstance(robot, Robot):
+        raise InputError(f"simulate was given {type(robot).__name__} for the robot.", remedy="Pass load_robot(...).")
+    controller = _controller(robot, drive)
+    settings = _settings(rtol, atol, max_step, max_steps, integrator)
+    state = _start(robot, controller, start)
+    grid, breaks = _times(controller, state.t, duration, dt)
+    law = _carrier_law(robot, controller, carriers)
+    limits = limit(effort_limit, robot.m, "effort_limit"), limit(carrier_force_limit, robot.k, "carrier_force_limit")
+    machine = Machine(robot, Drive(robot, controller, *limits), law, external, way)
+    watcher = Watcher(machine.chain, tuple(stop_at))
+    first = machine.state(state.t, np.concatenate([state.q, state.v]))
+    _require_closed(machine, first)
+    watcher.require_allowed(first.q)
+    command = machine.held = machine.checked_command(first)
+    machine.dynamics.adapt(first.q)
+    machine.loads(first)
+    machine.held = None
+    outcome = Run(machine, watcher, settings, grid, breaks, sampling, command)(np.concatenate([first.q, first.v]))
+    parameters = {
+        "drive": drive.planner if isinstance(drive, Plan) else type(controller).__name__,
+        "carriers": carriers,
+        "sampling": None if sampling is None else (sampling.period, sampling.delay),
+        "effort_limit": limits[0].tolist(),
+        "carrier_force_limit": limits[1].tolist(),
+        "external": external is not None,
+        "stop_at": tuple(stop_at),
+        "rtol": rtol,
+        "atol": atol,
+        "max_step": max_step,
+        "integrator": integrator,
+        "way": way,
+        "dt": dt,
+    }
+    return collect(machine, outcome, parameters)
+
+
+def _controller(robot: Robot, drive: Plan | Controller | None) -> Controller:
+    if drive is None:
+        return Constant(np.zeros(robot.m), np.zeros(robot.k))
+    if isinstance(drive, Plan):
+        own = robot if robot_record(robot) == drive.robot else None
+        return FeedForward(plan_reference(drive, robot=own))
+    if not callable(getattr(drive, "effort", None)):
+        raise InputError(
+            f"simulate was given {type(drive).__name__} for the drive.",
+            remedy="Pass a plan, or a controller with effort(t, state) -> (tau, carrier_force).",
+        )
+    return drive
+
+
+def _settings(rtol: float, atol: float, max_step: float, max_steps: int, integrator: str) -> Settings:
+    for name, value, least in (("rtol", rtol, LEAST_RTOL), ("atol", atol, 0.0), ("max_step", max_step, 0.0)):
+        if not value >= least or value == 0.0:
+            raise InputError(
+                f"{name} is {value}.", remedy=f"Pass a positive number{f', at least {least}' if least else ''}."
+            )
+    if integrator not in INTEGRATORS:
+        raise InputError(f"integrator is {integrator!r}.", remedy=f"Pass one of {', '.join(INTEGRATORS)}.")
+    if max_steps < 1:
+        raise InputError(f"max_steps is {max_steps}.", remedy="Pass a positive number.")
+    return Settings(float(rtol), float(atol), float(max_step), int(max_steps), integrator)
+
+
+def _start(robot: Robot, controller: Controller, start: State | None) -> State:
+    if start is not None:
+        if start.q.shape != (robot.model.nq,) or start.v.shape != (robot.model.nv,):
+            raise InputError(
+                f"The start has q of shape {start.q.shape} and v of shape {start.v.shape}; {robot.name} has nq = "
+                f"{robot.model.nq} and nv = {robot.model.nv}.",
+                remedy="Make it with closed_state(robot, ...).",
+            )
+        return start
+    own = getattr(controller, "start_state", None)
+    return own(robot) if own is not None else closed_state(robot)
+
+
+def _times(controller: Controller, start: float, duration: float | None, dt: float) -> tuple[Array, Array]:
+    """Return the times to record and the times at which efforts jump."""
+    end = getattr(controller, "end", None)
+    if duration is None and end is None:
+        raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
+    last = float(end) if duration is None and end is not None else start + float(duration or 0.0)
+    if not (np.isfinite(last) and last > start):
+        raise InputError(
+            f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."
+        )
+    if not (np.isfinite(dt) and dt > 0.0):
+        raise InputError(f"dt is {dt} s.", remedy="Pass a positive number.")
+    steps = int(np.ceil((last - start) / dt - 1e-9))
+    breaks = np.unique(np.asarray(getattr(controller, "breaks", ()), dtype=float))
+    breaks = breaks[(breaks > start) & (breaks < last)]
+    grid = start + dt * np.arange(steps)
+    return np.append(grid, last), breaks
+
+
+def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> CarrierLaw | None:
+    if carriers not in ("force", "motion"):
+        raise InputError(f"carriers is {carriers!r}.", remedy='Pass "force" or "motion".')
+    if carriers == "force" or robot.k == 0:
+        return None
+    law: CarrierLaw | None = getattr(controller, "carrier_motion", None)
+    if law is None:
+        raise InputError(
+            f"{type(controller).__name__} does not say how the carriers move.",
+            remedy="Give it carrier_motion(t) -> (s, sd, sdd), or drive the carriers by force.",
+        )
+    return law
+
+
+def _require_closed(machine: Machine, state: State) -> None:
+    chain = machine.chain
+    chain.update(state.q, state.v)
+    gap = float(np.abs(chain.residual()).max(initial=0.0))
+    rate = float(np.abs(chain.jacobian() @ state.v).max(initial=0.0))
+    if gap > START_GAP or rate > START_GAP:
+        raise InputError(
+            f"The start is not closed: a gap of {gap:.3g} m, opening at {rate:.3g} m/s.",
+            remedy="Make it with closed_state(robot, x, xd, s, sd).",
+            gap=gap,
+            rate=rate,
+        )

@@ -1,0 +1,166 @@
+"""What a plan means between its samples, and the efforts that belong to it."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+import zoo
+from scipy.optimize import brentq
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InfeasiblePlanError, InputError, PlanFileError
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.simulation.planned_carriers import planned_carriers
+from redundancy_pin.simulation.reference import motion_reference, plan_reference
+
+SERIES = 1e-10
+"""m, m/s: ten nodes in 5 ms of a smooth motion leave rounding, magnified by differentiation to 1e-11."""
+
+EFFORTS = 1e-8
+"""N, N·m: efforts of order 10 through two codes."""
+
+
+@functools.cache
+def corner() -> rp.trajectory.Trajectory:
+    return rp.trajectory.reference.corner(radius=0.025)
+
+
+@functools.cache
+def stepwise_plan() -> Plan:
+    return rp.plan_stepwise(rp.RneaDynamics(zoo.robot_of("3rrr")), corner(), lam=0.0)
+
+
+@functools.cache
+def whole_plan() -> Plan:
+    return rp.plan_whole_trajectory(rp.RneaDynamics(zoo.robot_of("3rrr")), corner(), dt=0.01)
+
+
+@functools.cache
+def off_plan() -> Plan:
+    circle = rp.trajectory.reference.circle(speed=0.5)
+    return rp.plan_switch_off(rp.RneaDynamics(zoo.robot_of("2rpr")), circle, threshold=5.0, dt=0.005)
+
+
+def inside(plan: Plan, seed: int = 0) -> Array:
+    """Return random times within a plan, none of them a sample."""
+    return np.sort(np.random.default_rng(seed).uniform(plan.t[0], plan.t[-1], 40))
+
+
+@pytest.mark.parametrize("plan", [stepwise_plan, whole_plan, off_plan])
+def test_planned_carriers_are_one_continuous_motion(plan) -> None:
+    plan = plan()
+    carriers = planned_carriers(plan)
+    edges = carriers.edges[1:-1]
+    before, after = carriers(edges - 1e-9), carriers(edges + 1e-9)
+    np.testing.assert_allclose(after.s, before.s, atol=1e-7)  # 2 ns at the largest speeds, 5 m/s
+    np.testing.assert_allclose(after.sd, before.sd, atol=2e-6)
+    # s, ṡ and s̈ are derivatives of each other: differences inside the steps
+    times = 0.5 * (carriers.edges[:-1] + carriers.edges[1:])
+    h = 1e-4
+    at, low, high = carriers(times), carriers(times - h), carriers(times + h)
+    np.testing.assert_allclose((high.s - low.s) / (2 * h), at.sd, atol=1e-4)
+    np.testing.assert_allclose((high.sd - low.sd) / (2 * h), at.sdd, atol=1e-2 * np.abs(at.sdd).max())
+
+
+def test_carriers_of_a_whole_trajectory_plan_pass_through_its_samples_and_stepwise_ones_lag() -> None:
+    plan = whole_plan()
+    kept = np.append(np.diff(plan.t) > 0.0, True)
+    found = planned_carriers(plan)
+    np.testing.assert_allclose(found(plan.t[kept]).s, plan.carriers.s[kept], atol=1e-10)
+    assert found.lag.max() < 1e-9
+    stepped = stepwise_plan()
+    lagging = planned_carriers(stepped)
+    again = lagging(stepped.t)
+    np.testing.assert_allclose(again.sd, stepped.carriers.sd, atol=1e-10)
+    lag = stepped.carriers.s - again.s
+    # a step of backward differences gains h/2 of the new speed: half a step at the speed of the moment
+    np.testing.assert_allclose(lag, 0.5 * 0.005 * stepped.carriers.sd, atol=1e-4)
+    np.testing.assert_allclose(lagging.lag, np.abs(lag).max(axis=0), rtol=1e-9)
+
+
+def test_the_reference_of_a_whole_trajectory_plan_has_its_efforts() -> None:
+    plan = whole_plan()
+    reference = plan_reference(plan, motion=corner())
+    assert reference.effort_deviation < EFFORTS
+    times = inside(plan)
+    # between the samples: W⁻¹ f of the exact trajectory by the other backend
+    dynamics = rp.VirtualWork(zoo.robot_of("3rrr"))
+    reduced = dynamics.reduce(corner().sample_at(times), planned_carriers(plan)(times), check_track=False)
+    tau = rp.distribute(reduced).tau
+    np.testing.assert_allclose([reference.loads(t)[0] for t in times], tau, atol=EFFORTS)
+    np.testing.assert_allclose([reference.loads(t)[1] for t in times], reduced.carrier_force, atol=EFFORTS)
+
+
+def test_a_reference_point_agrees_with_itself_and_the_trajectory() -> None:
+    plan = whole_plan()
+    reference = plan_reference(plan, motion=corner())
+    robot = reference.robot
+    for t in inside(plan, 1):
+        point, exact = reference.at(float(t)), corner().evaluate(t)
+        for ours, theirs in ((point.x, exact.x), (point.xd, exact.xd), (point.xdd, exact.xdd)):
+            np.testing.assert_allclose(ours, theirs, atol=SERIES * 100)
+        for ours, theirs in (
+            (point.s, point.q[robot.carrier_position]),
+            (point.sd, point.v[robot.carrier_velocity]),
+            (point.sdd, point.a[robot.carrier_velocity]),
+        ):
+            np.testing.assert_allclose(ours, theirs, atol=SERIES)
+    assert reference.at(-1.0).tau == pytest.approx(reference.at(reference.start).tau)
+    assert reference.at(99.0).tau == pytest.approx(reference.at(reference.end).tau)
+
+
+def test_where_a_plan_has_its_actuators_off_the_reference_has_no_efforts() -> None:
+    plan = off_plan()
+    reference = plan_reference(plan)
+    window = plan.diagnostics["windows"][0]
+    entry, leave = window["entry"], window["exit"]
+    times = np.linspace(entry, leave, 200)[1:-1]
+    assert not np.array([reference.loads(t)[0] for t in times]).any()
+    assert np.abs(reference.loads(0.5 * (window["ramp_start"] + entry))[0]).min() > 0.1
+    assert np.abs(np.array([reference.loads(t)[1] for t in times])).max() > 0.1
+
+
+def test_parked_references_of_any_robot() -> None:
+    robot = zoo.robot_of("five_bar")
+    start = zoo.home_of(robot)
+    path = rp.trajectory.Line(start, start + np.array([0.1, 0.05]))
+    motion = rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=0.5))
+    reference = motion_reference(robot, motion, [0.1, -0.1])
+    times = np.random.default_rng(3).uniform(0.0, 0.5, 20)
+    samples = motion.sample_at(np.sort(times))
+    carriers = rp.CarrierMotion.parked(20, 2, [0.1, -0.1])
+    expected = rp.distribute(rp.RneaDynamics(robot).reduce(samples, carriers)).tau
+    np.testing.assert_allclose([reference.loads(t)[0] for t in samples.t], expected, atol=EFFORTS)
+    assert np.isnan(reference.effort_deviation)
+    with pytest.raises(InputError, match=r"step is 0\.0 s"):
+        motion_reference(robot, motion, step=0.0)
+
+
+def test_motions_without_finite_efforts_have_no_reference() -> None:
+    robot = zoo.robot_of("2rpr", end_effector_mass=0.5)
+    # braking across the line of the legs: W⁻¹ f has a pole there, which no node need meet
+    path = rp.trajectory.Line([0.2, 0.1], [0.2, -0.05])
+    motion = rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=0.4))
+    crossing = brentq(lambda t: motion.evaluate(t).x[1], 0.1, 0.35)
+    with pytest.raises(InfeasiblePlanError, match="no finite efforts") as caught:
+        motion_reference(robot, motion)
+    assert caught.value.details["time"] <= crossing <= caught.value.details["time"] + 0.01
+    exactly = rp.PlatformMotion(
+        [0.0, 0.1], [[0.2, 0.0], [0.25, 0.0]], [[0.5, 0.0], [0.5, 0.0]], [[0.0, 0.3], [0.0, 0.3]]
+    )
+    with pytest.raises(InfeasiblePlanError, match="no finite efforts") as caught:
+        motion_reference(robot, exactly)
+    assert caught.value.details["time"] == 0.0
+
+
+def test_a_plan_whose_robot_is_gone_has_no_reference() -> None:
+    from dataclasses import replace
+
+    plan = whole_plan()
+    lost = replace(plan, robot=replace(plan.robot, source=""))
+    with pytest.raises(PlanFileError, match="does not say where"):
+        plan_reference(lost)
+    assert plan_reference(lost, robot=zoo.robot_of("3rrr")).effort_deviation < 1e-3

@@ -1,0 +1,276 @@
+"""``simulate`` from outside: what it accepts, what it reports, what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import moving
+import numpy as np
+import pytest
+import zoo
+from test_chain import chain_of
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import IllPosedModelError, InputError, UnsupportedRobotError
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.control import Constant
+from redundancy_pin.simulation.result import SimulationStatus
+from redundancy_pin.simulation.state import State, closed_state, tree_state
+
+SAME = 1e-9
+"""Two ways through the same motion of a second, each accurate to some 1e-11."""
+
+
+@dataclass
+class Spring:
+    """Pulls the platform to a point; counts how often it is asked."""
+
+    centre: Array
+    stiffness: float = 20.0
+    asked: list[float] = field(default_factory=list)
+
+    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        self.asked.append(t)
+        # Wᵀ maps ẋ to the actuated rates: with three of each, τ = W⁻¹ f
+        chain = state.chain
+        chain.update(state.q, state.v)
+        pose = chain.pose_columns
+        rows = np.concatenate([chain.jacobian(), chain.platform_jacobian()])[:, pose]
+        gamma = np.linalg.inv(rows)[:, chain.rows :]
+        at = [int(np.flatnonzero(pose == column)[0]) for column in state.robot.actuated_velocity]
+        force = self.stiffness * (self.centre - state.x) - 8.0 * state.xd
+        return np.linalg.solve(gamma[at].T, force), -3.0 * state.sd
+
+
+def home(robot: Robot) -> Array:
+    return np.array(zoo.home_of(robot))
+
+
+def test_a_machine_at_rest_without_gravity_stays_where_it_is() -> None:
+    robot = zoo.robot_of("3rrr")
+    run = rp.simulate(robot, duration=0.1, dt=0.03)
+    assert run.status is SimulationStatus.COMPLETED
+    np.testing.assert_array_equal(run.t, [0.0, 0.03, 0.06, 0.09, 0.1])
+    np.testing.assert_allclose(run.q, np.tile(robot.q_reference, (5, 1)), atol=1e-12)
+    assert not run.tau.any()
+    assert run.x.shape == (5, 3)
+    assert run.closure_force.shape == (5, 4)
+
+
+def test_the_arrays_of_a_result_are_read_only_and_fit_each_other() -> None:
+    robot = moving.massive("five_bar")
+    drive = Constant(np.array([0.3, -0.2]), np.array([0.5, -0.4]))
+    run = rp.simulate(robot, drive, duration=0.2, dt=0.02, start=closed_state(robot, sd=0.1))
+    assert len(run) == len(run.t) == 11
+    for name in (
+        "t",
+        "q",
+        "v",
+        "a",
+        "x",
+        "xd",
+        "s",
+        "sd",
+        "sdd",
+        "tau",
+        "carrier_force",
+        "closure_force",
+        "gap",
+        "energy",
+    ):
+        assert not getattr(run, name).flags.writeable, name
+    np.testing.assert_array_equal(run.s, run.q[:, robot.carrier_position])
+    np.testing.assert_array_equal(run.actuated_rate, run.v[:, robot.actuated_velocity])
+    np.testing.assert_array_equal(run.tau, np.tile(drive.tau, (11, 1)))
+    np.testing.assert_array_equal(run.carriers.sdd, run.a[:, robot.carrier_velocity])
+    # rates are rates: central differences of second order over 20 ms, third derivatives of order 1
+    np.testing.assert_allclose((run.x[2:] - run.x[:-2]) / 0.04, run.xd[1:-1], atol=3e-3)
+    np.testing.assert_allclose((run.v[2:] - run.v[:-2]) / 0.04, run.a[1:-1], atol=3e-2)
+
+
+def test_resampled_platform_motion_is_that_of_a_finer_run() -> None:
+    robot = moving.massive("3rrr")
+    drive = Constant(np.array([0.3, -0.2, 0.4]), np.zeros(3))
+    coarse, fine = (rp.simulate(robot, drive, duration=0.5, dt=dt) for dt in (0.02, 0.005))
+    x, xd = coarse.at(fine.t)
+    # dt⁴ / 384 of a fourth derivative of order 100
+    np.testing.assert_allclose(x, fine.x, atol=1e-7)
+    np.testing.assert_allclose(xd, fine.xd, atol=1e-5)
+    with pytest.raises(InputError, match=r"lasts from 0 to 0\.5 s"):
+        coarse.at([0.6])
+
+
+def test_both_ways_and_both_integrators_give_the_same_motion() -> None:
+    robot = moving.massive("3rrr")
+    start = closed_state(robot, xd=[0.2, -0.3, 0.4], sd=0.2)
+    runs = [
+        rp.simulate(robot, Spring(home(robot)), start=start, duration=0.5, **options)
+        for options in ({}, {"way": "constraint_dynamics"}, {"integrator": "RK45", "rtol": 1e-12})
+    ]
+    for other in runs[1:]:
+        np.testing.assert_allclose(other.q, runs[0].q, atol=SAME)
+        np.testing.assert_allclose(other.closure_force, runs[0].closure_force, atol=100 * SAME)
+
+
+def test_carriers_by_motion_and_by_the_forces_this_takes_give_the_same_motion() -> None:
+    robot = moving.massive("3rrr")
+
+    class Swinging(Spring):
+        def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
+            w, size = 4.0, np.array([0.1, -0.2, 0.15])
+            return size * np.sin(w * t), size * w * np.cos(w * t), -size * w**2 * np.sin(w * t)
+
+    swinging = Swinging(home(robot))
+    s, sd, _ = swinging.carrier_motion(0.0)
+    start = closed_state(robot, xd=[0.2, -0.3, 0.4], s=s, sd=sd)
+    given = rp.simulate(robot, swinging, start=start, duration=0.4, dt=0.001, carriers="motion")
+    expected = np.array([swinging.carrier_motion(t)[0] for t in given.t])
+    np.testing.assert_array_equal(given.s, expected)
+
+    class Forced(Spring):
+        def effort(self, t: float, state: State) -> tuple[Array, Array]:
+            tau, _ = super().effort(t, state)
+            return tau, np.array([np.interp(t, given.t, column) for column in given.carrier_force.T])
+
+    forced = rp.simulate(robot, Forced(home(robot)), start=start, duration=0.4, rtol=1e-8, atol=1e-8)
+    # linear interpolation of the forces over 1 ms is off by 1e-6 of them
+    np.testing.assert_allclose(forced.x[-1], given.x[-1], atol=1e-6)
+    np.testing.assert_allclose(forced.s[-1], given.s[-1], atol=1e-6)
+
+
+def test_friction_takes_energy_and_limits_cap_efforts() -> None:
+    robot = moving.massive("3rrr")
+    start = closed_state(robot, xd=[0.2, -0.3, 0.4])
+    run = rp.simulate(robot, start=start, duration=0.5, external=lambda state: -2.0 * state.v)
+    assert (np.diff(run.energy) < 0.0).all()
+    assert run.energy[-1] < 0.5 * run.energy[0]
+    far = home(robot) + np.array([0.2, 0.1, 0.0])
+    capped = rp.simulate(robot, Spring(far), duration=0.2, effort_limit=0.5)
+    assert np.abs(capped.tau).max() == 0.5
+    pushed = rp.simulate(
+        robot, Constant(np.zeros(3), np.full(3, -5.0)), duration=0.1, carrier_force_limit=[0.1, 0.2, 9.0]
+    )
+    np.testing.assert_array_equal(pushed.carrier_force, np.tile([-0.1, -0.2, -5.0], (len(pushed), 1)))
+
+
+@pytest.mark.parametrize("name", ["four_bar", "continuous"])
+def test_angles_run_on_past_half_a_turn(name: str) -> None:
+    # the crank as a revolute joint, which counts its turns, and as a continuous one (cos, sin), which does not
+    robot = chain_of(name) if name == "continuous" else zoo.robot_of(name, gravity=(0.0, 0.0, 0.0))
+    run = rp.simulate(robot, start=closed_state(robot, [1.0], [9.0]), duration=1.0)
+    assert run.x[-1, 0] > 2.5 * np.pi
+    assert np.abs(np.diff(run.x[:, 0])).max() < 0.1
+    np.testing.assert_allclose((run.x[2:] - run.x[:-2]) / 0.01, run.xd[1:-1], rtol=0.02)
+
+
+class Constantly:
+    """A controller that returns whatever it was given."""
+
+    def __init__(self, answer: object) -> None:
+        self.answer = answer
+
+    def effort(self, t: float, state: State) -> object:
+        return self.answer
+
+
+def open_state(robot: Robot) -> State:
+    q = np.array(robot.q_reference)
+    q[0] += 0.01
+    return tree_state(robot, q, np.zeros(robot.model.nv))
+
+
+def parting_state(robot: Robot) -> State:
+    v = np.zeros(robot.model.nv)
+    v[0] = 0.5
+    return tree_state(robot, robot.q_reference, v)
+
+
+REFUSED = {
+    "no duration": ({}, "how long"),
+    "negative duration": ({"duration": -1.0}, "duration"),
+    "infinite duration": ({"duration": np.inf}, "finite duration"),
+    "zero step": ({"duration": 1.0, "dt": 0.0}, "dt is 0.0"),
+    "tolerance": ({"duration": 1.0, "rtol": 0.0}, "rtol is 0.0"),
+    "absolute tolerance": ({"duration": 1.0, "atol": -1.0}, "atol is -1.0"),
+    "integrator": ({"duration": 1.0, "integrator": "Euler"}, "DOP853, RK45"),
+    "max_steps": ({"duration": 1.0, "max_steps": 0}, "max_steps is 0"),
+    "max_step": ({"duration": 1.0, "max_step": np.nan}, "max_step is nan"),
+    "way": ({"duration": 1.0, "way": "sideways"}, "constraint_dynamics"),
+    "carriers": ({"duration": 1.0, "carriers": "glued"}, '"force" or "motion"'),
+    "no law": ({"duration": 1.0, "carriers": "motion"}, "carrier_motion"),
+    "stop_at": ({"duration": 1.0, "stop_at": ["lunch"]}, "joint_limit"),
+    "limit": ({"duration": 1.0, "effort_limit": -1.0}, "effort_limit is -1.0"),
+    "limits": ({"duration": 1.0, "carrier_force_limit": [1.0, 2.0]}, "or 3, or None"),
+    "drive": ({"duration": 1.0, "drive": 3.0}, "given float for the drive"),
+    "one answer": ({"duration": 1.0, "drive": Constantly(np.zeros(3))}, "Constantly.effort returned"),
+    "short answer": ({"duration": 1.0, "drive": Constantly((np.zeros(2), np.zeros(3)))}, r"main efforts \(3,\)"),
+    "nan answer": ({"duration": 1.0, "drive": Constantly((np.full(3, np.nan), np.zeros(3)))}, "finite"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_settings_are_refused_by_name(case: str) -> None:
+    options, said = REFUSED[case]
+    with pytest.raises(InputError, match=said):
+        rp.simulate(zoo.robot_of("3rrr"), **options)
+
+
+def test_bad_starts_are_refused_by_name() -> None:
+    robot = zoo.robot_of("3rrr")
+    for start, said in (
+        (open_state(robot), "not closed: a gap"),
+        (parting_state(robot), "opening at"),
+        (closed_state(robot, s=[0.0, 1.5, 0.0]), "carrier_2 upper"),
+        (closed_state(zoo.robot_of("five_bar")), r"nq = 10"),
+    ):
+        with pytest.raises(InputError, match=said):
+            rp.simulate(robot, start=start, duration=1.0)
+    with pytest.raises(InputError, match="given str for the robot"):
+        rp.simulate("3rrr", duration=1.0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="s has shape"):
+        closed_state(robot, s=[0.1, 0.2])
+    assert rp.simulate(robot, start=closed_state(robot, s=[0.0, 1.5, 0.0]), duration=0.01, stop_at=()).s[0, 1] == 1.5
+
+
+def test_what_a_way_cannot_do_is_refused() -> None:
+    robot = zoo.robot_of("3rrr")
+    drive = Constant(np.zeros(3), np.zeros(3))
+    object.__setattr__(drive, "carrier_motion", lambda t: (np.zeros(3),) * 3)
+    with pytest.raises(InputError, match="cannot drive carriers by motion"):
+        rp.simulate(robot, drive, duration=1.0, carriers="motion", way="constraint_dynamics")
+    with pytest.raises(UnsupportedRobotError, match="cannot take closure"):
+        rp.simulate(chain_of("hinge"), duration=1.0, way="constraint_dynamics")
+
+
+def test_an_ill_posed_start_is_an_error_and_an_ill_posed_pose_on_the_way_a_failure() -> None:
+    robot = zoo.robot_of("2rpr")
+    with pytest.raises(IllPosedModelError, match="end_effector_mass"):
+        rp.simulate(robot, duration=1.0)  # carriers at s = 0: their legs have inertia about one axis only
+    # a carrier on its way through s = 0
+    start = closed_state(robot, [0.25, 0.4], [0.2, -0.1], s=[0.1, 0.15], sd=[0.3, -0.6])
+    run = rp.simulate(robot, start=start, duration=1.0, stop_at=())
+    assert run.status is SimulationStatus.FAILED
+    assert "inertia" in run.reason
+    assert "end_effector_mass" in run.reason
+    assert 0.1 < run.t[-1] < 0.5
+    assert np.isfinite(run.x).all()
+    assert abs(run.s[-1, 1]) < 1e-3
+    assert run.statistics.steps < 2000
+
+
+def test_a_controller_that_blows_up_is_a_failure_with_its_reason() -> None:
+    robot = moving.massive("five_bar")
+
+    class Explosive:
+        def effort(self, t: float, state: State) -> tuple[Array, Array]:
+            return 1e3 * np.exp(np.minimum(40.0 * np.abs(state.xd), 300.0)), np.zeros(2)
+
+    run = rp.simulate(robot, Explosive(), duration=1.0, stop_at=())
+    assert run.status is SimulationStatus.FAILED
+    assert run.reason.startswith("At t = ")
+    assert "controller" in run.reason or "step" in run.reason
+    few = rp.simulate(robot, Constant(np.ones(2), np.zeros(2)), duration=1.0, max_steps=2, max_step=0.01)
+    assert few.status is SimulationStatus.FAILED
+    assert "2 steps did not reach the end" in few.reason
+    assert few.t[-1] <= 0.02

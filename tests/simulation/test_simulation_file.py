@@ -1,0 +1,67 @@
+"""Simulations in files: bit for bit back, and anything else refused."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import moving
+import numpy as np
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.errors import OutputError, PlanFileError
+from redundancy_pin.simulation.control import Constant
+from redundancy_pin.simulation.result import Simulation
+from redundancy_pin.simulation.result_file import load_simulation
+from redundancy_pin.simulation.state import closed_state
+
+
+@pytest.fixture(params=["2rpr", "gough"])
+def simulation(request: pytest.FixtureRequest) -> Simulation:
+    robot = moving.massive(request.param)
+    start = closed_state(robot, sd=0.5 if robot.k else 0.0)
+    drive = Constant(np.zeros(robot.m), np.full(robot.k, 5.0))
+    return rp.simulate(robot, drive, start=start, duration=0.3, dt=0.01)
+
+
+def test_a_simulation_comes_back_bit_for_bit(simulation: Simulation, tmp_path: Path) -> None:
+    simulation.save(tmp_path / "run.npz")
+    again = load_simulation(tmp_path / "run.npz")
+    for entry in fields(Simulation):
+        before, after = getattr(simulation, entry.name), getattr(again, entry.name)
+        if isinstance(before, np.ndarray):
+            assert before.tobytes() == after.tobytes(), entry.name
+            assert before.shape == after.shape
+        else:
+            assert before == after, entry.name
+
+
+def test_what_is_no_simulation_is_refused_by_name(simulation: Simulation, tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    with pytest.raises(PlanFileError, match="does not exist"):
+        load_simulation(path)
+    path.write_bytes(b"no archive")
+    with pytest.raises(PlanFileError, match=r"run\.npz"):
+        load_simulation(path)
+    for field, value, said in (
+        ("tau", np.array(simulation.tau[:-1]), "tau has shape"),
+        ("energy", np.zeros(len(simulation.t), dtype=int), "energy is no array of floats"),
+        ("x", np.zeros((3, 2)), "x has shape"),
+        ("status", "elsewhere", "elsewhere"),
+        ("statistics", {"steps": 1}, "damaged"),
+    ):
+        replace(simulation, **{field: value}).save(path)
+        with pytest.raises(PlanFileError, match=said):
+            load_simulation(path)
+    with pytest.raises(OutputError):
+        simulation.save(tmp_path / "nowhere" / "run.npz")
+
+
+def test_a_plan_is_no_simulation(tmp_path: Path) -> None:
+    plan = rp.plan_stepwise(
+        rp.VirtualWork(rp.load_robot("3rrr")), rp.trajectory.reference.corner(radius=0.025), dt=0.02
+    )
+    plan.save(tmp_path / "plan.npz")
+    with pytest.raises(PlanFileError, match=r"redundancy_pin plan.*not a .*simulation"):
+        load_simulation(tmp_path / "plan.npz")
