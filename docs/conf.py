@@ -86,7 +86,7 @@ offer_kernel(HERE.parent / "build" / "jupyter")
 write_pages(HERE / "reference" / "api" / "modules")
 collect_notebooks(HERE.parent / "notebooks", HERE / "tutorials" / "notebooks")
 
-TOPICS = ("theory", "models", "whole_trajectory", "feasibility_map", "forward_dynamics", "control", "engines")
+TOPICS = ("theory", "models", "whole_trajectory", "feasibility_map", "forward_dynamics", "control", "robustness", "engines")
 """Order of the pages beside this file; others follow."""
 
 

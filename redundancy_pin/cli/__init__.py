@@ -13,6 +13,7 @@ from redundancy_pin.cli.plan import plan
 from redundancy_pin.cli.reproduce import reproduce
 from redundancy_pin.cli.show import show
 from redundancy_pin.cli.singularities import singularities
+from redundancy_pin.cli.study import study
 from redundancy_pin.cli.validate import validate
 
 __all__ = ["main"]
@@ -40,6 +41,6 @@ def _keep_lines(command: click.Command) -> None:
             _keep_lines(part)
 
 
-for _command in (reproduce, inverse_dynamics, singularities, plan, map_command, show, validate, info):
+for _command in (reproduce, inverse_dynamics, singularities, plan, map_command, show, study, validate, info):
     main.add_command(_command)
 _keep_lines(main)

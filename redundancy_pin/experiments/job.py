@@ -25,6 +25,12 @@ from redundancy_pin.experiments.markdown import markdown
 from redundancy_pin.experiments.planned.settings import FULL, StudySettings
 from redundancy_pin.experiments.planned.study import PARTS, Study, run_study
 from redundancy_pin.experiments.planned.thesis_figures import FIGURES
+from redundancy_pin.experiments.replay.files import write_figures as write_replay_figures
+from redundancy_pin.experiments.replay.files import write_table
+from redundancy_pin.experiments.replay.pictures import FIGURES as REPLAY_FIGURES
+from redundancy_pin.experiments.replay.study import FULL as REPLAY_FULL
+from redundancy_pin.experiments.replay.study import Replays, ReplaySettings, run_replays
+from redundancy_pin.experiments.replay.study import parts as replay_parts
 from redundancy_pin.experiments.report import report
 from redundancy_pin.experiments.result import Result
 from redundancy_pin.experiments.run import run
@@ -62,6 +68,7 @@ class Reproduction:
         compared: statements of the thesis beside our numbers.
         study: the planned experiments; None if they were left out.
         beyond: the chapter beyond the thesis; None if it was left out.
+        replays: the chapter on replays; None if it was left out.
         summary: what ``summary.json`` holds.
     """
 
@@ -71,6 +78,7 @@ class Reproduction:
     compared: tuple[Compared, ...]
     study: Study | None
     beyond: Beyond | None
+    replays: Replays | None
     summary: dict[str, object]
 
 
@@ -80,6 +88,7 @@ def reproduce(
     *,
     study: StudySettings | None = FULL,
     beyond: BeyondSettings | None = BEYOND_FULL,
+    replay: ReplaySettings | None = REPLAY_FULL,
     samples: int = CROSS_CHECK_SAMPLES,
     progress: Progress | None = None,
 ) -> Reproduction:
@@ -92,19 +101,21 @@ def reproduce(
         experiments: what to run without a planner.
         study: extent of the planned experiments; None leaves them out.
         beyond: extent of the chapter beyond the thesis; None leaves it out.
+        replay: extent of the chapter on replays; None leaves it out.
         samples: random states of each robot in the cross-check.
         progress: told how far the job is.
 
     Raises:
         CrossCheckError: the backends disagree.
         OutputError: the folder cannot be written or holds other files.
-        RedundancyPinError: an experiment cannot run, or matplotlib or, for the last chapter, casadi is not installed.
+        RedundancyPinError: an experiment cannot run, or matplotlib or, for the last chapters, casadi is not installed.
     """
     require_matplotlib()
-    if beyond:
+    if beyond or replay:
         require_solver()
     require_replaceable(folder)
     planned = (PARTS + len(FIGURES) if study else 0) + (beyond_parts(beyond) + len(BEYOND_FIGURES) if beyond else 0)
+    planned += replay_parts(replay) + len(REPLAY_FIGURES) if replay else 0
     steps = _Steps(2 * len(experiments) + planned + _CROSS_CHECK_STEPS, progress)
     robots = sorted({experiment.robot for experiment in experiments})
     check = require_agreement(robots, samples, lambda done, total: steps.part("cross-check", done / total))
@@ -115,6 +126,7 @@ def reproduce(
     compared = compare_with_thesis(results)
     found = run_study(study, steps.next) if study else None
     further = run_beyond(beyond, found.store if found else None, steps.next) if beyond else None
+    replays = run_replays(replay, further.store if further else None, steps.next) if replay else None
     with replacing_folder(folder) as temporary:
         for result in results:
             write_result(temporary, result)
@@ -126,12 +138,15 @@ def reproduce(
             write_plans(temporary, further, CSV_DIGITS)
             write_figures(temporary, further, PICTURE_SUFFIXES, steps.next)
             write_text(temporary / "headline.md", headline(further.rows))
-        blocks = report(results, check, compared, found, further)
+        if replays:
+            write_table(temporary, replays)
+            write_replay_figures(temporary, replays, PICTURE_SUFFIXES, steps.next)
+        blocks = report(results, check, compared, found, further, replays)
         write_text(temporary / "report.md", markdown(blocks))
         write_text(temporary / "report.html", html(blocks, temporary))
-        data = summary(results, check, compared, found, further, [path.name for path in temporary.iterdir()])
+        data = summary(results, check, compared, found, further, replays, [path.name for path in temporary.iterdir()])
         write_text(temporary / MANIFEST, json.dumps(data, indent=2, allow_nan=False) + "\n")
-    return Reproduction(Path(folder), check, tuple(results), compared, found, further, data)
+    return Reproduction(Path(folder), check, tuple(results), compared, found, further, replays, data)
 
 
 def require_agreement(

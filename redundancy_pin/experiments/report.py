@@ -22,6 +22,8 @@ from redundancy_pin.experiments.document import (
 )
 from redundancy_pin.experiments.planned.sections import figures, findings
 from redundancy_pin.experiments.planned.study import Study
+from redundancy_pin.experiments.replay.sections import chapter as replay_chapter
+from redundancy_pin.experiments.replay.study import Replays
 from redundancy_pin.experiments.result import Result
 from redundancy_pin.experiments.stated import Compared
 from redundancy_pin.experiments.summary import NOTES, numbers, versions
@@ -88,6 +90,7 @@ def report(
     compared: Sequence[Compared],
     study: Study | None = None,
     beyond: Beyond | None = None,
+    replays: Replays | None = None,
 ) -> list[Block]:
     """Return the report as blocks, to be written as Markdown or HTML.
 
@@ -97,6 +100,7 @@ def report(
         compared: statements about these motions.
         study: the planned experiments; None if they were not run.
         beyond: the chapter beyond the thesis; None if it was not run.
+        replays: the chapter on replays; None if it was not run.
     """
     return [
         Heading("Results: internal redundancy in parallel manipulators", 1),
@@ -107,6 +111,7 @@ def report(
         Paragraph("Made with " + ", ".join(f"{name} {version}" for name, version in versions().items()) + "."),
         *(findings(study) if study else ()),
         *(chapter(beyond) if beyond else ()),
+        *(replay_chapter(replays) if replays else ()),
         Heading("Cross-check of the backends on random states"),
         _cross_check(check),
         Heading("Motions without a planner"),

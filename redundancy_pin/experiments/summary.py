@@ -12,6 +12,7 @@ import redundancy_pin
 from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.experiments.beyond.study import Beyond
 from redundancy_pin.experiments.planned.study import Study
+from redundancy_pin.experiments.replay.study import Replays
 from redundancy_pin.experiments.result import Result
 from redundancy_pin.experiments.stated import Compared
 
@@ -27,6 +28,7 @@ def summary(
     compared: Sequence[Compared],
     study: Study | None,
     beyond: Beyond | None,
+    replays: Replays | None,
     files: Sequence[str],
 ) -> dict[str, Any]:
     """Return everything worth keeping of a run as plain data.
@@ -37,6 +39,7 @@ def summary(
         compared: statements of the thesis beside our numbers.
         study: the planned experiments; None if they were not run.
         beyond: the chapter beyond the thesis; None if it was not run.
+        replays: the chapter on replays; None if it was not run.
         files: every file of the results folder, relative to it; a later run replaces the folder only if these are all.
     """
     return {
@@ -48,6 +51,7 @@ def summary(
         "thesis": [row.as_dict() for row in compared],
         "planned": study.as_dict() if study else None,
         "beyond": beyond.as_dict() if beyond else None,
+        "replay": replays.as_dict() if replays else None,
         "notes": list(NOTES),
         "files": sorted(files),
     }

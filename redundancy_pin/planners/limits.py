@@ -22,8 +22,8 @@ class LimitEvent:
     """A stretch of time over which one limit of one carrier is touched or broken.
 
     Attributes:
-        carrier: name of the carrier joint.
-        quantity: "track", "speed", "acceleration" or "force".
+        carrier: name of the carrier joint; of the main actuator for "effort".
+        quantity: "track", "speed", "acceleration" or "force"; or "effort", N or N·m.
         start, end: first and last sample of the stretch, s.
         worst: time of the largest value, s.
         value: the value there, with its sign: m, m/s, m/s² or N.

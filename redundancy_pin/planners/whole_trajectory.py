@@ -15,7 +15,7 @@ from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.whole_trajectory_check import ALLOWED, DenseCheck, dense_check
+from redundancy_pin.planners.whole_trajectory_check import DenseCheck, dense_check
 from redundancy_pin.planners.whole_trajectory_curved import search_curved
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_grid import Grid, grid_of, singular_instants, with_middles
@@ -65,9 +65,10 @@ def plan_whole_trajectory(
     For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory_curved``).
 
     The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
-    included. Where efforts between the nodes exceed the peak at the nodes by more than 5 %, the steps get a node in the
-    middle across which the jerk is continuous, and the plan is made again (``refinements``);
-    ``diagnostics["dense_check"]`` has what is left of it.
+    included. Where efforts between the nodes exceed the peak at the nodes, or efforts or carrier forces their limits,
+    by more than 5 %, the steps get a node in the middle across which the jerk is continuous, and the plan is made again
+    (``refinements``). ``diagnostics["dense_check"]`` has what is left of it; limits left exceeded by more make the
+    status violates_limits, and ``limits.violated`` has them.
 
     Args:
         dynamics: either backend.
@@ -148,7 +149,7 @@ def plan_whole_trajectory(
         warm, tau = found.best.course(problem), found.best.tau(problem)
         checks.append(dense_check(task, problem, warm, tau))
         say(f"peak effort {checks[-1].peak_at_nodes:.4g} at the nodes, {checks[-1].peak:.4g} between them")
-        if checks[-1].ratio <= ALLOWED or len(checks) > settings.refinements or not found.best.optimal:
+        if checks[-1].passed or len(checks) > settings.refinements or not found.best.optimal:
             break
         grid = with_middles(grid, checks[-1].exceeding)
     return assemble(task, problem, found, checks, time.perf_counter() - began)
@@ -168,7 +169,9 @@ def _watched(task: Task, grid: Grid) -> Grid:
     """Return the grid with a middle node in every step near a singularity."""
     reduced = task.dynamics.along(task.source.sample_at(grid.t)).reduce()
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
-    near: BoolArray = values[:, -1] < NEAR * values[:, 0]
+    # the only singular value of a single freedom is compared with what it is elsewhere
+    size = values[:, 0] if values.shape[1] > 1 else values.max()
+    near: BoolArray = values[:, -1] < NEAR * size
     return with_middles(grid, np.logical_or(near[1:], near[:-1]))
 
 

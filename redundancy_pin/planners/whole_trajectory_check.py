@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.planners.whole_trajectory_prepare import Task
@@ -34,16 +36,18 @@ SMALL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class DenseCheck:
-    """Efforts τ = W⁻¹ f of the planned motion between the nodes, by the backend.
+    """Efforts τ = W⁻¹ f of the planned motion between the nodes, and carrier forces, by the backend.
 
     Attributes:
         peak: largest |τ| between the nodes, N or N·m.
         time: where, s.
         peak_at_nodes: largest |τ| at the nodes.
-        ratio: of both; efforts that are nothing beside those of the parked robot count as equal.
+        ratio: of both, or of the effort of an actuator between the nodes and its limit where that is lower than the
+            peak at the nodes; efforts that are nothing beside those of the parked robot count as equal.
         points: number of points.
-        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes by what is worth a middle node, and
-            those beside them.
+        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes, or carrier forces their limits, by
+            what is worth a middle node, and those beside them.
+        broken: limits of main efforts and carrier forces that are exceeded between the nodes by more than is accepted.
     """
 
     peak: float
@@ -52,6 +56,12 @@ class DenseCheck:
     ratio: float
     points: int
     exceeding: BoolArray
+    broken: tuple[LimitEvent, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether efforts and forces between the nodes are accepted."""
+        return self.ratio <= ALLOWED and not self.broken
 
     @property
     def summary(self) -> dict[str, object]:
@@ -63,7 +73,7 @@ class DenseCheck:
             "time_of_peak": self.time,
             "peak_effort_at_nodes": self.peak_at_nodes,
             "ratio": self.ratio,
-            "passed": self.ratio <= ALLOWED,
+            "passed": self.passed,
         }
 
 
@@ -85,14 +95,71 @@ def dense_check(task: Task, problem: WholeProblem, course: CarrierCourse, tau: A
                 beside += [float(grid.t[i]) + (1.0 if side == 0 else -1.0) * f * float(grid.h[i + side]) for f in CLOSE]
     # nodes were judged already; between them no acceleration jumps, so every time may stand once
     times = np.setdiff1d(np.concatenate([fine, beside]), grid.t)
-    efforts = np.abs(distribute(task.dynamics.along(task.source.sample_at(times)).reduce(course.at(times))).tau)
-    largest = np.where(np.isfinite(efforts), efforts, np.inf).max(axis=1)
+    carriers = course.at(times)
+    reduced = task.dynamics.along(task.source.sample_at(times)).reduce(carriers)
+    found = _efforts(reduced, grid.t, tau)
+    efforts = np.where(np.isfinite(found), np.abs(found), np.inf)
     at_nodes = float(np.abs(tau).max())
-    least = max(at_nodes, SMALL * problem.scales.tau)
+    limit = task.settings.effort
+    # an actuator with a limit below the peak of the others is judged by its limit
+    least = np.maximum(np.minimum(at_nodes, limit), SMALL * problem.scales.tau)
+    relative = (efforts / least).max(axis=1)
+    robot, force = task.dynamics.robot, np.array([limits.force for limits in task.settings.limits])
+    forces = np.asarray(reduced.carrier_force)
     step = np.searchsorted(grid.t, times, side="right") - 1
     exceeding = np.zeros(len(grid.h), dtype=bool)
-    marked = step[largest > MARKED * least, None] + np.arange(-BESIDE, BESIDE + 1)
+    marked = step[(relative > MARKED) | (np.abs(forces) > MARKED * force).any(axis=1), None] + np.arange(
+        -BESIDE, BESIDE + 1
+    )
     exceeding[np.clip(marked, 0, len(grid.h) - 1)] = True
-    worst = int(largest.argmax())
-    ratio = max(float(largest[worst]), least) / least
-    return DenseCheck(float(largest[worst]), float(times[worst]), at_nodes, ratio, len(times), exceeding)
+    worst = int(efforts.max(axis=1).argmax())
+    broken = limits_broken("effort", robot.actuated, times, found, limit, ALLOWED)
+    broken += limits_broken("force", robot.carriers, times, forces, force, ALLOWED)
+    return DenseCheck(
+        peak=float(efforts[worst].max()),
+        time=float(times[worst]),
+        peak_at_nodes=at_nodes,
+        ratio=max(float(relative.max()), 1.0),
+        points=len(times),
+        exceeding=exceeding,
+        broken=broken,
+    )
+
+
+def limits_broken(
+    quantity: str, names: tuple[str, ...], t: Array, values: Array, limit: Array, allowed: float
+) -> tuple[LimitEvent, ...]:
+    """Return, for each actuator whose |value| exceeds its limit by more than a factor, where it does so most.
+
+    Args:
+        quantity: "effort" or "force".
+        names: (j,) of the actuators.
+        t: (N,) times, s.
+        values: (N, j) efforts or forces, N or N·m; those that are not finite are judged elsewhere.
+        limit: (j,) the largest allowed.
+        allowed: factor on the limit.
+    """
+    events = []
+    for name, own, most in zip(names, np.where(np.isfinite(values), values, 0.0).T, limit, strict=True):
+        over = np.flatnonzero(np.abs(own) > allowed * most)
+        if len(over):
+            worst = int(over[np.abs(own[over]).argmax()])
+            value = float(own[worst])
+            excess = abs(value) - float(most)
+            span = float(t[over[0]]), float(t[over[-1]])
+            at = float(np.copysign(most, value))
+            events.append(LimitEvent(name, quantity, *span, float(t[worst]), value, at, excess))
+    return tuple(events)
+
+
+def _efforts(reduced: ReducedDynamics, nodes: Array, tau: Array) -> Array:
+    """Return W⁻¹ f; with more actuators than coordinates the efforts nearest to the planned ones, linear in a step."""
+    n, m = reduced.W.shape[1:]
+    if m <= n:
+        return np.asarray(distribute(reduced).tau)
+    step = np.searchsorted(nodes, reduced.t, side="right") - 1
+    share = ((reduced.t - nodes[step]) / (nodes[step + 1] - nodes[step]))[:, None]
+    planned = (1.0 - share) * tau[step] + share * tau[step + 1]
+    left = reduced.f - np.einsum("nim,nm->ni", reduced.W, planned)
+    nearest: Array = planned + np.einsum("nmi,ni->nm", np.linalg.pinv(reduced.W), left)
+    return nearest

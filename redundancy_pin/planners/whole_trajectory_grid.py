@@ -86,7 +86,8 @@ def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
         dt: largest step, s.
     """
     least = 1e-9 * (source.end - source.start)
-    on = [t for t in singular if source.start <= t <= source.end]
+    # one that rounding keeps from a jump is on it, or the jump would have no node of its own
+    on = [_snapped(t, source.breaks, least) for t in singular if source.start <= t <= source.end]
     kinks = source.knots if source.exact else np.empty(0)
     others = [float(t) for t in [source.start, *source.breaks, *kinks, source.end] if _apart(t, on, least)]
     events = np.unique(np.array([*on, *others]))
@@ -120,6 +121,11 @@ def _grid(t: Array, singular: BoolArray, smooth: BoolArray) -> Grid:
     inner = np.zeros(len(t), dtype=bool)
     inner[1:-1] = (h[:-1] > 0.0) & (h[1:] > 0.0)
     return Grid(read_only(t), read_only(np.flatnonzero(singular)), read_only((smooth | singular) & inner))
+
+
+def _snapped(t: float, breaks: Array, least: float) -> float:
+    near = breaks[np.abs(breaks - t) <= least]
+    return float(near[0]) if len(near) else t
 
 
 def _apart(t: float, others: list[float], least: float) -> bool:

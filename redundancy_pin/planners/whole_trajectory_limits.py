@@ -11,6 +11,9 @@ from redundancy_pin.planners.whole_trajectory_program import Program
 RESERVE = 1e-9
 """Fraction of the limits kept in reserve for the rounding of the solver."""
 
+BEYOND = 0.25 * RESERVE
+"""Fraction by which a limit on which the carriers start or end is let out: less than what counts as exceeding it."""
+
 ELASTIC_PRICE = 1.0
 """Of exceeding a limit by all of itself; beside it the objective counts as ``ELASTIC_OBJECTIVE``."""
 
@@ -131,11 +134,21 @@ def scaled_bounds(problem: WholeProblem) -> dict[str, tuple[Array, Array]]:
     limits, u = problem.settings.limits, problem.scales
     lower, upper = (np.array([getattr(bound, side) for bound in limits]) for side in ("lower", "upper"))
     finite = np.isfinite(lower) & np.isfinite(upper)
-    margin = RESERVE * np.where(finite, upper - lower, 0.0)
+    width = np.where(finite, upper - lower, 0.0)
+    # a start or an end on its limit needs that limit whole, and a little more: the solver needs an interior
+    fixed = [problem.settings.start] + ([problem.settings.datum] if problem.settings.end == "datum" else [])
+    low_margin, high_margin = (
+        np.where(np.min(room, axis=0) <= RESERVE * width, -BEYOND, RESERVE) * width
+        for room in ([at - lower for at in fixed], [upper - at for at in fixed])
+    )
     speed, acceleration, force = (
         np.array([getattr(bound, name) for bound in limits]) for name in ("speed", "acceleration", "force")
     )
-    found = {"s": ((lower + margin) / u.s, (upper - margin) / u.s)}
+    found = {"s": ((lower + low_margin) / u.s, (upper - high_margin) / u.s)}
+    at_start = np.abs(problem.settings.start_speed)
+    speed = np.where(
+        (at_start > speed * (1.0 - RESERVE)) & (at_start <= speed), speed * (1.0 + BEYOND + RESERVE), speed
+    )
     for name, most, size in (
         ("sd", speed, u.sd),
         ("sdd", acceleration, u.sdd),

@@ -11,6 +11,7 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import TERMS, CarrierModel
 from redundancy_pin.planners.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory import Side
 
 S, SD, SDD = 0, 2, 4
 """Places of s, ṡ and s̈ among the terms."""
@@ -22,7 +23,10 @@ STEP = 1e-4
 """Of the differences of the exact derivatives, m or rad, and per second: second derivatives to 1e-8 of themselves."""
 
 _CENTRAL = ((-2.0, 1.0 / 12.0), (-1.0, -2.0 / 3.0), (1.0, 2.0 / 3.0), (2.0, -1.0 / 12.0))
-"""Weights of a derivative of order four."""
+"""Offsets and weights of a derivative of order four."""
+
+_AHEAD = ((1.0, -77.0 / 12.0), (2.0, 107.0 / 6.0), (3.0, -39.0 / 2.0), (4.0, 61.0 / 6.0), (5.0, -25.0 / 12.0))
+"""The same from one side, where the other is another piece of the motion."""
 
 
 def local_model(along: DynamicsAlongMotion, carriers: CarrierMotion) -> tuple[CarrierModel, Array]:
@@ -80,7 +84,9 @@ def _first_order(along: DynamicsAlongMotion, carriers: CarrierMotion) -> Carrier
     return CarrierModel(along.motion.t, reduced.W, *(read_only(part) for part in (f0, f_terms, force0, force_terms)))
 
 
-def local_rate(dynamics: Dynamics, source: ContinuousMotion, t: float, carriers: CarrierMotion) -> CarrierModel:
+def local_rate(
+    dynamics: Dynamics, source: ContinuousMotion, t: float, carriers: CarrierMotion, side: Side
+) -> CarrierModel:
     """Return derivatives by time of the first-order coefficients, the motion they are fitted around held fixed.
 
     Args:
@@ -88,11 +94,19 @@ def local_rate(dynamics: Dynamics, source: ContinuousMotion, t: float, carriers:
         source: the platform motion.
         t: the instant, s.
         carriers: what to fit around, one sample.
+        side: from which, where the motion has a jump or kink at ``t``.
     """
     kinks = np.concatenate([[source.start, source.end], source.breaks, source.knots if source.exact else []])
     away = np.abs(kinks - t)
-    apart = min(APART, 0.49 * float(away[away > 0.0].min()))
-    offsets, weights = (np.array(part) for part in zip(*_CENTRAL, strict=True))
+    apart = float(away[away > 0.0].min())
+    if (away == 0.0).any():
+        sign = 1.0 if t == source.start or (side == "right" and t < source.end) else -1.0
+        # times have to increase on the left as well
+        offsets, weights = (sign * np.array(part)[:: int(sign)] for part in zip(*_AHEAD, strict=True))
+        apart = min(APART, 0.19 * apart)
+    else:
+        offsets, weights = (np.array(part) for part in zip(*_CENTRAL, strict=True))
+        apart = min(APART, 0.49 * apart)
     repeated = CarrierMotion(
         *(np.repeat(part, len(offsets), axis=0) for part in (carriers.s, carriers.sd, carriers.sdd))
     )

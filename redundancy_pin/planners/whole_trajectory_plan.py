@@ -10,13 +10,16 @@ from redundancy_pin.arrays import read_only
 from redundancy_pin.dynamics.status import SampleStatus
 from redundancy_pin.planners.finish import finish_plan
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.whole_trajectory_check import DenseCheck
+from redundancy_pin.planners.whole_trajectory_check import DenseCheck, limits_broken
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_objective import value
 from redundancy_pin.planners.whole_trajectory_prepare import Task
 from redundancy_pin.planners.whole_trajectory_search import Found
 
 PHASES = ("optimised",)
+
+ROUNDING = 1e-6
+"""Relative excess of an effort at a node over its limit that counts as rounding."""
 
 
 def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[DenseCheck], seconds: float) -> Plan:
@@ -52,7 +55,7 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
             "objective": value(problem, best.values),
             "fits": list(found.fits),
             "nodes": len(problem.grid.t),
-            "singular_instants": problem.grid.t[problem.grid.singular].tolist(),
+            "singular_instants": np.unique(problem.grid.t[problem.grid.singular]).tolist(),
             "singular_nodes": [int(i) for i in problem.grid.singular],
             "smooth_nodes": [int(i) for i in np.flatnonzero(problem.grid.smooth)],
             "dense_check": checks[-1].summary,
@@ -66,5 +69,12 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
     status = np.array(plan.sample_status)
     at = problem.grid.singular
     status[at] = np.where(status[at] == SampleStatus.REGULAR, SampleStatus.SINGULAR_CONSISTENT, status[at])
-    early = not best.optimal and plan.status == PlanStatus.WITHIN_LIMITS
-    return replace(plan, sample_status=read_only(status), status=PlanStatus.STOPPED_EARLY if early else plan.status)
+    at_nodes = limits_broken("effort", robot.actuated, plan.t, plan.tau, task.settings.effort, 1.0 + ROUNDING)
+    broken = (*plan.limits.violated, *at_nodes, *checks[-1].broken)
+    verdict = plan.status
+    if verdict is PlanStatus.WITHIN_LIMITS and broken:
+        verdict = PlanStatus.VIOLATES_LIMITS
+    elif verdict is PlanStatus.WITHIN_LIMITS and not best.optimal:
+        verdict = PlanStatus.STOPPED_EARLY
+    limits = replace(plan.limits, violated=tuple(sorted(broken, key=lambda event: event.start)))
+    return replace(plan, sample_status=read_only(status), status=verdict, limits=limits)

@@ -52,6 +52,7 @@ def prepare(task: Task, grid: Grid, around: CarrierMotion | None = None) -> Whol
             float(grid.t[i]),
             task.settings.dt,
             None if around is None else around[int(i) : int(i) + 1],
+            "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right",
         )
         for i in grid.singular
     )

@@ -11,7 +11,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.whole_trajectory_between import solve
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
-from redundancy_pin.planners.whole_trajectory_elastic import relax
+from redundancy_pin.planners.whole_trajectory_elastic import OUT_OF_TIME, relax
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.planners.whole_trajectory_progress import LONG, Say
 from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution
@@ -106,10 +106,13 @@ def search(
         elastic = relax(problem, carriers, first_guess(problem, warm, 0), seconds, solutions[0].message, say)
         solution = solve(problem, elastic.values, seconds, say)
         if not solution.feasible:
+            late = solution.message == OUT_OF_TIME
             raise InfeasiblePlanError(
-                f"No plan was found within {seconds:g} s (the solver says {solution.message}), although none of the "
-                "limits is known to be in the way.",
-                remedy="Allow more seconds, or a shorter dt.",
+                f"No plan was found{f' within {seconds:g} s' if late else ''} (the solver says {solution.message}), "
+                "although none of the limits is known to be in the way.",
+                remedy="Allow more seconds, or a longer dt."
+                if late
+                else "Widen the limits a little, or start elsewhere.",
                 constraint="seconds",
                 time=float(problem.grid.t[0]),
                 amount=seconds,

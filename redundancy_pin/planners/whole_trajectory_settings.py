@@ -119,7 +119,7 @@ def checked_settings(
     if end not in get_args(End):
         raise InputError(f"end is {end!r}.", remedy=f"Use one of {', '.join(get_args(End))}.", end=end)
     weights = _weights(objective)
-    if not 0.0 <= lam <= 1.0:
+    if not (isinstance(lam, (int, float)) and 0.0 <= lam <= 1.0):
         raise InputError(f"lam is {lam}, expected a number in [0, 1].", lam=lam)
     if "tracking" in weights and lam > 0.0 and not baseline:
         raise InputError(
@@ -133,7 +133,7 @@ def checked_settings(
     on_track = StepLimits(robot.carriers, limits, anticipate=False, rest_at=math.inf)
     place = frozen(require_inside(datum, "datum", on_track))
     for name, value in (("starts", starts), ("refinements", refinements)):
-        if int(value) != value or value < (1 if name == "starts" else 0):
+        if not _is_whole(value) or value < (1 if name == "starts" else 0):
             raise InputError(f"{name} is {value}.", remedy="Pass a whole number.", name=name, value=value)
     return WholeSettings(
         objective=weights,
@@ -152,16 +152,24 @@ def checked_settings(
     )
 
 
+def _is_whole(value: object) -> bool:
+    return isinstance(value, (int, float, np.integer)) and math.isfinite(value) and int(value) == value
+
+
 def _weights(objective: Objective | Mapping[Objective, float]) -> dict[Objective, float]:
-    given: dict[Objective, float] = {objective: 1.0} if isinstance(objective, str) else dict(objective)
     allowed = get_args(Objective)
+    if not isinstance(objective, (str, Mapping)):
+        raise InputError(
+            f"objective is {objective!r}.", remedy=f"Use {', '.join(allowed)}, or weights of them.", objective=objective
+        )
+    given: dict[Objective, float] = {objective: 1.0} if isinstance(objective, str) else dict(objective)
     for name, weight in given.items():
         if name not in allowed:
             raise InputError(
                 f"objective is {name!r}.", remedy=f"Use {', '.join(allowed)}, or weights of them.", objective=name
             )
-        if not (math.isfinite(weight) and weight >= 0.0):
-            raise InputError(f"The weight of {name} is {weight}.", remedy="Weights are positive.", weight=weight)
+        if not (isinstance(weight, (int, float)) and math.isfinite(weight) and weight >= 0.0):
+            raise InputError(f"The weight of {name} is {weight!r}.", remedy="Weights are positive.", weight=weight)
     kept = {name: float(weight) for name, weight in given.items() if weight > 0.0}
     if not kept:
         raise InputError("Nothing to minimise: every weight is zero.", remedy="Give one objective a weight.")

@@ -27,6 +27,7 @@ from redundancy_pin.planners.continuous_motion import ContinuousMotion
 from redundancy_pin.planners.piecewise_chebyshev import PiecewiseChebyshev
 from redundancy_pin.planners.timed_model import TimedModel
 from redundancy_pin.planners.whole_trajectory_local import local_rate
+from redundancy_pin.trajectory import Side
 
 LOST = 1e-6
 """Singular values below this fraction of the largest are lost at a singular instant; one that is only touched is known
@@ -63,6 +64,7 @@ def singular_node(
     t: float,
     half_width: float,
     around: CarrierMotion | None = None,
+    side: Side = "right",
 ) -> SingularNode:
     """Read the derivatives of the model at a singular instant off a backend.
 
@@ -73,6 +75,7 @@ def singular_node(
         t: the instant, s.
         half_width: the model is interpolated over so much time on both sides of it, s.
         around: for carriers on curved tracks, the motion (one sample) around which the model is fitted.
+        side: from which the derivatives are taken; "left" for the node before a jump of the reference acceleration.
 
     Raises:
         UnsupportedRobotError: see ``carrier_model``.
@@ -80,15 +83,19 @@ def singular_node(
     """
     if around is None:
         model = TimedModel.of(dynamics, source, max(source.start, t - half_width), min(source.end, t + half_width))
-        rate = replace(model, interpolant=_derivative(model.interpolant)).at(np.array([t]))
+        rate = replace(model, interpolant=_derivative(model.interpolant)).at(np.array([t]), side)
     else:
-        rate = local_rate(dynamics, source, t, around)
+        rate = local_rate(dynamics, source, t, around, side)
     reduced = dynamics.along(source.sample_at(np.array([t]))).reduce()
     A = scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0]
     u, values, v = np.linalg.svd(A)
-    kept = int((values > LOST * values[0]).sum())
+    size = float(values[0])
+    if len(values) == 1:  # the only one vanishes: it is small beside what it is elsewhere
+        usual = dynamics.along(source.sample_at(_spread(source))).reduce()
+        size = float(np.linalg.norm(scaled(usual.W, usual.row_scale, usual.column_scale), axis=(1, 2)).max())
+    kept = int((values > LOST * size).sum())
     turning = scaled(rate.W, reduced.row_scale, reduced.column_scale)[0]
-    _require_crossing(u[:, kept:].T @ turning @ v[kept:].T / values[0], source, t)
+    _require_crossing(u[:, kept:].T @ turning @ v[kept:].T / size, source, t)
     lost = u[:, kept:].T / reduced.row_scale
     return SingularNode(index, t, read_only(lost), rate)
 

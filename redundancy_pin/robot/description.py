@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import difflib
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 
 from redundancy_pin.errors import ModelFileError
 from redundancy_pin.robot.arguments import Argument, as_text, from_text, parsed
 from redundancy_pin.robot.inertias import require_inertias, require_no_mimics
+
+_XACRO = threading.Lock()
+"""xacro keeps its stacks in globals: two threads at once empty each other's."""
 
 
 def models_root() -> Path:
@@ -103,8 +107,9 @@ def _run_xacro(path: Path, given: dict[str, str]) -> tuple[str, dict[str, Argume
 
     resolved = dict(given)  # xacro adds the arguments that were left out, their defaults evaluated
     try:
-        document = xacro.process_file(str(path.resolve()), mappings=resolved)
-        text: str = XacroDoc.from_string(document.toxml(), rootdir=path.parent).to_urdf_string()
+        with _XACRO:
+            document = xacro.process_file(str(path.resolve()), mappings=resolved)
+            text: str = XacroDoc.from_string(document.toxml(), rootdir=path.parent).to_urdf_string()
     except Exception as error:  # xacro evaluates Python expressions: anything may come out of it
         raise ModelFileError(
             f"xacro cannot render {path}: {type(error).__name__}: {error}",

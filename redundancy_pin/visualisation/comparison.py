@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,9 @@ from redundancy_pin.visualisation.style import STROKES, figure, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_LETTERS, _KEY = 96, 9
+"""Letters of a legend that fit beside each other, and how many of them an entry takes with its line and space."""
 
 
 def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mapping[str, tuple[Array, Array]]) -> Figure:
@@ -36,7 +40,10 @@ def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mappin
                     t, tau[:, i], color=stroke.color, linestyle=stroke.dash, label=f"{label}: peak {peak:.3g} {unit}"
                 )
             panel.set_ylabel(f"{name} [{unit}]")
-            legend_above(panel, len(cases))
+            longest = max(len(text) for text in panel.get_legend_handles_labels()[1])
+            fit = max(1, _LETTERS // (_KEY + longest))
+            rows = math.ceil(len(cases) / fit)
+            legend_above(panel, math.ceil(len(cases) / rows))
         panels[-1].set_xlabel("time t [s]")
         end = max(float(t[-1]) for t, _ in cases.values())
         panels[-1].set_xlim(0.0, end)

@@ -81,10 +81,10 @@ def figure(width: float, height: float) -> Iterator[Figure]:
         RedundancyPinError: matplotlib is not installed.
     """
     require_matplotlib()
-    from matplotlib.figure import Figure
+    from redundancy_pin.visualisation.page import Page
 
     with _styled():
-        yield Figure(figsize=(width, height), layout="constrained")
+        yield Page(figsize=(width, height), layout="constrained")
 
 
 @contextmanager

@@ -24,6 +24,7 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(job.reproduce, "__defaults__", (small,))
     monkeypatch.setitem(job.reproduce.__kwdefaults__, "study", None)
     monkeypatch.setitem(job.reproduce.__kwdefaults__, "beyond", None)
+    monkeypatch.setitem(job.reproduce.__kwdefaults__, "replay", None)
 
 
 def test_tables(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from redundancy_pin.errors import CrossCheckError, OutputError
 from redundancy_pin.experiments import Reproduction, job
 from redundancy_pin.experiments.stated import STATEMENTS, compare_with_thesis
 
-reproduce = functools.partial(job.reproduce, study=None, beyond=None)
+reproduce = functools.partial(job.reproduce, study=None, beyond=None, replay=None)
 """The job without the planned experiments and the last chapter, which have tests of their own."""
 
 SAMPLES = 20

@@ -2,12 +2,13 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.robot.arguments import known_values
-from redundancy_pin.robot.description import declaration_path, render, shipped_robots
+from redundancy_pin.robot.description import declaration_path, models_root, render, shipped_robots
 
 XACRO = """<?xml version="1.0"?>
 <robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -155,3 +156,12 @@ def test_includes_are_found_beside_the_file_from_any_folder(tmp_path):
 def test_a_robot_is_not_named_by_a_number():
     with pytest.raises(ModelFileError, match="not by 5"):
         declaration_path(5)
+
+
+def test_robots_render_in_several_threads_at_once():
+    """xacro keeps its stacks in globals; a map by joblib's threads made failed cells of that."""
+    path = models_root() / "3rrr" / "3rrr.urdf.xacro"
+    masses = [0.5 + 0.1 * i for i in range(24)]
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda mass: render(path, {"carrier_mass": mass}), masses))
+    assert [parameters["carrier_mass"] for _, parameters in found] == pytest.approx(masses)

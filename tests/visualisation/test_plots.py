@@ -242,3 +242,23 @@ def test_the_same_figure_gives_the_same_svg(tmp_path: Path) -> None:
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert (tmp_path / "snapshots-a.svg").read_bytes() == (tmp_path / "snapshots-b.svg").read_bytes()
+
+
+def test_a_figure_is_its_own_picture_in_a_notebook() -> None:
+    drawn = rp.plot.condition(plan())
+    picture, shown = drawn._repr_png_()
+    assert picture[:8] == b"\x89PNG\r\n\x1a\n"
+    pixels = int.from_bytes(picture[16:20], "big")  # of the width, in the header
+    assert shown == {"width": round(drawn.get_figwidth() * drawn.dpi)}
+    assert pixels > 1.5 * shown["width"]
+
+
+@pytest.mark.parametrize("cases", range(1, 7))
+def test_legends_of_comparisons_stay_on_the_page(cases: int) -> None:
+    names = ["without carriers", "carriers parked", "λ = 0.5", "λ = 0", "least peak", "whole trajectory"]
+    drawn = rp.plot.comparison(dict.fromkeys(names[:cases], corner()))
+    drawn.canvas.draw()
+    for panel in drawn.axes:
+        box = panel.get_legend().get_window_extent()
+        assert box.x1 <= drawn.bbox.x1
+        assert box.y0 >= panel.get_window_extent().y1 - 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -36,9 +37,11 @@ class Journal:
         Raises:
             OutputError: the disk refuses.
         """
-        line = json.dumps(cell.as_dict(), allow_nan=False) + "\n"
+        line = (json.dumps(cell.as_dict(), allow_nan=False) + "\n").encode()
         try:
-            os.write(self._handle, line.encode())
+            # a part of a line would spoil the next one; alone at the end it is dropped when the journal is opened again
+            if os.write(self._handle, line) < len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             os.fsync(self._handle)
         except OSError as error:
             raise OutputError(
@@ -63,8 +66,8 @@ def open_journal(path: str | Path, identity: Mapping[str, Any]) -> Iterator[Jour
         The journal.
 
     Raises:
-        OutputError: the file cannot be written; is no journal; is one of another problem or version, which is named; or
-            is damaged in the middle.
+        OutputError: the file cannot be written; is in use by another run; is no journal; is one of another problem or
+            version, which is named; or is damaged in the middle.
     """
     place = Path(path).expanduser()
     require_writable(place)
@@ -72,13 +75,35 @@ def open_journal(path: str | Path, identity: Mapping[str, Any]) -> Iterator[Jour
     if not place.exists():
         header = {"format": FORMAT, "version": VERSION, "digest": digest(identity), "problem": identity}
         write_text(place, json.dumps(header) + "\n")
-    cells, length = _read(place, identity)
-    handle = os.open(place, os.O_WRONLY | os.O_APPEND)
     try:
+        handle = os.open(place, os.O_WRONLY | os.O_APPEND)
+    except OSError as error:
+        raise OutputError(f"Cannot open {place}: {error.strerror}.", remedy="Choose another folder.") from error
+    try:
+        _lock(place, handle)
+        cells, length = _read(place, identity)
         os.ftruncate(handle, length)
         yield Journal(place, cells, handle)
     finally:
         os.close(handle)
+
+
+def _lock(path: Path, handle: int) -> None:
+    """Keep a journal to one run: another would compute the same cells, and cut off lines written while it opens it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise OutputError(
+            f"The journal {path} is in use by another run.",
+            remedy="Wait for it to end, or choose another folder.",
+            path=str(path),
+        ) from error
+    except OSError:  # a file system without locks
+        return
 
 
 def _read(path: Path, identity: Mapping[str, Any]) -> tuple[dict[Key, Cell], int]:

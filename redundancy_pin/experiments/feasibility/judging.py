@@ -77,6 +77,7 @@ def _broken(plan: Plan, peak: float, effort: float | None) -> list[tuple[float, 
     found = [
         (event.amount / max(abs(event.limit), 1e-12), event.quantity, event.carrier, event.worst, event.amount)
         for event in plan.limits.violated
+        if event.quantity != "effort"  # judged below; between the nodes it says that the plan is not resolved
     ]
     if effort is not None and peak > effort * (1.0 + ROUNDING):
         i, j = np.unravel_index(int(np.nanargmax(np.abs(plan.tau))), plan.tau.shape)

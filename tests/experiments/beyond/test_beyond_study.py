@@ -46,7 +46,7 @@ def done() -> Reproduction:
         patched.setattr(job, "PICTURE_SUFFIXES", (".png",))
         patched.setitem(style._SETTINGS, "savefig.dpi", 40)
         patched.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(ROWS, 0))  # has tests of its own
-        return job.reproduce(folder, [], study=None, beyond=QUICK)
+        return job.reproduce(folder, [], study=None, beyond=QUICK, replay=None)
 
 
 def beyond() -> Beyond:

@@ -376,3 +376,32 @@ def test_bad_settings_of_the_sweep_are_refused(given: dict[str, Any], asked: lis
     with pytest.raises(InputError):
         feasibility_map(crossing(), **given)
     assert asked == []
+
+
+def test_a_journal_belongs_to_one_run(tmp_path: Path) -> None:
+    """A second run would compute the same cells and cut off what the first writes while it opens the file."""
+    journal, problem = tmp_path / "journal.jsonl", corner()
+    with open_journal(journal, problem.identity()) as first:
+        with (
+            pytest.raises(OutputError, match="in use by another run"),
+            open_journal(journal, problem.identity()),
+        ):
+            pytest.fail("opened twice")
+        first.add(quick(problem, WHOLE, 0.2, 0.3))
+    with open_journal(journal, problem.identity()) as again:
+        assert len(again.cells) == 1
+
+
+def test_a_full_disk_spoils_no_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    journal, problem = tmp_path / "journal.jsonl", corner()
+    write = os.write
+    with open_journal(journal, problem.identity()) as book:
+        book.add(quick(problem, WHOLE, 0.2, 0.3))
+        monkeypatch.setattr(os, "write", lambda handle, data: write(handle, data[: len(data) // 2]))
+        with pytest.raises(OutputError, match="make room"):
+            book.add(quick(problem, WHOLE, 0.2, 0.4))
+    monkeypatch.undo()
+    with open_journal(journal, problem.identity()) as again:
+        assert list(again.cells) == [(WHOLE, 0.2, 0.3)]
+        again.add(quick(problem, WHOLE, 0.2, 0.5))
+    assert all(json.loads(line) for line in _lines(journal))

@@ -1,0 +1,152 @@
+"""The study: all scenarios with all drives, many draws each, on several processes; what is finished is never lost."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+from redundancy_pin.errors import InputError
+from redundancy_pin.experiments.robustness.draws import Imperfections
+from redundancy_pin.experiments.robustness.journal import Key, open_journal
+from redundancy_pin.experiments.robustness.scenarios import DRIVES, SCENARIOS, Drive, Scenario
+from redundancy_pin.experiments.robustness.statistics import CellStatistics, cell_statistics
+from redundancy_pin.experiments.robustness.trial import Trial, run_trial
+
+DRAWS = 200
+
+Progress = Callable[[int, int, str], None]
+"""Called with trials done, trials in all, and what is being done."""
+
+_SCALED = ("mass", "length", "noise")
+_FRICTION = ("coulomb", "viscous")
+
+
+@dataclass(frozen=True)
+class Study:
+    """A finished study.
+
+    Attributes:
+        imperfections: bounds of the draws.
+        seed: of the draws.
+        trials: all of them, by scenario, drive and number.
+        cells: their statistics.
+    """
+
+    imperfections: Imperfections
+    seed: int
+    trials: tuple[Trial, ...]
+    cells: tuple[CellStatistics, ...]
+
+
+def scaled(imperfections: Imperfections, severity: float) -> Imperfections:
+    """Return imperfections with errors of masses and lengths, friction and noise times a factor.
+
+    Sampling, delay, encoders and limits stay.
+
+    Raises:
+        InputError: the factor is negative or not finite, or masses could become negative.
+    """
+    if not 0.0 <= severity < 1.0 / imperfections.mass:
+        raise InputError(
+            f"severity is {severity}.", remedy=f"Pass a number from 0 to below {1.0 / imperfections.mass:g}."
+        )
+    chosen = [
+        field.name
+        for field in fields(imperfections)
+        if field.name in _SCALED or field.name.rsplit("_", 1)[-1] in _FRICTION
+    ]
+    return replace(imperfections, **{name: severity * getattr(imperfections, name) for name in chosen})
+
+
+def robustness_study(
+    draws: int = DRAWS,
+    *,
+    seed: int = 0,
+    severity: float = 1.0,
+    scenarios: Sequence[Scenario] = SCENARIOS,
+    drives: Sequence[Drive] = DRIVES,
+    imperfections: Imperfections | None = None,
+    journal: str | Path | None = None,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+) -> Study:
+    """Run a study, taking over the trials that a journal already has.
+
+    Draw number i is the same machine in every cell, so cells may be compared draw by draw.
+
+    Args:
+        draws: trials a cell.
+        seed: of the draws.
+        severity: factor on all errors, see ``scaled``.
+        scenarios: planned crossings.
+        drives: what controls the machine.
+        imperfections: their bounds; the default ones when left out.
+        journal: file for the finished trials, made if it is missing; None keeps them in memory alone.
+        jobs: number of processes; all cores when left out. 1 runs in this process.
+        progress: called whenever a trial is finished.
+
+    Raises:
+        InputError: a number out of its domain.
+        OutputError: the journal is of another study, damaged, or cannot be written.
+        InfeasiblePlanError: a scenario has no plan.
+    """
+    if draws < 1 or (jobs is not None and jobs < 1):
+        raise InputError(f"draws is {draws}, jobs is {jobs}.", remedy="Pass positive whole numbers.")
+    bounds = scaled(imperfections or Imperfections(), severity)
+    cells = [(scenario, drive) for scenario in scenarios for drive in drives]
+    # draws first: an interrupted study has about as many trials in every cell
+    wanted = [(scenario, drive, number) for number in range(draws) for scenario, drive in cells]
+    known: dict[Key, Trial] = {}
+    with contextlib.ExitStack() as stack:
+        put: Callable[[Trial], None] | None = None
+        if journal is not None:
+            identity = {"seed": seed, "imperfections": asdict(bounds), "scenarios": [asdict(one) for one in scenarios]}
+            book = stack.enter_context(open_journal(journal, identity))
+            known.update(book.trials)
+            put = book.add
+        missing = [one for one in wanted if (one[0].name, one[1], one[2]) not in known]
+        done = len(wanted) - len(missing)
+        if progress:
+            progress(done, len(wanted), "taken over" if done else "planning")
+        for trial in _run(missing, bounds, seed, jobs or os.cpu_count() or 1):
+            if put is not None:
+                put(trial)
+            known[trial.key] = trial
+            done += 1
+            if progress:
+                progress(done, len(wanted), f"{trial.scenario}, {trial.drive}")
+    trials = [
+        known[scenario.name, drive, number] for (scenario, drive), number in itertools.product(cells, range(draws))
+    ]
+    grouped = [trials[i * draws : (i + 1) * draws] for i in range(len(cells))]
+    return Study(bounds, seed, tuple(trials), tuple(cell_statistics(group) for group in grouped))
+
+
+def _run(wanted: Sequence[tuple[Scenario, Drive, int]], bounds: Imperfections, seed: int, jobs: int) -> Iterator[Trial]:
+    """Give trials as they are finished, in whatever order that is."""
+    if jobs == 1 or len(wanted) < 2:
+        for scenario, drive, number in wanted:
+            yield run_trial(scenario, drive, bounds, seed, number)
+        return
+    # not fork: the parent may have threads. Each process has one core: the matrices are small.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(jobs, len(wanted)), mp_context=context, initializer=_one_thread)
+    try:
+        futures: list[Future[Trial]] = [
+            pool.submit(run_trial, scenario, drive, bounds, seed, number) for scenario, drive, number in wanted
+        ]
+        for future in as_completed(futures):
+            yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _one_thread() -> None:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"

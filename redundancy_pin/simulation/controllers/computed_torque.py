@@ -1,0 +1,179 @@
+"""Computed torque with internal redundancy: where W loses rank, the carriers hold the platform."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.errors import InputError, SingularPoseError
+from redundancy_pin.kinematics.coordinates import row_scale
+from redundancy_pin.planners.continuous_motion import TimedTrajectory
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.simulation.control import Sampling, limit
+from redundancy_pin.simulation.controllers.allocation import Allocation, AllocationStatus, allocate
+from redundancy_pin.simulation.controllers.reduced_model import ReducedModel
+from redundancy_pin.simulation.controllers.tracking import Tracking
+from redundancy_pin.simulation.linearise import state_error
+from redundancy_pin.simulation.manifold import Manifold
+from redundancy_pin.simulation.reference import MotionReference
+from redundancy_pin.simulation.state import State
+
+CARRIER_SHARE = 0.1
+"""Default â: this share of the largest planned |s̈|, per planned effort. The smaller, the later carriers take over."""
+
+LEAST_SHARE = 1e-3
+"""Scales of actuators that the plan does not use: this share of the largest, so that no weight is infinite."""
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueCommand:
+    """What a computed torque commands at one state.
+
+    Attributes:
+        t: time, s.
+        tau: (m,) main efforts, N or N·m.
+        carrier_force: (k,) carrier forces, N.
+        allocation: how the force was shared out; where its status is ``UNBALANCED`` the efforts are the plan's.
+    """
+
+    t: float
+    tau: Array
+    carrier_force: Array
+    allocation: Allocation
+
+
+class ComputedTorque(Tracking):
+    """Inverse dynamics of the actual state with desired accelerations.
+
+        ẍ = ẍ_d − 2 ζ ω ė − ω² e,   s̈ = s̈_d − 2 ζ ω_s ė_s − ω_s² e_s + δ,
+
+    efforts and δ from ``allocate``. Away from a type II pose δ is small and platform and carriers obey two decoupled
+    linear equations. Towards one the carriers take over: the platform keeps its equation, the carriers leave theirs by
+    δ and come back afterwards. It gives up, by feeding the plan's efforts forward, at a type I pose and where main
+    actuators and carriers together have no effect in some direction that the force needs (``UNBALANCED``).
+
+    Args:
+        plan: a plan, or a reference of a robot; its robot is the model that the controller knows.
+        motion: the trajectory that was planned for, for exact values between the samples of a plan.
+        bandwidth: ω of the platform, rad/s.
+        carrier_bandwidth: ω_s of the carriers, rad/s.
+        damping: ζ of both.
+        effort_scale: scalar or (m,) τ̂, main effort beyond the plan's that counts as much as â; the largest planned
+            efforts when left out.
+        carrier_scale: scalar or (k,) â, carrier acceleration beyond the wanted one, m/s²; a tenth of the largest
+            planned |s̈| when left out.
+        effort_limit: scalar or (m,) largest |τ|; what it cuts off is left to the carriers.
+        sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
+            answer will act.
+
+    Attributes:
+        history: a ``TorqueCommand`` for every time ``effort`` was asked, trial steps of an integrator included.
+
+    Raises:
+        InputError: a gain, scale or limit out of its domain.
+        InfeasiblePlanError, PlanFileError: see ``plan_reference``.
+    """
+
+    def __init__(
+        self,
+        plan: Plan | MotionReference,
+        *,
+        motion: TimedTrajectory | None = None,
+        bandwidth: float = 30.0,
+        carrier_bandwidth: float = 10.0,
+        damping: float = 1.0,
+        effort_scale: ArrayLike | None = None,
+        carrier_scale: ArrayLike | None = None,
+        effort_limit: ArrayLike | None = None,
+        sampling: Sampling | None = None,
+    ) -> None:
+        super().__init__(plan, motion, sampling)
+        for name, value in (("bandwidth", bandwidth), ("carrier_bandwidth", carrier_bandwidth), ("damping", damping)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"{name} is {value}.", remedy="Pass a positive, finite number.", name=name)
+        robot = self.robot
+        self.bandwidth, self.carrier_bandwidth, self.damping = bandwidth, carrier_bandwidth, damping
+        frequency = np.concatenate([np.full(robot.n, bandwidth), np.full(robot.k, carrier_bandwidth)])
+        self._stiffness, self._damping = frequency**2, 2.0 * damping * frequency
+        largest_tau, largest_sdd = _largest(self.reference)
+        self.effort_scale = _scale(effort_scale, largest_tau, robot.m, "effort_scale")
+        self.carrier_scale = _scale(carrier_scale, CARRIER_SHARE * largest_sdd, robot.k, "carrier_scale")
+        self.effort_limit = limit(effort_limit, robot.m, "effort_limit")
+        self.history: list[TorqueCommand] = []
+        self._model = ReducedModel(robot)
+        self._manifold = Manifold(self._model.chain)
+        self._rows = row_scale(robot)
+
+    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        """Return main efforts (m,) and carrier forces (k,) at time t; ``history`` keeps how they came about."""
+        command = self.command(t, state)
+        self.history.append(command)
+        return command.tau, command.carrier_force
+
+    def command(self, t: float, state: State) -> TorqueCommand:
+        """Return the efforts at a state and how the force is shared out; a function of its arguments.
+
+        Args:
+            t: time, s.
+            state: where the machine is, as far as the controller knows.
+        """
+        robot, reference = self.robot, self.reference
+        at = t + self.lead
+        here = self._advanced(t, state) if self.lead else state
+        point = reference.at(at)
+        error = state_error(robot, here, point.x, point.xd, point.s, point.sd)
+        d, n = robot.n + robot.k, robot.n
+        wanted = np.concatenate([point.xdd, point.sdd]) - self._stiffness * error[:d] - self._damping * error[d:]
+        try:
+            equations = self._model.at(here.q, here.v)
+        except SingularPoseError:
+            nothing = Allocation(point.tau, np.zeros(robot.k), float("nan"), 0.0, AllocationStatus.UNBALANCED)
+            return TorqueCommand(t, point.tau, point.carrier_force, nothing)
+        coupling = equations.mass[:n, n:]
+        found = allocate(
+            equations.W,
+            coupling,
+            equations.mass[:n] @ wanted + equations.bias[:n],
+            point.tau,
+            effort_scale=self.effort_scale,
+            carrier_scale=self.carrier_scale,
+            row_scale=self._rows,
+            effort_limit=self.effort_limit,
+        )
+        if found.status is AllocationStatus.UNBALANCED:
+            return TorqueCommand(t, point.tau, point.carrier_force, found)
+        wanted[n:] += found.deviation
+        force = equations.mass[n:] @ wanted + equations.bias[n:]
+        return TorqueCommand(t, read_only(found.tau), read_only(force), found)
+
+    def _advanced(self, t: float, state: State) -> State:
+        """Return where the state will be when the answer acts, by its velocity and the planned acceleration."""
+        lead = self.lead
+        _, _, a = self.reference.tree(t)
+        model = self.robot.model
+        q = pin.integrate(model, np.array(state.q), lead * state.v + 0.5 * lead * lead * a)
+        q, v, _, _ = self._manifold.project(q, state.v + lead * a)
+        return State(self._model.chain, t + lead, q, v)
+
+
+def _largest(reference: MotionReference) -> tuple[Array, Array]:
+    """Return the largest |τ| and |s̈| at the middles of all pieces."""
+    middles = 0.5 * (reference.edges[:-1] + reference.edges[1:])
+    tau = np.abs([reference.loads(float(t))[0] for t in middles]).max(axis=0)
+    sdd = np.abs([reference.carriers(float(t))[2] for t in middles]).max(axis=0)
+    return tau, sdd
+
+
+def _scale(given: ArrayLike | None, default: Array, count: int, name: str) -> Array:
+    if given is None:
+        largest = float(default.max(initial=0.0))
+        floor = LEAST_SHARE * largest if largest > 0.0 else 1.0
+        return np.maximum(default, floor)
+    values = np.atleast_1d(np.asarray(given, dtype=float))
+    if values.shape not in ((1,), (count,)) or not (np.isfinite(values) & (values > 0.0)).all():
+        raise InputError(f"{name} is {given!r}.", remedy=f"Pass one positive number, or {count}.", name=name)
+    return np.broadcast_to(values, (count,))

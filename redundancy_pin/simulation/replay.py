@@ -1,0 +1,229 @@
+"""Replay of plans: does the machine do what the plan says, open loop and under control?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.errors import IllPosedModelError, InfeasiblePlanError, InputError, SingularPoseError
+from redundancy_pin.kinematics.coordinates import difference, moved, row_scale
+from redundancy_pin.planners.continuous_motion import TimedTrajectory
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.control import Controller, Sampling
+from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
+from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
+from redundancy_pin.simulation.controllers.tracking import Tracking
+from redundancy_pin.simulation.feed_forward import FeedForward
+from redundancy_pin.simulation.reference import MotionReference, plan_reference
+from redundancy_pin.simulation.result import Simulation
+from redundancy_pin.simulation.simulate import simulate
+from redundancy_pin.simulation.state import State, closed_state
+
+Drive = Literal["open loop", "open loop, samples", "carriers by motion", "computed torque", "LQR"]
+
+DRIVES: tuple[Drive, ...] = ("open loop", "open loop, samples", "computed torque", "LQR")
+
+SAMPLING = Sampling(2e-3, 2e-3)
+"""Of the controllers: 500 Hz, one sample of delay."""
+
+AWAY, SPEED = 1e-3, 1e-2
+"""Where controllers start: this far, m, and at this speed, m/s, from the planned start, along every coordinate together
+(rotations over the characteristic length)."""
+
+MOST_STEPS = 1000
+"""Steps in addition to those that samples and breaks ask for: towards a pose at which a massless machine has no
+acceleration steps would shrink for ever."""
+
+RTOL, ATOL = 1e-10, 1e-12
+"""Of the integrator open loop."""
+
+CONTROLLED_RTOL, CONTROLLED_ATOL = 1e-7, 1e-9
+"""Under control, where steps are as short as the sampling period anyway."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """One plan with one drive. Distances of rotations count times the characteristic length.
+
+    Attributes:
+        plan: name of the plan.
+        drive: what drove the machine.
+        status: that of the simulation; "ill_posed" where forces do not determine the motion at the start (or the linear
+            model has none), "no_efforts" where the plan has no finite efforts somewhere.
+        reason: why it is not "completed"; may be empty.
+        t: (N,) times, s; empty where nothing was simulated.
+        error: (N,) distance of the platform from the planned motion, m.
+        largest, rms, last: of ``error``; NaN where nothing was simulated.
+        carrier_error: largest distance of a carrier from the plan's motion, m.
+        carrier_lag: largest distance of that motion from the plan's own samples, m: what backward differences leave.
+        effort: largest |τ|, N or N·m.
+        carrier_force: largest |F|, N.
+        gap: largest closure gap, m.
+    """
+
+    plan: str
+    drive: str
+    status: str
+    reason: str
+    t: Array
+    error: Array
+    largest: float
+    rms: float
+    last: float
+    carrier_error: float
+    carrier_lag: float
+    effort: float
+    carrier_force: float
+    gap: float
+
+
+def replay_table(
+    plans: Mapping[str, Plan],
+    motions: Mapping[str, TimedTrajectory] | None = None,
+    *,
+    drives: Sequence[Drive] = DRIVES,
+    sampling: Sampling = SAMPLING,
+) -> tuple[Replay, ...]:
+    """Replay plans with each of several drives.
+
+    Args:
+        plans: by name.
+        motions: the trajectories that were planned for, by the same names, for exact values between the samples.
+        drives: what drives the machine.
+        sampling: of the controllers.
+
+    Raises:
+        InputError: an unknown drive.
+        PlanFileError: a plan's robot cannot be loaded.
+    """
+    known = motions or {}
+    return tuple(
+        replay(plan, drive, name=name, motion=known.get(name), sampling=sampling)
+        for name, plan in plans.items()
+        for drive in drives
+    )
+
+
+def replay(
+    plan: Plan,
+    drive: Drive = "open loop",
+    *,
+    name: str = "",
+    motion: TimedTrajectory | None = None,
+    sampling: Sampling = SAMPLING,
+) -> Replay:
+    """Replay a plan on its own robot.
+
+    - "open loop": the efforts of the continuous motion that the plan stands for, from its exact start.
+    - "open loop, samples": the efforts at the samples of the plan, linear in between.
+    - "carriers by motion": main efforts open loop, carriers follow their plan exactly.
+    - "computed torque", "LQR": digital, from a start that is ``AWAY`` and ``SPEED`` off.
+
+    Ends of tracks do not stop a replay: plans may use the last micrometre of them.
+
+    Args:
+        plan: from any planner.
+        drive: what drives the machine.
+        name: of the plan, for the result.
+        motion: the trajectory that was planned for.
+        sampling: of the controllers.
+
+    Raises:
+        InputError: an unknown drive.
+        PlanFileError: the plan's robot cannot be loaded.
+    """
+    try:
+        reference = plan_reference(plan, motion=motion)
+        controller = _controller(plan, reference, drive, sampling)
+        robot, closed_loop = reference.robot, drive in ("computed torque", "LQR")
+        run = simulate(
+            robot,
+            controller,
+            start=displaced(robot, reference) if closed_loop else None,
+            carriers="motion" if drive == "carriers by motion" else "force",
+            sampling=sampling if closed_loop else None,
+            duration=reference.end - reference.start,
+            stop_at=(),
+            max_steps=MOST_STEPS + 2 * max(len(plan.t), int((reference.end - reference.start) / sampling.period)),
+            rtol=CONTROLLED_RTOL if closed_loop else RTOL,
+            atol=CONTROLLED_ATOL if closed_loop else ATOL,
+            integrator="RK45" if closed_loop else "DOP853",
+        )
+    except (IllPosedModelError, SingularPoseError) as error:
+        return _nothing(name, drive, "ill_posed", str(error))
+    except InfeasiblePlanError as error:
+        return _nothing(name, drive, "no_efforts", str(error))
+    return _judged(name, drive, reference, run)
+
+
+def displaced(robot: Robot, reference: MotionReference) -> State:
+    """Return a start ``AWAY`` and ``SPEED`` off the planned one."""
+    point = reference.at(reference.start)
+    along = 1.0 / row_scale(robot) / np.sqrt(robot.n)
+    x = moved(robot, point.x[None], (AWAY * along)[None])[0]
+    return closed_state(robot, x, point.xd + SPEED * along, point.s, point.sd, t=reference.start)
+
+
+def _controller(plan: Plan, reference: MotionReference, drive: str, sampling: Sampling) -> Controller:
+    match drive:
+        case "open loop" | "carriers by motion":
+            return FeedForward(reference)
+        case "open loop, samples":
+            return _SampleEfforts(plan, reference)
+        case "computed torque":
+            return ComputedTorque(reference, sampling=sampling)
+        case "LQR":
+            return TimeVaryingLqr(reference, sampling=sampling)
+    known = ", ".join((*DRIVES, "carriers by motion"))
+    raise InputError(f"drive is {drive!r}.", remedy=f"Pass one of: {known}.")
+
+
+class _SampleEfforts(Tracking):
+    """Efforts of the samples, linear in between; where a sample occurs twice they jump."""
+
+    def __init__(self, plan: Plan, reference: MotionReference) -> None:
+        super().__init__(reference, None, None)
+        self._t, self._tau, self._force = plan.t, np.nan_to_num(plan.tau), np.asarray(plan.carrier_force)
+        self.breaks = np.unique(plan.t)[1:-1]
+
+    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        right = min(max(int(np.searchsorted(self._t, t, side="right")), 1), len(self._t) - 1)
+        left = right - 1
+        step = self._t[right] - self._t[left]
+        share = min(max((t - self._t[left]) / step, 0.0), 1.0) if step > 0.0 else 1.0
+        tau = (1.0 - share) * self._tau[left] + share * self._tau[right]
+        return tau, (1.0 - share) * self._force[left] + share * self._force[right]
+
+
+def _judged(name: str, drive: str, reference: MotionReference, run: Simulation) -> Replay:
+    robot = reference.robot
+    planned = np.array([reference.platform(float(t))[0] for t in run.t])
+    carriers = np.array([reference.carriers(float(t))[0] for t in run.t])
+    error = np.linalg.norm(difference(robot, np.array(run.x), planned) * row_scale(robot), axis=1)
+    span = float(run.t[-1] - run.t[0])
+    return Replay(
+        name,
+        drive,
+        run.status.value,
+        run.reason,
+        run.t,
+        read_only(error),
+        float(error.max()),
+        float(np.sqrt(np.trapezoid(error**2, run.t) / span)) if span > 0.0 else float(error[0]),
+        float(error[-1]),
+        float(np.abs(run.s - carriers).max(initial=0.0)),
+        float(reference.carrier_lag.max(initial=0.0)),
+        float(np.nanmax(np.abs(run.tau))),
+        float(np.nanmax(np.abs(run.carrier_force), initial=0.0)),
+        float(run.gap.max()),
+    )
+
+
+def _nothing(name: str, drive: str, status: str, reason: str) -> Replay:
+    empty, none = read_only(np.empty(0)), float("nan")
+    return Replay(name, drive, status, reason, empty, empty, none, none, none, none, none, none, none, none)

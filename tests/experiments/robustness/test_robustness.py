@@ -1,0 +1,149 @@
+"""The robustness study: draws, statistics, journal, and a small study of two drives."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from redundancy_pin.errors import InputError, OutputError
+from redundancy_pin.experiments.robustness import Imperfections, robustness_study, study, study_csv, study_table
+from redundancy_pin.experiments.robustness.draws import LENGTHS, MASSES, draw
+from redundancy_pin.experiments.robustness.scenarios import Scenario, nominal
+from redundancy_pin.experiments.robustness.statistics import mean_interval, wilson
+from redundancy_pin.experiments.robustness.study import scaled
+from redundancy_pin.experiments.robustness.trial import SUCCESS, Trial, trial_from
+
+SHORT = Scenario("line", "switch off", 2.45, 2.55)
+"""s; the singular pose at 2.508 s, and little else."""
+
+
+def trial(number: int, largest: float = 1e-3, **changed) -> Trial:
+    return replace(Trial("line, switch off", "LQR", number, "completed", "", largest, 5e-4, 1.0, 2.0, 0.0), **changed)
+
+
+def test_a_draw_depends_on_seed_and_number_alone():
+    bounds = Imperfections()
+    first, again, other = (draw(nominal(), bounds, seed, number) for seed, number in ((1, 4), (1, 4), (2, 4)))
+    assert first.arguments == again.arguments
+    assert np.array_equal(first.phase, again.phase)
+    assert first.random.normal() == again.random.normal()
+    assert first.arguments != other.arguments
+
+
+def test_draws_stay_within_their_bounds_and_fill_them():
+    bounds, known = Imperfections(), nominal().parameters
+    draws = [draw(nominal(), bounds, 0, number) for number in range(300)]
+    for name in MASSES:
+        away = np.array([one.arguments[name] / known[name] - 1.0 for one in draws])
+        assert 0.045 < np.abs(away).max() <= 0.05
+    for name in LENGTHS:
+        away = np.array([one.arguments[name] - known[name] for one in draws])
+        assert 0.9e-3 < np.abs(away).max() <= 1e-3
+    factors = np.array([one.coulomb for one in draws])
+    assert 0.5 <= factors.min() < 0.52
+    assert 1.48 < factors.max() <= 1.5
+
+
+def test_severity_scales_errors_friction_and_noise_and_nothing_else():
+    bounds = Imperfections()
+    found, zero = scaled(bounds, 2.0), scaled(bounds, 0.0)
+    assert (found.mass, found.length, found.noise) == (0.1, 2e-3, 0.1)
+    assert found.revolute_coulomb == 2.0 * bounds.revolute_coulomb
+    assert found.prismatic_viscous == 2.0 * bounds.prismatic_viscous
+    assert (found.period, found.prismatic_smoothing, found.effort_limit) == (1e-3, 0.01, 20.0)
+    assert zero.noise == zero.prismatic_coulomb == 0.0
+    with pytest.raises(InputError, match="severity is 20"):
+        scaled(bounds, 20.0)
+
+
+@pytest.mark.parametrize(("successes", "count"), [(0, 10), (7, 10), (200, 200)])
+def test_rates_have_wilsons_interval(successes, count):
+    p, z = successes / count, 1.959963984540054
+    middle = (p + z * z / (2 * count)) / (1 + z * z / count)
+    half = z * np.sqrt(p * (1 - p) / count + z * z / (4 * count**2)) / (1 + z * z / count)
+    found = wilson(successes, count)
+    assert (found.value, found.low, found.high) == pytest.approx((p, middle - half, middle + half), abs=1e-12)
+
+
+def test_means_have_an_interval_like_students():
+    values = np.random.default_rng(3).normal(5.0, 2.0, 200)
+    found = mean_interval(values)
+    half = 1.97 * values.std(ddof=1) / np.sqrt(200)
+    assert found.value == pytest.approx(values.mean())
+    assert (found.low, found.high) == pytest.approx((values.mean() - half, values.mean() + half), rel=0.02)
+    assert np.isnan(mean_interval(values[:1]).low)
+
+
+@pytest.mark.parametrize(
+    ("changed", "success"),
+    [
+        ({}, True),
+        ({"largest": SUCCESS * 1.01}, False),
+        ({"status": "stopped_by_event"}, False),
+        ({"status": "error", "largest": float("nan")}, False),
+    ],
+)
+def test_success_is_the_end_reached_near_the_plan(changed, success):
+    assert trial(0, **changed).success is success
+    back = trial_from(json.loads(json.dumps(trial(0, **changed).as_dict())))
+    assert back.success is success
+
+
+def test_a_small_study_crosses_goes_on_and_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    book = tmp_path / "journal.jsonl"
+    options = {"scenarios": (SHORT,), "drives": ("open loop", "computed torque"), "journal": book, "jobs": 1}
+    first = robustness_study(1, **options)
+    assert [cell.draws for cell in first.cells] == [1, 1]
+    assert first.cells[1].success.value == 1.0
+    assert first.cells[1].worst < 1e-3
+    assert first.cells[1].effort > 0.0
+    run: list[int] = []
+    real = study.run_trial
+
+    def counted(*given):
+        run.append(given[-1])
+        return real(*given)
+
+    monkeypatch.setattr(study, "run_trial", counted)
+    seen: list[tuple[int, int]] = []
+    second = robustness_study(2, **options, progress=lambda done, total, what: seen.append((done, total)))
+    assert run == [1, 1]  # the first draw of each cell was taken over
+    assert seen == [(2, 4), (3, 4), (4, 4)]
+    assert second.trials[0] == first.trials[0]
+    assert robustness_study(2, **options).trials == second.trials
+    rows = study_table(second).rows
+    assert [row[1] for row in rows] == ["open loop", "computed torque"]
+    lines = study_csv(second).splitlines()
+    assert len(lines) == 5
+    assert {line.count(",") for line in lines} == {lines[0].count(",")}
+
+
+def test_the_journal_refuses_what_is_not_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(study, "run_trial", lambda scenario, drive, bounds, seed, number: trial(number, drive=drive))
+    book = tmp_path / "journal.jsonl"
+    options = {"scenarios": (SHORT,), "drives": ("LQR",), "journal": book, "jobs": 1}
+    robustness_study(2, **options)
+    with pytest.raises(OutputError, match="for seed it has 0, now it is 1"):
+        robustness_study(2, seed=1, **options)
+    whole = book.read_text()
+    book.write_text(whole + '{"scenario": "li')  # killed while it wrote
+    assert len(robustness_study(2, **options).trials) == 2
+    assert book.read_text() == whole
+    lines = whole.splitlines()
+    book.write_text("\n".join([lines[0], "{}", *lines[2:]]) + "\n")
+    with pytest.raises(OutputError, match="Line 2 of the journal"):
+        robustness_study(2, **options)
+    book.write_text("mine\n")
+    with pytest.raises(OutputError, match="no journal"):
+        robustness_study(2, **options)
+    assert asdict(trial(0))["number"] == 0
+
+
+@pytest.mark.parametrize("changed", [{"draws": 0}, {"jobs": 0}])
+def test_numbers_out_of_their_domain(changed):
+    with pytest.raises(InputError, match="positive whole numbers"):
+        robustness_study(**{"draws": 1, "jobs": 1, **changed})

@@ -1,0 +1,142 @@
+"""Sharing out a generalised force: exact, of least weighted deviation, honest where it cannot be done."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.optimize import minimize
+
+from redundancy_pin.simulation.controllers.allocation import AllocationStatus, allocate
+
+ROUNDING = 1e-8
+"""Relative; matrices with entries in [-3, 3] whose smallest singular value is above 1e-3."""
+
+entries = st.floats(-3.0, 3.0)
+
+
+def shared(W, coupling, force, planned=(0.0, 0.0), **changed):
+    settings = {"effort_scale": np.ones(2), "carrier_scale": np.full(2, 0.1), "row_scale": np.ones(2), **changed}
+    return allocate(*(np.array(part, dtype=float) for part in (W, coupling, force, planned)), **settings)
+
+
+@given(
+    hnp.arrays(float, (2, 4), elements=entries),
+    hnp.arrays(float, 2, elements=entries),
+    hnp.arrays(float, 4, elements=st.floats(0.01, 10.0)),
+)
+def test_the_force_is_brought_up_with_the_least_weighted_deviation(matrix, force, scale):
+    if np.linalg.svd(matrix * scale)[1][-1] < 1e-3:
+        return
+    planned = np.array([0.3, -0.2])
+    found = shared(matrix[:, :2], matrix[:, 2:], force, planned, effort_scale=scale[:2], carrier_scale=scale[2:])
+    assert found.status is AllocationStatus.EXACT
+    size = 1.0 + np.abs(found.tau).max() + np.abs(found.deviation).max()
+    assert np.allclose(matrix[:, :2] @ found.tau - matrix[:, 2:] @ found.deviation, force, atol=ROUNDING * size)
+    # the least cost is stationary along everything that leaves the force as it is
+    gradient = np.concatenate([found.tau - planned, found.deviation]) / scale**2
+    full = np.concatenate([matrix[:, :2], -matrix[:, 2:]], axis=1)
+    null = np.linalg.svd(full)[2][np.linalg.matrix_rank(full) :]
+    assert np.abs(null @ gradient).max(initial=0.0) <= ROUNDING * (1.0 + np.abs(gradient).max())
+
+
+def test_main_efforts_do_the_work_where_they_can():
+    W = [[2.0, 0.5], [-0.3, 1.0]]
+    found = shared(W, np.eye(2), [1.0, 2.0], carrier_scale=np.full(2, 1e-6))
+    assert np.allclose(found.tau, np.linalg.solve(W, [1.0, 2.0]), atol=1e-9)
+    assert np.abs(found.deviation).max() < 1e-9
+
+
+@pytest.mark.parametrize("second", [0.0, 1e-12, 1e-6, 1e-3])
+def test_carriers_take_over_where_the_matrix_loses_rank(second):
+    found = shared([[1.0, 0.0], [0.0, second]], [[0.0, 0.0], [0.5, 0.1]], [1.0, 2.0], carrier_scale=np.ones(2))
+    assert found.status is AllocationStatus.EXACT
+    assert found.residual < 1e-12
+    assert np.abs(found.tau).max() < 1.1  # W alone would ask for 2 / second
+    assert found.deviation == pytest.approx([-2.0 * 0.5 / 0.26, -2.0 * 0.1 / 0.26], rel=1e-2)
+
+
+def test_a_direction_that_nobody_reaches_is_reported_with_what_is_missing():
+    found = shared([[1.0, 1.0], [0.0, 0.0]], [[0.3, 0.0], [0.0, 0.0]], [1.0, 0.25])
+    assert found.status is AllocationStatus.UNBALANCED
+    assert found.residual == pytest.approx(0.25)
+    assert found.margin < 1e-12
+
+
+def test_a_direction_that_nobody_reaches_and_nobody_needs_is_no_trouble():
+    found = shared([[1.0, 1.0], [0.0, 0.0]], [[0.3, 0.0], [0.0, 0.0]], [1.0, 0.0])
+    assert found.status is AllocationStatus.EXACT
+
+
+def test_what_a_limit_cuts_off_is_left_to_the_carriers():
+    found = shared(np.eye(2), -np.eye(2), [3.0, 0.5], effort_limit=np.array([1.0, 1.0]))
+    assert found.status is AllocationStatus.SATURATED
+    assert found.tau[0] == 1.0
+    assert found.tau[0] + found.deviation[0] == pytest.approx(3.0)
+    assert found.residual < 1e-12
+
+
+def test_beyond_all_limits_the_missing_force_is_the_residual():
+    found = shared(np.eye(2), np.zeros((2, 2)), [3.0, 0.5], effort_limit=np.array([1.0, 1.0]))
+    assert found.status is AllocationStatus.BEYOND_LIMITS
+    assert found.residual == pytest.approx(2.0)
+    assert np.abs(found.tau).max() == 1.0
+
+
+@given(
+    hnp.arrays(float, (2, 4), elements=entries),
+    hnp.arrays(float, 2, elements=entries),
+    hnp.arrays(float, 2, elements=st.floats(0.1, 2.0)),
+)
+def test_within_limits_it_is_the_best_of_all_active_sets(matrix, force, limit):
+    """Every combination of clamped efforts tried, the cheapest of those that bring up the force within limits."""
+    if np.linalg.svd(matrix[:, 2:])[1][-1] < 0.1:
+        return  # carriers alone can bring up anything
+    scale = np.array([1.0, 1.0, 0.3, 0.3])
+    full = np.concatenate([matrix[:, :2], -matrix[:, 2:]], axis=1)
+    best = np.inf
+    for pattern in itertools.product((-1, 0, 1), repeat=2):
+        free = np.array([side == 0 for side in pattern] + [True, True])
+        fixed = np.where(free[:2], 0.0, np.array(pattern) * limit)
+        rest = force - full[:, :2] @ fixed
+        y = np.linalg.pinv(full[:, free] * scale[free]) @ rest * scale[free]
+        tau = fixed.copy()
+        tau[free[:2]] = y[: free[:2].sum()]
+        if (np.abs(tau) <= limit * (1.0 + 1e-12)).all():
+            deviation = y[free[:2].sum() :]
+            best = min(best, float(np.sum(tau**2) + np.sum((deviation / 0.3) ** 2)))
+    found = shared(matrix[:, :2], matrix[:, 2:], force, carrier_scale=np.full(2, 0.3), effort_limit=limit)
+    cost = float(np.sum(found.tau**2) + np.sum((found.deviation / 0.3) ** 2))
+    assert found.status in (AllocationStatus.EXACT, AllocationStatus.SATURATED)
+    assert cost == pytest.approx(best, rel=1e-6, abs=1e-9)
+    assert (np.abs(found.tau) <= limit).all()
+
+
+def test_an_effort_that_was_clamped_comes_back_where_that_is_cheaper():
+    """One of three efforts is beyond its limit at first and within it in the optimum, by scipy's own solver."""
+    W, coupling = [[0.0, -1.0, 3.0], [-2.0, 3.0, -3.0]], [[1.0, 0.0], [2.0, -1.0]]
+    force, limit, scale = np.array([5.0, 2.0]), np.array([1.5, 0.5, 1.5]), np.array([1.0, 1.0, 1.0, 0.3, 0.3])
+    found = shared(
+        W,
+        coupling,
+        force,
+        planned=np.zeros(3),
+        effort_scale=scale[:3],
+        carrier_scale=scale[3:],
+        effort_limit=limit,
+    )
+    full = np.hstack([W, -np.array(coupling)])
+    best = minimize(
+        lambda u: float(np.sum((u / scale) ** 2)),
+        np.zeros(5),
+        bounds=[(-one, one) for one in limit] + [(None, None)] * 2,
+        constraints={"type": "eq", "fun": lambda u: full @ u - force},
+        options={"ftol": 1e-12},
+    )
+    assert found.status is AllocationStatus.SATURATED
+    assert np.concatenate([found.tau, found.deviation]) == pytest.approx(best.x, abs=1e-5)
+    assert abs(found.tau[1]) < 0.48

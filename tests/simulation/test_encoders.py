@@ -1,0 +1,91 @@
+"""Encoders and friction: steps, homing, closures of the known robot, speeds; forces against speeds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.simulation.encoders import PRISMATIC_STEP, REVOLUTE_STEP, Encoders
+from redundancy_pin.simulation.friction import JointFriction
+from redundancy_pin.simulation.reference import motion_reference
+from redundancy_pin.simulation.state import closed_state, tree_state
+from redundancy_pin.trajectory import reference
+
+
+class Still:
+    def effort(self, t, state):
+        return np.zeros(2), np.zeros(2)
+
+
+def moving():
+    robot = rp.load_robot("2rpr", end_effector_mass=0.5)
+    circle = reference.circle(speed=0.5)
+    inside = rp.PlatformMotion(*(part[:61] for part in (lambda m: (m.t, m.x, m.xd, m.xdd))(circle.sample(5e-3))))
+    return motion_reference(robot, inside)  # 0.3 s, before the type II pose
+
+
+def test_the_estimate_is_the_truth_to_a_step():
+    motion = moving()
+    encoders = Encoders(Still(), motion, period=1e-3)
+    for i in range(200):
+        t = 1e-3 * i
+        q, v, _ = motion.tree(t)
+        found = encoders.estimate(t, tree_state(motion.robot, q, v, t=t))
+    assert np.abs((found.q - q)[encoders.step == REVOLUTE_STEP]).max() <= REVOLUTE_STEP
+    assert np.abs(found.s - q[motion.robot.carrier_position]).max() <= PRISMATIC_STEP
+    assert np.abs(found.q - q).max() > 0.0
+    # a step in one period, first-order filtered, and half as much from its neighbours through the closures
+    assert np.abs(found.v - v).max() < 2.0 * REVOLUTE_STEP / (5e-3 + 1e-3)
+    closure = ConstraintSystem(motion.robot).evaluate(found.q[None])
+    assert np.abs(closure.phi).max() < 1e-12
+
+
+def test_speeds_off_the_plan_are_found_with_the_lag_of_the_filter():
+    motion = moving()
+    encoders = Encoders(Still(), motion, period=1e-3, time_constant=5e-3, revolute_step=1e-9, prismatic_step=1e-9)
+    for i in range(101):
+        t = 1e-3 * i
+        point = motion.at(t)
+        away = 0.1 * t
+        state = closed_state(motion.robot, point.x, point.xd, point.s + away, point.sd + 0.1, t=t)
+        found = encoders.estimate(t, state)
+        if i == 6:
+            assert found.sd - point.sd == pytest.approx(0.1 * (1.0 - (5.0 / 6.0) ** 6), rel=1e-4)
+    assert found.sd - point.sd == pytest.approx(0.1, rel=1e-4)
+
+
+def test_homing_hides_the_geometry_where_it_starts():
+    motion = moving()
+    point = motion.at(0.0)
+    other = rp.load_robot("2rpr", end_effector_mass=0.5, base_distance=0.501)
+    encoders = Encoders(Still(), motion, period=1e-3)
+    found = encoders.estimate(0.0, closed_state(other, point.x, point.xd, point.s, point.sd))
+    assert np.abs(found.q - point.q).max() < REVOLUTE_STEP
+
+
+def test_the_same_time_twice_is_one_reading():
+    motion = moving()
+    encoders = Encoders(Still(), motion, period=1e-3)
+    q, v, _ = motion.tree(0.0)
+    encoders.estimate(0.0, tree_state(motion.robot, q, v))
+    q, v, _ = motion.tree(1e-3)
+    first = encoders.estimate(1e-3, tree_state(motion.robot, q, v))
+    again = encoders.estimate(1e-3, tree_state(motion.robot, q, v))
+    assert np.array_equal(first.v, again.v)
+
+
+@pytest.mark.parametrize("name", ["period", "time_constant", "revolute_step", "prismatic_step"])
+def test_settings_out_of_their_domain(name):
+    with pytest.raises(InputError, match=name):
+        Encoders(Still(), moving(), **{"period": 1e-3, name: 0.0})
+
+
+def test_friction_opposes_every_speed_and_saturates():
+    robot = rp.load_robot("2rpr", end_effector_mass=0.5)
+    friction = JointFriction(np.full(6, 0.3), np.full(6, 0.2), np.full(6, 0.01))
+    v = np.array([1.0, -1.0, 0.0, 0.01, -2.0, 1e-4])
+    force = friction(tree_state(robot, np.array(robot.q_reference), v))
+    assert force == pytest.approx([-0.5, 0.5, 0.0, -0.3 * np.tanh(1.0) - 0.002, 0.7, -0.3 * np.tanh(0.01) - 2e-5])

@@ -1,0 +1,71 @@
+"""Replay of plans: exact where the continuous motion is fed, honest where samples are, and where nothing can be."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.simulation.control import Sampling
+from redundancy_pin.simulation.replay import AWAY, replay, replay_table
+from redundancy_pin.trajectory import reference
+
+SLOW = Sampling(4e-3, 4e-3)
+
+EXACT = 1e-9
+"""m. The target is 1e-6; series, integrator and projection leave 1e-13."""
+
+
+@cache
+def corner_plan(step: float = 5e-3) -> Plan:
+    robot = rp.load_robot("3rrr")
+    return rp.plan_stepwise(rp.RneaDynamics(robot), reference.corner(radius=0.025).sample(step, two_sided=True))
+
+
+def test_open_loop_a_stepwise_plan_follows_the_motion_it_stands_for():
+    found = replay(corner_plan(), motion=reference.corner(radius=0.025), name="corner")
+    assert (found.status, found.plan, found.drive) == ("completed", "corner", "open loop")
+    assert found.largest < EXACT
+    assert found.carrier_error < EXACT
+    assert found.gap < 1e-9
+    assert 1e-4 < found.carrier_lag < 1e-1  # half a step at up to 1 m/s, carried on
+
+
+def test_efforts_of_the_samples_alone_cost_what_the_step_costs():
+    errors = [
+        replay(corner_plan(step), "open loop, samples", motion=reference.corner(radius=0.025)).largest
+        for step in (1e-2, 5e-3)
+    ]
+    assert errors[0] > 1e-4  # far above the error of the integrator: it is the discretisation
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_under_control_the_start_is_off_and_the_end_is_not():
+    plans, motions = {"corner": corner_plan()}, {"corner": reference.corner(radius=0.025)}
+    for found in replay_table(plans, motions, drives=["computed torque", "LQR"], sampling=SLOW):
+        assert found.status == "completed"
+        assert found.error[0] == pytest.approx(AWAY, rel=1e-6)
+        assert found.largest < 2.0 * AWAY
+        assert found.last < 0.1 * AWAY
+        assert found.rms == pytest.approx(np.sqrt(np.trapezoid(found.error**2, found.t) / np.ptp(found.t)))
+
+
+def test_a_massless_plan_cannot_be_replayed_as_forces_and_says_why():
+    robot = rp.load_robot("2rpr")
+    circle = reference.circle(speed=0.5)
+    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=10.0, dt=5e-3)
+    for drive in ("open loop", "LQR"):
+        found = replay(plan, drive, motion=circle)
+        assert found.status == "ill_posed"
+        assert "end_effector_mass" in found.reason
+        assert np.isnan(found.largest)
+        assert len(found.t) == 0
+
+
+def test_an_unknown_drive():
+    with pytest.raises(InputError, match=r"'by hand'.*carriers by motion"):
+        replay(corner_plan(), "by hand")  # type: ignore[arg-type]
