@@ -65,7 +65,7 @@ engines: $(STAMP) ## planned efforts in Exudyn and MuJoCo: every motion to 1e-5 
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/engines.py
 
 docs: $(DOCS_STAMP) ## build the documentation into build/docs; warnings are errors
-	rm -rf build/docs
+	rm -rf build/docs build/doctrees
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -q -W --keep-going -b html -d build/doctrees docs build/docs
 	@echo "build/docs/index.html"
 

@@ -49,13 +49,23 @@ def write_pages(folder: Path) -> None:
     for path in folder.glob("*.md"):
         if path.stem not in modules:
             path.unlink()
+    described: dict[int, str] = {}
     for name in modules:
-        path, text = folder / f"{name}.md", page(importlib.import_module(name))
-        if not path.is_file() or path.read_text(encoding="utf-8") != text:
-            path.write_text(text, encoding="utf-8")
+        (folder / f"{name}.md").write_text(page(importlib.import_module(name), described), encoding="utf-8")
 
 
-def page(module: ModuleType) -> str:
-    """Return the page of a module as Markdown."""
+def page(module: ModuleType, described: dict[int, str]) -> str:
+    """Return the page of a module as Markdown.
+
+    Args:
+        module: the module.
+        described: identity of what has been described, with the name of the module; what is new is added.
+    """
     title = NAMES.get(module.__name__, module.__name__)
-    return f"# {title}\n\n```{{eval-rst}}\n.. automodule:: {module.__name__}\n   :members:\n```\n"
+    public = {name: getattr(module, name) for name in getattr(module, "__all__", ())}
+    twice = {name: described[id(value)] for name, value in public.items() if id(value) in described}
+    described.update({id(value): module.__name__ for name, value in public.items() if name not in twice})
+    options = "   :members:\n" + (f"   :exclude-members: {', '.join(twice)}\n" if twice else "")
+    elsewhere = "".join(f"- `{name}`: see [{NAMES.get(where, where)}]({where}.md)\n" for name, where in twice.items())
+    text = f"# {title}\n\n```{{eval-rst}}\n.. automodule:: {module.__name__}\n{options}```\n"
+    return text + (f"\nAlso here:\n\n{elsewhere}" if twice else "")

@@ -53,8 +53,7 @@ html_show_copyright = False
 html_copy_source = False
 
 # Notebooks live at the top of the checkout and are executed where they are copied to; one that fails, fails the build.
-nb_execution_mode = "cache"
-nb_execution_cache_path = str(HERE.parent / "build" / "notebooks")
+nb_execution_mode = "force"  # what they show depends on the package, which a cache of notebooks does not look at
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
@@ -86,7 +85,16 @@ offer_kernel(HERE.parent / "build" / "jupyter")
 write_pages(HERE / "reference" / "api" / "modules")
 collect_notebooks(HERE.parent / "notebooks", HERE / "tutorials" / "notebooks")
 
-TOPICS = ("theory", "models", "whole_trajectory", "feasibility_map", "forward_dynamics", "control", "robustness", "engines")
+TOPICS = (
+    "theory",
+    "models",
+    "whole_trajectory",
+    "feasibility_map",
+    "forward_dynamics",
+    "control",
+    "robustness",
+    "engines",
+)
 """Order of the pages beside this file; others follow."""
 
 
