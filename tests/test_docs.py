@@ -97,6 +97,13 @@ def test_links_between_pages_lead_somewhere() -> None:
                 assert (path.parent / target).exists(), f"{name}: {target}"
 
 
+def test_the_table_of_extras_has_them_all() -> None:
+    section = (ROOT / "pyproject.toml").read_text(encoding="utf-8").split("[project.optional-dependencies]")[1]
+    extras = re.findall(r"^([a-z]+) = \[", section.split("\n[")[0], flags=re.M)
+    shown = re.findall(r"^\| `([a-z]+)` \|", PAGES["docs/guide/start.md"].read_text(encoding="utf-8"), flags=re.M)
+    assert sorted(shown) == sorted(extras)
+
+
 def test_names_of_the_symbol_table_exist() -> None:
     text = (ROOT / "docs" / "reference" / "symbols.md").read_text(encoding="utf-8")
     two, three = (rp.load_robot(name) for name in ("2rpr", "3rrr"))
