@@ -97,6 +97,16 @@ def test_links_between_pages_lead_somewhere() -> None:
                 assert (path.parent / target).exists(), f"{name}: {target}"
 
 
+def test_formulas_become_mathml_with_indices_beside_dotted_letters(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("sphinx", reason="needs the extra docs")
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    mathml = importlib.import_module("mathml").mathml
+    line = re.sub(r">\s+<", "><", mathml(r"\ddot\theta_i \leq \sum_j a", block=False))
+    dotted = r"<msub><mover><mi>θ</mi><mo[^>]*>¨</mo></mover><mi>i</mi></msub>"
+    assert re.search(dotted + r"<mo>≤</mo><munder|" + dotted + r"<mo>≤</mo><msub><mo[^>]*>∑", line), line
+    assert 'display="block"' in mathml("a", block=True)
+
+
 def test_the_table_of_extras_has_them_all() -> None:
     section = (ROOT / "pyproject.toml").read_text(encoding="utf-8").split("[project.optional-dependencies]")[1]
     extras = re.findall(r"^([a-z]+) = \[", section.split("\n[")[0], flags=re.M)
