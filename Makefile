@@ -16,6 +16,7 @@ JOBS    ?= $(shell getconf _NPROCESSORS_ONLN)
 CANDIDATES := $(or $(PYTHON),python3.13 python3.12 python3.11 python3.10 python3)
 BIN        := $(VENV)/bin
 STAMP      := $(VENV)/.installed
+DOCS_STAMP := $(VENV)/.installed-docs
 
 # exit status 0 where a Python suits the package
 SUITS    := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 14))
@@ -24,7 +25,7 @@ HAS_VENV := import ensurepip, venv
 # ... and where the stubs of its newest numpy keep dtypes through arithmetic (numpy 2.2 is the last one for Python 3.10)
 TYPED    := import sys; sys.exit(sys.version_info < (3, 11))
 
-.PHONY: help test reproduce validate long study bench engines pictures clean
+.PHONY: help test reproduce validate long study bench engines pictures docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1 \2/p' Makefile | while read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
@@ -63,8 +64,14 @@ engines: $(STAMP) ## planned efforts in Exudyn and MuJoCo: every motion to 1e-5 
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m engines -n auto tests/simulation/engines
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/engines.py
 
+docs: $(DOCS_STAMP) ## build the documentation into build/docs; warnings are errors
+	rm -rf build/docs build/doctrees
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -q -W --keep-going -b html -d build/doctrees docs build/docs
+	@echo "build/docs/index.html"
+
 clean: ## remove the environment, build products and caches (not the results)
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis \
+	  docs/reference/api/modules docs/tutorials/notebooks
 	find redundancy_pin tests benchmarks -type d -name __pycache__ -prune -exec rm -rf {} +
 
 # An environment whose interpreter works and suits is kept (`make clean` to change PYTHON); any other is made anew.
@@ -92,4 +99,8 @@ $(STAMP): pyproject.toml
 	  "$$chosen" -m venv --clear $(VENV); \
 	fi
 	$(BIN)/python -m pip install --quiet --no-input --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+$(DOCS_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --no-input --disable-pip-version-check --editable '.[docs]'
 	@touch $@

@@ -19,6 +19,7 @@ from redundancy_pin.experiments.beyond.study import parts as beyond_parts
 from redundancy_pin.experiments.csv_text import csv_text
 from redundancy_pin.experiments.experiment import Experiment
 from redundancy_pin.experiments.figures import comparison_figure, effort_figure, path_figure
+from redundancy_pin.experiments.headline import headline
 from redundancy_pin.experiments.html import html
 from redundancy_pin.experiments.markdown import markdown
 from redundancy_pin.experiments.planned.settings import FULL, StudySettings
@@ -136,6 +137,7 @@ def reproduce(
         if further:
             write_plans(temporary, further, CSV_DIGITS)
             write_figures(temporary, further, PICTURE_SUFFIXES, steps.next)
+            write_text(temporary / "headline.md", headline(further.rows))
         if replays:
             write_table(temporary, replays)
             write_replay_figures(temporary, replays, PICTURE_SUFFIXES, steps.next)

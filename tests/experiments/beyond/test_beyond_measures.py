@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ from redundancy_pin.experiments.beyond.rows import reversals, row_of, row_withou
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS
 from redundancy_pin.experiments.beyond.tradeoff import trade
-from redundancy_pin.experiments.beyond.ways import EFFORT, PEAK, stepwise_rows, switch_off_row, whole_row
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
@@ -91,33 +88,6 @@ def test_a_missing_plan_carries_its_force() -> None:
     assert row_without("a", "b", "N", error).missing == 0.25
     assert np.isnan(row_without("a", "b", "N", InfeasiblePlanError("no", constraint="track", amount=0.25)).missing)
     assert row_without("a", "b", "N", error).as_dict()["peak"] is None
-
-
-README_ROUNDING = 0.01
-"""The README rounds, and a solver that takes another way to the optimum refines another grid."""
-
-
-def test_the_readme_has_the_numbers_of_the_chapter() -> None:
-    text = " ".join((Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8").split())
-
-    def stated(pattern: str) -> list[float]:
-        (found,) = re.findall(pattern.replace("#", r"([0-9.]+)"), text)
-        return [float(value) for value in ((found,) if isinstance(found, str) else found)]
-
-    store = BeyondStore(PlanStore())
-    circle, wide, sharp = CROSSINGS[0], *CORNERS[:2]
-    off = switch_off_row(store, circle)
-    assert stated("switching off needs # N and leaves the limits") == pytest.approx([off.peak], rel=README_ROUNDING)
-    assert not off.sound
-    both = [whole_row(store, circle, way, 1.0) for way in (EFFORT, PEAK)]
-    forces = stated("with # N for the least effort and # N for the least peak")
-    assert forces == pytest.approx([row.peak for row in both], rel=README_ROUNDING)
-    assert all(row.sound for row in both)
-    none = [stepwise_rows(store, task)[0] for task in (wide, sharp)]
-    best = [whole_row(store, task, PEAK, 1.0) for task in (wide, sharp)]
-    torques = stated("peaks are # and # N·m, against # and # N·m without")
-    assert torques == pytest.approx([row.peak for row in (*best, *none)], rel=README_ROUNDING)
-    assert all(plan.energy > other.energy and plan.rms > other.rms for plan, other in zip(best, none, strict=True))
 
 
 class Given(BeyondStore):
