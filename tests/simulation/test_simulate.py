@@ -8,6 +8,7 @@ import moving
 import numpy as np
 import pytest
 import zoo
+from test_chain import chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -153,11 +154,14 @@ def test_friction_takes_energy_and_limits_cap_efforts() -> None:
     np.testing.assert_array_equal(pushed.carrier_force, np.tile([-0.1, -0.2, -5.0], (len(pushed), 1)))
 
 
-def test_angles_of_the_platform_run_on() -> None:
-    robot = zoo.robot_of("four_bar", gravity=(0.0, 0.0, 0.0))
-    run = rp.simulate(robot, start=closed_state(robot, [1.0], [9.0]), duration=2.0)
-    assert run.x[-1, 0] > 4 * np.pi
+@pytest.mark.parametrize("name", ["four_bar", "continuous"])
+def test_angles_run_on_past_half_a_turn(name: str) -> None:
+    # the crank as a revolute joint, which counts its turns, and as a continuous one (cos, sin), which does not
+    robot = chain_of(name) if name == "continuous" else zoo.robot_of(name, gravity=(0.0, 0.0, 0.0))
+    run = rp.simulate(robot, start=closed_state(robot, [1.0], [9.0]), duration=1.0)
+    assert run.x[-1, 0] > 2.5 * np.pi
     assert np.abs(np.diff(run.x[:, 0])).max() < 0.1
+    np.testing.assert_allclose((run.x[2:] - run.x[:-2]) / 0.01, run.xd[1:-1], rtol=0.02)
 
 
 class Constantly:
@@ -235,8 +239,6 @@ def test_what_a_way_cannot_do_is_refused() -> None:
     object.__setattr__(drive, "carrier_motion", lambda t: (np.zeros(3),) * 3)
     with pytest.raises(InputError, match="cannot drive carriers by motion"):
         rp.simulate(robot, drive, duration=1.0, carriers="motion", way="constraint_dynamics")
-    from test_chain import chain_of
-
     with pytest.raises(UnsupportedRobotError, match="cannot take closure"):
         rp.simulate(chain_of("hinge"), duration=1.0, way="constraint_dynamics")
 
