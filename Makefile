@@ -10,6 +10,7 @@ PYTHON  ?=
 VENV    ?= .venv
 OUT     ?= results
 SAMPLES ?= 100000
+DRAWS   ?= 200
 JOBS    ?= $(shell getconf _NPROCESSORS_ONLN)
 
 CANDIDATES := $(or $(PYTHON),python3.13 python3.12 python3.11 python3.10 python3)
@@ -23,12 +24,12 @@ HAS_VENV := import ensurepip, venv
 # ... and where the stubs of its newest numpy keep dtypes through arithmetic (numpy 2.2 is the last one for Python 3.10)
 TYPED    := import sys; sys.exit(sys.version_info < (3, 11))
 
-.PHONY: help test reproduce validate long bench engines pictures clean
+.PHONY: help test reproduce validate long study bench engines pictures clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1 \2/p' Makefile | while read -r name text; do printf '  make %-10s %s\n' "$$name" "$$text"; done
 	@echo
-	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES and JOBS (of validate)."
+	@echo "Variables: PYTHON (interpreter for a new environment), VENV, OUT (of reproduce), SAMPLES and JOBS (of validate), DRAWS (of study)."
 
 test: $(STAMP) ## lint, types, import contracts, tests (under five minutes on two cores)
 	$(BIN)/ruff check .
@@ -46,6 +47,9 @@ validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random sta
 
 long: $(STAMP) ## the planner against its oracle and its limits on long lists of random tasks
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m long
+
+study: $(STAMP) ## DRAWS imperfect machines through singularities, into study/ (goes on where it was interrupted)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin study --draws $(DRAWS) --out study
 
 bench: $(STAMP) ## time the backends and planners
 	$(BIN)/python benchmarks/run.py
