@@ -15,7 +15,7 @@ from redundancy_pin.planners.continuous_motion import TimedTrajectory
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.control import Sampling, limit
 from redundancy_pin.simulation.controllers.linear_model import LinearModel, linear_model, sampled_model
-from redundancy_pin.simulation.controllers.riccati import Riccati, continuous_riccati, discrete_riccati
+from redundancy_pin.simulation.controllers.riccati import NEGATIVE, Riccati, continuous_riccati, discrete_riccati
 from redundancy_pin.simulation.controllers.tracking import Tracking
 from redundancy_pin.simulation.controllers.weights import LqrWeights, bryson_weights
 from redundancy_pin.simulation.linearise import state_error
@@ -171,7 +171,8 @@ def _require_shapes(weights: LqrWeights, states: int, inputs: int) -> None:
                 remedy="Make the weights with bryson_weights(reference).",
                 name=name,
             )
-    if np.linalg.eigvalsh(weights.Q)[0] < 0.0 or np.linalg.eigvalsh(weights.R)[0] <= 0.0:
+    of_states = np.linalg.eigvalsh(weights.Q)
+    if of_states[0] < -NEGATIVE * abs(of_states[-1]) or np.linalg.eigvalsh(weights.R)[0] <= 0.0:
         raise InputError(
             "Q must be positive semidefinite and R positive definite.",
             remedy="Make the weights with bryson_weights(reference).",

@@ -179,6 +179,13 @@ def test_a_massless_machine_has_no_linear_model_at_a_type_ii_pose():
         TimeVaryingLqr(plan, motion=circle)
 
 
+def test_a_semidefinite_weight_may_be_so_up_to_rounding():
+    rows = np.random.default_rng(0).normal(size=(3, 8))
+    Q = rows.T @ rows
+    assert np.linalg.eigvalsh(Q)[0] < 0.0
+    assert np.isfinite(TimeVaryingLqr(crossing(), weights=LqrWeights(Q, np.eye(4)), step=0.1).riccati.K).all()
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -186,6 +193,7 @@ def test_a_massless_machine_has_no_linear_model_at_a_type_ii_pose():
         ({"sampling": Sampling(1e-3, 2e-3)}, "delay of 0.002 s is longer"),
         ({"weights": LqrWeights(np.eye(3), np.eye(4))}, r"Q has shape \(3, 3\)"),
         ({"weights": LqrWeights(np.eye(8), -np.eye(4))}, "R positive definite"),
+        ({"weights": LqrWeights(np.diag([-1e-3, *np.ones(7)]), np.eye(4))}, "Q must be positive semidefinite"),
     ],
 )
 def test_settings_out_of_their_domain(changed, message):
