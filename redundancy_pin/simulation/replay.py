@@ -35,6 +35,9 @@ AWAY, SPEED = 1e-3, 1e-2
 """Where controllers start: this far, m, and at this speed, m/s, from the planned start, along every coordinate together
 (rotations over the characteristic length)."""
 
+LQR_STEP = 0.01
+"""Distance of the nodes of the LQR's linear model, s: twice its default, for half the time."""
+
 MOST_STEPS = 1000
 """Steps in addition to those that samples and breaks ask for: towards a pose at which a massless machine has no
 acceleration steps would shrink for ever."""
@@ -185,7 +188,7 @@ def _controller(plan: Plan, reference: MotionReference, drive: str, sampling: Sa
         case "computed torque":
             return ComputedTorque(reference, sampling=sampling)
         case "LQR":
-            return TimeVaryingLqr(reference, sampling=sampling)
+            return TimeVaryingLqr(reference, sampling=sampling, step=LQR_STEP)
     known = ", ".join((*DRIVES, "carriers by motion"))
     raise InputError(f"drive is {drive!r}.", remedy=f"Pass one of: {known}.")
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.optimize import minimize
 
 from redundancy_pin.simulation.controllers.allocation import AllocationStatus, allocate
 
@@ -113,3 +114,29 @@ def test_within_limits_it_is_the_best_of_all_active_sets(matrix, force, limit):
     assert found.status in (AllocationStatus.EXACT, AllocationStatus.SATURATED)
     assert cost == pytest.approx(best, rel=1e-6, abs=1e-9)
     assert (np.abs(found.tau) <= limit).all()
+
+
+def test_an_effort_that_was_clamped_comes_back_where_that_is_cheaper():
+    """One of three efforts is beyond its limit at first and within it in the optimum, by scipy's own solver."""
+    W, coupling = [[0.0, -1.0, 3.0], [-2.0, 3.0, -3.0]], [[1.0, 0.0], [2.0, -1.0]]
+    force, limit, scale = np.array([5.0, 2.0]), np.array([1.5, 0.5, 1.5]), np.array([1.0, 1.0, 1.0, 0.3, 0.3])
+    found = shared(
+        W,
+        coupling,
+        force,
+        planned=np.zeros(3),
+        effort_scale=scale[:3],
+        carrier_scale=scale[3:],
+        effort_limit=limit,
+    )
+    full = np.hstack([W, -np.array(coupling)])
+    best = minimize(
+        lambda u: float(np.sum((u / scale) ** 2)),
+        np.zeros(5),
+        bounds=[(-one, one) for one in limit] + [(None, None)] * 2,
+        constraints={"type": "eq", "fun": lambda u: full @ u - force},
+        options={"ftol": 1e-12},
+    )
+    assert found.status is AllocationStatus.SATURATED
+    assert np.concatenate([found.tau, found.deviation]) == pytest.approx(best.x, abs=1e-5)
+    assert abs(found.tau[1]) < 0.48
