@@ -6,7 +6,10 @@ import multiprocessing
 import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+
+from redundancy_pin.errors import RedundancyPinError
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -23,12 +26,20 @@ def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
     Yields:
         The pool.
+
+    Raises:
+        RedundancyPinError: a process died.
     """
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
     try:
         yield pool
+    except BrokenProcessPool as error:
+        raise RedundancyPinError(
+            "A worker process died; it may have run out of memory.",
+            remedy="Run again with fewer jobs: what a journal has is taken over from there.",
+        ) from error
     finally:
         pool.shutdown(cancel_futures=True)
         for name, value in before.items():

@@ -198,7 +198,16 @@ class _SampleEfforts(Tracking):
 
     def __init__(self, plan: Plan, reference: MotionReference) -> None:
         super().__init__(reference, None, None)
-        self._t, self._tau, self._force = plan.t, np.nan_to_num(plan.tau), np.asarray(plan.carrier_force)
+        bad = ~np.isfinite(np.concatenate([plan.tau, plan.carrier_force], axis=1)).all(axis=1)
+        if bad.any():
+            t = float(plan.t[int(bad.argmax())])
+            raise InfeasiblePlanError(
+                f"The plan states no finite efforts at its sample at t = {t:.6g} s.",
+                remedy="Replay the continuous motion that it stands for: drive 'open loop'.",
+                constraint="effort",
+                time=t,
+            )
+        self._t, self._tau, self._force = plan.t, np.asarray(plan.tau), np.asarray(plan.carrier_force)
         self.breaks = np.unique(plan.t)[1:-1]
 
     def effort(self, t: float, state: State) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ import os
 
 import pytest
 
+from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.experiments.workers import THREADS, workers
 
 
@@ -17,3 +18,8 @@ def test_processes_have_one_thread_each_and_leave_the_environment_as_it_was(monk
         assert [pool.submit(os.getenv, name).result() for name in THREADS] == ["1"] * len(THREADS)
     assert os.environ[THREADS[0]] == "7"
     assert THREADS[1] not in os.environ
+
+
+def test_a_process_that_dies_is_one_clear_error():
+    with pytest.raises(RedundancyPinError, match=r"died.*fewer jobs"), workers(1) as pool:
+        pool.submit(os._exit, 1).result()

@@ -15,9 +15,9 @@ import numpy as np
 from redundancy_pin.errors import InputError
 from redundancy_pin.experiments.robustness.draws import Imperfections
 from redundancy_pin.experiments.robustness.journal import Key, open_journal
-from redundancy_pin.experiments.robustness.scenarios import DRIVES, SCENARIOS, Drive, Scenario
+from redundancy_pin.experiments.robustness.scenarios import DRIVES, MASS, PLANNED_TRACK, SCENARIOS, Drive, Scenario
 from redundancy_pin.experiments.robustness.statistics import CellStatistics, cell_statistics
-from redundancy_pin.experiments.robustness.trial import Trial, run_trial
+from redundancy_pin.experiments.robustness.trial import ATOL, RTOL, Trial, run_trial
 from redundancy_pin.experiments.workers import workers
 
 DRAWS = 200
@@ -113,7 +113,13 @@ def robustness_study(
     with contextlib.ExitStack() as stack:
         put: Callable[[Trial], None] | None = None
         if journal is not None:
-            identity = {"seed": seed, "imperfections": asdict(bounds), "scenarios": [asdict(one) for one in scenarios]}
+            identity = {
+                "seed": seed,
+                "imperfections": asdict(bounds),
+                "scenarios": [asdict(one) for one in scenarios],
+                "machine": {**MASS, "planned_track": PLANNED_TRACK},
+                "tolerances": [RTOL, ATOL],
+            }
             book = stack.enter_context(open_journal(journal, identity))
             known.update(book.trials)
             put = book.add
