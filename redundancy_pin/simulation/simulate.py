@@ -103,6 +103,11 @@ def simulate(
     state = _start(robot, controller, start)
     grid, breaks = _times(controller, state.t, duration, dt)
     law = _carrier_law(robot, controller, carriers)
+    if law is not None and carrier_force_limit is not None:
+        raise InputError(
+            "carrier_force_limit cannot hold for carriers that are driven by motion.",
+            remedy='Leave it out, or pass carriers="force".',
+        )
     limits = limit(effort_limit, robot.m, "effort_limit"), limit(carrier_force_limit, robot.k, "carrier_force_limit")
     machine = Machine(robot, Drive(robot, controller, *limits), law, external, way)
     watcher = Watcher(machine.chain, tuple(stop_at))

@@ -177,6 +177,17 @@ def test_forces_of_the_carriers_actuators_are_told_without_what_else_acts_on_the
     np.testing.assert_allclose(rubbed.carrier_force[0] - free.carrier_force[0], 1.5, rtol=1e-9)
 
 
+def test_a_limit_of_forces_is_refused_where_motion_drives_the_carriers() -> None:
+    robot = moving.massive("3rrr")
+
+    class Parked(Constant):
+        def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
+            return np.zeros(3), np.zeros(3), np.zeros(3)
+
+    with pytest.raises(InputError, match="carrier_force_limit"):
+        rp.simulate(robot, Parked(np.zeros(3), np.zeros(3)), duration=0.01, carriers="motion", carrier_force_limit=1.0)
+
+
 def test_turns_are_counted_between_samples_far_apart() -> None:
     robot = chain_of("continuous")
     start = closed_state(robot, [1.0], [9.0])
