@@ -128,11 +128,15 @@ class TimeVaryingLqr(Tracking):
         return command[: robot.m], command[robot.m :]
 
     def _acting(self, t: float) -> Array:
-        """Return δu of the sample before t; zero at the first one, the same again where t is asked for twice."""
+        """Return δu of the sample one period before t; zero where there was none, as at the start of a simulation.
+
+        Asked again for the same t, it gives the same again. What an earlier simulation left does not count.
+        """
         last, newest, before = self._memory
-        if last < t:
-            return newest
-        return before if last == t else np.zeros_like(newest)
+        if last == t:
+            return before
+        period = 0.0 if self.sampling is None else self.sampling.period
+        return newest if 0.0 < t - last < 1.5 * period else np.zeros_like(newest)
 
 
 def _continuous(model: LinearModel, weights: LqrWeights) -> tuple[Array, Riccati, bool]:

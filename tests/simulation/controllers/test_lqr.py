@@ -153,6 +153,16 @@ def test_the_memory_of_the_delay_is_the_effort_that_acts():
     assert np.abs(K[:, 8:] @ acting).max() > 1e-3 * np.abs(expected).max()
 
 
+def test_what_an_earlier_simulation_left_does_not_count():
+    control, motion = delayed(), crossing()
+    states = [perturbed(motion.robot, motion, t, AWAY, SPEED) for t in (0.4, BEFORE)]
+    alone = np.concatenate(TimeVaryingLqr(motion, sampling=DELAYED, step=0.05).effort(BEFORE, states[1]))
+    used = TimeVaryingLqr(motion, sampling=DELAYED, step=0.05)
+    used.effort(0.4, states[0])
+    assert np.array_equal(np.concatenate(used.effort(BEFORE, states[1])), alone)
+    assert np.abs(control.riccati.K[400][:, 8:]).max() > 0.0  # and it would have counted
+
+
 def test_it_saturates_where_the_amplifiers_do():
     motion = crossing()
     control = TimeVaryingLqr(motion, effort_limit=1.0, carrier_force_limit=2.0, step=0.05)
