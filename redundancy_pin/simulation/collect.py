@@ -42,13 +42,14 @@ def collect(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -
     system = ConstraintSystem(robot)
     evaluated = system.evaluate(q)
     columns = robot.carrier_velocity
+    xd = np.einsum("nij,nj->ni", evaluated.Jx, v)
     return Simulation(
         t=frozen(record.t),
         q=read_only(q),
         v=read_only(v),
         a=read_only(a),
-        x=read_only(_running_on(robot, coordinates(robot, evaluated))),
-        xd=read_only(np.einsum("nij,nj->ni", evaluated.Jx, v)),
+        x=read_only(_running_on(robot, frozen(record.t), coordinates(robot, evaluated), xd)),
+        xd=read_only(xd),
         s=frozen(q[:, robot.carrier_position]),
         sd=frozen(v[:, columns]),
         sdd=frozen(a[:, columns]),
@@ -67,8 +68,11 @@ def collect(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -
     )
 
 
-def _running_on(robot: Robot, x: Array) -> Array:
-    """Let angles of the platform and of continuous joints run on past π."""
+def _running_on(robot: Robot, t: Array, x: Array, xd: Array) -> Array:
+    """Let angles of the platform and of continuous joints run on past π.
+
+    Turns are counted by how far the rates carry the angles from sample to sample: those may be many turns apart.
+    """
     if x.ndim == 3:
         return x
     if robot.platform is not None:
@@ -77,5 +81,8 @@ def _running_on(robot: Robot, x: Array) -> Array:
         model = robot.model
         turning = [model.joints[model.getJointId(name)].nq == 2 for name in robot.independent_joints]
     x = x.copy()
-    x[:, turning] = np.unwrap(x[:, turning], axis=0)
+    carried = np.zeros_like(x)
+    carried[1:] = np.cumsum(0.5 * (xd[1:] + xd[:-1]) * np.diff(t)[:, None], axis=0)
+    turns = np.round((carried + np.unwrap(x - carried, axis=0) - x) / (2.0 * np.pi))
+    x[:, turning] += 2.0 * np.pi * turns[:, turning]
     return x

@@ -87,7 +87,15 @@ class Encoders:
         Args:
             t: time of the reading, s.
             state: the true state, whose joint positions are read; of any robot with the same joints.
+
+        Raises:
+            InputError: a time before that of the last reading: they were homed for another simulation.
         """
+        if t < self._last:
+            raise InputError(
+                f"The encoders are read at {t:.6g} s, after they were read at {self._last:.6g} s.",
+                remedy="Make new Encoders for each simulation: they are homed where it starts.",
+            )
         planned, speed, _ = self.reference.tree(t)
         first = self._home is None
         if self._home is None:

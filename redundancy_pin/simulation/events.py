@@ -69,9 +69,10 @@ class Watcher:
             raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
         self.chain = chain
         self._limits = _limits(chain.robot)
-        self._index = np.array([index for _, _, index, _, _ in self._limits], dtype=np.intp)
-        self._side = np.array([side for _, _, _, side, _ in self._limits])
-        self._bound = np.array([bound for _, _, _, _, bound in self._limits])
+        self._index = np.array([index for _, _, index, _, _, _ in self._limits], dtype=np.intp)
+        self._rate_index = np.array([index for _, _, _, index, _, _ in self._limits], dtype=np.intp)
+        self._side = np.array([side for _, _, _, _, side, _ in self._limits])
+        self._bound = np.array([bound for _, _, _, _, _, bound in self._limits])
         robot = chain.robot
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
@@ -100,16 +101,37 @@ class Watcher:
             parts.append(self._determinant(jacobian, self._actuated))
         return np.concatenate(parts)
 
+    def at_start(self, q: Array) -> Array:
+        """Return ``values`` at the start, rounding taken for zero.
+
+        A machine that starts at a stop, as a run that stopped there leaves it, then stops again if it goes on outward,
+        whichever way its position was rounded; and one that starts at a singular pose has not come to it.
+        """
+        values = self.values(q)
+        values[np.abs(values) <= _ROUNDING] = 0.0
+        return values
+
+    def stops(self, y: Array) -> tuple[Array, Array]:
+        """Return the distances (l,) that are left to the stops, the first l of ``values``, and their rates.
+
+        Args:
+            y: (nq + nv,) configuration and velocity.
+        """
+        rates: Array = -self._side * y[self.chain.model.nq + self._rate_index]
+        return self._side * (self._bound - y[self._index]), rates
+
     def _determinant(self, closures: Array, rows: Array) -> Array:
         columns = self.chain.pose_columns
         stacked = np.concatenate([closures[:, columns], rows[:, columns]]) * self._scale
         return np.array([np.linalg.det(stacked)])
 
     def crossed(self, before: Array, after: Array) -> list[int]:
-        """Return the indices of the functions that changed sign between two points of time."""
+        """Return the indices of the functions that changed sign, or came to zero, between two points of time.
+
+        A stop is passed where its function turns negative; leaving zero is an event for stops only.
+        """
         leaves = (before >= 0.0) & (after < 0.0)
-        enters = (before <= 0.0) & (after > 0.0) & ~self._one_sided
-        swaps = ((before > 0.0) & (after < 0.0)) | enters
+        swaps = ((before > 0.0) & (after <= 0.0)) | ((before < 0.0) & (after >= 0.0))
         return [int(i) for i in np.flatnonzero(np.where(self._one_sided, leaves, swaps))]
 
     def require_allowed(self, q: Array) -> None:
@@ -133,8 +155,8 @@ _ROUNDING = 1e-12
 """A carrier that starts at the very end of its track may overshoot it by rounding, m."""
 
 
-def _limits(robot: Robot) -> list[tuple[str, str, int, float, float]]:
-    """Return kind, name, index in q, side and bound of every finite limit of a joint of one number."""
+def _limits(robot: Robot) -> list[tuple[str, str, int, int, float, float]]:
+    """Return kind, name, indices in q and v, side and bound of every finite limit of a joint of one number."""
     found = []
     tracks = {
         int(position): (name, limits.lower, limits.upper)
@@ -152,7 +174,7 @@ def _limits(robot: Robot) -> list[tuple[str, str, int, float, float]]:
             kind, (name, lower, upper) = "track", tracks[i]
         for side, bound, which in ((-1.0, lower, "lower"), (1.0, upper, "upper")):
             if np.isfinite(bound) and abs(bound) < _UNLIMITED:
-                found.append((kind, f"{name} {which}", i, side, bound))
+                found.append((kind, f"{name} {which}", i, int(joint.idx_v), side, bound))
     return found
 
 

@@ -40,7 +40,8 @@ class Acceleration:
     Attributes:
         a: (nv,) tree acceleration.
         closure_force: (r,) forces of the closure rows, N or N·m, on frame B along the axes of frame A.
-        carrier_force: (k,) forces of the carriers' actuators, N.
+        carrier_force: (k,) generalised forces on the carriers' joints, N: all of them where forces drive the carriers,
+            what must be added to those given where motion does.
     """
 
     a: Array

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -102,7 +103,10 @@ class Machine:
         if self._other is not None:  # the closure forces need a partition that suits the configuration
             self.dynamics.adapt(state.q)
         acceleration = self._acceleration(state, force)
-        return command, self.dynamics.forces(state.q, state.v, force, acceleration)
+        found = self.dynamics.forces(state.q, state.v, force, acceleration)
+        if self._law is None:  # what the actuators give, without friction and other external forces on the carriers
+            found = replace(found, carrier_force=command[1])
+        return command, found
 
     def project(self, t: float, y: Array) -> tuple[Array, float, float]:
         """Return the closed state nearest to y, the gap that y had, and the gap left, m."""

@@ -81,8 +81,8 @@ class MotionReference:
         start, end: first and last time, s.
         edges: (P + 1,) ends of the pieces, s; efforts may jump or kink there and nowhere else.
         carrier_lag: (k,) see ``PlannedCarriers.lag``.
-        effort_deviation: largest distance from the efforts that the plan states at its samples, N or N·m; what its own
-            discretisation costs. NaN without a plan.
+        effort_deviation: largest distance from the finite efforts that the plan states at its samples, N or N·m; what
+            its own discretisation costs. NaN without a plan.
     """
 
     def __init__(
@@ -159,10 +159,10 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
     singular = np.flatnonzero(plan.margin <= SINGULAR * plan.margin.max())
     known = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
     reference = _build(machine, edges, platform, carriers, known, off, carriers.lag)
+    stated = np.isfinite(plan.tau).all(axis=1) & ~_beside_jump(plan.t)
     deviation = max(
-        float(np.abs(reference.loads(float(t))[0] - tau).max())
-        for t, tau, jump in zip(plan.t, plan.tau, _beside_jump(plan.t), strict=True)
-        if not jump
+        (float(np.abs(reference.loads(float(plan.t[i]))[0] - plan.tau[i]).max()) for i in np.flatnonzero(stated)),
+        default=float("nan"),
     )
     reference.effort_deviation = deviation
     return reference

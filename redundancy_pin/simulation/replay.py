@@ -42,6 +42,9 @@ MOST_STEPS = 1000
 """Steps in addition to those that samples and breaks ask for: towards a pose at which a massless machine has no
 acceleration steps would shrink for ever."""
 
+DT = 5e-3
+"""Between the samples of an open-loop replay, s."""
+
 RTOL, ATOL = 1e-10, 1e-12
 """Of the integrator open loop."""
 
@@ -64,6 +67,7 @@ class Replay:
         largest, rms, last: of ``error``; NaN where nothing was simulated.
         carrier_error: largest distance of a carrier from the plan's motion, m.
         carrier_lag: largest distance of that motion from the plan's own samples, m: what backward differences leave.
+        off_track: largest distance of a carrier beyond an end of its track, m; a machine would have hit its stop.
         effort: largest |τ|, N or N·m.
         carrier_force: largest |F|, N.
         gap: largest closure gap, m.
@@ -80,6 +84,7 @@ class Replay:
     last: float
     carrier_error: float
     carrier_lag: float
+    off_track: float
     effort: float
     carrier_force: float
     gap: float
@@ -127,7 +132,8 @@ def replay(
     - "carriers by motion": main efforts open loop, carriers follow their plan exactly.
     - "computed torque", "LQR": digital, from a start that is ``AWAY`` and ``SPEED`` off.
 
-    Ends of tracks do not stop a replay: plans may use the last micrometre of them.
+    Ends of tracks do not stop a replay, for plans may use the last micrometre of them; ``Replay.off_track`` says how
+    far carriers went beyond.
 
     Args:
         plan: from any planner.
@@ -151,6 +157,7 @@ def replay(
             carriers="motion" if drive == "carriers by motion" else "force",
             sampling=sampling if closed_loop else None,
             duration=reference.end - reference.start,
+            dt=sampling.period if closed_loop else DT,  # with every value that a digital controller puts out
             stop_at=(),
             max_steps=MOST_STEPS + 2 * max(len(plan.t), int((reference.end - reference.start) / sampling.period)),
             rtol=CONTROLLED_RTOL if closed_loop else RTOL,
@@ -191,7 +198,16 @@ class _SampleEfforts(Tracking):
 
     def __init__(self, plan: Plan, reference: MotionReference) -> None:
         super().__init__(reference, None, None)
-        self._t, self._tau, self._force = plan.t, np.nan_to_num(plan.tau), np.asarray(plan.carrier_force)
+        bad = ~np.isfinite(np.concatenate([plan.tau, plan.carrier_force], axis=1)).all(axis=1)
+        if bad.any():
+            t = float(plan.t[int(bad.argmax())])
+            raise InfeasiblePlanError(
+                f"The plan states no finite efforts at its sample at t = {t:.6g} s.",
+                remedy="Replay the continuous motion that it stands for: drive 'open loop'.",
+                constraint="effort",
+                time=t,
+            )
+        self._t, self._tau, self._force = plan.t, np.asarray(plan.tau), np.asarray(plan.carrier_force)
         self.breaks = np.unique(plan.t)[1:-1]
 
     def effort(self, t: float, state: State) -> tuple[Array, Array]:
@@ -221,12 +237,18 @@ def _judged(name: str, drive: str, reference: MotionReference, run: Simulation) 
         float(error[-1]),
         float(np.abs(run.s - carriers).max(initial=0.0)),
         float(reference.carrier_lag.max(initial=0.0)),
+        _off_track(robot, run.s),
         float(np.nanmax(np.abs(run.tau))),
         float(np.nanmax(np.abs(run.carrier_force), initial=0.0)),
         float(run.gap.max()),
     )
 
 
+def _off_track(robot: Robot, s: Array) -> float:
+    lower, upper = (np.array([getattr(limits, side) for limits in robot.carrier_limits]) for side in ("lower", "upper"))
+    return float(np.maximum(s - upper, lower - s).max(initial=0.0))
+
+
 def _nothing(name: str, drive: str, status: str, reason: str) -> Replay:
     empty, none = read_only(np.empty(0)), float("nan")
-    return Replay(name, drive, status, reason, empty, empty, none, none, none, none, none, none, none, none)
+    return Replay(name, drive, status, reason, empty, empty, none, none, none, none, none, none, none, none, none)

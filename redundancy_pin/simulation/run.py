@@ -24,11 +24,14 @@ INTEGRATORS = {"DOP853": DOP853, "RK45": RK45}
 every step short."""
 
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
-"""Where in a step the watched functions are looked at: a carrier that touches its end stop and leaves within one step
-is not missed."""
+"""Where in a step the watched functions are looked at; and where a joint turns back before a stop, so that one that
+passes it and returns between two looks is not missed."""
 
 _BRIEF = 2e-3
-"""s; in a step shorter than this only the end is looked at: at 10 m/s² a carrier touches its stop by 5 µm in it."""
+"""s; in a step shorter than this only the end is looked at, and where joints turn back."""
+
+_TURN = 1e-6
+"""Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it."""
 
 SHORTEST = 1e-8
 """s; a machine whose motion takes steps shorter than this, many in a row, is not one."""
@@ -121,7 +124,7 @@ class Run:
         began = time.perf_counter()
         t, end = float(self._grid[0]), float(self._grid[-1])
         y = self._y = self._machine.project(t, y)[0]
-        self._watched = self._watcher.values(y[: self._machine.robot.model.nq])
+        self._watched = self._watcher.at_start(y[: self._machine.robot.model.nq])
         status = SimulationStatus.COMPLETED
         with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
             for left, right in self._stretches(t, end):
@@ -216,9 +219,11 @@ class Run:
 
     def _look(self, step: Step) -> float | None:
         """Find events in a step; return the time of the first terminal one."""
-        found, last = self._crossings(step, step.guess)
-        if found:  # look again on the integrator's own interpolant, which costs more
-            found, last = self._crossings(step, step.exactly)
+        looks, turning = self._looks(step, step.guess)
+        found, last = self._crossings(step.guess, looks)
+        if found or turning:  # look again on the integrator's own interpolant, which costs more
+            looks, _ = self._looks(step, step.exactly)
+            found, last = self._crossings(step.exactly, looks)
         self._watched = last
         events = []
         for i, left, right in found:
@@ -230,12 +235,30 @@ class Run:
                 return event.t
         return None
 
-    def _crossings(self, step: Step, at: Callable[[float], Array]) -> tuple[list[tuple[int, float, float]], Array]:
+    def _looks(self, step: Step, at: Callable[[float], Array]) -> tuple[list[float], bool]:
+        """Return the fractions of a step at which to look, and whether some joint turns back before a stop."""
+        h = step.end - step.start
+        left, (away, rate) = 0.0, self._watcher.stops(at(0.0))
+        looks, turning = [], False
+        for right in _LOOKS if h > _BRIEF else _LOOKS[-1:]:
+            next_away, next_rate = self._watcher.stops(at(right))
+            reach = (right - left) * h * np.maximum(np.abs(rate), np.abs(next_rate))
+            turns = (rate < 0.0) & (next_rate > 0.0) & (np.minimum(away, next_away) < reach)
+            for i in np.flatnonzero(turns).tolist():
+                turning = True
+                looks.append(brentq(lambda x, i=i: self._watcher.stops(at(x))[1][i], left, right, xtol=_TURN))
+            looks.append(right)
+            left, away, rate = right, next_away, next_rate
+        return sorted(looks), turning
+
+    def _crossings(
+        self, at: Callable[[float], Array], looks: list[float]
+    ) -> tuple[list[tuple[int, float, float]], Array]:
         """Return which watched functions change sign between which fractions of a step, and their values at its end."""
         nq = self._machine.robot.model.nq
         left, before = 0.0, self._watched
         found = []
-        for right in _LOOKS if step.end - step.start > _BRIEF else _LOOKS[-1:]:
+        for right in looks:
             after = self._watcher.values(at(right)[:nq])
             found += [(i, left, right) for i in self._watcher.crossed(before, after)]
             left, before = right, after

@@ -90,7 +90,7 @@ def simulate(
 
     Raises:
         InputError: a setting out of its domain, a start that is not closed or beyond a stop, a controller that returns
-            something else than efforts, no duration.
+            something else than efforts or was made for another sampling, no duration.
         IllPosedModelError: at the start, forces do not determine the acceleration: a free motion has no inertia.
         SingularPoseError: at the start, the closures have lost rank.
         UnsupportedRobotError: see ``way`` and ``FeedForward``.
@@ -98,10 +98,16 @@ def simulate(
     if not isinstance(robot, Robot):
         raise InputError(f"simulate was given {type(robot).__name__} for the robot.", remedy="Pass load_robot(...).")
     controller = _controller(robot, drive)
+    _require_same_sampling(controller, sampling)
     settings = _settings(rtol, atol, max_step, max_steps, integrator)
     state = _start(robot, controller, start)
     grid, breaks = _times(controller, state.t, duration, dt)
     law = _carrier_law(robot, controller, carriers)
+    if law is not None and carrier_force_limit is not None:
+        raise InputError(
+            "carrier_force_limit cannot hold for carriers that are driven by motion.",
+            remedy='Leave it out, or pass carriers="force".',
+        )
     limits = limit(effort_limit, robot.m, "effort_limit"), limit(carrier_force_limit, robot.k, "carrier_force_limit")
     machine = Machine(robot, Drive(robot, controller, *limits), law, external, way)
     watcher = Watcher(machine.chain, tuple(stop_at))
@@ -143,6 +149,15 @@ def _controller(robot: Robot, drive: Plan | Controller | None) -> Controller:
             remedy="Pass a plan, or a controller with effort(t, state) -> (tau, carrier_force).",
         )
     return drive
+
+
+def _require_same_sampling(controller: Controller, sampling: Sampling | None) -> None:
+    made_for = getattr(controller, "sampling", None)
+    if isinstance(made_for, Sampling) and made_for != sampling:
+        raise InputError(
+            f"{type(controller).__name__} was made for {made_for}, and the simulation has {sampling}.",
+            remedy=f"Pass sampling={made_for} to simulate, or make the controller for what it has.",
+        )
 
 
 def _settings(rtol: float, atol: float, max_step: float, max_steps: int, integrator: str) -> Settings:

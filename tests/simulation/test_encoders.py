@@ -8,6 +8,7 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.simulation.control import Sampling
 from redundancy_pin.simulation.encoders import PRISMATIC_STEP, REVOLUTE_STEP, Encoders
 from redundancy_pin.simulation.friction import JointFriction
 from redundancy_pin.simulation.reference import motion_reference
@@ -75,6 +76,15 @@ def test_the_same_time_twice_is_one_reading():
     first = encoders.estimate(1e-3, tree_state(motion.robot, q, v))
     again = encoders.estimate(1e-3, tree_state(motion.robot, q, v))
     assert np.array_equal(first.v, again.v)
+
+
+def test_encoders_of_another_simulation_are_refused():
+    motion = moving()
+    encoders = Encoders(Still(), motion, period=1e-3)
+    run = rp.simulate(motion.robot, encoders, start=closed_state(motion.robot), duration=5e-3, sampling=Sampling(1e-3))
+    assert run.status.value == "completed"
+    with pytest.raises(InputError, match="new Encoders for each simulation"):
+        rp.simulate(motion.robot, encoders, start=closed_state(motion.robot), duration=5e-3, sampling=Sampling(1e-3))
 
 
 @pytest.mark.parametrize("name", ["period", "time_constant", "revolute_step", "prismatic_step"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import moving
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from scipy.optimize import brentq
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.simulation.control import Constant
-from redundancy_pin.simulation.events import Event
+from redundancy_pin.simulation.events import Event, Watcher
 from redundancy_pin.simulation.result import Simulation, SimulationStatus
 from redundancy_pin.simulation.state import State, closed_state
 
@@ -69,7 +71,7 @@ class Returning:
         return np.array([s, 0.0]), np.array([-30.0 * (t - 0.1), 0.0]), np.array([-30.0, 0.0])
 
 
-@pytest.mark.parametrize("depth", [1e-2, 1e-3])
+@pytest.mark.parametrize("depth", [1e-2, 1e-3, 1e-5, 1e-7])
 def test_an_end_stop_passed_for_a_moment_within_a_step_is_not_missed(depth: float) -> None:
     robot = moving.massive("2rpr")
     drive = Returning(depth)
@@ -122,6 +124,35 @@ def test_a_carrier_that_starts_at_its_end_may_leave_inward_only() -> None:
     outward = rp.simulate(robot, Constant(np.zeros(2), np.array([5.0, 0.0])), start=at_end, duration=0.1)
     assert outward.status is SimulationStatus.STOPPED_BY_EVENT
     assert outward.t[-1] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("beyond", [0.0, 3e-17, -3e-17, 5e-13])
+def test_a_start_at_an_end_stops_whichever_way_it_was_rounded(beyond: float) -> None:
+    # as the last state of a run that was stopped there, on either side of the end by rounding
+    robot = moving.massive("2rpr")
+    at_end = closed_state(robot, s=[0.2 + beyond, 0.0])
+    run = rp.simulate(robot, Constant(np.zeros(2), np.array([5.0, 0.0])), start=at_end, duration=0.3)
+    assert run.status is SimulationStatus.STOPPED_BY_EVENT
+    assert [event.name for event in run.events] == ["carrier_1 upper"]
+    assert run.t[-1] < 1e-6
+
+
+def test_a_function_that_comes_to_zero_exactly_is_seen_once_from_either_side() -> None:
+    robot = moving.massive("2rpr")
+    watcher = Watcher(closed_state(robot).chain, ())
+    i = [watch.kind for watch in watcher.watches].index("type_II")
+    for sign in (1.0, -1.0):
+        values = np.ones((4, len(watcher.watches)))
+        values[:, i] = sign * np.array([1.0, 0.0, -1.0, -2.0])
+        seen = [i in watcher.crossed(before, after) for before, after in itertools.pairwise(values)]
+        assert seen == [True, False, False]
+
+
+def test_a_start_at_a_type_two_pose_is_no_event_whichever_way_it_leaves() -> None:
+    robot = moving.massive("2rpr")
+    for speed in (0.3, -0.3):
+        run = rp.simulate(robot, start=closed_state(robot, [0.2, 0.0], [0.0, speed]), duration=0.05)
+        assert of_kind(run, "type_II") == []
 
 
 def test_a_robot_without_declared_modes_reports_type_one_by_its_rows() -> None:

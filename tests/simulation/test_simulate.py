@@ -154,6 +154,48 @@ def test_friction_takes_energy_and_limits_cap_efforts() -> None:
     np.testing.assert_array_equal(pushed.carrier_force, np.tile([-0.1, -0.2, -5.0], (len(pushed), 1)))
 
 
+def test_forces_of_the_carriers_actuators_are_told_without_what_else_acts_on_the_carriers() -> None:
+    robot = moving.massive("3rrr")
+    drive = Constant(np.zeros(3), np.array([2.0, -1.0, 0.5]))
+    run = rp.simulate(robot, drive, duration=0.1, external=lambda state: -3.0 * state.v)
+    np.testing.assert_array_equal(run.carrier_force, np.tile(drive.carrier_force, (len(run), 1)))
+    # and driven by motion, the actuators overcome the friction
+    still = closed_state(robot, sd=0.5)
+
+    class Sliding(Constant):
+        def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
+            return np.full(3, 0.5 * t), np.full(3, 0.5), np.zeros(3)
+
+    sliding = Sliding(np.zeros(3), np.zeros(3))
+    free, rubbed = (
+        rp.simulate(robot, sliding, start=still, duration=1e-3, carriers="motion", external=external)
+        for external in (
+            None,
+            lambda state: np.where(np.isin(np.arange(len(state.v)), robot.carrier_velocity), -3.0 * state.v, 0.0),
+        )
+    )
+    np.testing.assert_allclose(rubbed.carrier_force[0] - free.carrier_force[0], 1.5, rtol=1e-9)
+
+
+def test_a_limit_of_forces_is_refused_where_motion_drives_the_carriers() -> None:
+    robot = moving.massive("3rrr")
+
+    class Parked(Constant):
+        def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
+            return np.zeros(3), np.zeros(3), np.zeros(3)
+
+    with pytest.raises(InputError, match="carrier_force_limit"):
+        rp.simulate(robot, Parked(np.zeros(3), np.zeros(3)), duration=0.01, carriers="motion", carrier_force_limit=1.0)
+
+
+def test_turns_are_counted_between_samples_far_apart() -> None:
+    robot = chain_of("continuous")
+    start = closed_state(robot, [1.0], [9.0])
+    fine, coarse = (rp.simulate(robot, start=start, duration=2.0, dt=dt) for dt in (0.005, 0.5))
+    assert np.diff(coarse.x[:, 0]).max() > np.pi
+    np.testing.assert_allclose(coarse.x, fine.x[::100], atol=SAME)
+
+
 @pytest.mark.parametrize("name", ["four_bar", "continuous"])
 def test_angles_run_on_past_half_a_turn(name: str) -> None:
     # the crank as a revolute joint, which counts its turns, and as a continuous one (cos, sin), which does not

@@ -14,8 +14,8 @@ from redundancy_pin.files import write_text
 from redundancy_pin.visualisation.style import save
 
 _COLUMNS = (
-    "plan", "drive", "status", "largest", "rms", "last", "carrier_error", "carrier_lag", "effort", "carrier_force",
-    "gap",
+    "plan", "drive", "status", "largest", "rms", "last", "carrier_error", "carrier_lag", "off_track", "effort",
+    "carrier_force", "gap",
 )  # fmt: skip
 
 

@@ -37,6 +37,7 @@ def chapter(replays: Replays) -> list[Block]:
             _size(row.last),
             _size(row.carrier_error),
             _size(row.carrier_lag),
+            _size(row.off_track),
             _size(row.effort),
             _size(row.carrier_force),
         )
@@ -56,12 +57,14 @@ def chapter(replays: Replays) -> list[Block]:
                 "at the end [m]",
                 "carriers [m]",
                 "carrier lag of the plan [m]",
+                "off the track [m]",
                 "largest |τ| [N or N·m]",
                 "largest carrier force [N]",
             ),
             rows,
             "Carriers: largest distance from the planned motion. Carrier lag: of that motion from the samples of the "
-            "plan, which is what backward differences leave of stepwise plans.",
+            "plan, which is what backward differences leave of stepwise plans. Off the track: largest distance of a "
+            "carrier beyond its end, where replays go on though a machine would have hit its stop.",
         ),
         *(Paragraph(f"{row.plan}, {row.drive}: {row.reason}") for row in replays.rows if _said(row)),
         *(Paragraph(f"No plan for {name}: {why}") for name, why in replays.missing.items()),

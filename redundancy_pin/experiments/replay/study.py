@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -14,6 +12,7 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.experiments.replay.cases import CASES, ReplayCase
+from redundancy_pin.experiments.workers import workers
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.replay import Drive, Replay, replay
 
@@ -104,14 +103,10 @@ def _run(plans: Sequence[tuple[ReplayCase, Plan]], jobs: int) -> Iterator[list[R
         for case, plan in plans:
             yield [replay_case(case, plan, drive) for drive in case.drives]
         return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(plans)), mp_context=context)
-    try:
+    with workers(min(jobs, len(plans))) as pool:
         futures = [[pool.submit(replay_case, case, plan, drive) for drive in case.drives] for case, plan in plans]
         for group in futures:
             yield [future.result() for future in group]
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def replay_case(case: ReplayCase, plan: Plan, drive: Drive) -> Replay:

@@ -63,20 +63,21 @@ def open_journal(path: str | Path, identity: Mapping[str, Any]) -> Iterator[Jour
     header = json.loads(json.dumps({"format": FORMAT, "package": redundancy_pin.__version__, **identity}))
     if not place.exists():
         write_text(place, json.dumps(header) + "\n")
-    trials, length = _read(place, header)
+    trials, length, cut = _read(place, header)
     try:
         handle = os.open(place, os.O_WRONLY | os.O_APPEND)
     except OSError as error:
         raise OutputError(f"Cannot write {place}: {error.strerror}.", remedy="Choose another folder.") from error
     try:
-        os.ftruncate(handle, length)
+        if cut:
+            os.ftruncate(handle, length)
         yield Journal(place, trials, handle)
     finally:
         os.close(handle)
 
 
-def _read(path: Path, header: Mapping[str, Any]) -> tuple[dict[Key, Trial], int]:
-    """Return the trials of a journal and the length of its whole lines, bytes."""
+def _read(path: Path, header: Mapping[str, Any]) -> tuple[dict[Key, Trial], int, bool]:
+    """Return the trials of a journal, the length of its whole lines, bytes, and whether more follows them."""
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -108,4 +109,4 @@ def _read(path: Path, header: Mapping[str, Any]) -> tuple[dict[Key, Trial], int]
                 remedy="Delete that line (its trial is then run anew), or choose another folder.",
             ) from error
         trials.setdefault(trial.key, trial)
-    return trials, length
+    return trials, length, length < len(raw)

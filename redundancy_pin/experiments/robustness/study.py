@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+
+import numpy as np
 
 from redundancy_pin.errors import InputError
 from redundancy_pin.experiments.robustness.draws import Imperfections
 from redundancy_pin.experiments.robustness.journal import Key, open_journal
-from redundancy_pin.experiments.robustness.scenarios import DRIVES, SCENARIOS, Drive, Scenario
+from redundancy_pin.experiments.robustness.scenarios import DRIVES, MASS, PLANNED_TRACK, SCENARIOS, Drive, Scenario
 from redundancy_pin.experiments.robustness.statistics import CellStatistics, cell_statistics
-from redundancy_pin.experiments.robustness.trial import Trial, run_trial
+from redundancy_pin.experiments.robustness.trial import ATOL, RTOL, Trial, run_trial
+from redundancy_pin.experiments.workers import workers
 
 DRAWS = 200
 
@@ -52,10 +54,9 @@ def scaled(imperfections: Imperfections, severity: float) -> Imperfections:
     Raises:
         InputError: the factor is negative or not finite, or masses could become negative.
     """
-    if not 0.0 <= severity < 1.0 / imperfections.mass:
-        raise InputError(
-            f"severity is {severity}.", remedy=f"Pass a number from 0 to below {1.0 / imperfections.mass:g}."
-        )
+    if not (np.isfinite(severity) and severity >= 0.0 and severity * imperfections.mass < 1.0):
+        most = f"from 0 to below {1.0 / imperfections.mass:g}" if imperfections.mass > 0.0 else "that is not negative"
+        raise InputError(f"severity is {severity}.", remedy=f"Pass a number {most}.")
     chosen = [
         field.name
         for field in fields(imperfections)
@@ -92,12 +93,18 @@ def robustness_study(
         progress: called whenever a trial is finished.
 
     Raises:
-        InputError: a number out of its domain.
+        InputError: a number out of its domain, or two scenarios of one name.
         OutputError: the journal is of another study, damaged, or cannot be written.
         InfeasiblePlanError: a scenario has no plan.
     """
     if draws < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"draws is {draws}, jobs is {jobs}.", remedy="Pass positive whole numbers.")
+    names = [scenario.name for scenario in scenarios]
+    if len(set(names)) < len(names):
+        raise InputError(
+            f"Two of the scenarios are named {max(names, key=names.count)!r}: their trials could not be told apart.",
+            remedy="Run them as studies of their own.",
+        )
     bounds = scaled(imperfections or Imperfections(), severity)
     cells = [(scenario, drive) for scenario in scenarios for drive in drives]
     # draws first: an interrupted study has about as many trials in every cell
@@ -106,7 +113,13 @@ def robustness_study(
     with contextlib.ExitStack() as stack:
         put: Callable[[Trial], None] | None = None
         if journal is not None:
-            identity = {"seed": seed, "imperfections": asdict(bounds), "scenarios": [asdict(one) for one in scenarios]}
+            identity = {
+                "seed": seed,
+                "imperfections": asdict(bounds),
+                "scenarios": [asdict(one) for one in scenarios],
+                "machine": {**MASS, "planned_track": PLANNED_TRACK},
+                "tolerances": [RTOL, ATOL],
+            }
             book = stack.enter_context(open_journal(journal, identity))
             known.update(book.trials)
             put = book.add
@@ -134,19 +147,9 @@ def _run(wanted: Sequence[tuple[Scenario, Drive, int]], bounds: Imperfections, s
         for scenario, drive, number in wanted:
             yield run_trial(scenario, drive, bounds, seed, number)
         return
-    # not fork: the parent may have threads. Each process has one core: the matrices are small.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(wanted)), mp_context=context, initializer=_one_thread)
-    try:
+    with workers(min(jobs, len(wanted))) as pool:
         futures: list[Future[Trial]] = [
             pool.submit(run_trial, scenario, drive, bounds, seed, number) for scenario, drive, number in wanted
         ]
         for future in as_completed(futures):
             yield future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _one_thread() -> None:
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"

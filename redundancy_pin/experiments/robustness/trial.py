@@ -113,9 +113,10 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
         robot = load_robot("2rpr", **arguments)
         run = simulate(
             robot,
-            _Amplifier(_through_encoders(control, motion, drawn, imperfections), drawn.random, imperfections.noise),
+            Amplifier(_through_encoders(control, motion, drawn, imperfections), drawn.random, imperfections.noise),
             start=closed_state(robot, point.x, point.xd, point.s, point.sd, t=scenario.start),
             duration=scenario.end - scenario.start,
+            dt=imperfections.period,  # every value that the amplifiers put out is among the samples
             sampling=Sampling(imperfections.period, imperfections.delay),
             effort_limit=imperfections.effort_limit,
             carrier_force_limit=imperfections.carrier_force_limit,
@@ -167,13 +168,20 @@ class _OpenLoop(Tracking):
         return self.reference.loads(t + self.lead)
 
 
-class _Amplifier:
-    """A controller whose forces come out with noise, one value a period."""
+class Amplifier:
+    """A controller whose forces come out with noise, one value a period.
+
+    Args:
+        controller: what commands the efforts.
+        random: for the noise.
+        noise: its standard deviation, N or N·m.
+    """
 
     def __init__(self, controller: Controller, random: np.random.Generator, noise: float) -> None:
         self._controller, self._random, self._noise = controller, random, noise
 
     def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        """Return main efforts (m,) and carrier forces (k,) with noise."""
         tau, force = self._controller.effort(t, state)
         return (
             tau + self._noise * self._random.standard_normal(len(tau)),

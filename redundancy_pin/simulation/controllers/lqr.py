@@ -15,7 +15,7 @@ from redundancy_pin.planners.continuous_motion import TimedTrajectory
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.control import Sampling, limit
 from redundancy_pin.simulation.controllers.linear_model import LinearModel, linear_model, sampled_model
-from redundancy_pin.simulation.controllers.riccati import Riccati, continuous_riccati, discrete_riccati
+from redundancy_pin.simulation.controllers.riccati import NEGATIVE, Riccati, continuous_riccati, discrete_riccati
 from redundancy_pin.simulation.controllers.tracking import Tracking
 from redundancy_pin.simulation.controllers.weights import LqrWeights, bryson_weights
 from redundancy_pin.simulation.linearise import state_error
@@ -128,11 +128,15 @@ class TimeVaryingLqr(Tracking):
         return command[: robot.m], command[robot.m :]
 
     def _acting(self, t: float) -> Array:
-        """Return δu of the sample before t; zero at the first one, the same again where t is asked for twice."""
+        """Return δu of the sample one period before t; zero where there was none, as at the start of a simulation.
+
+        Asked again for the same t, it gives the same again. What an earlier simulation left does not count.
+        """
         last, newest, before = self._memory
-        if last < t:
-            return newest
-        return before if last == t else np.zeros_like(newest)
+        if last == t:
+            return before
+        period = 0.0 if self.sampling is None else self.sampling.period
+        return newest if 0.0 < t - last < 1.5 * period else np.zeros_like(newest)
 
 
 def _continuous(model: LinearModel, weights: LqrWeights) -> tuple[Array, Riccati, bool]:
@@ -171,7 +175,8 @@ def _require_shapes(weights: LqrWeights, states: int, inputs: int) -> None:
                 remedy="Make the weights with bryson_weights(reference).",
                 name=name,
             )
-    if np.linalg.eigvalsh(weights.Q)[0] < 0.0 or np.linalg.eigvalsh(weights.R)[0] <= 0.0:
+    of_states = np.linalg.eigvalsh(weights.Q)
+    if of_states[0] < -NEGATIVE * abs(of_states[-1]) or np.linalg.eigvalsh(weights.R)[0] <= 0.0:
         raise InputError(
             "Q must be positive semidefinite and R positive definite.",
             remedy="Make the weights with bryson_weights(reference).",

@@ -51,7 +51,7 @@ def test_files_and_summary(tmp_path: Path):
     write_figures(tmp_path, replays(), (".png",), lambda what: None)
     assert {path.name for path in tmp_path.iterdir()} == {"replay.csv", "replay-corner-r0.025.png"}
     lines = (tmp_path / "replay.csv").read_text().splitlines()
-    assert {line.count(",") for line in lines} == {10}
+    assert {line.count(",") for line in lines} == {11}
     data = json.loads(json.dumps(replays().as_dict(), allow_nan=False))
     assert data["replays"][0]["largest"] is None
     assert data["replays"][1]["status"] == "completed"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from redundancy_pin.experiments.robustness.draws import LENGTHS, MASSES, draw
 from redundancy_pin.experiments.robustness.scenarios import Scenario, nominal
 from redundancy_pin.experiments.robustness.statistics import mean_interval, wilson
 from redundancy_pin.experiments.robustness.study import scaled
-from redundancy_pin.experiments.robustness.trial import SUCCESS, Trial, trial_from
+from redundancy_pin.experiments.robustness.trial import SUCCESS, Amplifier, Trial, run_trial, trial_from
 
 SHORT = Scenario("line", "switch off", 2.45, 2.55)
 """s; the singular pose at 2.508 s, and little else."""
@@ -58,6 +58,11 @@ def test_severity_scales_errors_friction_and_noise_and_nothing_else():
     assert zero.noise == zero.prismatic_coulomb == 0.0
     with pytest.raises(InputError, match="severity is 20"):
         scaled(bounds, 20.0)
+    exact = Imperfections(mass=0.0)
+    assert scaled(exact, 50.0).noise == 50.0 * exact.noise
+    for wrong in (-1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="not negative"):
+            scaled(exact, wrong)
 
 
 @pytest.mark.parametrize(("successes", "count"), [(0, 10), (7, 10), (200, 200)])
@@ -140,7 +145,31 @@ def test_the_journal_refuses_what_is_not_its_own(tmp_path: Path, monkeypatch: py
     book.write_text("mine\n")
     with pytest.raises(OutputError, match="no journal"):
         robustness_study(2, **options)
-    assert asdict(trial(0))["number"] == 0
+
+
+def test_scenarios_that_share_a_name_are_refused():
+    with pytest.raises(InputError, match="'line, switch off'"):
+        robustness_study(1, scenarios=(SHORT, replace(SHORT, end=2.6)), drives=("open loop",), jobs=1)
+
+
+def test_the_trials_do_not_depend_on_the_number_of_processes():
+    options = {"scenarios": (SHORT,), "drives": ("open loop",), "seed": 5}
+    assert robustness_study(2, jobs=1, **options).trials == robustness_study(2, jobs=2, **options).trials
+
+
+def test_the_largest_forces_are_those_of_every_period(monkeypatch: pytest.MonkeyPatch):
+    put_out: list[np.ndarray] = []
+    real = Amplifier.effort
+
+    def recorded(self, t, state):
+        put_out.append(np.concatenate(real(self, t, state)))
+        return put_out[-1][:2], put_out[-1][2:]
+
+    monkeypatch.setattr(Amplifier, "effort", recorded)
+    found = run_trial(SHORT, "computed torque", Imperfections(), 0, 3)
+    acted = np.abs(put_out[:-1])  # the last has not had the time to act
+    assert found.effort == acted[:, :2].max()
+    assert found.carrier_force == acted[:, 2:].max()
 
 
 @pytest.mark.parametrize("changed", [{"draws": 0}, {"jobs": 0}])

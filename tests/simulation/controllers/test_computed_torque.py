@@ -77,6 +77,13 @@ def test_a_digital_one_with_a_delay_of_one_sample_crosses_too():
     assert len({command.t for command in control.history}) == 400
 
 
+def test_a_controller_made_for_another_sampling_is_refused():
+    control = ComputedTorque(crossing(), sampling=Sampling(1e-3, 1e-3))
+    for sampling in (None, Sampling(1e-3), Sampling(2e-3, 1e-3)):
+        with pytest.raises(InputError, match="ComputedTorque was made for Sampling"):
+            rp.simulate(two_rpr(), control, duration=0.01, sampling=sampling)
+
+
 def test_the_corner_of_the_three_rrr():
     motion = corner()
     start = perturbed(motion.robot, motion, 0.7, [*AWAY, 0.0], [*SPEED, 0.0])

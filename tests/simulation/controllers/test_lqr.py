@@ -153,6 +153,16 @@ def test_the_memory_of_the_delay_is_the_effort_that_acts():
     assert np.abs(K[:, 8:] @ acting).max() > 1e-3 * np.abs(expected).max()
 
 
+def test_what_an_earlier_simulation_left_does_not_count():
+    control, motion = delayed(), crossing()
+    states = [perturbed(motion.robot, motion, t, AWAY, SPEED) for t in (0.4, BEFORE)]
+    alone = np.concatenate(TimeVaryingLqr(motion, sampling=DELAYED, step=0.05).effort(BEFORE, states[1]))
+    used = TimeVaryingLqr(motion, sampling=DELAYED, step=0.05)
+    used.effort(0.4, states[0])
+    assert np.array_equal(np.concatenate(used.effort(BEFORE, states[1])), alone)
+    assert np.abs(control.riccati.K[400][:, 8:]).max() > 0.0  # and it would have counted
+
+
 def test_it_saturates_where_the_amplifiers_do():
     motion = crossing()
     control = TimeVaryingLqr(motion, effort_limit=1.0, carrier_force_limit=2.0, step=0.05)
@@ -179,6 +189,13 @@ def test_a_massless_machine_has_no_linear_model_at_a_type_ii_pose():
         TimeVaryingLqr(plan, motion=circle)
 
 
+def test_a_semidefinite_weight_may_be_so_up_to_rounding():
+    rows = np.random.default_rng(0).normal(size=(3, 8))
+    Q = rows.T @ rows
+    assert np.linalg.eigvalsh(Q)[0] < 0.0
+    assert np.isfinite(TimeVaryingLqr(crossing(), weights=LqrWeights(Q, np.eye(4)), step=0.1).riccati.K).all()
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -186,6 +203,7 @@ def test_a_massless_machine_has_no_linear_model_at_a_type_ii_pose():
         ({"sampling": Sampling(1e-3, 2e-3)}, "delay of 0.002 s is longer"),
         ({"weights": LqrWeights(np.eye(3), np.eye(4))}, r"Q has shape \(3, 3\)"),
         ({"weights": LqrWeights(np.eye(8), -np.eye(4))}, "R positive definite"),
+        ({"weights": LqrWeights(np.diag([-1e-3, *np.ones(7)]), np.eye(4))}, "Q must be positive semidefinite"),
     ],
 )
 def test_settings_out_of_their_domain(changed, message):

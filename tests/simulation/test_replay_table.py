@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.control import Sampling
-from redundancy_pin.simulation.replay import AWAY, replay, replay_table
+from redundancy_pin.simulation.replay import AWAY, _off_track, replay, replay_table
 from redundancy_pin.trajectory import reference
 
 SLOW = Sampling(4e-3, 4e-3)
@@ -64,6 +65,26 @@ def test_a_massless_plan_cannot_be_replayed_as_forces_and_says_why():
         assert "end_effector_mass" in found.reason
         assert np.isnan(found.largest)
         assert len(found.t) == 0
+
+
+def test_samples_without_finite_efforts_are_not_made_up():
+    plan = corner_plan()
+    tau = np.array(plan.tau)
+    tau[100] = np.nan
+    found = replay(replace(plan, tau=tau), "open loop, samples", motion=reference.corner(radius=0.025))
+    assert found.status == "no_efforts"
+    assert f"t = {plan.t[100]:.6g} s" in found.reason
+
+
+def test_carriers_beyond_their_tracks_are_told():
+    plan, motion = corner_plan(), reference.corner(radius=0.025)
+    inside = replay(plan, "computed torque", motion=motion, sampling=SLOW)
+    assert inside.off_track == 0.0
+    robot = rp.load_robot("3rrr")
+    middle = np.array([0.5 * (limits.lower + limits.upper) for limits in robot.carrier_limits])
+    half = np.array([0.5 * (limits.upper - limits.lower) for limits in robot.carrier_limits])
+    s = np.array([middle, middle + half + [1e-3, -1e-3, 0.0], middle - half - [0.0, 2e-3, 1e-4]])
+    assert _off_track(robot, s) == pytest.approx(2e-3)
 
 
 def test_an_unknown_drive():

@@ -1,0 +1,49 @@
+"""Processes that share the cores: one thread of linear algebra each."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+
+from redundancy_pin.errors import RedundancyPinError
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@contextmanager
+def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Start processes for many small matrices; work that has not begun is dropped at the end.
+
+    They are spawned, not forked: the parent may have threads. Libraries read how many threads to start when they are
+    loaded, before anything of ours runs in the new process, so the environment is set here while processes may start.
+
+    Args:
+        jobs: number of processes.
+
+    Yields:
+        The pool.
+
+    Raises:
+        RedundancyPinError: a process died.
+    """
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        raise RedundancyPinError(
+            "A worker process died; it may have run out of memory.",
+            remedy="Run again with fewer jobs: what a journal has is taken over from there.",
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
