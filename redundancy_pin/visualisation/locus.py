@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError
 from redundancy_pin.files import replacing_file
 from redundancy_pin.kinematics.modes import mode_name
 from redundancy_pin.kinematics.singular_crossings import Crossing
@@ -62,8 +63,14 @@ def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: 
     """Return the picture of a singular locus, see ``plot_locus``.
 
     Raises:
+        InputError: something else than a locus.
         RedundancyPinError: matplotlib is not installed.
     """
+    if not isinstance(locus, SingularLocus):
+        raise InputError(
+            f"locus draws a singular locus, not a {type(locus).__name__}.",
+            remedy="Pass what rp.singular_locus(robot) returns.",
+        )
     with figure(7.0, 5.6 if len(locus.axes) == 2 else 4.0) as drawn:
         axes = drawn.add_subplot()
         axes.set_title(_title(locus))

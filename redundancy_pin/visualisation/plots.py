@@ -231,7 +231,14 @@ def comparison(subjects: Mapping[str, Plan | Curves], *, title: str | None = Non
 
 
 def _curves(subject: Plan | Curves) -> Curves:
-    return curves_of_plan(subject) if isinstance(subject, Plan) else subject
+    if isinstance(subject, Plan):
+        return curves_of_plan(subject)
+    if not isinstance(subject, Curves):
+        raise InputError(
+            f"This figure draws a plan or curves, not a {type(subject).__name__}.",
+            remedy="Pass a plan, or rp.plot.curves(robot, reduced, efforts).",
+        )
+    return subject
 
 
 def _carrier_names(k: int) -> list[str]:

@@ -39,10 +39,14 @@ def draw_snapshots(
         title: of the figure; the scene's when left out.
 
     Raises:
-        InputError: an unknown plane, or times outside the motion.
+        InputError: no view, an unknown plane, or times outside the motion.
         RedundancyPinError: matplotlib is not installed.
     """
     scene = view.scene if isinstance(view, View) else view
+    if not isinstance(scene, Scene):
+        raise InputError(
+            f"snapshots draws a view, not a {type(view).__name__}.", remedy="Pass what rp.show returns: rp.show(plan)."
+        )
     if plane not in _PLANES:
         raise InputError(f"The plane is {plane!r}.", remedy=f"Choose one of {', '.join(_PLANES)}.")
     wanted = np.linspace(0.0, scene.duration, times) if isinstance(times, int) else np.asarray(times, dtype=float)

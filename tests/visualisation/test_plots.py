@@ -262,3 +262,12 @@ def test_legends_of_comparisons_stay_on_the_page(cases: int) -> None:
         box = panel.get_legend().get_window_extent()
         assert box.x1 <= drawn.bbox.x1
         assert box.y0 >= panel.get_window_extent().y1 - 1.0
+
+
+@pytest.mark.parametrize(
+    "draw", [rp.plot.efforts, rp.plot.carriers, rp.plot.condition, rp.plot.snapshots, rp.plot.locus]
+)
+def test_what_cannot_be_drawn_is_refused_by_its_type(draw):
+    with pytest.raises(InputError, match="not a dict") as caught:
+        draw({})
+    assert "rp." in caught.value.remedy
