@@ -35,7 +35,9 @@ def done() -> Reproduction:
     folder = Path(tempfile.mkdtemp()) / "results"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(job, "PICTURE_SUFFIXES", (".png",))  # half the time
-        return job.reproduce(folder, [cases.experiment("corner-r0.025-baseline")], study=QUICK, beyond=None, samples=20)
+        return job.reproduce(
+            folder, [cases.experiment("corner-r0.025-baseline")], study=QUICK, beyond=None, replay=None, samples=20
+        )
 
 
 def study() -> Study:

@@ -164,14 +164,20 @@ SAME_FRAME = 0.01
 """s; both clocks are read for the same frame, one of them rounded to the nearest tenth of a millisecond."""
 
 
+def _drift(seen: np.ndarray, speed: float = 1.0) -> np.ndarray:
+    """From frame to frame, motion shown beyond real time, whole rounds left out: a busy machine draws few frames."""
+    ahead = np.diff(seen[:, 1]) - speed * np.diff(seen[:, 0])
+    half = 0.5 * reference_duration()
+    return (ahead + half) % (2.0 * half) - half
+
+
 def test_it_plays_by_itself_at_true_speed(page: Any) -> None:
     page.refresh()
     _wait(page)
     assert page.execute_script("return animator.duration") == pytest.approx(reference_duration(), abs=1e-6)
     seen = np.array(page.execute_async_script(WATCH))
-    played = np.unwrap(seen[:, 1], period=reference_duration())
     assert np.ptp(seen[:, 0]) > 0.9
-    assert np.ptp(played) == pytest.approx(np.ptp(seen[:, 0]), abs=SAME_FRAME)
+    assert np.abs(_drift(seen)).max() < SAME_FRAME
 
 
 def test_pictures_change_while_it_plays(page: Any) -> None:
@@ -183,7 +189,8 @@ def test_pictures_change_while_it_plays(page: Any) -> None:
     seen = np.array(page.execute_async_script(WATCH))
     after = _picture(page)
     page.execute_script("byId('speed').value = 1; byId('speed').onchange({target: byId('speed')});")
-    assert np.ptp(seen[:, 1]) == pytest.approx(0.25 * np.ptp(seen[:, 0]), abs=SAME_FRAME)
+    assert np.ptp(seen[:, 1]) > 0.0
+    assert np.abs(_drift(seen, 0.25)).max() < SAME_FRAME
     assert (np.abs(after - before).max(axis=2) > 20.0).sum() > 100
 
 
