@@ -19,7 +19,7 @@ from redundancy_pin.planners.whole_trajectory_limits import RESERVE, scaled_boun
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.planners.whole_trajectory_nlp import build
 from redundancy_pin.planners.whole_trajectory_progress import Say
-from redundancy_pin.planners.whole_trajectory_solver import ADAPTIVE, LEAST_SECONDS, QUICK, WARM, Solution, Solver
+from redundancy_pin.planners.whole_trajectory_solver import ADAPTIVE, FLAT, LEAST_SECONDS, QUICK, WARM, Solution, Solver
 
 ROUNDS = 4
 """Rounds of adding rows, after which all are."""
@@ -78,10 +78,12 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
     covered = np.zeros(len(problem.grid.h), dtype=bool)
     found: list[Solution] = []
     limit_force, warm = False, False
+    # a flat optimum needs exact steps to be the same from either backend
+    first = {} if FLAT & set(problem.settings.objective) else QUICK
     while True:
         left = max(deadline - time.perf_counter(), LEAST_SECONDS)
         program = build(problem, between=groups, limit_force=limit_force)
-        options = {**QUICK, **WARM} if warm else QUICK
+        options = {**first, **WARM} if warm else first
         found.append(Solver(program, left, options, say).solve(found[-1] if warm else guess))
         if not found[-1].optimal and found[-1].acceptable:
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)

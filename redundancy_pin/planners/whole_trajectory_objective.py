@@ -8,7 +8,7 @@ from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_program import Program
 
-REGULARISATION = 1e-6
+REGULARISATION = 1e-5
 """Weight of the mean square of s̈ over its limit beside an objective of size one: where the objective leaves the
 carriers open they take the gentlest motion, and the plan is unique."""
 

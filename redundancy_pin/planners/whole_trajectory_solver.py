@@ -31,8 +31,12 @@ QUICK = {
     "ipopt.mumps_permuting_scaling": 0,
     "ipopt.mumps_scaling": 0,
 }
-"""Options for the first attempt: the programme is scaled already, and the steps are not refined. A third faster on the
-3-RRR; whether the result is an optimum is judged as strictly."""
+"""Options for the first attempt at objectives that are not flat: the programme is scaled already, and the steps are not
+refined. A fourth faster on the 3-RRR; whether the result is an optimum is judged as strictly."""
+
+FLAT = frozenset({"peak", "energy"})
+"""Objectives that leave the carriers open over whole stretches. There the regularisation alone decides, and steps that
+are not refined end wherever the conditions hold within tolerance: plans of both backends then differ by up to 0.1."""
 
 WARM = {
     "ipopt.warm_start_init_point": "yes",

@@ -127,12 +127,16 @@ def test_efforts_at_singular_instants_are_the_limits_from_both_sides(case):
             np.testing.assert_allclose(beside, plan.tau[i], atol=1e-3 * max(1.0, np.abs(plan.tau).max()))
 
 
-@pytest.mark.parametrize("case", ["circle", "corner"])
-def test_both_backends_give_the_same_plan(case):
-    name, trajectory = ("2rpr", circle()) if case == "circle" else ("3rrr", reference.corner())
-    objective = "effort" if case == "circle" else "peak"
+@pytest.mark.parametrize(("case", "objective"), [("circle", "effort"), ("heavy", "peak"), ("corner", "peak")])
+def test_both_backends_give_the_same_plan(case, objective):
+    """The optimum of "peak" is flat: plans differ by 1e-4 to 1e-2 if the solver is content too early."""
+    if case == "corner":
+        robot, trajectory, dt = zoo.robot_of("3rrr"), reference.corner(0.013), 0.005
+    else:
+        arguments = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if case == "heavy" else {}
+        robot, trajectory, dt = zoo.robot_of("2rpr", **arguments), circle(), 0.01
     plans = [
-        plan_whole_trajectory(backend(zoo.robot_of(name)), trajectory, objective=objective, dt=0.02)
+        plan_whole_trajectory(backend(robot), trajectory, objective=objective, dt=dt)
         for backend in (VirtualWork, RneaDynamics)
     ]
     for part in ("s", "sd", "sdd"):
