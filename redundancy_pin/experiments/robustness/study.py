@@ -6,12 +6,14 @@ import contextlib
 import itertools
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.experiments.robustness.draws import Imperfections
 from redundancy_pin.experiments.robustness.journal import Key, open_journal
 from redundancy_pin.experiments.robustness.scenarios import DRIVES, SCENARIOS, Drive, Scenario
@@ -25,6 +27,8 @@ Progress = Callable[[int, int, str], None]
 
 _SCALED = ("mass", "length", "noise")
 _FRICTION = ("coulomb", "viscous")
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ def robustness_study(
 
     Args:
         draws: trials a cell.
-        seed: of the draws.
+        seed: of the draws, 0 or more.
         severity: factor on all errors, see ``scaled``.
         scenarios: planned crossings.
         drives: what controls the machine.
@@ -94,10 +98,13 @@ def robustness_study(
     Raises:
         InputError: a number out of its domain.
         OutputError: the journal is of another study, damaged, or cannot be written.
+        RedundancyPinError: a process was killed from outside.
         InfeasiblePlanError: a scenario has no plan.
     """
     if draws < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"draws is {draws}, jobs is {jobs}.", remedy="Pass positive whole numbers.")
+    if seed < 0:
+        raise InputError(f"seed is {seed}.", remedy="Pass a whole number from 0 on.")
     bounds = scaled(imperfections or Imperfections(), severity)
     cells = [(scenario, drive) for scenario in scenarios for drive in drives]
     # draws first: an interrupted study has about as many trials in every cell
@@ -136,17 +143,37 @@ def _run(wanted: Sequence[tuple[Scenario, Drive, int]], bounds: Imperfections, s
         return
     # not fork: the parent may have threads. Each process has one core: the matrices are small.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(wanted)), mp_context=context, initializer=_one_thread)
+    pool = ProcessPoolExecutor(min(jobs, len(wanted)), mp_context=context, initializer=_leave_interrupts_to_parent)
     try:
-        futures: list[Future[Trial]] = [
-            pool.submit(run_trial, scenario, drive, bounds, seed, number) for scenario, drive, number in wanted
-        ]
+        with _one_thread():  # processes start with the first trial that is submitted
+            futures: list[Future[Trial]] = [
+                pool.submit(run_trial, scenario, drive, bounds, seed, number) for scenario, drive, number in wanted
+            ]
         for future in as_completed(futures):
             yield future.result()
+    except BrokenProcessPool as error:
+        raise RedundancyPinError(
+            f"One of the {min(jobs, len(wanted))} processes of the study was killed, perhaps for want of memory.",
+            remedy="Run it again with fewer jobs; a journal keeps what is finished.",
+        ) from error
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _one_thread() -> None:
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """Have processes that start in the block use one thread each; libraries read this only when they are loaded."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _leave_interrupts_to_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
