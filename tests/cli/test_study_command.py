@@ -64,7 +64,7 @@ def test_a_tiny_study_is_simulated_and_written(tmp_path: Path) -> None:
         ("open loop", "0"), ("open loop", "1"), ("computed torque", "0"), ("computed torque", "1")]  # fmt: skip
     away = [float(row["largest"]) for row in rows]
     assert len(set(away)) == 4  # every draw is a machine of its own
-    assert 0.0 < min(away)
+    assert min(away) > 0.0
     assert max(away) < 2e-3
     cells = json.loads((folder / "summary.json").read_text())["cells"]
     assert [cell["worst"] for cell in cells] == pytest.approx([max(away[:2]), max(away[2:])], rel=1e-9)
