@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import multiprocessing
 import os
 import signal
@@ -56,10 +57,9 @@ def scaled(imperfections: Imperfections, severity: float) -> Imperfections:
     Raises:
         InputError: the factor is negative or not finite, or masses could become negative.
     """
-    if not 0.0 <= severity < 1.0 / imperfections.mass:
-        raise InputError(
-            f"severity is {severity}.", remedy=f"Pass a number from 0 to below {1.0 / imperfections.mass:g}."
-        )
+    most = 1.0 / imperfections.mass if imperfections.mass > 0.0 else math.inf
+    if not 0.0 <= severity < most:
+        raise InputError(f"severity is {severity}.", remedy=f"Pass a number from 0 to below {most:g}.")
     chosen = [
         field.name
         for field in fields(imperfections)
@@ -143,7 +143,7 @@ def _run(wanted: Sequence[tuple[Scenario, Drive, int]], bounds: Imperfections, s
         return
     # not fork: the parent may have threads. Each process has one core: the matrices are small.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(wanted)), mp_context=context, initializer=_leave_interrupts_to_parent)
+    pool = ProcessPoolExecutor(min(jobs, len(wanted)), mp_context=context, initializer=_end_at_interrupt)
     try:
         with _one_thread():  # processes start with the first trial that is submitted
             futures: list[Future[Trial]] = [
@@ -175,5 +175,6 @@ def _one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _leave_interrupts_to_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _end_at_interrupt() -> None:
+    """Have Ctrl-C end this process at once and without a traceback: what to say is the parent's."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)

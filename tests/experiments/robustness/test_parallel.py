@@ -21,7 +21,7 @@ OPTIONS = {"scenarios": (SHORT,), "drives": ("open loop",)}
 
 def settings_of_its_process(scenario, drive, bounds, seed, number):
     """Stand in for a trial, whose reason says how its process is set up."""
-    told = {"pid": os.getpid(), "ignored": signal.getsignal(signal.SIGINT) is signal.SIG_IGN}
+    told = {"pid": os.getpid(), "silent": signal.getsignal(signal.SIGINT) is signal.SIG_DFL}
     told["threads"] = [os.environ.get(name) for name in study._THREADS]
     return Trial(scenario.name, drive, number, "completed", json.dumps(told), 1e-3, 5e-4, 1.0, 2.0, 0.0)
 
@@ -50,7 +50,7 @@ def test_processes_have_one_thread_and_one_that_dies_is_one_clear_error(
     for told in (json.loads(one["reason"]) for one in trials):
         assert told["pid"] != os.getpid()
         assert told["threads"] == ["1", "1", "1"]
-        assert told["ignored"]  # Ctrl-C is the parent's
+        assert told["silent"]  # what to say after Ctrl-C is the parent's
 
 
 def test_several_processes_make_the_same_trials() -> None:
