@@ -11,7 +11,6 @@ import click
 
 from redundancy_pin.cli.options import json_option
 from redundancy_pin.cli.output import console, print_json, progress
-from redundancy_pin.errors import OutputError
 from redundancy_pin.experiments.document import Heading, Paragraph
 from redundancy_pin.experiments.markdown import markdown
 from redundancy_pin.experiments.robustness import DRAWS, Study, robustness_study, study_csv, study_table
@@ -41,7 +40,7 @@ def study(draws: int, seed: int, severity: float, jobs: int | None, out: str, as
     Example:
       redundancy-pin study --draws 200 --out study
     """
-    folder = _folder(out)
+    folder = Path(out).expanduser()
     done = [0, 0]
     try:
         with progress("study") as advance:
@@ -67,20 +66,6 @@ def study(draws: int, seed: int, severity: float, jobs: int | None, out: str, as
         return
     console().print(text)
     console().print(f"Results are in {folder}.")
-
-
-def _folder(name: str) -> Path:
-    """Return the folder, made if it is missing.
-
-    Raises:
-        OutputError: it cannot be made.
-    """
-    place = Path(name).expanduser()
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"Cannot make the folder {place}: {error.strerror}.", remedy="Choose another one.") from error
-    return place
 
 
 def summary(found: Study, severity: float) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def open_journal(path: str | Path, identity: Mapping[str, Any]) -> Iterator[Jour
     A last line that was cut off (the process was killed while it wrote) is dropped, and its trial run anew.
 
     Args:
-        path: the file.
+        path: the file; it and its folder are made if they are missing.
         identity: what the trials depend on, in plain data; the number of draws is not part of it.
 
     Yields:
@@ -62,6 +62,7 @@ def open_journal(path: str | Path, identity: Mapping[str, Any]) -> Iterator[Jour
     place = Path(path).expanduser()
     header = json.loads(json.dumps({"format": FORMAT, "package": redundancy_pin.__version__, **identity}))
     if not place.exists():
+        _make_folder(place.parent)
         write_text(place, json.dumps(header) + "\n")
     trials, length, cut = _read(place, header)
     try:
@@ -93,10 +94,9 @@ def _read(path: Path, header: Mapping[str, Any]) -> tuple[dict[Key, Trial], int,
         raise OutputError(f"{path} is no journal of a robustness study.", remedy="Choose another folder.")
     other = [name for name in sorted({*found, *header}) if found.get(name) != header.get(name)]
     if other:
-        name = other[0]
+        name, then, now = _first_difference(other[0], found.get(other[0]), header.get(other[0]))
         raise OutputError(
-            f"The journal {path} is of another study: for {name} it has {found.get(name)!r}, now it is "
-            f"{header.get(name)!r}.",
+            f"The journal {path} is of another study: for {name} it has {then!r}, now it is {now!r}.",
             remedy="Choose another folder, or delete it to run everything anew.",
         )
     trials: dict[Key, Trial] = {}
@@ -110,3 +110,21 @@ def _read(path: Path, header: Mapping[str, Any]) -> tuple[dict[Key, Trial], int,
             ) from error
         trials.setdefault(trial.key, trial)
     return trials, length, length < len(raw)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"Cannot make the folder {folder}: {error.strerror}.", remedy="Choose another one."
+        ) from error
+
+
+def _first_difference(name: str, then: Any, now: Any) -> tuple[str, Any, Any]:
+    """Return the name and both values of what differs; within a group, its first entry that does."""
+    if isinstance(then, Mapping) and isinstance(now, Mapping):
+        for key in (*then, *now):
+            if then.get(key) != now.get(key):
+                return f"{name}.{key}", then.get(key), now.get(key)
+    return name, then, now

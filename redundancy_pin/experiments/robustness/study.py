@@ -83,7 +83,7 @@ def robustness_study(
 
     Args:
         draws: trials a cell.
-        seed: of the draws.
+        seed: of the draws, 0 or more.
         severity: factor on all errors, see ``scaled``.
         scenarios: planned crossings.
         drives: what controls the machine.
@@ -95,6 +95,7 @@ def robustness_study(
     Raises:
         InputError: a number out of its domain, or two scenarios of one name.
         OutputError: the journal is of another study, damaged, or cannot be written.
+        RedundancyPinError: a process was killed from outside.
         InfeasiblePlanError: a scenario has no plan.
     """
     if draws < 1 or (jobs is not None and jobs < 1):
@@ -105,6 +106,8 @@ def robustness_study(
             f"Two of the scenarios are named {max(names, key=names.count)!r}: their trials could not be told apart.",
             remedy="Run them as studies of their own.",
         )
+    if seed < 0:
+        raise InputError(f"seed is {seed}.", remedy="Pass a whole number from 0 on.")
     bounds = scaled(imperfections or Imperfections(), severity)
     cells = [(scenario, drive) for scenario in scenarios for drive in drives]
     # draws first: an interrupted study has about as many trials in every cell

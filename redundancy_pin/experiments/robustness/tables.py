@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from redundancy_pin.experiments.csv_text import csv_text
@@ -23,6 +25,9 @@ HEADINGS = (
     "how it ended",
 )
 
+NONE = "–"
+"""Stands for a number that does not exist."""
+
 
 def study_table(study: Study) -> Table:
     """Return a row for each cell."""
@@ -36,17 +41,20 @@ def study_table(study: Study) -> Table:
                 str(cell.draws),
                 _interval(cell.success, 100.0, 1),
                 _interval(cell.largest, 1e3, 2),
-                f"{1e3 * cell.worst:.2f}",
+                _number(cell.worst, 1e3, 2),
                 _interval(cell.rms, 1e3, 2),
-                f"{cell.effort:.2f}",
-                f"{cell.carrier_force:.2f}",
-                ended + (f", gave up at {100.0 * cell.given_up:.1f} % of the readings" if cell.given_up else ""),
+                _number(cell.effort, 1.0, 2),
+                _number(cell.carrier_force, 1.0, 2),
+                ended + (f", gave up at {100.0 * cell.given_up:.1f} % of the readings" if cell.given_up > 0.0 else ""),
             )
         )
     caption = (
         f"Success: the simulation reached its end with the platform never farther than {1e3 * SUCCESS:g} mm from its "
         "plan. In brackets 95 % intervals: Wilson's for rates, of the bootstrap for means."
     )
+    intervals = [interval for cell in study.cells for interval in (cell.largest, cell.rms)]
+    if any(math.isnan(interval.low) for interval in intervals):
+        caption += f" {NONE}: none; an interval of a mean takes two simulated draws or more."
     return table(HEADINGS, rows, caption)
 
 
@@ -59,5 +67,12 @@ def study_csv(study: Study) -> str:
 
 
 def _interval(found: Interval, factor: float, digits: int) -> str:
-    low, high = factor * found.low, factor * found.high
-    return f"{factor * found.value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+    """Return a value with its interval, a dash for either where there is none."""
+    value = _number(found.value, factor, digits)
+    if math.isnan(found.low) or math.isnan(found.high):
+        return value if math.isnan(found.value) else f"{value} [{NONE}]"
+    return f"{value} [{_number(found.low, factor, digits)}, {_number(found.high, factor, digits)}]"
+
+
+def _number(value: float, factor: float, digits: int) -> str:
+    return NONE if math.isnan(value) else f"{factor * value:.{digits}f}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,9 @@ CARRIER_SHARE = 0.1
 
 LEAST_SHARE = 1e-3
 """Scales of actuators that the plan does not use: this share of the largest, so that no weight is infinite."""
+
+HISTORY = 20_000
+"""How many commands ``ComputedTorque.history`` keeps, about 20 MB: a digital one at 1 kHz has 20 s in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +75,8 @@ class ComputedTorque(Tracking):
             answer will act.
 
     Attributes:
-        history: a ``TorqueCommand`` for every time ``effort`` was asked, trial steps of an integrator included.
+        history: the latest ``HISTORY`` commands, a ``TorqueCommand`` for every time ``effort`` was asked, trial steps
+            of an integrator included; older ones are dropped. No answer depends on it.
 
     Raises:
         InputError: a gain, scale or limit out of its domain.
@@ -103,7 +108,7 @@ class ComputedTorque(Tracking):
         self.effort_scale = _scale(effort_scale, largest_tau, robot.m, "effort_scale")
         self.carrier_scale = _scale(carrier_scale, CARRIER_SHARE * largest_sdd, robot.k, "carrier_scale")
         self.effort_limit = limit(effort_limit, robot.m, "effort_limit")
-        self.history: list[TorqueCommand] = []
+        self.history: deque[TorqueCommand] = deque(maxlen=HISTORY)
         self._model = ReducedModel(robot)
         self._manifold = Manifold(self._model.chain)
         self._rows = row_scale(robot)

@@ -63,6 +63,10 @@ def test_severity_scales_errors_friction_and_noise_and_nothing_else():
     for wrong in (-1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="not negative"):
             scaled(exact, wrong)
+    known = replace(bounds, mass=0.0)
+    assert scaled(known, 30.0).length == 30.0 * bounds.length
+    with pytest.raises(InputError, match="severity is inf"):
+        scaled(known, float("inf"))
 
 
 @pytest.mark.parametrize(("successes", "count"), [(0, 10), (7, 10), (200, 200)])

@@ -12,7 +12,7 @@ from crossing_case import corner, crossing, perturbed, two_rpr
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.simulation.control import Sampling
-from redundancy_pin.simulation.controllers import AllocationStatus, ComputedTorque
+from redundancy_pin.simulation.controllers import AllocationStatus, ComputedTorque, computed_torque
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 
 BEFORE = 0.5
@@ -123,6 +123,17 @@ def test_it_gives_up_where_nothing_has_an_effect_and_says_so(monkeypatch):
     assert command.allocation.residual == pytest.approx(abs(needed), rel=1e-6)
     assert np.array_equal(command.tau, motion.loads(t)[0])
     assert np.array_equal(command.carrier_force, motion.loads(t)[1])
+
+
+def test_history_is_bounded_and_keeps_the_latest(monkeypatch):
+    monkeypatch.setattr(computed_torque, "HISTORY", 3)
+    motion = crossing()
+    control = ComputedTorque(motion)
+    times = [0.30, 0.31, 0.32, 0.33, 0.34]
+    for t in times:
+        q, v, _ = motion.tree(t)
+        control.effort(t, tree_state(motion.robot, q, v, t=t))
+    assert [command.t for command in control.history] == times[-3:]
 
 
 def test_limited_main_efforts_are_made_up_for_by_carriers():
