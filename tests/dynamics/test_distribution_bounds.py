@@ -262,5 +262,5 @@ def test_without_quadprog_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "quadprog", None)
     problem = reduced([[[1.0, 1.0]]], [[10.0]])
     assert distribute(problem, upper=[6.0, 6.0]).solved.all()  # nothing to solve, nothing to install
-    with pytest.raises(RedundancyPinError, match=r"pip install redundancy_pin\[bounds\]"):
+    with pytest.raises(RedundancyPinError, match=r"pip install 'redundancy_pin\[bounds\]'"):
         distribute(problem, upper=[3.0, np.inf])

@@ -21,7 +21,10 @@ from redundancy_pin.visualisation.trade_off import TradeCurve, plot_trade_off
 @pytest.fixture(scope="module")
 def plans() -> dict[str, Plan]:
     task = CROSSINGS[0]
-    return {"off": SwitchOff(task).plan("virtual-work"), "whole": whole(task, "effort", 4.0).plan("virtual-work")}
+    return {
+        "off": SwitchOff(task, task.threshold).plan("virtual-work"),
+        "whole": whole(task, "effort", 4.0).plan("virtual-work"),
+    }
 
 
 def written(figure: Figure, folder: Path) -> None:

@@ -45,7 +45,7 @@ def test_reversals_count_turns_and_not_ripple(plan: Plan) -> None:
 
 def test_switch_off_between_its_samples_is_what_finer_samples_show() -> None:
     task = CROSSINGS[0]
-    coarse = SwitchOff(task).plan("virtual-work")
+    coarse = SwitchOff(task, task.threshold).plan("virtual-work")
     fine = plan_switch_off(task.machine.dynamics(), task.trajectory(), threshold=5.0, ramp_down=0.03, return_time=0.4,
                            dt=2.5e-4)  # fmt: skip
     peak = peak_of_switch_off(task.machine.dynamics("rnea"), task.trajectory(), coarse)
@@ -55,7 +55,7 @@ def test_switch_off_between_its_samples_is_what_finer_samples_show() -> None:
 
 def test_motors_that_are_off_need_no_force() -> None:
     task = CROSSINGS[0]
-    plan = SwitchOff(task).plan("virtual-work")
+    plan = SwitchOff(task, task.threshold).plan("virtual-work")
     off = np.flatnonzero(plan.phase == plan.phases.index("off"))[3:-3]
     carriers = plan.carriers
     sdd = np.array(carriers.sdd)
@@ -66,7 +66,7 @@ def test_motors_that_are_off_need_no_force() -> None:
 
 
 def test_row_of_a_switch_off_plan_has_the_force_before_it_is_off() -> None:
-    plan = SwitchOff(CROSSINGS[0]).plan("virtual-work")
+    plan = SwitchOff(CROSSINGS[0], 5.0).plan("virtual-work")
     row = row_of("circle", "off", "N", plan, 0.0)
     off = plan.phase == plan.phases.index("off")
     assert row.before == np.abs(plan.tau[plan.t < plan.t[off][0]]).max()
