@@ -75,7 +75,9 @@ def test_without_meshcat_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, tm
 
 def test_a_live_view_runs_until_it_is_interrupted() -> None:
     command = [sys.executable, "-c", "from redundancy_pin.cli import main; main()", "show", "--robot", "five_bar"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    # a shell starts what runs in its background with Ctrl-C ignored, and children inherit that
+    heeding = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **heeding) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         try:

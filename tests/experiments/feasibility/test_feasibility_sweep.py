@@ -64,11 +64,20 @@ feasibility_map(small_maps.corner(), {journal!r}, jobs=2)
 """
 
 
+def _heed_interrupts() -> None:
+    """A shell starts what runs in its background with Ctrl-C ignored, and children inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def _start(journal: Path) -> subprocess.Popen[bytes]:
     """Start a sweep in a process group of its own, and wait until some cells are finished and some are not."""
     program = KILLED.format(here=str(HERE), journal=str(journal))
     sweeping = subprocess.Popen(
-        [sys.executable, "-c", program], start_new_session=True, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL
+        [sys.executable, "-c", program],
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL,
+        preexec_fn=_heed_interrupts,
     )
     patience = time.monotonic() + 120.0
     while not (journal.exists() and len(_lines(journal)) >= 4):
