@@ -90,18 +90,8 @@ def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
     h = (motion.t[right] - motion.t[left])[:, None]
     x0, v0, a0 = motion.x[left], motion.xd[left], motion.xdd[left]
     x1, v1, a1 = motion.x[right], motion.xd[right], motion.xdd[right]
-    control = np.stack(
-        [
-            x0,
-            x0 + h * v0 / 5.0,
-            x0 + 2.0 * h * v0 / 5.0 + h * h * a0 / 20.0,
-            x1 - 2.0 * h * v1 / 5.0 + h * h * a1 / 20.0,
-            x1 - h * v1 / 5.0,
-            x1,
-        ]
-    )
     edges = np.append(motion.t[left], motion.t[-1])
-    position = BPoly(control, edges)
+    position = quintics(edges, (x0, v0, a0), (x1, v1, a1))
     velocity = position.derivative()
     acceleration = velocity.derivative()
     # second differences of positions that are rounded themselves, over h²; 60 is the factor of the quintic
@@ -120,3 +110,24 @@ def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
 
     inner = np.setdiff1d(edges[1:-1], breaks)
     return ContinuousMotion(float(edges[0]), float(edges[-1]), breaks, frozen(inner), False, sample_at)
+
+
+def quintics(edges: Array, start: tuple[Array, Array, Array], end: tuple[Array, Array, Array]) -> BPoly:
+    """Return the piecewise quintic with given values, first and second derivatives at both ends of every piece.
+
+    Args:
+        edges: (P + 1,) ends of the pieces, s.
+        start: (P, n) values, rates and second derivatives where the pieces begin.
+        end: the same where they end; it need not be where the next one begins.
+    """
+    h = np.diff(edges)[:, None]
+    (x0, v0, a0), (x1, v1, a1) = start, end
+    control = (
+        x0,
+        x0 + h * v0 / 5.0,
+        x0 + 2.0 * h * v0 / 5.0 + h * h * a0 / 20.0,
+        x1 - 2.0 * h * v1 / 5.0 + h * h * a1 / 20.0,
+        x1 - h * v1 / 5.0,
+        x1,
+    )
+    return BPoly(np.stack(control), edges)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import ReducedDynamics
@@ -20,6 +21,10 @@ LARGEST_CONDITION = 1e6
 
 SINGULAR = 1e-9
 """A smallest singular value below this fraction of the largest along the motion is zero."""
+
+
+CLOSEST = 1e-6
+"""Fraction of the motion within which two crossings count as one."""
 
 
 class Measured:
@@ -57,7 +62,22 @@ class Measured:
 
     def singular_instants(self) -> list[float]:
         """Return the times, s, at which the motion crosses or touches a type II singularity."""
-        return [t for t, value in minima(self._relative_margin, self._times, SINGULAR) if value < SINGULAR]
+        found = [t for t, value in minima(self._relative_margin, self._times, SINGULAR) if value < SINGULAR]
+        rows, columns = self._actuation.at(self._times[:1]).shape[1:]
+        return sorted([*found, *self._crossings_beside(found)]) if rows == columns else found
+
+    def _crossings_beside(self, found: list[float]) -> list[float]:
+        """Return the crossings that a search for dips of the margin passes over: two close together leave one dip."""
+        start, end = float(self._times[0]), float(self._times[-1])
+        close = CLOSEST * (end - start)
+        beside = [t + side for t in found for side in (-close, close) if start < t + side < end]
+        times = np.union1d(self._times, beside)
+        sign = np.sign(self._determinant(times))
+        return [
+            float(brentq(lambda t: float(self._determinant(np.array([t]))[0]), times[i], times[i + 1], xtol=1e-15))
+            for i in np.flatnonzero(sign[1:] * sign[:-1] < 0.0)
+            if not any(times[i] <= t <= times[i + 1] for t in found)
+        ]
 
     def worst(self) -> float:
         """Return the largest condition number (infinite at a singularity), or the smallest margin, along the motion."""
@@ -66,6 +86,10 @@ class Measured:
             return lowest + self._threshold
         relative_margin = lowest + 1.0 / self._threshold
         return 1.0 / relative_margin if relative_margin > SINGULAR else float("inf")
+
+    def _determinant(self, times: Array) -> Array:
+        value: Array = np.linalg.det(self._actuation.at(times))
+        return value
 
     def _relative_margin(self, times: Array) -> Array:
         spectrum = spectrum_of(scaled(self._actuation.at(times), *self._scales))

@@ -6,20 +6,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.planners.continuous_motion import ContinuousMotion
-from redundancy_pin.planners.dips import sampling
 from redundancy_pin.planners.switch_off_windows import Measured
 from redundancy_pin.planners.timed_model import TimedActuation
 
 LEAST_STEPS = 2
 """Steps between two events; fewer would tie the carriers' jerk to the distance of the events."""
-
-CLOSEST = 1e-6
-"""Fraction of the motion within which two crossings count as one."""
 
 _NO_THRESHOLD = 5.0
 """``Measured`` wants a threshold of its windows, which are not asked for here."""
@@ -56,25 +51,7 @@ def singular_instants(dynamics: Dynamics, source: ContinuousMotion) -> list[floa
     """Return the times, s, at which the motion crosses or touches a type II singularity."""
     actuation = TimedActuation.of(dynamics, source)
     sample = dynamics.along(source.sample_at(np.array([source.start]))).reduce()
-    found = Measured(actuation, sample, "condition", _NO_THRESHOLD).singular_instants()
-    if dynamics.robot.n != dynamics.robot.m:
-        return found
-
-    def determinant(times: Array) -> Array:
-        value: Array = np.linalg.det(actuation.at(times))
-        return value
-
-    # two crossings close together leave one dip of the singular value: the sign of det W tells them apart
-    close = CLOSEST * (source.end - source.start)
-    beside = [t + side for t in found for side in (-close, close) if source.start < t + side < source.end]
-    edges = actuation.interpolant.edges
-    times = np.union1d(sampling(edges, source.start, source.end), beside)
-    sign = np.sign(determinant(times))
-    for i in np.flatnonzero(sign[1:] * sign[:-1] < 0.0):
-        if not any(times[i] <= t <= times[i + 1] for t in found):
-            root = brentq(lambda t: float(determinant(np.array([t]))[0]), times[i], times[i + 1], xtol=1e-15)
-            found.append(float(root))
-    return sorted(found)
+    return Measured(actuation, sample, "condition", _NO_THRESHOLD).singular_instants()
 
 
 def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:

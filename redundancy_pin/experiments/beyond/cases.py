@@ -37,10 +37,12 @@ class SwitchOff:
     Attributes:
         task: the motion.
         threshold: condition number from which on they are off.
+        dt: distance of the samples, s.
     """
 
     task: Task
     threshold: float
+    dt: float = 1e-3
 
     def plan(self, backend: str) -> Plan:
         """Plan the crossing.
@@ -54,6 +56,7 @@ class SwitchOff:
             threshold=self.threshold,
             ramp_down=self.task.ramp_down,
             return_time=RETURN_TIME,
+            dt=self.dt,
         )
 
 

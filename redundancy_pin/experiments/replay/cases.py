@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.experiments.beyond.cases import RETURN_TIME
+from redundancy_pin.experiments.beyond.cases import SwitchOff
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS, HEAVY, Task
 from redundancy_pin.experiments.beyond.ways import (
@@ -17,7 +17,6 @@ from redundancy_pin.experiments.beyond.ways import (
     stepwise_case,
 )
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.switch_off import plan_switch_off
 from redundancy_pin.simulation.replay import DRIVES, Drive
 
 _LIGHT, _HEAVY, _FIVE_BAR = CROSSINGS[0], CROSSINGS[2], CROSSINGS[5]
@@ -34,30 +33,8 @@ _HEAVY_LINE = Task(
 _MASSLESS: tuple[Drive, ...] = ("open loop", "carriers by motion")
 
 
-@dataclass(frozen=True)
-class SparseSwitchOff:
-    """A switch-off plan with samples 5 ms apart: the carriers' motion is the same, the replay five times as fast.
-
-    Attributes:
-        task: the motion.
-    """
-
-    task: Task
-
-    def plan(self, backend: str) -> Plan:
-        """Plan the crossing.
-
-        Raises:
-            InfeasiblePlanError: there is no plan.
-        """
-        return plan_switch_off(
-            self.task.machine.dynamics(backend),
-            self.task.trajectory(),
-            threshold=self.task.threshold,
-            ramp_down=self.task.ramp_down,
-            return_time=RETURN_TIME,
-            dt=5e-3,
-        )
+SPARSE = 5e-3
+"""Distance of the samples of switch-off plans, s: the carriers' motion is the same, the replay five times as fast."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +64,7 @@ class ReplayCase:
                 return store.thesis.plan(stepwise_case(self.task, 0.0 if self.way == STEPWISE else 0.5))
             if self.way != SWITCH_OFF:
                 return store.plan(case_of(self.task, self.way, coarser), backend)
-            return store.plan(SparseSwitchOff(self.task), backend)
+            return store.plan(SwitchOff(self.task, self.task.threshold, SPARSE), backend)
         except InfeasiblePlanError as error:
             return error
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BPoly
 
 from redundancy_pin.arrays import Array, checked
 from redundancy_pin.dynamics.base import Dynamics
@@ -21,7 +20,7 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.kinematics.state import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.planners.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion, quintics
 from redundancy_pin.planners.piecewise_chebyshev import PiecewiseChebyshev, fit
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
@@ -153,19 +152,8 @@ def _carriers_of(plan: Plan) -> Callable[[Array], CarrierMotion]:
         return CarrierCourse(plan.t, given.s, given.sd, given.sdd).at
     left = np.flatnonzero(np.diff(plan.t) > 0.0)
     right = left + 1
-    h = (plan.t[right] - plan.t[left])[:, None]
-    s0, v0, a0, s1, v1, a1 = (part[i] for i in (left, right) for part in (given.s, given.sd, given.sdd))
-    control = np.stack(
-        [
-            s0,
-            s0 + h * v0 / 5.0,
-            s0 + 2.0 * h * v0 / 5.0 + h * h * a0 / 20.0,
-            s1 - 2.0 * h * v1 / 5.0 + h * h * a1 / 20.0,
-            s1 - h * v1 / 5.0,
-            s1,
-        ]
-    )
-    position = BPoly(control, np.append(plan.t[left], plan.t[-1]))
+    start, end = ((given.s[i], given.sd[i], given.sdd[i]) for i in (left, right))
+    position = quintics(np.append(plan.t[left], plan.t[-1]), start, end)
     rate, second = position.derivative(), position.derivative(2)
     return lambda times: CarrierMotion(position(times), rate(times), second(times))
 
