@@ -18,8 +18,8 @@ from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_limits import RESERVE, scaled_bounds
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.planners.whole_trajectory_nlp import build
-from redundancy_pin.planners.whole_trajectory_progress import Say
 from redundancy_pin.planners.whole_trajectory_program import Program
+from redundancy_pin.planners.whole_trajectory_progress import Say
 from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution, Solver
 from redundancy_pin.planners.whole_trajectory_strategy import (
     WARM,

@@ -1,4 +1,6 @@
-"""The order of the solver's strategies, what follows where one fails, and iterations that do not grow with the nodes."""
+"""Strategies of the solver: their order, what follows where one fails, and iterations that do not grow with nodes."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -52,17 +54,12 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
 
 @pytest.mark.parametrize("objective", ["effort", "peak", "energy"])
 def test_only_programmes_near_quadratic_ones_are_predicted(objective):
-    class Problem:
-        class settings:  # noqa: N801
-            objective = {}
-
-        class grid:  # noqa: N801
-            t = np.zeros(10)
-
-    Problem.settings.objective = {objective: 1.0}
-    attempts = strategy.first_attempts(Problem)
+    problem = SimpleNamespace(
+        settings=SimpleNamespace(objective={objective: 1.0}), grid=SimpleNamespace(t=np.zeros(10))
+    )
+    attempts = strategy.first_attempts(problem)
     predicted = ["ipopt.mehrotra_algorithm" in options for options in attempts]
     assert predicted == ([False] if objective == "energy" else [True, False])
-    assert strategy.is_flat(Problem) == (objective != "effort")
-    Problem.grid.t = np.zeros(strategy.MANY)
-    assert all("ipopt.fast_step_computation" not in options for options in strategy.first_attempts(Problem))
+    assert strategy.is_flat(problem) == (objective != "effort")
+    problem.grid.t = np.zeros(strategy.MANY)
+    assert all("ipopt.fast_step_computation" not in options for options in strategy.first_attempts(problem))
