@@ -25,7 +25,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.inverse import inverse_dynamics
-from redundancy_pin.simulation.planned_carriers import planned_carriers
+from redundancy_pin.simulation.planned_carriers import actuators_off, planned_carriers
 
 DEGREE = 9
 """Of the series in each piece. A step of 5 ms of a motion that changes within 50 ms leaves 1e-14."""
@@ -150,7 +150,7 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
     edges = np.unique(np.concatenate([carriers.edges, source.breaks, source.knots]))
     edges = edges[(edges >= carriers.edges[0]) & (edges <= carriers.edges[-1])]
     edges = _apart(edges)
-    off = _off(plan, edges)
+    off = actuators_off(plan, edges)
     held = plan.t[-1] > source.end + 1e-12
 
     def platform(times: Array) -> PlatformMotion:
@@ -160,8 +160,11 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
     known = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
     reference = _build(machine, edges, platform, carriers, known, off, carriers.lag)
     stated = np.isfinite(plan.tau).all(axis=1) & ~_beside_jump(plan.t)
+    # a sample belongs to the step that it ends, and the first one to none: a plan by steps may set off with a jump
+    stated[0] = False
+    before = np.nextafter(plan.t, -np.inf)
     deviation = max(
-        (float(np.abs(reference.loads(float(plan.t[i]))[0] - plan.tau[i]).max()) for i in np.flatnonzero(stated)),
+        (float(np.abs(reference.loads(float(before[i]))[0] - plan.tau[i]).max()) for i in np.flatnonzero(stated)),
         default=float("nan"),
     )
     reference.effort_deviation = deviation
@@ -271,15 +274,6 @@ def _require_finite(series: Array, left: Array) -> None:
             constraint="effort",
             time=t,
         )
-
-
-def _off(plan: Plan, edges: Array) -> BoolArray:
-    """Return (P,) the pieces inside which a plan has its actuators off: no efforts at the samples at both ends."""
-    middle = 0.5 * (edges[:-1] + edges[1:])
-    after = np.searchsorted(plan.t, middle)
-    zero = (plan.tau == 0.0).all(axis=1)
-    off: BoolArray = zero[after - 1] & zero[after]
-    return off
 
 
 def _apart(edges: Array) -> Array:
