@@ -8,7 +8,6 @@ Chebyshev series, so that a simulation can ask for any instant in microseconds.
 from __future__ import annotations
 
 import itertools
-from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -26,6 +25,7 @@ from redundancy_pin.planners.plan_file import load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.inverse import inverse_dynamics
 from redundancy_pin.simulation.planned_carriers import actuators_off, planned_carriers
+from redundancy_pin.simulation.series import Series
 
 DEGREE = 9
 """Of the series in each piece. A step of 5 ms of a motion that changes within 50 ms leaves 1e-14."""
@@ -80,6 +80,7 @@ class MotionReference:
         robot: the robot whose efforts these are.
         start, end: first and last time, s.
         edges: (P + 1,) ends of the pieces, s; efforts may jump or kink there and nowhere else.
+        jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
         carrier_lag: (k,) see ``PlannedCarriers.lag``.
         effort_deviation: largest distance from the finite efforts that the plan states at its samples, N or N·m; what
             its own discretisation costs. NaN without a plan.
@@ -92,43 +93,38 @@ class MotionReference:
         self.edges = edges
         self.start, self.end = float(edges[0]), float(edges[-1])
         self.carrier_lag, self.effort_deviation = carrier_lag, deviation
-        self._series, self._is_pose = series, is_pose
-        self._starts: list[float] = edges[:-1].tolist()
-        self._orders = np.arange(DEGREE + 1.0)
+        self._is_pose = is_pose
+        self._loads, self._carriers, self._platform, self._tree = (
+            Series(edges, series[name]) for name in ("loads", "carriers", "platform", "tree")
+        )
+        self.jumps = self._loads.jumps()
 
     def loads(self, t: float) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; outside the motion those at its ends."""
-        both = self._value("loads", t)
+        both = self._loads(t)
         return both[: self.robot.m], both[self.robot.m :]
 
     def carriers(self, t: float) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ (k,) at time t."""
-        s, sd, sdd = self._value("carriers", t).reshape(3, -1)
+        s, sd, sdd = self._carriers(t).reshape(3, -1)
         return s, sd, sdd
 
     def platform(self, t: float) -> tuple[Array, Array, Array]:
         """Return x, (n,) or a pose (4, 4), ẋ and ẍ (n,) at time t."""
-        flat = self._value("platform", t)
+        flat = self._platform(t)
         n = self.robot.n
         x = flat[: -2 * n]
         return (x.reshape(4, 4) if self._is_pose else x), flat[-2 * n : -n], flat[-n:]
 
     def tree(self, t: float) -> tuple[Array, Array, Array]:
         """Return q (nq,), v and a (nv,) at time t."""
-        flat = self._value("tree", t)
+        flat = self._tree(t)
         nv = self.robot.model.nv
         return flat[: -2 * nv], flat[-2 * nv : -nv], flat[-nv:]
 
     def at(self, t: float) -> ReferencePoint:
         """Return everything at time t, s."""
         return ReferencePoint(t, *self.platform(t), *self.carriers(t), *self.tree(t), *self.loads(t))
-
-    def _value(self, name: str, t: float) -> Array:
-        piece = max(bisect_right(self._starts, t) - 1, 0)
-        left, right = self.edges[piece], self.edges[piece + 1]
-        x = min(max((2.0 * t - left - right) / (right - left), -1.0), 1.0)
-        value: Array = np.cos(self._orders * np.arccos(x)).dot(self._series[name][piece])
-        return value
 
 
 def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTrajectory | None = None) -> MotionReference:
