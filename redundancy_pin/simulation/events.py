@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.modes import mode_indicator
@@ -83,23 +83,34 @@ class Watcher:
         self.watches = tuple(Watch(kind, name, kind in stop_at) for kind, name in kinds)
         self._one_sided = np.array([watch.kind in ONE_SIDED for watch in self.watches])
         self._scale = 1.0 / velocity_scale(robot)[chain.pose_columns]
-        self._actuated = np.zeros((robot.m, robot.model.nv))
-        self._actuated[np.arange(robot.m), robot.actuated_velocity] = 1.0
+        actuated = np.zeros((robot.m, robot.model.nv))
+        actuated[np.arange(robot.m), robot.actuated_velocity] = 1.0
+        self._actuated = actuated[:, chain.pose_columns]
         self._still = np.zeros(robot.model.nv)
 
     def values(self, q: Array) -> Array:
         """Return (w,) the watched functions at a configuration (nq,)."""
+        found: Array = self.values_at(q[None])[0]
+        return found
+
+    def values_at(self, q: Array) -> Array:
+        """Return (N, w) the watched functions at (N, nq) configurations, which takes less time than one by one."""
         chain = self.chain
-        chain.update(q, self._still)
-        jacobian = chain.jacobian()
-        parts = [self._side * (self._bound - q[self._index])]
+        rows = np.empty((2, len(q), chain.rows + chain.robot.n, len(chain.pose_columns)))
+        for i, one in enumerate(q):
+            chain.update(one, self._still)
+            rows[:, i, : chain.rows] = chain.jacobian()[:, chain.pose_columns]
+            if not self._by_legs:
+                rows[0, i, chain.rows :] = chain.platform_jacobian()[:, chain.pose_columns]
+        parts = [self._side * (self._bound - q[:, self._index])]
         if self._by_legs:
-            parts.append(mode_indicator(chain.robot, q[None])[0])
+            parts.append(mode_indicator(chain.robot, q))
         else:
-            parts.append(self._determinant(jacobian, chain.platform_jacobian()))
+            parts.append(np.linalg.det(rows[0] * self._scale)[:, None])
         if self._square:
-            parts.append(self._determinant(jacobian, self._actuated))
-        return np.concatenate(parts)
+            rows[1, :, chain.rows :] = self._actuated
+            parts.append(np.linalg.det(rows[1] * self._scale)[:, None])
+        return np.concatenate(parts, axis=1)
 
     def at_start(self, q: Array) -> Array:
         """Return ``values`` at the start, rounding taken for zero.
@@ -112,27 +123,31 @@ class Watcher:
         return values
 
     def stops(self, y: Array) -> tuple[Array, Array]:
-        """Return the distances (l,) that are left to the stops, the first l of ``values``, and their rates.
+        """Return the distances (N, l) that are left to the stops, the first l of ``values``, and their rates.
 
         Args:
-            y: (nq + nv,) configuration and velocity.
+            y: (N, nq + nv) configurations and velocities.
         """
-        rates: Array = -self._side * y[self.chain.model.nq + self._rate_index]
-        return self._side * (self._bound - y[self._index]), rates
-
-    def _determinant(self, closures: Array, rows: Array) -> Array:
-        columns = self.chain.pose_columns
-        stacked = np.concatenate([closures[:, columns], rows[:, columns]]) * self._scale
-        return np.array([np.linalg.det(stacked)])
+        rates: Array = -self._side * y[:, self.chain.model.nq + self._rate_index]
+        return self._side * (self._bound - y[:, self._index]), rates
 
     def crossed(self, before: Array, after: Array) -> list[int]:
         """Return the indices of the functions that changed sign, or came to zero, between two points of time.
 
         A stop is passed where its function turns negative; leaving zero is an event for stops only.
         """
+        return [int(i) for i in np.flatnonzero(self._crossing(before, after))]
+
+    def any_crossed(self, before: Array, after: Array) -> bool:
+        """Return whether ``crossed`` finds any in N pairs of points of time, (N, w) each."""
+        if (before * after > 0.0).all():  # nearly always, and quickly said
+            return False
+        return bool(self._crossing(before, after).any())
+
+    def _crossing(self, before: Array, after: Array) -> BoolArray:
         leaves = (before >= 0.0) & (after < 0.0)
         swaps = ((before > 0.0) & (after <= 0.0)) | ((before < 0.0) & (after >= 0.0))
-        return [int(i) for i in np.flatnonzero(np.where(self._one_sided, leaves, swaps))]
+        return np.where(self._one_sided, leaves, swaps)
 
     def require_allowed(self, q: Array) -> None:
         """Check that no stop at which the simulation ends has been passed at its start.
