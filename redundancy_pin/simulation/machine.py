@@ -115,13 +115,12 @@ class Machine:
         return np.concatenate([q, v]), found, left
 
     def _force(self, state: State, command: Command) -> Array:
-        force = np.zeros(self.robot.model.nv)
-        if self._external is not None:
-            force += self._external(state)
-        force[self.robot.actuated_velocity] += command[0]
+        robot = self.robot
+        force = np.zeros(len(state.v))
+        force[robot.actuated_velocity] = command[0]
         if self._law is None:
-            force[self.robot.carrier_velocity] += command[1]
-        return force
+            force[robot.carrier_velocity] = command[1]
+        return force if self._external is None else force + self._external(state)
 
     def _acceleration(self, state: State, force: Array) -> Array:
         if self._other is not None:
