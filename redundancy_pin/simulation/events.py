@@ -9,7 +9,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import velocity_scale
-from redundancy_pin.kinematics.modes import mode_indicator
+from redundancy_pin.kinematics.modes import ModeIndicator
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.chain import ClosedChain
 
@@ -70,12 +70,13 @@ class Watcher:
         self.chain = chain
         self._limits = _limits(chain.robot)
         self._index = np.array([index for _, _, index, _, _, _ in self._limits], dtype=np.intp)
-        self._rate_index = np.array([index for _, _, _, index, _, _ in self._limits], dtype=np.intp)
+        self._rate_index = chain.model.nq + np.array([index for _, _, _, index, _, _ in self._limits], dtype=np.intp)
         self._side = np.array([side for _, _, _, _, side, _ in self._limits])
         self._bound = np.array([bound for _, _, _, _, _, bound in self._limits])
         robot = chain.robot
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
+        self._indicator = ModeIndicator(robot)
         self._square = robot.m == robot.n
         type_one = [f"leg {i + 1}" for i in range(legs)] if legs else ["type_I"]
         kinds = [(kind, name) for kind, name, *_ in self._limits] + [("type_I", name) for name in type_one]
@@ -96,21 +97,29 @@ class Watcher:
     def values_at(self, q: Array) -> Array:
         """Return (N, w) the watched functions at (N, nq) configurations, which takes less time than one by one."""
         chain = self.chain
-        rows = np.empty((2, len(q), chain.rows + chain.robot.n, len(chain.pose_columns)))
-        for i, one in enumerate(q):
-            chain.update(one, self._still)
-            rows[:, i, : chain.rows] = chain.jacobian()[:, chain.pose_columns]
-            if not self._by_legs:
-                rows[0, i, chain.rows :] = chain.platform_jacobian()[:, chain.pose_columns]
-        parts = [self._side * (self._bound - q[:, self._index])]
+        columns = chain.pose_columns
+        closures = chain.jacobians(q).take(columns, 2)
+        parts = [self._side * (self._bound - q.take(self._index, 1))]
         if self._by_legs:
-            parts.append(mode_indicator(chain.robot, q))
+            parts.append(self._indicator(q))
         else:
-            parts.append(np.linalg.det(rows[0] * self._scale)[:, None])
+            parts.append(self._determinants(closures, np.array([self._platform_rows(one) for one in q])))
         if self._square:
-            rows[1, :, chain.rows :] = self._actuated
-            parts.append(np.linalg.det(rows[1] * self._scale)[:, None])
+            parts.append(self._determinants(closures, self._actuated))
         return np.concatenate(parts, axis=1)
+
+    def _platform_rows(self, q: Array) -> Array:
+        self.chain.update(q, self._still)
+        return self.chain.platform_jacobian()[:, self.chain.pose_columns]
+
+    def _determinants(self, closures: Array, rows: Array) -> Array:
+        """Return (N, 1) the determinants of closure rows (N, r, p) over N times p − r further rows, or the same for all."""
+        count, held, width = closures.shape
+        stacked = np.empty((count, width, width))
+        stacked[:, :held], stacked[:, held:] = closures, rows
+        stacked *= self._scale
+        found: Array = np.linalg.det(stacked)[:, None]
+        return found
 
     def at_start(self, q: Array) -> Array:
         """Return ``values`` at the start, rounding taken for zero.
@@ -128,8 +137,8 @@ class Watcher:
         Args:
             y: (N, nq + nv) configurations and velocities.
         """
-        rates: Array = -self._side * y[:, self.chain.model.nq + self._rate_index]
-        return self._side * (self._bound - y[:, self._index]), rates
+        rates: Array = -self._side * y.take(self._rate_index, 1)
+        return self._side * (self._bound - y.take(self._index, 1)), rates
 
     def crossed(self, before: Array, after: Array) -> list[int]:
         """Return the indices of the functions that changed sign, or came to zero, between two points of time.
