@@ -113,7 +113,7 @@ class Watcher:
         return self.chain.platform_jacobian()[:, self.chain.pose_columns]
 
     def _determinants(self, closures: Array, rows: Array) -> Array:
-        """Return (N, 1) the determinants of closure rows (N, r, p) over N times p − r further rows, or the same for all."""
+        """Return (N, 1) the determinants of closure rows (N, r, p) over p − r further rows, N times or once for all."""
         count, held, width = closures.shape
         stacked = np.empty((count, width, width))
         stacked[:, :held], stacked[:, held:] = closures, rows

@@ -100,8 +100,6 @@ class Machine:
         """
         command = self.command(state)
         force = self._force(state, command)
-        if self._other is not None:  # the closure forces need a partition that suits the configuration
-            self.dynamics.adapt(state.q)
         acceleration = self._acceleration(state, force)
         found = self.dynamics.forces(state.q, state.v, force, acceleration)
         if self._law is None:  # what the actuators give, without friction and other external forces on the carriers
