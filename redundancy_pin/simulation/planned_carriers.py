@@ -1,4 +1,4 @@
-"""The continuous motion that the samples of a plan stand for: how carriers move between them, when actuators are off.
+"""The continuous motion that the samples of a plan stand for: platform, carriers, and when actuators are off.
 
 Whoever plays a plan back, ``reference`` for this package's own simulation or ``engines.drive`` for an outside engine,
 asks here, so that one plan is one motion.
@@ -6,14 +6,15 @@ asks here, so that one plan is one motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import PPoly
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
-from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.continuous_motion import quintics
+from redundancy_pin.errors import InputError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion, quintics
 from redundancy_pin.planners.plan import Plan
 
 _STEPPED = {"stepwise": ("optimise", "brake"), "switch_off": ("ramp_down", "off")}
@@ -76,6 +77,57 @@ def planned_carriers(plan: Plan) -> PlannedCarriers:
     return PlannedCarriers(read_only(edges), position, position.derivative(), position.derivative(2), lag)
 
 
+def planned_platform(plan: Plan, trajectory: TimedTrajectory | None = None) -> ContinuousMotion:
+    """Return the platform motion of a plan; where its carriers move on longer, the platform is held at its end.
+
+    Args:
+        plan: the plan.
+        trajectory: the platform motion it was made for; quintics between the plan's samples when left out.
+
+    Raises:
+        InputError: the trajectory is not that of the plan.
+    """
+    source = continuous_motion(plan.motion if trajectory is None else trajectory)
+    slack = _SAME_TIME * float(plan.t[-1] - plan.t[0])
+    after = plan.t > source.end + slack
+    if abs(source.start - plan.t[0]) > slack or source.end > plan.t[-1] + slack or plan.motion.xd[after].any():
+        raise InputError(
+            f"The plan runs from {plan.t[0]:.9g} to {plan.t[-1]:.9g} s, the trajectory to {source.end:.9g} s.",
+            remedy="Pass the trajectory the plan was made for.",
+        )
+    if not after.any():
+        return source
+    last, end = source.sample_at(np.array([source.end])), source.end
+
+    def held(times: Array) -> PlatformMotion:
+        moving = source.sample_at(times[times <= end])
+        count = len(times) - len(moving.t)
+        still = np.zeros((count, plan.motion.xd.shape[1]))
+        return PlatformMotion(
+            times,
+            np.concatenate([moving.x, np.repeat(last.x, count, axis=0)]),
+            np.concatenate([moving.xd, still]),
+            np.concatenate([moving.xdd, still]),
+        )
+
+    return replace(source, end=float(plan.t[-1]), breaks=read_only(np.append(source.breaks, end)), sample_at=held)
+
+
+def smooth_pieces(carriers: PlannedCarriers, platform: ContinuousMotion) -> Array:
+    """Return (P + 1,) times, s, between which both motions of a plan are smooth: its samples, breaks and knots."""
+    edges = np.concatenate([carriers.edges, platform.breaks, platform.knots])
+    return apart(edges[(edges >= carriers.edges[0]) & (edges <= carriers.edges[-1])])
+
+
+def apart(times: Array) -> Array:
+    """Return times in order, those that differ from the one before by rounding left out, the first and last kept."""
+    edges = np.unique(times)
+    kept = np.append(np.diff(edges) > 1e-10 * (edges[-1] - edges[0]), True)
+    kept[0] = True
+    result: Array = edges[kept]
+    return result
+
+
 def actuators_off(plan: Plan, edges: Array) -> BoolArray:
     """Return (P,) the pieces between (P + 1,) edges, s, inside which a plan has its main actuators off.
 
@@ -87,6 +139,9 @@ def actuators_off(plan: Plan, edges: Array) -> BoolArray:
     off: BoolArray = zero[after - 1] & zero[after]
     return off
 
+
+_SAME_TIME = 1e-9
+"""How far, relative to the duration, plan and trajectory may differ in their times."""
 
 _ROUNDING = 1e-13
 """m; less is no lag."""

@@ -24,7 +24,13 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.inverse import inverse_dynamics
-from redundancy_pin.simulation.planned_carriers import actuators_off, planned_carriers
+from redundancy_pin.simulation.planned_carriers import (
+    actuators_off,
+    apart,
+    planned_carriers,
+    planned_platform,
+    smooth_pieces,
+)
 from redundancy_pin.simulation.series import Series
 
 DEGREE = 9
@@ -137,24 +143,18 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
             of the samples, whose acceleration is off by O(Δt⁴).
 
     Raises:
+        InputError: the motion is not that of the plan.
         InfeasiblePlanError: some instant has no finite efforts.
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
     """
     machine = load_robot_of(plan) if robot is None else robot
-    source = continuous_motion(plan.motion if motion is None else motion)
+    source = planned_platform(plan, motion)
     carriers = planned_carriers(plan)
-    edges = np.unique(np.concatenate([carriers.edges, source.breaks, source.knots]))
-    edges = edges[(edges >= carriers.edges[0]) & (edges <= carriers.edges[-1])]
-    edges = _apart(edges)
+    edges = smooth_pieces(carriers, source)
     off = actuators_off(plan, edges)
-    held = plan.t[-1] > source.end + 1e-12
-
-    def platform(times: Array) -> PlatformMotion:
-        return _held_on(source.sample_at, source.end, times) if held else source.sample_at(times)
-
     singular = np.flatnonzero(plan.margin <= SINGULAR * plan.margin.max())
     known = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
-    reference = _build(machine, edges, platform, carriers, known, off, carriers.lag)
+    reference = _build(machine, edges, source.sample_at, carriers, known, off, carriers.lag)
     stated = np.isfinite(plan.tau).all(axis=1) & ~_beside_jump(plan.t)
     # a sample belongs to the step that it ends, and the first one to none: a plan by steps may set off with a jump
     stated[0] = False
@@ -191,7 +191,7 @@ def motion_reference(
     source = continuous_motion(motion)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]
-    edges = _apart(np.unique(np.concatenate(parts)))
+    edges = apart(np.concatenate(parts))
     place = np.broadcast_to(np.asarray(carriers, dtype=float), (robot.k,))
 
     def parked(times: Array) -> CarrierMotion:
@@ -272,31 +272,8 @@ def _require_finite(series: Array, left: Array) -> None:
         )
 
 
-def _apart(edges: Array) -> Array:
-    """Drop edges that differ from the one before by rounding."""
-    span = edges[-1] - edges[0]
-    kept = np.append(np.diff(edges) > 1e-10 * span, True)
-    kept[0] = True
-    result: Array = edges[kept]
-    return result
-
-
 def _beside_jump(t: Array) -> BoolArray:
     """Return (N,) which samples are one of two at the same instant."""
     same = np.diff(t) == 0.0
     result: BoolArray = np.append(same, False) | np.append(False, same)
     return result
-
-
-def _held_on(sample_at: Callable[[Array], PlatformMotion], end: float, times: Array) -> PlatformMotion:
-    """Return a motion whose platform stays where it is at its end."""
-    inside = sample_at(np.minimum(times[times <= end], end))
-    last = sample_at(np.array([end]))
-    count = int((times > end).sum())
-    still = np.zeros((count, last.xd.shape[1]))
-    return PlatformMotion(
-        times,
-        np.concatenate([inside.x, np.repeat(last.x, count, axis=0)]),
-        np.concatenate([inside.xd, still]),
-        np.concatenate([inside.xdd, still]),
-    )

@@ -17,14 +17,14 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, BoolArray, checked
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.state import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.planners.piecewise_chebyshev import PiecewiseChebyshev, fit
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.engines.task import Task
-from redundancy_pin.simulation.planned_carriers import actuators_off, planned_carriers
+from redundancy_pin.simulation.planned_carriers import actuators_off, planned_carriers, planned_platform, smooth_pieces
 
 STRETCH = 0.01
 """Longest stretch of a motion that is no plan, s: 16 points in it resolve whatever a machine can follow."""
@@ -68,16 +68,10 @@ def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | 
         InputError: the trajectory is not that of the plan.
         InfeasiblePlanError: efforts without a finite value; carries the time.
     """
-    source = continuous_motion(trajectory or plan.motion)
-    if abs(source.start - plan.t[0]) + abs(source.end - plan.t[-1]) > _SAME_TIME * (plan.t[-1] - plan.t[0]):
-        raise InputError(
-            f"The plan runs from {plan.t[0]:.9g} to {plan.t[-1]:.9g} s, the trajectory to {source.end:.9g} s.",
-            remedy="Pass the trajectory the plan was made for.",
-        )
+    source = planned_platform(plan, trajectory)
     carriers = planned_carriers(plan)
-    drive = _drive(
-        dynamics, source, carriers, carriers.edges, carriers.edges[1:-1], actuators_off(plan, carriers.edges)
-    )
+    edges = smooth_pieces(carriers, source)
+    drive = _drive(dynamics, source, carriers, edges, edges[1:-1], actuators_off(plan, edges))
     planned = np.concatenate([plan.tau, plan.carrier_force], axis=1)
     # a sample belongs to the step that it ends, the second of two at a jump to the one it begins, and the first one to
     # none: a plan by steps may set off with a jump
@@ -155,7 +149,3 @@ def _drive(
 
 def _resolution(polynomials: PiecewiseChebyshev) -> float:
     return float(np.abs(polynomials.coefficients[:, -3:]).max())
-
-
-_SAME_TIME = 1e-9
-"""How far, relative to the duration, plan and trajectory may differ in their times."""

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicHermiteSpline
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.simulation import closed_state
-from redundancy_pin.simulation.engines import RunStatus, Task, deviation, run_exudyn, run_mujoco, run_own
+from redundancy_pin.simulation.engines import RunStatus, Task, deviation, drive_of_plan, run_exudyn, run_mujoco, run_own
 from redundancy_pin.simulation.engines.cases import CASES, SHORT, prepare
 from redundancy_pin.simulation.engines.own import TaskEfforts
 
@@ -85,6 +85,16 @@ def test_planned_efforts_too(engine, planned, name):
     own = rp.simulate(task.robot, TaskEfforts(task), stop_at=(), dt=0.01)
     assert len(crossings(own)) == 1
     assert np.abs(difference(own, engine(task, step=1e-3))).max() < TOLERANCE
+
+
+def test_a_stepwise_plan_too_whose_carriers_jump_in_acceleration_at_every_sample(engine):
+    robot, trajectory = zoo.robot_of("3rrr"), rp.trajectory.reference.corner(0.025)
+    plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(dt=0.02), lam=0.0)
+    drive = drive_of_plan(rp.RneaDynamics(robot), plan, trajectory)
+    assert deviation(drive, run_own(drive.task)).largest < OWN_TOLERANCE
+    assert deviation(drive, engine(drive.task, step=1e-3)).largest < TOLERANCE
+    # the samples themselves are elsewhere: the lag of backward differences, here half of 20 ms at up to 1 m/s
+    assert np.abs(drive.carriers(plan.t).s - plan.carriers.s).max() > 1e-3
 
 
 @pytest.mark.parametrize("way", ["projected", "constraint_dynamics"])
