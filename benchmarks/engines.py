@@ -52,7 +52,7 @@ RTOLS = tuple(10.0 ** (-i / 2) for i in range(6, 23))
 SAMPLES = 0.02
 """Interval of the samples of ``simulate``, s."""
 
-FINALISTS = 4
+FINALISTS = 8
 REPEATS = 5
 ENGINES = {"exudyn": run_exudyn, "mujoco": run_mujoco}
 
