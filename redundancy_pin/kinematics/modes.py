@@ -20,19 +20,32 @@ def mode_indicator(robot: Robot, q: Array) -> Array:
         robot: the robot; without declared modes the result has no columns.
         q: (N, nq) configurations.
     """
-    if robot.working_modes is None:
-        return np.zeros((len(q), 0))
-    columns = []
-    for name, sign in zip(robot.working_modes.joints, robot.working_modes.signs, strict=True):
-        joint = robot.model.joints[robot.model.getJointId(name)]
-        if joint.nq == 2:
-            value = q[:, joint.idx_q + 1]
-        elif str(joint.shortname()).startswith("JointModelP"):
-            value = q[:, joint.idx_q]
-        else:
-            value = np.sin(q[:, joint.idx_q])
-        columns.append(sign * value)
-    return np.stack(columns, axis=1)
+    return ModeIndicator(robot)(q)
+
+
+class ModeIndicator:
+    """``mode_indicator`` of one robot, the joints looked up once: for those who ask for few configurations, often.
+
+    Args:
+        robot: the robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        modes = robot.working_modes
+        columns, sine = [], []
+        for name in modes.joints if modes else ():
+            joint = robot.model.joints[robot.model.getJointId(name)]
+            columns.append(joint.idx_q + (joint.nq == 2))  # of a continuous joint the second number is the sine
+            sine.append(joint.nq == 1 and not str(joint.shortname()).startswith("JointModelP"))
+        self._columns = np.array(columns, dtype=np.intp)
+        self._sine = np.array(sine, dtype=bool)
+        self._signs = np.array(modes.signs if modes else (), dtype=np.float64)
+
+    def __call__(self, q: Array) -> Array:
+        """Return (N, legs) the indicator at (N, nq) configurations."""
+        value = q.take(self._columns, 1)
+        found: Array = self._signs * np.where(self._sine, np.sin(value), value)
+        return found
 
 
 def working_modes(robot: Robot, q: Array) -> IntArray:

@@ -90,16 +90,20 @@ class ClosedChain:
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
         pin.computeJointJacobiansTimeVariation(self.model, self.data, q, v)
-        pin.updateFramePlacements(self.model, self.data)
-        for axes, origin, rotation, translation in self._frames:
-            axes[:] = rotation
-            origin[:] = translation
+        self._place()
         self.v = v
         self.q = q
         self._pairs = pairs = self._flat.take(self._vectors, 0) * self._signs
         self.direction, self.point = pairs[: self.rows], pairs[self.rows :]
         self._wrench[:, :3] = self.direction * self.slides
         self._wrench[:, 3:] = cross(self.point, self.direction)
+
+    def _place(self) -> None:
+        """Take the frames from the joints."""
+        pin.updateFramePlacements(self.model, self.data)
+        for axes, origin, rotation, translation in self._frames:
+            axes[:] = rotation
+            origin[:] = translation
 
     def residual(self) -> Array:
         """Return (r,) the closure residuals Φ, m; for rotation rows the sine of the angle that is off."""
@@ -110,6 +114,19 @@ class ClosedChain:
     def jacobian(self) -> Array:
         """Return J_c (r, nv)."""
         rows: Array = self.mask * self._wrench.dot(self.J)
+        return rows
+
+    def jacobians(self, q: Array) -> Array:
+        """Return J_c (N, r, nv) at (N, nq) configurations, the state being that of none of them afterwards."""
+        places, joints = np.empty((len(q), *self._flat.shape)), np.empty((len(q), 6, self.model.nv))
+        for i, one in enumerate(q):
+            pin.computeJointJacobians(self.model, self.data, one)
+            self._place()
+            places[i], joints[i] = self._flat, self.J
+        pairs = places.take(self._vectors, 1) * self._signs
+        direction, point = pairs[:, : self.rows], pairs[:, self.rows :]
+        wrenches = np.concatenate([direction * self.slides, cross(point, direction)], axis=2)
+        rows: Array = self.mask * (wrenches @ joints)
         return rows
 
     def bias(self) -> Array:

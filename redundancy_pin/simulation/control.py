@@ -24,6 +24,7 @@ class Controller(Protocol):
     Optional attributes, used where present:
 
     - ``breaks``: times, s, at which the efforts jump or kink; the integration starts anew there.
+    - ``jumps``: those of them at which the efforts jump.
     - ``carrier_motion``: a ``CarrierLaw``, for carriers driven by motion.
     - ``sampling``: the ``Sampling`` it was made for; the simulation must have the same.
     - ``start_state(robot)``: the ``State`` to start from, and ``end``: the time at which the motion is over, s.

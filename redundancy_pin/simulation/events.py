@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import velocity_scale
-from redundancy_pin.kinematics.modes import mode_indicator
+from redundancy_pin.kinematics.modes import ModeIndicator
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.chain import ClosedChain
 
@@ -70,12 +70,13 @@ class Watcher:
         self.chain = chain
         self._limits = _limits(chain.robot)
         self._index = np.array([index for _, _, index, _, _, _ in self._limits], dtype=np.intp)
-        self._rate_index = np.array([index for _, _, _, index, _, _ in self._limits], dtype=np.intp)
+        self._rate_index = chain.model.nq + np.array([index for _, _, _, index, _, _ in self._limits], dtype=np.intp)
         self._side = np.array([side for _, _, _, _, side, _ in self._limits])
         self._bound = np.array([bound for _, _, _, _, _, bound in self._limits])
         robot = chain.robot
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
+        self._indicator = ModeIndicator(robot)
         self._square = robot.m == robot.n
         type_one = [f"leg {i + 1}" for i in range(legs)] if legs else ["type_I"]
         kinds = [(kind, name) for kind, name, *_ in self._limits] + [("type_I", name) for name in type_one]
@@ -83,23 +84,42 @@ class Watcher:
         self.watches = tuple(Watch(kind, name, kind in stop_at) for kind, name in kinds)
         self._one_sided = np.array([watch.kind in ONE_SIDED for watch in self.watches])
         self._scale = 1.0 / velocity_scale(robot)[chain.pose_columns]
-        self._actuated = np.zeros((robot.m, robot.model.nv))
-        self._actuated[np.arange(robot.m), robot.actuated_velocity] = 1.0
+        actuated = np.zeros((robot.m, robot.model.nv))
+        actuated[np.arange(robot.m), robot.actuated_velocity] = 1.0
+        self._actuated = actuated[:, chain.pose_columns]
         self._still = np.zeros(robot.model.nv)
 
     def values(self, q: Array) -> Array:
         """Return (w,) the watched functions at a configuration (nq,)."""
+        found: Array = self.values_at(q[None])[0]
+        return found
+
+    def values_at(self, q: Array) -> Array:
+        """Return (N, w) the watched functions at (N, nq) configurations, which takes less time than one by one."""
         chain = self.chain
-        chain.update(q, self._still)
-        jacobian = chain.jacobian()
-        parts = [self._side * (self._bound - q[self._index])]
+        columns = chain.pose_columns
+        closures = chain.jacobians(q).take(columns, 2)
+        parts = [self._side * (self._bound - q.take(self._index, 1))]
         if self._by_legs:
-            parts.append(mode_indicator(chain.robot, q[None])[0])
+            parts.append(self._indicator(q))
         else:
-            parts.append(self._determinant(jacobian, chain.platform_jacobian()))
+            parts.append(self._determinants(closures, np.array([self._platform_rows(one) for one in q])))
         if self._square:
-            parts.append(self._determinant(jacobian, self._actuated))
-        return np.concatenate(parts)
+            parts.append(self._determinants(closures, self._actuated))
+        return np.concatenate(parts, axis=1)
+
+    def _platform_rows(self, q: Array) -> Array:
+        self.chain.update(q, self._still)
+        return self.chain.platform_jacobian()[:, self.chain.pose_columns]
+
+    def _determinants(self, closures: Array, rows: Array) -> Array:
+        """Return (N, 1) the determinants of closure rows (N, r, p) over p − r further rows, N times or once for all."""
+        count, held, width = closures.shape
+        stacked = np.empty((count, width, width))
+        stacked[:, :held], stacked[:, held:] = closures, rows
+        stacked *= self._scale
+        found: Array = np.linalg.det(stacked)[:, None]
+        return found
 
     def at_start(self, q: Array) -> Array:
         """Return ``values`` at the start, rounding taken for zero.
@@ -112,27 +132,31 @@ class Watcher:
         return values
 
     def stops(self, y: Array) -> tuple[Array, Array]:
-        """Return the distances (l,) that are left to the stops, the first l of ``values``, and their rates.
+        """Return the distances (N, l) that are left to the stops, the first l of ``values``, and their rates.
 
         Args:
-            y: (nq + nv,) configuration and velocity.
+            y: (N, nq + nv) configurations and velocities.
         """
-        rates: Array = -self._side * y[self.chain.model.nq + self._rate_index]
-        return self._side * (self._bound - y[self._index]), rates
-
-    def _determinant(self, closures: Array, rows: Array) -> Array:
-        columns = self.chain.pose_columns
-        stacked = np.concatenate([closures[:, columns], rows[:, columns]]) * self._scale
-        return np.array([np.linalg.det(stacked)])
+        rates: Array = -self._side * y.take(self._rate_index, 1)
+        return self._side * (self._bound - y.take(self._index, 1)), rates
 
     def crossed(self, before: Array, after: Array) -> list[int]:
         """Return the indices of the functions that changed sign, or came to zero, between two points of time.
 
         A stop is passed where its function turns negative; leaving zero is an event for stops only.
         """
+        return [int(i) for i in np.flatnonzero(self._crossing(before, after))]
+
+    def any_crossed(self, before: Array, after: Array) -> bool:
+        """Return whether ``crossed`` finds any in N pairs of points of time, (N, w) each."""
+        if (before * after > 0.0).all():  # nearly always, and quickly said
+            return False
+        return bool(self._crossing(before, after).any())
+
+    def _crossing(self, before: Array, after: Array) -> BoolArray:
         leaves = (before >= 0.0) & (after < 0.0)
         swaps = ((before > 0.0) & (after <= 0.0)) | ((before < 0.0) & (after >= 0.0))
-        return [int(i) for i in np.flatnonzero(np.where(self._one_sided, leaves, swaps))]
+        return np.where(self._one_sided, leaves, swaps)
 
     def require_allowed(self, q: Array) -> None:
         """Check that no stop at which the simulation ends has been passed at its start.

@@ -26,6 +26,7 @@ class FeedForward:
     def __init__(self, plan: Plan | MotionReference, *, motion: TimedTrajectory | None = None) -> None:
         self.reference = plan if isinstance(plan, MotionReference) else plan_reference(plan, motion=motion)
         self.breaks = self.reference.edges[1:-1]
+        self.jumps = self.reference.jumps
         self.end = self.reference.end
 
     def effort(self, t: float, state: State) -> tuple[Array, Array]:

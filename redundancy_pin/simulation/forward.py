@@ -154,15 +154,23 @@ class ForwardDynamics:
             q: (nq,) configuration.
             v: (nv,) velocity.
             force: (nv,) generalised forces without those of carriers driven by motion.
-            a: (nv,) from ``acceleration``.
+            a: (nv,) from ``acceleration``, or from elsewhere.
+
+        Raises:
+            SingularPoseError: the closures have lost rank.
         """
-        chain, partition = self.chain, self.partition
+        chain = self.chain
         chain.update(q, v)
         missing = np.array(pin.rnea(self.robot.model, chain.data, q, v, a)) - force
         closure = np.zeros(chain.rows)
         if chain.rows:
-            block = chain.jacobian()[:, partition.dependent]
-            _, _, closure, _ = lapack.dgesv(block.T, missing[partition.dependent])
+            dependent, jacobian = self.partition.dependent, chain.jacobian()
+            factor, _, closure, _ = lapack.dgesv(jacobian[:, dependent].T, missing[dependent])
+            pivots = np.abs(factor.diagonal())
+            if not pivots.min() >= _POOR_CHOICE * pivots.max():
+                self._set(self.choose_partition(q))
+                dependent = self.partition.dependent
+                _, _, closure, _ = lapack.dgesv(jacobian[:, dependent].T, missing[dependent])
         carrier = missing[self._carriers] if self.prescribed else force[self._carriers]
         return Acceleration(a, np.asarray(closure), np.asarray(carrier))
 

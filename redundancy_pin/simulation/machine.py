@@ -100,8 +100,6 @@ class Machine:
         """
         command = self.command(state)
         force = self._force(state, command)
-        if self._other is not None:  # the closure forces need a partition that suits the configuration
-            self.dynamics.adapt(state.q)
         acceleration = self._acceleration(state, force)
         found = self.dynamics.forces(state.q, state.v, force, acceleration)
         if self._law is None:  # what the actuators give, without friction and other external forces on the carriers
@@ -115,13 +113,12 @@ class Machine:
         return np.concatenate([q, v]), found, left
 
     def _force(self, state: State, command: Command) -> Array:
-        force = np.zeros(self.robot.model.nv)
-        if self._external is not None:
-            force += self._external(state)
-        force[self.robot.actuated_velocity] += command[0]
+        robot = self.robot
+        force = np.zeros(len(state.v))
+        force[robot.actuated_velocity] = command[0]
         if self._law is None:
-            force[self.robot.carrier_velocity] += command[1]
-        return force
+            force[robot.carrier_velocity] = command[1]
+        return force if self._external is None else force + self._external(state)
 
     def _acceleration(self, state: State, force: Array) -> Array:
         if self._other is not None:

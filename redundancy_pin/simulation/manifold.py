@@ -52,16 +52,17 @@ class Manifold:
             if gap <= GAP:
                 break
             step = np.zeros(len(v))
-            step[self._columns] = -self._shortest(residual)
+            step[self._columns] = -self._shortest(chain.jacobian(), residual)
             q = pin.integrate(chain.model, q, step)
-        v[self._columns] -= self._shortest(chain.jacobian().dot(v))
+        jacobian = chain.jacobian()
+        v[self._columns] -= self._shortest(jacobian, jacobian.dot(v))
         return q, v, found, gap
 
-    def _shortest(self, rate: Array) -> Array:
+    def _shortest(self, jacobian: Array, rate: Array) -> Array:
         """Return the shortest scaled velocity of the pose with J_c v = rate."""
         if not len(rate):
             return np.zeros(len(self._columns))
-        scaled = self.chain.jacobian()[:, self._columns] * self._inverse_scale
+        scaled = jacobian.take(self._columns, 1) * self._inverse_scale
         _, multiplier, failed = lapack.dposv(scaled.dot(scaled.T), rate)
         if failed:  # the closures have lost rank: the partition says so
             return np.zeros(len(self._columns))

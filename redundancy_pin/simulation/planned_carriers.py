@@ -1,13 +1,20 @@
-"""The continuous carrier motion that the samples of a plan stand for."""
+"""The continuous motion that the samples of a plan stand for: platform, carriers, and when actuators are off.
+
+Whoever plays a plan back, ``reference`` for this package's own simulation or ``engines.drive`` for an outside engine,
+asks here, so that one plan is one motion.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import PPoly
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
-from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.errors import InputError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion, quintics
 from redundancy_pin.planners.plan import Plan
 
 _STEPPED = {"stepwise": ("optimise", "brake"), "switch_off": ("ramp_down", "off")}
@@ -20,27 +27,20 @@ class PlannedCarriers:
 
     Attributes:
         edges: (P + 1,) distinct times of the plan, s.
-        coefficients: (P, 6, k) of powers of the time since the start of the step, m/s^j.
+        s, sd, sdd: position, m, speed and acceleration (k,) as piecewise polynomials of time; at a jump of s̈ that
+            after it.
         lag: (k,) largest distance from the plan's own positions, m: zero but for stepwise plans.
     """
 
     edges: Array
-    coefficients: Array
+    s: PPoly
+    sd: PPoly
+    sdd: PPoly
     lag: Array
 
     def __call__(self, times: Array) -> CarrierMotion:
         """Return the motion at (N,) times; at a jump of s̈ that after it."""
-        piece = np.clip(np.searchsorted(self.edges, times, side="right") - 1, 0, len(self.coefficients) - 1)
-        x = (times - self.edges[piece])[:, None]
-        parts = []
-        series = self.coefficients
-        for _ in range(3):
-            value = np.zeros((len(times), series.shape[2]))
-            for j in range(series.shape[1] - 1, -1, -1):
-                value = value * x + series[piece, j]
-            parts.append(value)
-            series = series[:, 1:] * np.arange(1, series.shape[1])[:, None]
-        return CarrierMotion(*parts)
+        return CarrierMotion(self.s(times), self.sd(times), self.sdd(times))
 
 
 def planned_carriers(plan: Plan) -> PlannedCarriers:
@@ -55,26 +55,93 @@ def planned_carriers(plan: Plan) -> PlannedCarriers:
     """
     left = np.flatnonzero(np.diff(plan.t) > 0.0)
     right = left + 1
-    h = (plan.t[right] - plan.t[left])[:, None]
-    s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
-    series = np.zeros((len(left), 6, s.shape[1]))
-    series[:, 0], series[:, 1], series[:, 2] = s[left], sd[left], 0.5 * sdd[left]
-    if plan.planner == "whole_trajectory":
-        series[:, 3] = (sdd[right] - sdd[left]) / (6.0 * h)
-    else:
-        series[:, 3:] = _quintic(h, (s[left], sd[left], sdd[left]), (s[right], sd[right], sdd[right]))
-        stepped = _stepped(plan)[right]
-        series[stepped, 2] = 0.5 * sdd[right][stepped]
-        series[stepped, 3:] = 0.0
-    # what the steps do not make up for is carried on: s is continuous, and exact where no step is of the lagging kind
-    reached = (series * h[:, None] ** np.arange(6)[:, None]).sum(axis=1)
-    missed = np.cumsum(reached - s[right], axis=0)
-    rounding = np.abs(missed) < _ROUNDING
-    missed[rounding] = 0.0
-    series[1:, 0] += missed[:-1]
     edges = np.append(plan.t[left], plan.t[-1])
-    return PlannedCarriers(read_only(edges), read_only(series), read_only(np.abs(missed).max(axis=0, initial=0.0)))
+    h = np.diff(edges)[:, None]
+    s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
+    if plan.planner == "whole_trajectory":
+        jerk = (sdd[right] - sdd[left]) / h
+        powers = np.stack([jerk / 6.0, 0.5 * sdd[left], sd[left], s[left]])
+    else:
+        ends = [(s[i], sd[i], sdd[i]) for i in (left, right)]
+        powers = PPoly.from_bernstein_basis(quintics(edges, *ends)).c
+        stepped = _stepped(plan)[right]
+        powers[:3, stepped] = 0.0
+        powers[3, stepped] = 0.5 * sdd[right][stepped]
+    # what the steps do not make up for is carried on: s is continuous, and exact where no step is of the lagging kind
+    reached = (powers * h ** np.arange(len(powers) - 1.0, -1.0, -1.0)[:, None, None]).sum(axis=0)
+    missed = np.cumsum(reached - s[right], axis=0)
+    missed[np.abs(missed) < _ROUNDING] = 0.0
+    powers[-1, 1:] += missed[:-1]
+    position = PPoly(powers, edges)
+    lag = read_only(np.abs(missed).max(axis=0, initial=0.0))
+    return PlannedCarriers(read_only(edges), position, position.derivative(), position.derivative(2), lag)
 
+
+def planned_platform(plan: Plan, trajectory: TimedTrajectory | None = None) -> ContinuousMotion:
+    """Return the platform motion of a plan; where its carriers move on longer, the platform is held at its end.
+
+    Args:
+        plan: the plan.
+        trajectory: the platform motion it was made for; quintics between the plan's samples when left out.
+
+    Raises:
+        InputError: the trajectory is not that of the plan.
+    """
+    source = continuous_motion(plan.motion if trajectory is None else trajectory)
+    slack = _SAME_TIME * float(plan.t[-1] - plan.t[0])
+    after = plan.t > source.end + slack
+    if abs(source.start - plan.t[0]) > slack or source.end > plan.t[-1] + slack or plan.motion.xd[after].any():
+        raise InputError(
+            f"The plan runs from {plan.t[0]:.9g} to {plan.t[-1]:.9g} s, the trajectory to {source.end:.9g} s.",
+            remedy="Pass the trajectory the plan was made for.",
+        )
+    if not after.any():
+        return source
+    last, end = source.sample_at(np.array([source.end])), source.end
+
+    def held(times: Array) -> PlatformMotion:
+        moving = source.sample_at(times[times <= end])
+        count = len(times) - len(moving.t)
+        still = np.zeros((count, plan.motion.xd.shape[1]))
+        return PlatformMotion(
+            times,
+            np.concatenate([moving.x, np.repeat(last.x, count, axis=0)]),
+            np.concatenate([moving.xd, still]),
+            np.concatenate([moving.xdd, still]),
+        )
+
+    return replace(source, end=float(plan.t[-1]), breaks=read_only(np.append(source.breaks, end)), sample_at=held)
+
+
+def smooth_pieces(carriers: PlannedCarriers, platform: ContinuousMotion) -> Array:
+    """Return (P + 1,) times, s, between which both motions of a plan are smooth: its samples, breaks and knots."""
+    edges = np.concatenate([carriers.edges, platform.breaks, platform.knots])
+    return apart(edges[(edges >= carriers.edges[0]) & (edges <= carriers.edges[-1])])
+
+
+def apart(times: Array) -> Array:
+    """Return times in order, those that differ from the one before by rounding left out, the first and last kept."""
+    edges = np.unique(times)
+    kept = np.append(np.diff(edges) > 1e-10 * (edges[-1] - edges[0]), True)
+    kept[0] = True
+    result: Array = edges[kept]
+    return result
+
+
+def actuators_off(plan: Plan, edges: Array) -> BoolArray:
+    """Return (P,) the pieces between (P + 1,) edges, s, inside which a plan has its main actuators off.
+
+    There its samples at both ends have no effort, and W τ = f of the planned motion holds with τ = 0 up to the plan's
+    own residual: W⁻¹ f would magnify that.
+    """
+    after = np.searchsorted(plan.t, 0.5 * (edges[:-1] + edges[1:]))
+    zero = (plan.tau == 0.0).all(axis=1)
+    off: BoolArray = zero[after - 1] & zero[after]
+    return off
+
+
+_SAME_TIME = 1e-9
+"""How far, relative to the duration, plan and trajectory may differ in their times."""
 
 _ROUNDING = 1e-13
 """m; less is no lag."""
@@ -88,13 +155,3 @@ def _stepped(plan: Plan) -> BoolArray:
     codes = [i for i, name in enumerate(plan.phases) if name in names]
     stepped: BoolArray = np.isin(plan.phase, codes)
     return stepped
-
-
-def _quintic(h: Array, start: tuple[Array, ...], end: tuple[Array, ...]) -> Array:
-    """Return (P, 3, k) the coefficients of the third to fifth power of the quintics through s, ṡ, s̈ at both ends."""
-    (s0, v0, a0), (s1, v1, a1) = start, end
-    d = s1 - s0 - h * v0 - 0.5 * h * h * a0
-    dv, da = h * (v1 - v0 - h * a0), h * h * (a1 - a0)
-    c3, c4, c5 = 10.0 * d - 4.0 * dv + 0.5 * da, -15.0 * d + 7.0 * dv - da, 6.0 * d - 3.0 * dv + 0.5 * da
-    result: Array = np.stack([c3 / h**3, c4 / h**4, c5 / h**5], axis=1)
-    return result

@@ -8,7 +8,6 @@ Chebyshev series, so that a simulation can ask for any instant in microseconds.
 from __future__ import annotations
 
 import itertools
-from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -25,7 +24,14 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.inverse import inverse_dynamics
-from redundancy_pin.simulation.planned_carriers import planned_carriers
+from redundancy_pin.simulation.planned_carriers import (
+    actuators_off,
+    apart,
+    planned_carriers,
+    planned_platform,
+    smooth_pieces,
+)
+from redundancy_pin.simulation.series import Series
 
 DEGREE = 9
 """Of the series in each piece. A step of 5 ms of a motion that changes within 50 ms leaves 1e-14."""
@@ -80,6 +86,7 @@ class MotionReference:
         robot: the robot whose efforts these are.
         start, end: first and last time, s.
         edges: (P + 1,) ends of the pieces, s; efforts may jump or kink there and nowhere else.
+        jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
         carrier_lag: (k,) see ``PlannedCarriers.lag``.
         effort_deviation: largest distance from the finite efforts that the plan states at its samples, N or N·m; what
             its own discretisation costs. NaN without a plan.
@@ -92,43 +99,38 @@ class MotionReference:
         self.edges = edges
         self.start, self.end = float(edges[0]), float(edges[-1])
         self.carrier_lag, self.effort_deviation = carrier_lag, deviation
-        self._series, self._is_pose = series, is_pose
-        self._starts: list[float] = edges[:-1].tolist()
-        self._orders = np.arange(DEGREE + 1.0)
+        self._is_pose = is_pose
+        self._loads, self._carriers, self._platform, self._tree = (
+            Series(edges, series[name]) for name in ("loads", "carriers", "platform", "tree")
+        )
+        self.jumps = self._loads.jumps()
 
     def loads(self, t: float) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; outside the motion those at its ends."""
-        both = self._value("loads", t)
+        both = self._loads(t)
         return both[: self.robot.m], both[self.robot.m :]
 
     def carriers(self, t: float) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ (k,) at time t."""
-        s, sd, sdd = self._value("carriers", t).reshape(3, -1)
+        s, sd, sdd = self._carriers(t).reshape(3, -1)
         return s, sd, sdd
 
     def platform(self, t: float) -> tuple[Array, Array, Array]:
         """Return x, (n,) or a pose (4, 4), ẋ and ẍ (n,) at time t."""
-        flat = self._value("platform", t)
+        flat = self._platform(t)
         n = self.robot.n
         x = flat[: -2 * n]
         return (x.reshape(4, 4) if self._is_pose else x), flat[-2 * n : -n], flat[-n:]
 
     def tree(self, t: float) -> tuple[Array, Array, Array]:
         """Return q (nq,), v and a (nv,) at time t."""
-        flat = self._value("tree", t)
+        flat = self._tree(t)
         nv = self.robot.model.nv
         return flat[: -2 * nv], flat[-2 * nv : -nv], flat[-nv:]
 
     def at(self, t: float) -> ReferencePoint:
         """Return everything at time t, s."""
         return ReferencePoint(t, *self.platform(t), *self.carriers(t), *self.tree(t), *self.loads(t))
-
-    def _value(self, name: str, t: float) -> Array:
-        piece = max(bisect_right(self._starts, t) - 1, 0)
-        left, right = self.edges[piece], self.edges[piece + 1]
-        x = min(max((2.0 * t - left - right) / (right - left), -1.0), 1.0)
-        value: Array = np.cos(self._orders * np.arccos(x)).dot(self._series[name][piece])
-        return value
 
 
 def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTrajectory | None = None) -> MotionReference:
@@ -141,27 +143,24 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
             of the samples, whose acceleration is off by O(Δt⁴).
 
     Raises:
+        InputError: the motion is not that of the plan.
         InfeasiblePlanError: some instant has no finite efforts.
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
     """
     machine = load_robot_of(plan) if robot is None else robot
-    source = continuous_motion(plan.motion if motion is None else motion)
+    source = planned_platform(plan, motion)
     carriers = planned_carriers(plan)
-    edges = np.unique(np.concatenate([carriers.edges, source.breaks, source.knots]))
-    edges = edges[(edges >= carriers.edges[0]) & (edges <= carriers.edges[-1])]
-    edges = _apart(edges)
-    off = _off(plan, edges)
-    held = plan.t[-1] > source.end + 1e-12
-
-    def platform(times: Array) -> PlatformMotion:
-        return _held_on(source.sample_at, source.end, times) if held else source.sample_at(times)
-
+    edges = smooth_pieces(carriers, source)
+    off = actuators_off(plan, edges)
     singular = np.flatnonzero(plan.margin <= SINGULAR * plan.margin.max())
     known = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
-    reference = _build(machine, edges, platform, carriers, known, off, carriers.lag)
+    reference = _build(machine, edges, source.sample_at, carriers, known, off, carriers.lag)
     stated = np.isfinite(plan.tau).all(axis=1) & ~_beside_jump(plan.t)
+    # a sample belongs to the step that it ends, and the first one to none: a plan by steps may set off with a jump
+    stated[0] = False
+    before = np.nextafter(plan.t, -np.inf)
     deviation = max(
-        (float(np.abs(reference.loads(float(plan.t[i]))[0] - plan.tau[i]).max()) for i in np.flatnonzero(stated)),
+        (float(np.abs(reference.loads(float(before[i]))[0] - plan.tau[i]).max()) for i in np.flatnonzero(stated)),
         default=float("nan"),
     )
     reference.effort_deviation = deviation
@@ -192,7 +191,7 @@ def motion_reference(
     source = continuous_motion(motion)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]
-    edges = _apart(np.unique(np.concatenate(parts)))
+    edges = apart(np.concatenate(parts))
     place = np.broadcast_to(np.asarray(carriers, dtype=float), (robot.k,))
 
     def parked(times: Array) -> CarrierMotion:
@@ -273,40 +272,8 @@ def _require_finite(series: Array, left: Array) -> None:
         )
 
 
-def _off(plan: Plan, edges: Array) -> BoolArray:
-    """Return (P,) the pieces inside which a plan has its actuators off: no efforts at the samples at both ends."""
-    middle = 0.5 * (edges[:-1] + edges[1:])
-    after = np.searchsorted(plan.t, middle)
-    zero = (plan.tau == 0.0).all(axis=1)
-    off: BoolArray = zero[after - 1] & zero[after]
-    return off
-
-
-def _apart(edges: Array) -> Array:
-    """Drop edges that differ from the one before by rounding."""
-    span = edges[-1] - edges[0]
-    kept = np.append(np.diff(edges) > 1e-10 * span, True)
-    kept[0] = True
-    result: Array = edges[kept]
-    return result
-
-
 def _beside_jump(t: Array) -> BoolArray:
     """Return (N,) which samples are one of two at the same instant."""
     same = np.diff(t) == 0.0
     result: BoolArray = np.append(same, False) | np.append(False, same)
     return result
-
-
-def _held_on(sample_at: Callable[[Array], PlatformMotion], end: float, times: Array) -> PlatformMotion:
-    """Return a motion whose platform stays where it is at its end."""
-    inside = sample_at(np.minimum(times[times <= end], end))
-    last = sample_at(np.array([end]))
-    count = int((times > end).sum())
-    still = np.zeros((count, last.xd.shape[1]))
-    return PlatformMotion(
-        times,
-        np.concatenate([inside.x, np.repeat(last.x, count, axis=0)]),
-        np.concatenate([inside.xd, still]),
-        np.concatenate([inside.xdd, still]),
-    )

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.integrate import DOP853, RK45
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.simulation.control import Sampling
 from redundancy_pin.simulation.events import Event, Watcher
 from redundancy_pin.simulation.machine import Command, Machine
 from redundancy_pin.simulation.result import SimulationStatus, Statistics
 from redundancy_pin.simulation.schedule import SAME, Schedule
-from redundancy_pin.simulation.step import Step
+from redundancy_pin.simulation.step import Step, cubic
 
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45}
 """Explicit Runge-Kutta methods of scipy of order 8 and 5. The lower order is cheaper where a sampled controller makes
@@ -29,6 +29,9 @@ passes it and returns between two looks is not missed."""
 
 _BRIEF = 2e-3
 """s; in a step shorter than this only the end is looked at, and where joints turn back."""
+
+_WEIGHTS = cubic((0.0, *_LOOKS))
+_WEIGHTS_OF_ENDS = cubic((0.0, 1.0))
 
 _TURN = 1e-6
 """Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it."""
@@ -219,50 +222,57 @@ class Run:
 
     def _look(self, step: Step) -> float | None:
         """Find events in a step; return the time of the first terminal one."""
-        looks, turning = self._looks(step, step.guess)
-        found, last = self._crossings(step.guess, looks)
-        if found or turning:  # look again on the integrator's own interpolant, which costs more
-            looks, _ = self._looks(step, step.exactly)
-            found, last = self._crossings(step.exactly, looks)
-        self._watched = last
+        looks, weights = (_LOOKS, _WEIGHTS) if step.end - step.start > _BRIEF else (_LOOKS[-1:], _WEIGHTS_OF_ENDS)
+        guessed = step.guesses(weights)
+        values = self._watcher.values_at(guessed[1:, : self._machine.robot.model.nq])
+        before = np.concatenate([self._watched[None], values[:-1]])
+        if self._watcher.any_crossed(before, values) or self._turning(step, guessed, looks).any():
+            return self._look_exactly(step, looks)
+        self._watched = values[-1]
+        return None
+
+    def _look_exactly(self, step: Step, looks: Sequence[float]) -> float | None:
+        """Find events on the integrator's own interpolant, which costs more."""
+        looks = self._with_turns(step, looks)
+        values = self._watcher.values_at(np.array([step.exactly(x) for x in looks])[:, : self._machine.robot.model.nq])
         events = []
-        for i, left, right in found:
-            watch = self._watcher.watches[i]
-            events.append(Event(watch.kind, watch.name, self._root(step, i, left, right), watch.terminal))
+        left, before = 0.0, self._watched
+        for right, after in zip(looks, values, strict=True):
+            for i in self._watcher.crossed(before, after):
+                watch = self._watcher.watches[i]
+                events.append(Event(watch.kind, watch.name, self._root(step, i, left, right), watch.terminal))
+            left, before = right, after
+        self._watched = before
         for event in sorted(events, key=lambda event: event.t):
             self._events.append(event)
             if event.terminal:
                 return event.t
         return None
 
-    def _looks(self, step: Step, at: Callable[[float], Array]) -> tuple[list[float], bool]:
-        """Return the fractions of a step at which to look, and whether some joint turns back before a stop."""
-        h = step.end - step.start
-        left, (away, rate) = 0.0, self._watcher.stops(at(0.0))
-        looks, turning = [], False
-        for right in _LOOKS if h > _BRIEF else _LOOKS[-1:]:
-            next_away, next_rate = self._watcher.stops(at(right))
-            reach = (right - left) * h * np.maximum(np.abs(rate), np.abs(next_rate))
-            turns = (rate < 0.0) & (next_rate > 0.0) & (np.minimum(away, next_away) < reach)
-            for i in np.flatnonzero(turns).tolist():
-                turning = True
-                looks.append(brentq(lambda x, i=i: self._watcher.stops(at(x))[1][i], left, right, xtol=_TURN))
-            looks.append(right)
-            left, away, rate = right, next_away, next_rate
-        return sorted(looks), turning
+    def _turning(self, step: Step, states: Array, looks: Sequence[float]) -> BoolArray:
+        """Return (N, l) which joints turn back before a stop in which of N parts of a step.
 
-    def _crossings(
-        self, at: Callable[[float], Array], looks: list[float]
-    ) -> tuple[list[tuple[int, float, float]], Array]:
-        """Return which watched functions change sign between which fractions of a step, and their values at its end."""
-        nq = self._machine.robot.model.nq
-        left, before = 0.0, self._watched
-        found = []
-        for right in looks:
-            after = self._watcher.values(at(right)[:nq])
-            found += [(i, left, right) for i in self._watcher.crossed(before, after)]
-            left, before = right, after
-        return found, before
+        Args:
+            step: the step.
+            states: (N + 1, nq + nv) states at its start and at the ends of the parts.
+            looks: fractions of the step at which the parts end.
+        """
+        away, rate = self._watcher.stops(states)
+        length = np.diff(looks, prepend=0.0)[:, None] * (step.end - step.start)
+        reach = length * np.maximum(np.abs(rate[:-1]), np.abs(rate[1:]))
+        turning: BoolArray = (rate[:-1] < 0.0) & (rate[1:] > 0.0) & (np.minimum(away[:-1], away[1:]) < reach)
+        return turning
+
+    def _with_turns(self, step: Step, looks: Sequence[float]) -> list[float]:
+        """Return the fractions at which to look, with those at which a joint turns back before a stop."""
+        ends = [0.0, *looks]
+        turning = self._turning(step, np.array([step.exactly(x) for x in ends]), looks)
+
+        def rate(x: float, joint: int) -> float:
+            return float(self._watcher.stops(step.exactly(x)[None])[1][0, joint])
+
+        turns = [brentq(rate, ends[part], ends[part + 1], (i,), xtol=_TURN) for part, i in np.argwhere(turning)]
+        return sorted([*looks, *turns])
 
     def _root(self, step: Step, index: int, left: float, right: float) -> float:
         """Return the time at which a watched function changes sign between two fractions of a step."""

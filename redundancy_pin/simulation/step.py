@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
+import numpy as np
 from scipy.integrate import OdeSolver
 
 from redundancy_pin.arrays import Array
@@ -43,11 +44,22 @@ class Step:
         """Return y at a fraction of the step, to the accuracy of the integrator."""
         return self(self.time(fraction))
 
-    def guess(self, fraction: float) -> Array:
-        """Return y at a fraction of the step, from the cubic through y and ẏ at both ends: good enough to look."""
+    def guesses(self, weights: Array) -> Array:
+        """Return (N, nq + nv) y at fractions of the step, from the cubic through y and ẏ at both ends.
+
+        It is good enough to look whether something is near, and takes no evaluation.
+
+        Args:
+            weights: (N, 4) ``cubic`` of the fractions.
+        """
         (y0, f0), (y1, f1) = self._before, self._after
-        x, h = fraction, self.end - self.start
-        if x == 1.0:
-            return y1
-        slope: Array = x * (1.0 - x) * h * ((1.0 - x) * f0 - x * f1)
-        return slope + y0 + (y1 - y0) * x * x * (3.0 - 2.0 * x)
+        h = self.end - self.start
+        found: Array = weights.dot(np.array([y0, h * f0, h * f1, y1]))
+        return found
+
+
+def cubic(fractions: Sequence[float]) -> Array:
+    """Return (N, 4) weights of y, h ẏ at the start and h ẏ, y at the end of a step of length h in Hermite's cubic."""
+    x = np.array(fractions)
+    late = x * x * (3.0 - 2.0 * x)
+    return np.stack([1.0 - late, x * (1.0 - x) ** 2, -x * x * (1.0 - x), late], axis=1)

@@ -155,6 +155,16 @@ def test_a_start_at_a_type_two_pose_is_no_event_whichever_way_it_leaves() -> Non
         assert of_kind(run, "type_II") == []
 
 
+def test_a_type_two_pose_that_a_machine_started_from_is_an_event_when_it_comes_back() -> None:
+    robot = moving.massive("2rpr")
+    pull = Constant(np.array([-40.0, -40.0]), np.zeros(2))  # towards the line of the bases
+    start = closed_state(robot, [0.2, 0.0], [0.0, 0.3])
+    run = rp.simulate(robot, pull, start=start, duration=0.25, dt=0.001, max_step=1e-3)
+    (event,) = of_kind(run, "type_II")
+    y = lambda t: float(run.at([t])[0][0, 1])  # noqa: E731
+    assert event.t == pytest.approx(brentq(y, 0.02, 0.25), abs=TIMES)
+
+
 def test_a_robot_without_declared_modes_reports_type_one_by_its_rows() -> None:
     from dataclasses import replace
 

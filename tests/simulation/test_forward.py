@@ -14,7 +14,7 @@ import zoo
 from redundancy_pin.errors import IllPosedModelError, SingularPoseError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.simulation.forward import ForwardDynamics
-from redundancy_pin.simulation.partition import choose
+from redundancy_pin.simulation.partition import Partition, choose
 from redundancy_pin.simulation.state import closed_state
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "kinematics"))
@@ -70,6 +70,25 @@ def test_any_choice_of_independent_velocities_gives_the_same_acceleration() -> N
         dynamics.adapt(state.q)
         dynamics._set(other)
         np.testing.assert_allclose(dynamics.acceleration(state.q, state.v, force), expected, atol=BALANCE)
+
+
+def test_closure_forces_do_not_depend_on_a_choice_that_no_longer_suits() -> None:
+    # with the legs in one line, the slides cannot both depend on the swivels
+    state = moving.type_two_state()
+    robot, model = state.robot, state.robot.model
+    force = moving.random_force(robot, 2)
+    suited, unsuited = ForwardDynamics(robot), ForwardDynamics(robot)
+    suited.adapt(state.q)
+    a = suited.acceleration(state.q, state.v, force)
+    slides, swivels = (
+        np.array([model.joints[model.getJointId(f"{kind}_{leg}")].idx_v for leg in (1, 2)])
+        for kind in ("slide", "swivel")
+    )
+    unsuited._set(Partition(slides, np.concatenate([swivels, robot.carrier_velocity]), np.empty(0, dtype=np.intp)))
+    found = unsuited.forces(state.q, state.v, force, a)
+    np.testing.assert_allclose(
+        found.closure_force, suited.forces(state.q, state.v, force, a).closure_force, atol=BALANCE
+    )
 
 
 def test_a_massless_machine_at_a_type_two_pose_is_refused_by_name() -> None:

@@ -139,6 +139,26 @@ def test_parked_references_of_any_robot() -> None:
         motion_reference(robot, motion, step=0.0)
 
 
+def test_a_trajectory_that_a_plan_was_not_made_for_is_refused() -> None:
+    plan = whole_plan()
+    robot = zoo.robot_of("3rrr")
+    for radius in (0.013, 0.05):  # shorter, and longer
+        other = rp.trajectory.reference.corner(radius=radius)
+        with pytest.raises(InputError, match=r"The plan runs from 0 to 1\.79\d* s, the trajectory to"):
+            plan_reference(plan, robot=robot, motion=other)
+
+
+def test_a_platform_stays_where_it_is_while_carriers_go_on() -> None:
+    plan = stepwise_plan()
+    end = corner().duration
+    assert plan.t[-1] > end + 0.1
+    reference = plan_reference(plan, motion=corner())
+    point = reference.at(0.5 * (end + float(plan.t[-1])))
+    np.testing.assert_allclose(point.x, corner().evaluate(end).x, atol=SERIES)
+    assert np.abs(np.concatenate([point.xd, point.xdd])).max() < SERIES
+    assert np.abs(point.sd).max() > 1e-2
+
+
 def test_motions_without_finite_efforts_have_no_reference() -> None:
     robot = zoo.robot_of("2rpr", end_effector_mass=0.5)
     # braking across the line of the legs: W⁻¹ f has a pole there, which no node need meet

@@ -8,6 +8,7 @@ singular poses as well (docs/engines.md). Needs the extra ``engines``.
 from redundancy_pin.simulation.engines.drive import Drive, drive_of_motion, drive_of_plan
 from redundancy_pin.simulation.engines.exudyn import run_exudyn
 from redundancy_pin.simulation.engines.mujoco import run_mujoco
+from redundancy_pin.simulation.engines.own import run_own
 from redundancy_pin.simulation.engines.run import Deviation, EngineRun, RunStatus, deviation
 from redundancy_pin.simulation.engines.sensitivity import open_loop_growth
 from redundancy_pin.simulation.engines.task import Efforts, Task
@@ -25,4 +26,5 @@ __all__ = [
     "open_loop_growth",
     "run_exudyn",
     "run_mujoco",
+    "run_own",
 ]

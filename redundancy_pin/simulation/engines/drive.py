@@ -14,17 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, checked
+from redundancy_pin.arrays import Array, BoolArray, checked
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.state import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion, quintics
+from redundancy_pin.planners.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 from redundancy_pin.planners.piecewise_chebyshev import PiecewiseChebyshev, fit
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.simulation.engines.task import Task
+from redundancy_pin.simulation.planned_carriers import actuators_off, planned_carriers, planned_platform, smooth_pieces
 
 STRETCH = 0.01
 """Longest stretch of a motion that is no plan, s: 16 points in it resolve whatever a machine can follow."""
@@ -41,7 +41,8 @@ class Drive:
         resolution: largest of the last three Chebyshev coefficients of any effort, N or N·m: how well the polynomials
             resolve it.
         plan: the plan, if there is one.
-        plan_gap: largest difference between these efforts and the plan's own at its samples, N or N·m; NaN without one.
+        plan_gap: largest difference between these efforts and the plan's own at its samples, N or N·m: what the lag of
+            carriers planned by backward differences costs, rounding for other plans. NaN without a plan.
     """
 
     task: Task
@@ -55,8 +56,8 @@ class Drive:
 def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | None = None) -> Drive:
     """Return the drive of a plan.
 
-    Between the samples the carriers of a whole-trajectory plan have linear accelerations, as planned; those of another
-    plan follow the quintic that matches s, ṡ, s̈ at both samples.
+    Between the samples the carriers move as ``planned_carriers`` says, and main actuators are off where
+    ``actuators_off`` says so.
 
     Args:
         dynamics: either backend, for the robot of the plan.
@@ -67,19 +68,16 @@ def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | 
         InputError: the trajectory is not that of the plan.
         InfeasiblePlanError: efforts without a finite value; carries the time.
     """
-    source = continuous_motion(trajectory or plan.motion)
-    if abs(source.start - plan.t[0]) + abs(source.end - plan.t[-1]) > _SAME_TIME * (plan.t[-1] - plan.t[0]):
-        raise InputError(
-            f"The plan runs from {plan.t[0]:.9g} to {plan.t[-1]:.9g} s, the trajectory to {source.end:.9g} s.",
-            remedy="Pass the trajectory the plan was made for.",
-        )
-    carriers = _carriers_of(plan)
-    drive = _drive(dynamics, source, carriers, np.unique(plan.t), np.unique(plan.t)[1:-1])
+    source = planned_platform(plan, trajectory)
+    carriers = planned_carriers(plan)
+    edges = smooth_pieces(carriers, source)
+    drive = _drive(dynamics, source, carriers, edges, edges[1:-1], actuators_off(plan, edges))
     planned = np.concatenate([plan.tau, plan.carrier_force], axis=1)
-    jumping = np.append(plan.motion.jumps[1:], False)
-    own = drive.task.efforts(plan.t)
-    own[jumping] = drive.task.efforts(plan.t[jumping], side="left")
-    off = np.abs(own - planned)
+    # a sample belongs to the step that it ends, the second of two at a jump to the one it begins, and the first one to
+    # none: a plan by steps may set off with a jump
+    own = drive.task.efforts(plan.t, side="left")
+    own[plan.motion.jumps] = drive.task.efforts(plan.t[plan.motion.jumps])
+    off = np.abs(own - planned)[1:]
     return replace(drive, plan=plan, plan_gap=float(np.nanmax(off, initial=0.0)))
 
 
@@ -111,7 +109,8 @@ def drive_of_motion(
     pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(edges[:-1], edges[1:], counts, strict=True)]
     k = dynamics.robot.k
     at = carriers or (lambda times: CarrierMotion.parked(len(times), k))
-    return _drive(dynamics, source, at, np.append(np.concatenate(pieces), edges[-1]), edges[1:-1])
+    ends = np.append(np.concatenate(pieces), edges[-1])
+    return _drive(dynamics, source, at, ends, edges[1:-1], np.zeros(len(ends) - 1, dtype=bool))
 
 
 def _drive(
@@ -120,10 +119,12 @@ def _drive(
     carriers: Callable[[Array], CarrierMotion],
     edges: Array,
     breaks: Array,
+    off: BoolArray,
 ) -> Drive:
     def efforts(times: Array) -> Array:
         reduced = dynamics.along(source.sample_at(times)).reduce(carriers(times))
-        tau = distribute(reduced).tau
+        tau = distribute(reduced).tau.copy()
+        tau[off[np.clip(np.searchsorted(edges, times) - 1, 0, len(off) - 1)]] = 0.0
         bad = np.flatnonzero(~np.isfinite(tau).all(axis=1))
         if len(bad):
             t = float(times[bad[0]])
@@ -146,21 +147,5 @@ def _drive(
     return Drive(task, source.sample_at, carriers, _resolution(polynomials))
 
 
-def _carriers_of(plan: Plan) -> Callable[[Array], CarrierMotion]:
-    given = plan.carriers
-    if plan.planner == "whole_trajectory":
-        return CarrierCourse(plan.t, given.s, given.sd, given.sdd).at
-    left = np.flatnonzero(np.diff(plan.t) > 0.0)
-    right = left + 1
-    start, end = ((given.s[i], given.sd[i], given.sdd[i]) for i in (left, right))
-    position = quintics(np.append(plan.t[left], plan.t[-1]), start, end)
-    rate, second = position.derivative(), position.derivative(2)
-    return lambda times: CarrierMotion(position(times), rate(times), second(times))
-
-
 def _resolution(polynomials: PiecewiseChebyshev) -> float:
     return float(np.abs(polynomials.coefficients[:, -3:]).max())
-
-
-_SAME_TIME = 1e-9
-"""How far, relative to the duration, plan and trajectory may differ in their times."""

@@ -14,6 +14,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.simulation.engines import Task, drive_of_motion, drive_of_plan
 from redundancy_pin.simulation.engines.cases import SHORT, straight
 from redundancy_pin.simulation.engines.task import segments
+from redundancy_pin.simulation.reference import plan_reference
 
 EFFORT_TOLERANCE = 1e-6
 """N: beside a singular node the planner's own residual of 1e-9 N is divided by the distance to it."""
@@ -66,20 +67,41 @@ def test_a_plan_whose_trajectory_is_not_at_hand_is_read_between_its_samples(plan
     np.testing.assert_allclose(read.task.efforts(t), exact.task.efforts(t), atol=2e-3)
 
 
-def test_the_carriers_of_a_stepwise_plan_are_read_through_its_samples():
+def test_a_stepwise_plan_is_the_same_motion_to_an_engine_as_to_the_simulation():
+    """Carriers and efforts, sample by sample and in between: two codes, one meaning of a plan."""
     robot = zoo.robot_of("3rrr")
     trajectory = rp.trajectory.reference.corner(0.025)
     plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(dt=0.02), lam=0.0)
     drive = drive_of_plan(rp.RneaDynamics(robot), plan)
-    assert drive.plan_gap < EFFORT_TOLERANCE
-    once = np.append(np.diff(plan.t) > 0.0, True)  # of the two at a jump, the later
-    read = drive.carriers(plan.t[once])
-    np.testing.assert_allclose(read.s, plan.carriers.s[once], atol=1e-12)
-    np.testing.assert_allclose(read.sd, plan.carriers.sd[once], atol=1e-9)
-    # a motion: ṡ is the derivative of s between the samples, where backward differences are not
-    t, h = np.linspace(0.101, 0.119, 7), 1e-6
-    slope = (drive.carriers(t + h).s - drive.carriers(t - h).s) / (2 * h)
-    np.testing.assert_allclose(drive.carriers(t).sd, slope, atol=1e-6)
+    reference = plan_reference(plan, robot=robot)
+    t = np.sort(np.random.default_rng(2).uniform(plan.t[0], plan.t[-1], 200))
+    own = drive.carriers(t)
+    for found, i in ((own.s, 0), (own.sd, 1), (own.sdd, 2)):
+        np.testing.assert_allclose(found, [reference.carriers(time)[i] for time in t], atol=1e-9)
+    loads = [np.concatenate(reference.loads(time)) for time in t]
+    np.testing.assert_allclose(drive.task.efforts(t), loads, atol=EFFORT_TOLERANCE)
+    np.testing.assert_allclose(drive.task.q, reference.tree(0.0)[0], atol=1e-12)
+    np.testing.assert_allclose(drive.task.v, reference.tree(0.0)[1], atol=1e-12)
+    # in a step of backward differences s̈ is that of the sample that ends it; the lag of s moves the efforts a little
+    ends = np.searchsorted(plan.t, t)
+    stepped = np.isin(plan.phase[ends], [plan.phases.index(name) for name in ("optimise", "brake")])
+    assert stepped.sum() > 100
+    np.testing.assert_allclose(own.sdd[stepped], plan.carriers.sdd[ends[stepped]], atol=1e-12)
+    assert 1e-3 < drive.plan_gap < 0.05 * np.abs(plan.tau).max()
+    assert reference.effort_deviation < 0.05 * np.abs(plan.tau).max()
+
+
+def test_where_a_plan_has_its_actuators_off_an_engine_gets_no_efforts():
+    robot = zoo.robot_of("2rpr")
+    circle = rp.trajectory.reference.circle(speed=0.5)
+    plan = rp.plan_switch_off(rp.RneaDynamics(robot), circle, threshold=5.0, dt=0.005)
+    drive = drive_of_plan(rp.RneaDynamics(robot), plan)
+    window = plan.diagnostics["windows"][0]
+    inside = np.linspace(window["entry"], window["exit"], 100)[1:-1]
+    assert not drive.task.efforts(inside)[:, :2].any()
+    assert np.abs(drive.task.efforts(inside)[:, 2:]).max() > 0.1
+    before = drive.task.efforts(np.array([0.5 * (window["ramp_start"] + window["entry"])]))
+    assert np.abs(before[:, :2]).min() > 0.1
 
 
 def test_the_start_is_closed_and_moves_with_the_platform_and_the_carriers():
