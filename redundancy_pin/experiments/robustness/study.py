@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, OutputError
+from redundancy_pin.experiments.journal import open_journal
 from redundancy_pin.experiments.robustness.draws import Imperfections
-from redundancy_pin.experiments.robustness.journal import Key, open_journal
+from redundancy_pin.experiments.robustness.journal import TRIALS
 from redundancy_pin.experiments.robustness.scenarios import DRIVES, MASS, PLANNED_TRACK, SCENARIOS, Drive, Scenario
 from redundancy_pin.experiments.robustness.statistics import CellStatistics, cell_statistics
-from redundancy_pin.experiments.robustness.trial import ATOL, RTOL, Trial, run_trial
+from redundancy_pin.experiments.robustness.trial import ATOL, RTOL, Key, Trial, run_trial
 from redundancy_pin.experiments.workers import workers
 
 DRAWS = 200
@@ -123,8 +124,9 @@ def robustness_study(
                 "machine": {**MASS, "planned_track": PLANNED_TRACK},
                 "tolerances": [RTOL, ATOL],
             }
-            book = stack.enter_context(open_journal(journal, identity))
-            known.update(book.trials)
+            _make_folder(Path(journal).expanduser().parent)
+            book = stack.enter_context(open_journal(TRIALS, journal, identity))
+            known.update(book.records)
             put = book.add
         missing = [one for one in wanted if (one[0].name, one[1], one[2]) not in known]
         done = len(wanted) - len(missing)
@@ -142,6 +144,15 @@ def robustness_study(
     ]
     grouped = [trials[i * draws : (i + 1) * draws] for i in range(len(cells))]
     return Study(bounds, seed, tuple(trials), tuple(cell_statistics(group) for group in grouped))
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"Cannot make the folder {folder}: {error.strerror}.", remedy="Choose another one."
+        ) from error
 
 
 def _run(wanted: Sequence[tuple[Scenario, Drive, int]], bounds: Imperfections, seed: int, jobs: int) -> Iterator[Trial]:

@@ -26,6 +26,9 @@ from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
 
+Key = tuple[str, str, int]
+"""Names of scenario and drive, number of the draw."""
+
 SUCCESS = 0.01
 """m; a crossing counts where the simulation reaches its end and the platform was never farther from its plan."""
 
@@ -66,7 +69,7 @@ class Trial:
         return self.status == "completed" and self.largest <= SUCCESS
 
     @property
-    def key(self) -> tuple[str, str, int]:
+    def key(self) -> Key:
         """What identifies it within a study."""
         return self.scenario, self.drive, self.number
 
