@@ -153,7 +153,7 @@ def test_another_version_of_the_package_is_another_identity(tmp_path: Path, monk
         pass
     monkeypatch.setattr("redundancy_pin.__version__", "99")
     with (
-        pytest.raises(OutputError, match="for package it has .*, now it is '99'"),
+        pytest.raises(OutputError, match=r"for package it has .*, now it is '99'"),
         open_journal(TRIALS, path, IDENTITY),
     ):
         pytest.fail("opened")
@@ -167,7 +167,7 @@ def test_the_journal_of_the_other_kind_and_those_of_other_versions_are_refused(t
         pytest.fail("opened")
     # the header of version 1
     path.write_text(json.dumps({"format": TRIALS.format, "package": "0.1.0", "seed": 0}) + "\n")
-    with pytest.raises(OutputError, match="version None.*version 2"), open_journal(TRIALS, path, IDENTITY):
+    with pytest.raises(OutputError, match=r"version None.*version 2"), open_journal(TRIALS, path, IDENTITY):
         pytest.fail("opened")
     for content in (b"", b"mine\n", b"\xff\n", b"[1]\n"):
         path.write_bytes(content)

@@ -19,12 +19,15 @@ from redundancy_pin.experiments.robustness.journal import TRIALS
 from redundancy_pin.experiments.robustness.scenarios import DRIVES, MASS, PLANNED_TRACK, SCENARIOS, Drive, Scenario
 from redundancy_pin.experiments.robustness.statistics import CellStatistics, cell_statistics
 from redundancy_pin.experiments.robustness.trial import ATOL, RTOL, Key, Trial, run_trial
-from redundancy_pin.experiments.workers import workers
+from redundancy_pin.workers import workers
 
 DRAWS = 200
 
 Progress = Callable[[int, int, str], None]
 """Called with trials done, trials in all, and what is being done."""
+
+REMEDY = "Run again with fewer jobs: what a journal has is taken over from there."
+"""When a process has died."""
 
 _SCALED = ("mass", "length", "noise")
 _FRICTION = ("coulomb", "viscous")
@@ -161,7 +164,7 @@ def _run(wanted: Sequence[tuple[Scenario, Drive, int]], bounds: Imperfections, s
         for scenario, drive, number in wanted:
             yield run_trial(scenario, drive, bounds, seed, number)
         return
-    with workers(min(jobs, len(wanted))) as pool:
+    with workers(min(jobs, len(wanted)), REMEDY) as pool:
         futures: list[Future[Trial]] = [
             pool.submit(run_trial, scenario, drive, bounds, seed, number) for scenario, drive, number in wanted
         ]
