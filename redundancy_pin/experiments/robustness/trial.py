@@ -157,7 +157,7 @@ def controller(scenario: Scenario, drive: Drive, imperfections: Imperfections) -
     limits = imperfections.effort_limit, imperfections.carrier_force_limit
     match drive:
         case "computed torque":
-            return ComputedTorque(motion, effort_limit=limits[0], sampling=sampling)
+            return ComputedTorque(motion, effort_limit=limits[0], carrier_force_limit=limits[1], sampling=sampling)
         case "LQR":
             return TimeVaryingLqr(motion, effort_limit=limits[0], carrier_force_limit=limits[1], sampling=sampling)
         case _:

@@ -15,12 +15,12 @@ from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.continuous_motion import TimedTrajectory
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.control import Sampling, limit
-from redundancy_pin.simulation.controllers.allocation import Allocation, AllocationStatus, allocate
+from redundancy_pin.simulation.controllers.allocation import Allocation, AllocationStatus, CarrierForces, allocate
 from redundancy_pin.simulation.controllers.reduced_model import ReducedModel
 from redundancy_pin.simulation.controllers.tracking import Tracking
 from redundancy_pin.simulation.linearise import state_error
 from redundancy_pin.simulation.manifold import Manifold
-from redundancy_pin.simulation.reference import MotionReference
+from redundancy_pin.simulation.reference import MotionReference, ReferencePoint
 from redundancy_pin.simulation.state import State
 
 CARRIER_SHARE = 0.1
@@ -70,7 +70,8 @@ class ComputedTorque(Tracking):
             efforts when left out.
         carrier_scale: scalar or (k,) â, carrier acceleration beyond the wanted one, m/s²; a tenth of the largest
             planned |s̈| when left out.
-        effort_limit: scalar or (m,) largest |τ|; what it cuts off is left to the carriers.
+        effort_limit: scalar or (m,) largest |τ|, N or N·m; what it cuts off is left to the carriers.
+        carrier_force_limit: scalar or (k,) largest |F|, N; what it cuts off is left to the main actuators.
         sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
             answer will act.
 
@@ -94,6 +95,7 @@ class ComputedTorque(Tracking):
         effort_scale: ArrayLike | None = None,
         carrier_scale: ArrayLike | None = None,
         effort_limit: ArrayLike | None = None,
+        carrier_force_limit: ArrayLike | None = None,
         sampling: Sampling | None = None,
     ) -> None:
         super().__init__(plan, motion, sampling)
@@ -108,6 +110,7 @@ class ComputedTorque(Tracking):
         self.effort_scale = _scale(effort_scale, largest_tau, robot.m, "effort_scale")
         self.carrier_scale = _scale(carrier_scale, CARRIER_SHARE * largest_sdd, robot.k, "carrier_scale")
         self.effort_limit = limit(effort_limit, robot.m, "effort_limit")
+        self.carrier_force_limit = limit(carrier_force_limit, robot.k, "carrier_force_limit")
         self.history: deque[TorqueCommand] = deque(maxlen=HISTORY)
         self._model = ReducedModel(robot)
         self._manifold = Manifold(self._model.chain)
@@ -137,23 +140,29 @@ class ComputedTorque(Tracking):
             equations = self._model.at(here.q, here.v)
         except SingularPoseError:
             nothing = Allocation(point.tau, np.zeros(robot.k), float("nan"), 0.0, AllocationStatus.UNBALANCED)
-            return TorqueCommand(t, point.tau, point.carrier_force, nothing)
-        coupling = equations.mass[:n, n:]
+            return self._as_planned(t, point, nothing)
+        needed = equations.mass @ wanted + equations.bias
+        carriers = CarrierForces(needed[n:], equations.mass[n:, n:], self.carrier_force_limit)
         found = allocate(
             equations.W,
-            coupling,
-            equations.mass[:n] @ wanted + equations.bias[:n],
+            equations.mass[:n, n:],
+            needed[:n],
             point.tau,
             effort_scale=self.effort_scale,
             carrier_scale=self.carrier_scale,
             row_scale=self._rows,
             effort_limit=self.effort_limit,
+            carriers=carriers,
         )
         if found.status is AllocationStatus.UNBALANCED:
-            return TorqueCommand(t, point.tau, point.carrier_force, found)
-        wanted[n:] += found.deviation
-        force = equations.mass[n:] @ wanted + equations.bias[n:]
-        return TorqueCommand(t, read_only(found.tau), read_only(force), found)
+            return self._as_planned(t, point, found)
+        return TorqueCommand(t, read_only(found.tau), read_only(carriers.of(found.deviation)), found)
+
+    def _as_planned(self, t: float, point: ReferencePoint, found: Allocation) -> TorqueCommand:
+        """Return the plan's efforts, within the limits."""
+        tau = np.clip(point.tau, -self.effort_limit, self.effort_limit)
+        force = np.clip(point.carrier_force, -self.carrier_force_limit, self.carrier_force_limit)
+        return TorqueCommand(t, read_only(tau), read_only(force), found)
 
     def _advanced(self, t: float, state: State) -> State:
         """Return where the state will be when the answer acts, by its velocity and the planned acceleration."""

@@ -10,7 +10,7 @@ import pytest
 from crossing_case import corner, crossing, perturbed, two_rpr
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, SingularPoseError
 from redundancy_pin.simulation.control import Sampling
 from redundancy_pin.simulation.controllers import AllocationStatus, ComputedTorque, computed_torque
 from redundancy_pin.simulation.state import State, closed_state, tree_state
@@ -157,8 +157,44 @@ def test_limited_main_efforts_are_made_up_for_by_carriers():
         ({"effort_scale": 0.0}, "effort_scale is 0.0"),
         ({"carrier_scale": [1.0, 2.0, 3.0]}, r"carrier_scale is \[1.0, 2.0, 3.0\]"),
         ({"effort_limit": -1.0}, "effort_limit is -1.0"),
+        ({"carrier_force_limit": [1.0, 2.0, 3.0]}, "carrier_force_limit is"),
     ],
 )
 def test_settings_out_of_their_domain(changed, message):
     with pytest.raises(InputError, match=message):
         ComputedTorque(crossing(), **changed)
+
+
+def test_limited_carriers_are_made_up_for_by_main_efforts():
+    motion, robot = crossing(), two_rpr()
+    start = perturbed(robot, motion, 0.3, AWAY, SPEED)
+    free = ComputedTorque(motion)
+    run = rp.simulate(robot, free, start=start, duration=0.1, rtol=1e-8, atol=1e-10)
+    peak = np.abs(run.carrier_force).max(axis=0)
+    limit = 0.97 * float(peak.max())
+    control = ComputedTorque(motion, carrier_force_limit=limit)
+    run = rp.simulate(robot, control, start=start, duration=0.1, carrier_force_limit=limit, rtol=1e-8, atol=1e-10)
+    statuses = Counter(one.allocation.status for one in control.history)
+    assert statuses[AllocationStatus.SATURATED] > 0
+    assert set(statuses) <= {AllocationStatus.EXACT, AllocationStatus.SATURATED}
+    assert np.abs(run.carrier_force).max() == pytest.approx(limit, rel=1e-12)
+    expected = critically_damped(run.t - 0.3, np.array(AWAY), np.array(SPEED), 30.0)
+    assert np.abs(errors(run, motion) - expected).max() < 1e-7  # the platform keeps its equation; forces kink
+    # without knowing, what the amplifiers cut off is missing
+    run = rp.simulate(robot, free, start=start, duration=0.1, carrier_force_limit=limit, rtol=1e-8, atol=1e-10)
+    assert np.abs(errors(run, motion) - expected).max() > 1e-5
+
+
+def test_where_it_gives_up_it_keeps_its_limits(monkeypatch):
+    motion = crossing()
+    control = ComputedTorque(motion, effort_limit=0.01, carrier_force_limit=0.02)
+    q, v, _ = motion.tree(0.3)
+
+    def type_I(q, v):
+        raise SingularPoseError("type I")
+
+    monkeypatch.setattr(control._model, "at", type_I)
+    command = control.command(0.3, tree_state(motion.robot, q, v, t=0.3))
+    assert command.allocation.status is AllocationStatus.UNBALANCED
+    assert np.abs(command.tau).max() == 0.01
+    assert np.array_equal(command.carrier_force, np.clip(motion.loads(0.3)[1], -0.02, 0.02))
