@@ -26,6 +26,10 @@ from redundancy_pin.simulation.state import State
 CARRIER_SHARE = 0.1
 """Default â: this share of the largest planned |s̈|, per planned effort. The smaller, the later carriers take over."""
 
+POSITION = 1e-3
+"""Deviation of the platform, m, whose correction is the least default τ̂: rotations count times the characteristic
+length. That of ``bryson_weights``."""
+
 LEAST_SHARE = 1e-3
 """Scales of actuators that the plan does not use: this share of the largest, so that no weight is infinite."""
 
@@ -66,8 +70,9 @@ class ComputedTorque(Tracking):
         bandwidth: ω of the platform, rad/s.
         carrier_bandwidth: ω_s of the carriers, rad/s.
         damping: ζ of both.
-        effort_scale: scalar or (m,) τ̂, main effort beyond the plan's that counts as much as â; the largest planned
-            efforts when left out.
+        effort_scale: scalar or (m,) τ̂, main effort beyond the plan's that counts as much as â; when left out, the
+            largest planned efforts, or those that correct a millimetre (``correcting_efforts``) where they are larger:
+            a plan that asks next to nothing of the main actuators says nothing of what friction will ask of them.
         carrier_scale: scalar or (k,) â, carrier acceleration beyond the wanted one, m/s²; a tenth of the largest
             planned |s̈| when left out.
         effort_limit: scalar or (m,) largest |τ|, N or N·m; what it cuts off is left to the carriers.
@@ -107,7 +112,6 @@ class ComputedTorque(Tracking):
         frequency = np.concatenate([np.full(robot.n, bandwidth), np.full(robot.k, carrier_bandwidth)])
         self._stiffness, self._damping = frequency**2, 2.0 * damping * frequency
         largest_tau, largest_sdd = _largest(self.reference)
-        self.effort_scale = _scale(effort_scale, largest_tau, robot.m, "effort_scale")
         self.carrier_scale = _scale(carrier_scale, CARRIER_SHARE * largest_sdd, robot.k, "carrier_scale")
         self.effort_limit = limit(effort_limit, robot.m, "effort_limit")
         self.carrier_force_limit = limit(carrier_force_limit, robot.k, "carrier_force_limit")
@@ -115,6 +119,9 @@ class ComputedTorque(Tracking):
         self._model = ReducedModel(robot)
         self._manifold = Manifold(self._model.chain)
         self._rows = row_scale(robot)
+        if effort_scale is None:
+            largest_tau = np.maximum(largest_tau, correcting_efforts(self.reference, bandwidth**2 * POSITION))
+        self.effort_scale = _scale(effort_scale, largest_tau, robot.m, "effort_scale")
 
     def effort(self, t: float, state: State) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; ``history`` keeps how they came about."""
@@ -172,6 +179,36 @@ class ComputedTorque(Tracking):
         q = pin.integrate(model, np.array(state.q), lead * state.v + 0.5 * lead * lead * a)
         q, v, _, _ = self._manifold.project(q, state.v + lead * a)
         return State(self._model.chain, t + lead, q, v)
+
+
+def correcting_efforts(reference: MotionReference, acceleration: float) -> Array:
+    """Return the main efforts (m,) that accelerate the platform along their own directions.
+
+    With W_i the column of actuator i and u = W_i / |W_i|, in coordinates scaled to lengths: a uᵀ M_xx u / |W_i|, which
+    is finite at type II poses; the median over the motion.
+
+    Args:
+        reference: the motion.
+        acceleration: a, m/s².
+
+    Returns:
+        N or N·m; zero for an actuator without effect anywhere on the motion.
+    """
+    model, rows = ReducedModel(reference.robot), row_scale(reference.robot)
+    n, middles = reference.robot.n, 0.5 * (reference.edges[:-1] + reference.edges[1:])
+    found = []
+    for t in middles.tolist():
+        q, v, _ = reference.tree(t)
+        try:
+            equations = model.at(q, v)
+        except SingularPoseError:
+            continue
+        columns = equations.W / rows[:, None]
+        size = np.linalg.norm(columns, axis=0)
+        along = columns / np.where(size > 0.0, size, np.inf) / rows[:, None]
+        carried = np.einsum("im,ij,jm->m", along, equations.mass[:n, :n], along)
+        found.append(acceleration * carried / np.where(size > 0.0, size, np.inf))
+    return np.median(found, axis=0) if found else np.zeros(reference.robot.m)
 
 
 def _largest(reference: MotionReference) -> tuple[Array, Array]:

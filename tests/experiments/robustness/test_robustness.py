@@ -176,6 +176,13 @@ def test_the_largest_forces_are_those_of_every_period(monkeypatch: pytest.Monkey
     assert found.carrier_force == acted[:, 2:].max()
 
 
+def test_a_plan_that_hardly_uses_its_main_actuators_crosses_against_friction():
+    """With τ̂ the largest planned effort alone, 0.08 N, carrier 1 comes to the end of its track in every draw."""
+    bounds = scaled(Imperfections(), 5.0)
+    found = run_trial(Scenario("line", "whole trajectory", 1.9, 3.1), "computed torque", bounds, 0, 0)
+    assert found.success
+
+
 @pytest.mark.parametrize("changed", [{"draws": 0}, {"jobs": 0}])
 def test_numbers_out_of_their_domain(changed):
     with pytest.raises(InputError, match="positive whole numbers"):

@@ -11,8 +11,11 @@ from crossing_case import corner, crossing, perturbed, two_rpr
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, SingularPoseError
+from redundancy_pin.kinematics.coordinates import row_scale
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.simulation.control import Sampling
 from redundancy_pin.simulation.controllers import AllocationStatus, ComputedTorque, computed_torque
+from redundancy_pin.simulation.reference import motion_reference
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 
 BEFORE = 0.5
@@ -198,3 +201,52 @@ def test_where_it_gives_up_it_keeps_its_limits(monkeypatch):
     assert command.allocation.status is AllocationStatus.UNBALANCED
     assert np.abs(command.tau).max() == 0.01
     assert np.array_equal(command.carrier_force, np.clip(motion.loads(0.3)[1], -0.02, 0.02))
+
+
+def straight(**masses):
+    """A slow line on the 2-RPR with little to do, above its singular line."""
+    path = rp.trajectory.Line((0.15, 0.4), (0.2, 0.3))
+    motion = rp.trajectory.Trajectory(path, rp.trajectory.SpeedProfile(path.length, 0.05, 0.5))
+    return motion_reference(rp.load_robot("2rpr", **masses), motion)
+
+
+def test_correcting_efforts_of_a_point_mass():
+    """Legs and carriers without mass: every leg pushes 0.5 kg along itself."""
+    motion = straight(end_effector_mass=0.5, carrier_mass=0.0)
+    assert computed_torque.correcting_efforts(motion, 0.9) == pytest.approx([0.45, 0.45], rel=1e-9)
+
+
+def test_correcting_efforts_are_those_of_the_backend():
+    """a (W̃ᵀ M̃ W̃)_ii / |W̃_i|³ with M and W of the inverse dynamics, in lengths."""
+    motion = corner()
+    robot, middles = motion.robot, 0.5 * (motion.edges[:-1] + motion.edges[1:])
+    dynamics, rows, found = rp.RneaDynamics(robot), row_scale(robot), []
+    assert not np.allclose(rows, 1.0)
+    for t in middles.tolist():
+        point = motion.at(t)
+        still = np.zeros((4, 3))
+        motions = PlatformMotion(
+            np.arange(4.0), np.tile(point.x, (4, 1)), still, np.concatenate([np.eye(3), np.zeros((1, 3))])
+        )
+        reduced = dynamics.reduce(motions, CarrierMotion(np.tile(point.s, (4, 1)), still, still))
+        mass = (reduced.f[:3] - reduced.f[3]).T / rows[:, None] / rows
+        W = reduced.W[0] / rows[:, None]
+        found.append(np.diag(W.T @ mass @ W) / np.linalg.norm(W, axis=0) ** 3)
+    expected = 0.9 * np.median(found, axis=0)
+    assert computed_torque.correcting_efforts(motion, 0.9) == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_default_effort_scale_is_no_less_than_what_corrects_a_millimetre():
+    slow = straight(end_effector_mass=0.5, carrier_mass=1.0)
+    planned = np.abs([slow.loads(float(t))[0] for t in slow.edges]).max()
+    assert planned < 0.1
+    least = computed_torque.correcting_efforts(slow, 30.0**2 * 1e-3)
+    assert (least > 0.45).all()
+    assert ComputedTorque(slow).effort_scale == pytest.approx(least, rel=1e-12)
+    assert ComputedTorque(slow, bandwidth=60.0).effort_scale == pytest.approx(4.0 * least, rel=1e-12)
+    assert ComputedTorque(slow, effort_scale=0.01).effort_scale == pytest.approx([0.01, 0.01])
+    fast = crossing()  # needs 4 N
+    middles = 0.5 * (fast.edges[:-1] + fast.edges[1:])
+    assert np.array_equal(
+        ComputedTorque(fast).effort_scale, np.abs([fast.loads(float(t))[0] for t in middles]).max(axis=0)
+    )
