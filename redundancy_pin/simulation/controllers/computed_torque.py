@@ -14,7 +14,7 @@ from redundancy_pin.errors import InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.continuous_motion import TimedTrajectory
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.control import Sampling, limit
+from redundancy_pin.simulation.control import CarrierDrive, Sampling, limit
 from redundancy_pin.simulation.controllers.allocation import Allocation, AllocationStatus, CarrierForces, allocate
 from redundancy_pin.simulation.controllers.reduced_model import ReducedModel
 from redundancy_pin.simulation.controllers.tracking import Tracking
@@ -64,6 +64,8 @@ class ComputedTorque(Tracking):
     δ and come back afterwards. It gives up, by feeding the plan's efforts forward, at a type I pose and where main
     actuators and carriers together have no effect in some direction that the force needs (``UNBALANCED``).
 
+    Its feedback holds the carriers too, by their forces: ``simulate(carriers="motion")`` refuses it.
+
     Args:
         plan: a plan, or a reference of a robot; its robot is the model that the controller knows.
         motion: the trajectory that was planned for, for exact values between the samples of a plan.
@@ -88,6 +90,9 @@ class ComputedTorque(Tracking):
         InputError: a gain, scale or limit out of its domain.
         InfeasiblePlanError, PlanFileError: see ``plan_reference``.
     """
+
+    carrier_drive: CarrierDrive = "force"
+    """A motion that is prescribed would leave nothing of the feedback on the carriers."""
 
     def __init__(
         self,

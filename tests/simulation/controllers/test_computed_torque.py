@@ -14,7 +14,13 @@ from redundancy_pin.errors import InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.simulation.control import Sampling
-from redundancy_pin.simulation.controllers import AllocationStatus, ComputedTorque, computed_torque
+from redundancy_pin.simulation.controllers import (
+    AllocationStatus,
+    ComputedTorque,
+    FeedForward,
+    TimeVaryingLqr,
+    computed_torque,
+)
 from redundancy_pin.simulation.reference import motion_reference
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 
@@ -250,3 +256,19 @@ def test_the_default_effort_scale_is_no_less_than_what_corrects_a_millimetre():
     assert np.array_equal(
         ComputedTorque(fast).effort_scale, np.abs([fast.loads(float(t))[0] for t in middles]).max(axis=0)
     )
+
+
+@pytest.mark.parametrize("controller", [ComputedTorque, TimeVaryingLqr])
+def test_carriers_driven_by_motion_are_refused_for_they_would_lose_their_feedback(controller):
+    control = controller(crossing())
+    with pytest.raises(InputError, match=rf'{controller.__name__} drives carriers by force.*Pass carriers="force"'):
+        rp.simulate(two_rpr(), control, duration=0.01, carriers="motion")
+    still = FeedForward(crossing())
+    assert rp.simulate(two_rpr(), still, duration=0.01, carriers="motion").status.value == "completed"
+
+
+def test_where_there_are_no_carriers_nothing_is_refused():
+    motion = straight(end_effector_mass=0.5, carriers=False)
+    assert motion.robot.k == 0
+    run = rp.simulate(motion.robot, ComputedTorque(motion), duration=0.01, carriers="motion")
+    assert run.status.value == "completed"
