@@ -29,7 +29,7 @@ Progress = Callable[[int, int, str], None]
 REMEDY = "Run again with fewer jobs: what a journal has is taken over from there."
 """When a process has died."""
 
-_SCALED = ("mass", "length", "noise")
+_SCALED = ("mass", "length", "start_position", "start_speed", "noise")
 _FRICTION = ("coulomb", "viscous")
 
 
@@ -51,7 +51,7 @@ class Study:
 
 
 def scaled(imperfections: Imperfections, severity: float) -> Imperfections:
-    """Return imperfections with errors of masses and lengths, friction and noise times a factor.
+    """Return imperfections with errors of masses, lengths and start, friction and noise times a factor.
 
     Sampling, delay, encoders and limits stay.
 

@@ -95,8 +95,8 @@ def trial_from(data: Mapping[str, Any]) -> Trial:
 def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, seed: int, number: int) -> Trial:
     """Simulate one draw.
 
-    The platform starts at the pose where the plan has it; the controller knows the robot as planned, and the machine
-    through encoders alone.
+    The machine is homed at the pose and carrier positions that the plan starts with, and starts a little beside them.
+    The controller knows the robot as planned, and the machine through encoders alone.
 
     Args:
         scenario: the crossing.
@@ -114,10 +114,19 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
     arguments: dict[str, Any] = {**MASS, **drawn.arguments}
     try:
         robot = load_robot("2rpr", **arguments)
+        homed = closed_state(robot, point.x, point.xd, point.s, point.sd, t=scenario.start).q - point.q
+        seen = _through_encoders(control, motion, drawn, imperfections, homed)
         run = simulate(
             robot,
-            Amplifier(_through_encoders(control, motion, drawn, imperfections), drawn.random, imperfections.noise),
-            start=closed_state(robot, point.x, point.xd, point.s, point.sd, t=scenario.start),
+            Amplifier(seen, drawn.random, imperfections.noise),
+            start=closed_state(
+                robot,
+                point.x + drawn.x,
+                point.xd + drawn.xd,
+                point.s + drawn.s,
+                point.sd + drawn.sd,
+                t=scenario.start,
+            ),
             duration=scenario.end - scenario.start,
             dt=imperfections.period,  # every value that the amplifiers put out is among the samples
             sampling=Sampling(imperfections.period, imperfections.delay),
@@ -193,7 +202,7 @@ class Amplifier:
 
 
 def _through_encoders(
-    control: Controller, motion: MotionReference, drawn: Draw, imperfections: Imperfections
+    control: Controller, motion: MotionReference, drawn: Draw, imperfections: Imperfections, home: Array
 ) -> Encoders:
     return Encoders(
         control,
@@ -201,6 +210,7 @@ def _through_encoders(
         period=imperfections.period,
         time_constant=imperfections.time_constant,
         phase=drawn.phase,
+        home=home,
     )
 
 
