@@ -7,7 +7,7 @@ import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +15,11 @@ import numpy as np
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.experiments.journal import open_journal
 from redundancy_pin.experiments.robustness.draws import Imperfections
+from redundancy_pin.experiments.robustness.identity import identity
 from redundancy_pin.experiments.robustness.journal import TRIALS
-from redundancy_pin.experiments.robustness.scenarios import DRIVES, MASS, PLANNED_TRACK, SCENARIOS, Drive, Scenario
+from redundancy_pin.experiments.robustness.scenarios import DRIVES, SCENARIOS, Drive, Scenario
 from redundancy_pin.experiments.robustness.statistics import CellStatistics, cell_statistics
-from redundancy_pin.experiments.robustness.trial import ATOL, RTOL, Key, Trial, run_trial
+from redundancy_pin.experiments.robustness.trial import Key, Trial, run_trial
 from redundancy_pin.workers import workers
 
 DRAWS = 200
@@ -98,7 +99,8 @@ def robustness_study(
 
     Raises:
         InputError: a number out of its domain, or two scenarios of one name.
-        OutputError: the journal is of another study, damaged, or cannot be written.
+        OutputError: the journal is of another study or of other code, in use by another run, damaged, or cannot be
+            written.
         RedundancyPinError: a process was killed from outside.
         InfeasiblePlanError: a scenario has no plan.
     """
@@ -120,15 +122,8 @@ def robustness_study(
     with contextlib.ExitStack() as stack:
         put: Callable[[Trial], None] | None = None
         if journal is not None:
-            identity = {
-                "seed": seed,
-                "imperfections": asdict(bounds),
-                "scenarios": [asdict(one) for one in scenarios],
-                "machine": {**MASS, "planned_track": PLANNED_TRACK},
-                "tolerances": [RTOL, ATOL],
-            }
             _make_folder(Path(journal).expanduser().parent)
-            book = stack.enter_context(open_journal(TRIALS, journal, identity))
+            book = stack.enter_context(open_journal(TRIALS, journal, identity(bounds, seed, scenarios)))
             known.update(book.records)
             put = book.add
         missing = [one for one in wanted if (one[0].name, one[1], one[2]) not in known]
