@@ -33,8 +33,8 @@ def study(draws: int, seed: int, severity: float, jobs: int | None, out: str, as
     r"""Drive imperfect machines through singularities, many times.
 
     Masses, lengths, starts, friction, encoders and force noise are drawn at random; planned crossings are driven open
-    loop, by computed torque and by LQR, digital and with a delay. Finished trials are in the journal: the same command goes on where
-    it was interrupted, and with more draws adds to it.
+    loop, by computed torque and by LQR, digital and with a delay. Finished trials are in the journal: the same command
+    goes on where it was interrupted, and with more draws adds to it.
 
     \b
     Example:

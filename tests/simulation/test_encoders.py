@@ -102,7 +102,7 @@ def test_friction_opposes_every_speed_and_saturates():
 
 
 def test_encoders_homed_elsewhere_see_a_start_off_the_plan():
-    """Homed at the planned pose of a machine that is 1 mm wider, started 0.3 mm beside it: that is seen, the width not."""
+    """Homed at the planned pose of a machine 1 mm wider, started 0.3 mm beside it: that is seen, the width not."""
     motion = moving()
     point = motion.at(0.0)
     other = rp.load_robot("2rpr", end_effector_mass=0.5, base_distance=0.501)
