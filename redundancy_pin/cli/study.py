@@ -32,9 +32,9 @@ INTERRUPTED = 130
 def study(draws: int, seed: int, severity: float, jobs: int | None, out: str, as_json: bool) -> None:
     r"""Drive imperfect machines through singularities, many times.
 
-    Masses, lengths, friction, encoders, sampling, delay and force noise are drawn at random; planned crossings are
-    driven open loop, by computed torque and by LQR. Finished trials are in the journal: the same command goes on where
-    it was interrupted, and with more draws adds to it.
+    Masses, lengths, starts, friction, encoders and force noise are drawn at random; planned crossings are driven open
+    loop, by computed torque and by LQR, digital and with a delay. Finished trials are in the journal: the same command
+    goes on where it was interrupted, and with more draws adds to it.
 
     \b
     Example:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 
 from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
 from redundancy_pin.crosscheck.parity import check_parity, check_parity_on_singularities
@@ -22,6 +21,7 @@ from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot.description import shipped_robots
+from redundancy_pin.workers import workers
 
 __all__ = ["CheckRow", "CrossCheckReport", "run"]
 
@@ -62,7 +62,7 @@ def run(
 
     Raises:
         InputError: ``samples`` or ``jobs`` is not positive, or ``seed`` is negative.
-        RedundancyPinError: a robot does not load, or no reachable motion of it is found.
+        RedundancyPinError: a robot does not load, no reachable motion of it is found, or a process died.
     """
     if samples < 1:
         raise InputError(f"samples is {samples}.", remedy="Ask for at least one state.", samples=samples)
@@ -99,13 +99,10 @@ def _each(work: Sequence[_Batch], jobs: int) -> Iterator[tuple[int, Tally]]:
     if jobs == 1 or len(work) == 1:
         yield from ((number, _checked(batch)) for number, batch in enumerate(work))
         return
-    # fork would copy the threads of the numerical libraries in an unknown state
-    with ProcessPoolExecutor(min(jobs, len(work)), mp_context=get_context("spawn")) as pool:
+    with workers(min(jobs, len(work))) as pool:
         pending = {pool.submit(_checked, batch): number for number, batch in enumerate(work)}
-        try:
-            yield from ((pending[ready], ready.result()) for ready in as_completed(pending))
-        finally:
-            pool.shutdown(cancel_futures=True)
+        for ready in as_completed(pending):
+            yield pending[ready], ready.result()
 
 
 def _checked(batch: _Batch) -> Tally:

@@ -6,13 +6,13 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, frozen, read_only
-from redundancy_pin.errors import IllPosedModelError, SingularPoseError
+from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.machine import Machine
-from redundancy_pin.simulation.result import Simulation
+from redundancy_pin.simulation.result import Simulation, SimulationStatus
 from redundancy_pin.simulation.run import Outcome
 
 
@@ -23,6 +23,9 @@ def collect(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -
         machine: what was integrated.
         outcome: what the run left.
         parameters: how it was run, in plain data.
+
+    Raises:
+        InputError: the controller returns something else than finite efforts at a sample.
     """
     robot, record = machine.robot, outcome.record
     model, data = robot.model, machine.chain.data
@@ -38,6 +41,10 @@ def collect(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -
             (tau[i], _), loads = machine.loads(machine.state(t, y))
         except (IllPosedModelError, SingularPoseError):
             continue  # a failed simulation ends there: the efforts have no accelerations
+        except InputError:
+            if outcome.status is not SimulationStatus.FAILED:
+                raise
+            continue  # what blows up may leave a controller without an answer
         a[i], closure_force[i], carrier_force[i] = loads.a, loads.closure_force, loads.carrier_force
     system = ConstraintSystem(robot)
     evaluated = system.evaluate(q)

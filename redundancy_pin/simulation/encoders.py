@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, checked
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.simulation.chain import ClosedChain
@@ -25,9 +25,9 @@ class Encoders:
 
     Encoders of the actuated joints alone would not do: at a type II pose they do not determine the pose. Readings are
     rounded to steps, homed where the simulation starts (there they read the planned configuration, whatever the true
-    geometry), and fitted to the closures of the robot that the controller knows, by the shortest step. Speeds are those
-    of the plan plus first-order filtered differences of what the readings depart from it, so the filter does not lag
-    behind the planned motion.
+    geometry) or as ``home`` says, and fitted to the closures of the robot that the controller knows, by the shortest
+    step. Speeds are those of the plan plus first-order filtered differences of what the readings depart from it, so the
+    filter does not lag behind the planned motion.
 
     Args:
         controller: what is given the estimated state.
@@ -37,9 +37,11 @@ class Encoders:
         revolute_step: rad.
         prismatic_step: m.
         phase: (nq,) where in a step each encoder stands when homed, fractions; zero when left out.
+        home: (nq,) joint positions at which the machine was homed, less those that the encoders were told, m and rad; a
+            start off the plan is then seen.
 
     Raises:
-        InputError: a setting that is not positive.
+        InputError: a setting that is not positive, or a ``home`` of the wrong shape.
         UnsupportedRobotError: a joint whose position is more than one number.
     """
 
@@ -53,6 +55,7 @@ class Encoders:
         revolute_step: float = REVOLUTE_STEP,
         prismatic_step: float = PRISMATIC_STEP,
         phase: Array | None = None,
+        home: Array | None = None,
     ) -> None:
         settings = {
             "period": period,
@@ -76,7 +79,7 @@ class Encoders:
         self._chain = ClosedChain(robot)
         self._manifold = Manifold(self._chain)
         self._share = period / (time_constant + period)
-        self._home: Array | None = None
+        self._home: Array | None = None if home is None else checked(home, "home", (robot.model.nq,))
         self._last = -np.inf
         self._away = np.zeros(robot.model.nq)
         self._rate = np.zeros(robot.model.nv)
@@ -97,7 +100,7 @@ class Encoders:
                 remedy="Make new Encoders for each simulation: they are homed where it starts.",
             )
         planned, speed, _ = self.reference.tree(t)
-        first = self._home is None
+        first = not np.isfinite(self._last)
         if self._home is None:
             self._home = state.q - planned
         counts = np.round((state.q - self._home) / self.step + self.phase)

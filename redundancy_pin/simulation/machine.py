@@ -68,16 +68,20 @@ class Machine:
         return State(self.chain, t, q, v)
 
     def command(self, state: State) -> Command:
-        """Return the efforts at a state: held, or asked for."""
-        return self.held if self.held is not None else self._drive.command(state.t, state)
-
-    def checked_command(self, state: State) -> Command:
-        """Return what the controller wants at a state, its form checked.
+        """Return the efforts at a state: held, or asked for.
 
         Raises:
-            InputError: see ``Drive.checked_command``.
+            InputError: see ``Drive.command``.
         """
-        return self._drive.checked_command(state.t, state)
+        return self.held if self.held is not None else self.asked(state)
+
+    def asked(self, state: State) -> Command:
+        """Return what the controller wants at a state.
+
+        Raises:
+            InputError: see ``Drive.command``.
+        """
+        return self._drive.command(state.t, state)
 
     def __call__(self, t: float, y: Array) -> Array:
         """Return ẏ; NaN where there is none, with ``trouble`` saying why: the integrator then tries a shorter step."""
@@ -87,7 +91,8 @@ class Machine:
         state = self.state(t if t < self.until else float(np.nextafter(self.until, -np.inf)), y)
         try:
             acceleration = self._acceleration(state, self._force(state, self.command(state)))
-        except (IllPosedModelError, SingularPoseError) as error:
+        except (IllPosedModelError, SingularPoseError, InputError) as error:
+            # a controller may have no answer to the state of a trial step that is too long
             self.trouble = error
             return np.full(len(y), np.nan)
         return np.concatenate([self._rate(state.q, state.v), acceleration])
@@ -97,6 +102,7 @@ class Machine:
 
         Raises:
             IllPosedModelError, SingularPoseError: there are none.
+            InputError: see ``command``.
         """
         command = self.command(state)
         force = self._force(state, command)

@@ -12,6 +12,7 @@ from scipy.integrate import DOP853, RK45
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.errors import InputError
 from redundancy_pin.simulation.control import Sampling
 from redundancy_pin.simulation.events import Event, Watcher
 from redundancy_pin.simulation.machine import Command, Machine
@@ -123,7 +124,11 @@ class Run:
         self._watched: Array = np.empty(0)
 
     def __call__(self, y: Array) -> Outcome:
-        """Integrate from y = (q, v) at the first time of the grid."""
+        """Integrate from y = (q, v) at the first time of the grid.
+
+        Raises:
+            InputError: the controller returns something else than finite efforts.
+        """
         began = time.perf_counter()
         t, end = float(self._grid[0]), float(self._grid[-1])
         y = self._y = self._machine.project(t, y)[0]
@@ -155,13 +160,17 @@ class Run:
         schedule = Schedule(sampling, start, end)
         for left, right in itertools.pairwise(schedule.edges(self._breaks)):
             if schedule.reads(left) > len(commands):
-                commands.append(machine.checked_command(machine.state(left, self._y)))
+                commands.append(machine.asked(machine.state(left, self._y)))
             acting = max(acting, min(schedule.acts(left), len(commands)) - 1)
             machine.held = commands[acting]
             yield left, right
 
     def _stretch(self, start: float, end: float, y: Array) -> tuple[float, Array, SimulationStatus]:
-        """Integrate over one stretch; return where it ended."""
+        """Integrate over one stretch; return where it ended.
+
+        Raises:
+            InputError: the controller returns something else than finite efforts, at trial steps however short.
+        """
         machine, settings = self._machine, self._settings
         self._restarts += 1
         machine.until = end
@@ -181,16 +190,18 @@ class Run:
             before = solver.y, solver.f
             message = solver.step()
             if solver.status == "failed":
+                self._require_answers()
                 why = str(message) if machine.trouble is None else str(machine.trouble)
                 return self._failed(solver.t, solver.y, f"no step is short enough: {why}")
-            machine.trouble = None
             self._steps += 1
             short = solver.step_size < SHORTEST and solver.status == "running"
             self._short = self._short + 1 if short else 0
             if self._short >= _MOST_SHORT:
+                self._require_answers()
                 return self._failed(
                     solver.t, solver.y, f"the steps have shrunk to {solver.step_size:.2g} s: {self._why()}"
                 )
+            machine.trouble = None
             step = Step(solver, before)
             stop = self._look(step)
             self._write_before(solver.t if stop is None else stop, step)
@@ -205,6 +216,15 @@ class Run:
                 solver.f = machine(solver.t, projected)
         self._suggested = solver.h_abs
         return end, solver.y, SimulationStatus.COMPLETED
+
+    def _require_answers(self) -> None:
+        """Check, where no step is short enough, that it is not the controller that has no answer.
+
+        Raises:
+            InputError: what it returned instead, and when.
+        """
+        if isinstance(self._machine.trouble, InputError):
+            raise self._machine.trouble
 
     def _why(self) -> str:
         """Return what makes a motion blow up, as far as it shows."""

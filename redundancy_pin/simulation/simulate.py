@@ -14,7 +14,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.collect import collect
-from redundancy_pin.simulation.control import CarrierLaw, Constant, Controller, Drive, Sampling, limit
+from redundancy_pin.simulation.control import CarrierDrive, CarrierLaw, Constant, Controller, Drive, Sampling, limit
 from redundancy_pin.simulation.events import Watcher
 from redundancy_pin.simulation.feed_forward import FeedForward
 from redundancy_pin.simulation.machine import External, Machine, Way
@@ -43,7 +43,7 @@ def simulate(
     start: State | None = None,
     duration: float | None = None,
     dt: float = 5e-3,
-    carriers: Literal["force", "motion"] = "force",
+    carriers: CarrierDrive = "force",
     sampling: Sampling | None = None,
     effort_limit: ArrayLike | None = None,
     carrier_force_limit: ArrayLike | None = None,
@@ -94,7 +94,8 @@ def simulate(
 
     Raises:
         InputError: a setting out of its domain, a start that is not closed or beyond a stop, a controller that returns
-            something else than efforts or was made for another sampling, no duration.
+            something else than finite efforts at any time or was made for another sampling or way to drive carriers, no
+            duration.
         IllPosedModelError: at the start, forces do not determine the acceleration: a free motion has no inertia.
         SingularPoseError: at the start, the closures have lost rank.
         UnsupportedRobotError: see ``way`` and ``FeedForward``.
@@ -118,7 +119,7 @@ def simulate(
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     _require_closed(machine, first)
     watcher.require_allowed(first.q)
-    command = machine.held = machine.checked_command(first)
+    command = machine.held = machine.asked(first)
     machine.dynamics.adapt(first.q)
     machine.loads(first)
     machine.held = None
@@ -220,7 +221,16 @@ def _times(
 def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> CarrierLaw | None:
     if carriers not in ("force", "motion"):
         raise InputError(f"carriers is {carriers!r}.", remedy='Pass "force" or "motion".')
-    if carriers == "force" or robot.k == 0:
+    if robot.k == 0:
+        return None
+    made_for = getattr(controller, "carrier_drive", None)
+    if made_for in ("force", "motion") and made_for != carriers:
+        raise InputError(
+            f"{type(controller).__name__} drives carriers by {made_for}, and this simulation does by {carriers}: "
+            "its hold on them would be lost.",
+            remedy=f'Pass carriers="{made_for}", or feed the efforts of the plan forward with FeedForward.',
+        )
+    if carriers == "force":
         return None
     law: CarrierLaw | None = getattr(controller, "carrier_motion", None)
     if law is None:

@@ -210,7 +210,8 @@ def test_ctrl_c_says_what_is_kept(tmp_path: Path, run: list, monkeypatch: pytest
 KILLED = """
 import os, sys, time
 from redundancy_pin.cli import main
-from redundancy_pin.experiments.robustness import journal, robustness_study, study
+from redundancy_pin.experiments import journal
+from redundancy_pin.experiments.robustness import robustness_study, study
 from redundancy_pin.experiments.robustness.scenarios import Scenario
 from redundancy_pin.experiments.robustness.trial import Trial
 

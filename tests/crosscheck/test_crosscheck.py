@@ -1,5 +1,6 @@
 """The cross-check itself: it passes on what is right and fails on every fault put into a backend."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,8 @@ from redundancy_pin.crosscheck.cases import Masses, Wave, random_case
 from redundancy_pin.crosscheck.report import CrossCheckReport, Tally, relative
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import backend as virtual_work
-from redundancy_pin.errors import InputError, ModelFileError, UnreachablePoseError
+from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError, UnreachablePoseError
+from redundancy_pin.workers import THREADS
 
 
 def failed(report):
@@ -50,6 +52,24 @@ def test_the_number_of_processes_does_not_change_the_report():
 def test_an_error_in_a_process_reaches_the_caller():
     with pytest.raises(ModelFileError, match="no robot"):
         crosscheck.run(["four_bar", "no_such_robot"], samples=5, jobs=2)
+
+
+def killed_by_the_system(batch):
+    """Stand in for the check of a batch; says the threads of its process, or dies in the third."""
+    if batch.index == 2:
+        os._exit(9)
+    return [os.environ.get(name) for name in THREADS]
+
+
+def test_a_process_that_dies_is_one_clear_error(monkeypatch):
+    monkeypatch.setattr(crosscheck, "_checked", killed_by_the_system)
+    with pytest.raises(RedundancyPinError, match=r"worker process died.*fewer jobs") as caught:
+        crosscheck.run(["four_bar"], samples=10, jobs=2)
+    assert "journal" not in str(caught.value)  # there is none
+    work = list(crosscheck._batches(["four_bar"], 3, 0))
+    assert len(work) > 1
+    found = dict(crosscheck._each(work[:2], 2))
+    assert [found[0], found[1]] == [["1"] * 3] * 2  # one thread each
 
 
 def test_progress_counts_every_state_of_every_batch():

@@ -99,3 +99,20 @@ def test_friction_opposes_every_speed_and_saturates():
     v = np.array([1.0, -1.0, 0.0, 0.01, -2.0, 1e-4])
     force = friction(tree_state(robot, np.array(robot.q_reference), v))
     assert force == pytest.approx([-0.5, 0.5, 0.0, -0.3 * np.tanh(1.0) - 0.002, 0.7, -0.3 * np.tanh(0.01) - 2e-5])
+
+
+def test_encoders_homed_elsewhere_see_a_start_off_the_plan():
+    """Homed at the planned pose of a machine 1 mm wider, started 0.3 mm beside it: that is seen, the width not."""
+    motion = moving()
+    point = motion.at(0.0)
+    other = rp.load_robot("2rpr", end_effector_mass=0.5, base_distance=0.501)
+    home = closed_state(other, point.x, point.xd, point.s, point.sd).q - point.q
+    x, s = point.x + np.array([3e-4, 0.0]), point.s + np.array([0.0, 2e-4])
+    off = closed_state(other, x, point.xd, s, point.sd)
+    encoders = Encoders(Still(), motion, period=1e-3, home=home)
+    found = encoders.estimate(0.0, off)
+    assert found.x == pytest.approx(x, abs=3e-5)  # a step of 16 bits at half a metre
+    assert found.s == pytest.approx(s, abs=2e-6)
+    assert found.v == pytest.approx(point.v, abs=1e-2)  # no difference of readings yet
+    with pytest.raises(InputError, match="home has shape"):
+        Encoders(Still(), motion, period=1e-3, home=np.zeros(3))

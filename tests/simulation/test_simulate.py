@@ -14,7 +14,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import IllPosedModelError, InputError, UnsupportedRobotError
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.control import Constant
+from redundancy_pin.simulation.control import Constant, Sampling
 from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 
@@ -316,3 +316,61 @@ def test_a_controller_that_blows_up_is_a_failure_with_its_reason() -> None:
     assert few.status is SimulationStatus.FAILED
     assert "2 steps did not reach the end" in few.reason
     assert few.t[-1] <= 0.02
+
+
+class From:
+    """Efforts that a spring gives, and from a time on something else."""
+
+    def __init__(self, start: float, answer: object) -> None:
+        self.start, self.answer = start, answer
+
+    def effort(self, t: float, state: State) -> object:
+        return (-0.5 * state.actuated_rate, np.zeros(2)) if t < self.start else self.answer
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        (np.array([1.0, np.nan]), np.zeros(2)),
+        (np.zeros(2), np.array([0.0, -np.inf])),
+        (np.array([np.inf, -np.inf]), np.zeros(2)),
+        (np.zeros(3), np.zeros(2)),
+        (np.zeros((2, 1)), np.zeros(2)),
+        (np.zeros(2), 0.0),
+        np.zeros(4),
+        None,
+        ("many", "few"),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("sampling", [None, Sampling(0.01)])
+def test_efforts_are_checked_whenever_they_are_asked_for(answer: object, sampling: Sampling | None) -> None:
+    """Also where the amplifiers would clip an infinity; the time is that from which on the controller goes wrong."""
+    robot = moving.massive("five_bar")
+    with pytest.raises(InputError, match=r"From\.effort returned .* at t = 0\.07.*main efforts \(2,\)") as caught:
+        rp.simulate(
+            robot, From(0.07, answer), duration=0.2, sampling=sampling, effort_limit=5.0, carrier_force_limit=5.0
+        )
+    assert caught.value.details["t"] == pytest.approx(0.07, abs=1e-9)
+
+
+def test_a_controller_without_an_answer_to_a_trial_step_alone_does_no_harm() -> None:
+    """As a square root that is real along the motion: the integrator tries a shorter step."""
+    robot = moving.massive("five_bar")
+
+    class Real(Constant):
+        misses = 0
+
+        def effort(self, t: float, state: State) -> tuple[Array, Array]:
+            if asked and 0.02 < t < 0.05 and len(asked) < 3:
+                asked.append(t)
+                return np.full(2, np.nan), np.zeros(2)
+            return super().effort(t, state)
+
+    asked = [0.0]
+    drive = Real(np.array([0.3, -0.2]), np.zeros(2))
+    run = rp.simulate(robot, drive, duration=0.1)
+    assert len(asked) == 3
+    plain = rp.simulate(robot, Constant(drive.tau, drive.carrier_force), duration=0.1)
+    assert run.status is SimulationStatus.COMPLETED
+    np.testing.assert_allclose(run.q, plain.q, atol=SAME)

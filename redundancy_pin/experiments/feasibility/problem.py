@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
 import inspect
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -147,11 +145,6 @@ class MapProblem:
             "limits": dict(sorted(self.limits.items())),
             "parameters": {name: dict(sorted(self.parameters.get(name, {}).items())) for name in self.parameters},
         }
-
-
-def digest(identity: Mapping[str, Any]) -> str:
-    """Return a hash of plain data that does not depend on the order of keys."""
-    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def known_axes(problem: MapProblem, arguments: Mapping[str, Value]) -> tuple[str, ...]:

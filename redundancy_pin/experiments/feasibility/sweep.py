@@ -14,10 +14,10 @@ from typing import Any
 from redundancy_pin.arrays import frozen
 from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.experiments.feasibility.cell import Cell, Key
-from redundancy_pin.experiments.feasibility.journal import open_journal
+from redundancy_pin.experiments.feasibility.journal import CELLS
 from redundancy_pin.experiments.feasibility.machine import machine
 from redundancy_pin.experiments.feasibility.planning import compute, require_parameters
-from redundancy_pin.experiments.feasibility.problem import MapProblem, digest, require_axes
+from redundancy_pin.experiments.feasibility.problem import MapProblem, require_axes
 from redundancy_pin.experiments.feasibility.result import (
     Direction,
     FeasibilityMap,
@@ -26,6 +26,7 @@ from redundancy_pin.experiments.feasibility.result import (
     grid_keys,
     lines_of,
 )
+from redundancy_pin.experiments.journal import digest, open_journal
 from redundancy_pin.robot import Robot
 
 Progress = Callable[[int, int, str], None]
@@ -68,8 +69,10 @@ def feasibility_map(
     with contextlib.ExitStack() as stack:
         put = None
         if journal is not None:
-            book = stack.enter_context(open_journal(journal, {**problem.identity(), "machine": fingerprint(robot)}))
-            known.update(book.cells)
+            # the fingerprint says least to a user, and changes along with others: last
+            identity = {**problem.identity(), "machine": fingerprint(robot)}
+            book = stack.enter_context(open_journal(CELLS, journal, identity))
+            known.update(book.records)
             put = book.add
         wanted = grid_keys(problem)
         for level in range(int(refine) + 1):

@@ -12,9 +12,9 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.experiments.replay.cases import CASES, ReplayCase
-from redundancy_pin.experiments.workers import workers
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.replay import Drive, Replay, replay
+from redundancy_pin.workers import workers
 
 Told = Callable[[str], None]
 

@@ -21,6 +21,8 @@ class Imperfections:
     Attributes:
         mass: relative error of each mass, ±.
         length: error of each length of the geometry, m, ±.
+        start_position: where platform and carriers start beside their plan, m, ± along each coordinate.
+        start_speed: by how much faster or slower, m/s, ±.
         prismatic_coulomb: Coulomb friction of prismatic joints, N; a draw has 0.5 to 1.5 times it, each joint its own.
         prismatic_viscous: N·s/m.
         revolute_coulomb: N·m.
@@ -34,6 +36,8 @@ class Imperfections:
 
     mass: float = 0.05
     length: float = 1e-3
+    start_position: float = 2e-4
+    start_speed: float = 2e-3
     prismatic_coulomb: float = 0.1
     prismatic_viscous: float = 0.2
     revolute_coulomb: float = 5e-3
@@ -57,6 +61,8 @@ class Draw:
         coulomb: (nv,) factors on Coulomb friction.
         viscous: (nv,) factors on viscous friction.
         phase: (nq,) of the encoders, fractions of a step.
+        x, xd: (n,) errors of the platform at the start, m and m/s.
+        s, sd: (k,) those of the carriers.
         random: for the noise of the forces.
     """
 
@@ -64,6 +70,10 @@ class Draw:
     coulomb: Array
     viscous: Array
     phase: Array
+    x: Array
+    xd: Array
+    s: Array
+    sd: Array
     random: np.random.Generator
 
 
@@ -82,10 +92,17 @@ def draw(nominal: Robot, imperfections: Imperfections, seed: int, number: int) -
     for name in LENGTHS:
         arguments[name] = float(known[name]) + imperfections.length * random.uniform(-1.0, 1.0)
     model = nominal.model
+    # a stream of its own: with or without errors of the start, everything else is the same machine
+    start = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 1)))
+    position, speed = imperfections.start_position, imperfections.start_speed
     return Draw(
         arguments,
         random.uniform(0.5, 1.5, model.nv),
         random.uniform(0.5, 1.5, model.nv),
         random.uniform(-0.5, 0.5, model.nq),
+        start.uniform(-position, position, nominal.n),
+        start.uniform(-speed, speed, nominal.n),
+        start.uniform(-position, position, nominal.k),
+        start.uniform(-speed, speed, nominal.k),
         random,
     )

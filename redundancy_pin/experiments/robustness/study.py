@@ -7,25 +7,30 @@ import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, OutputError
+from redundancy_pin.experiments.journal import open_journal
 from redundancy_pin.experiments.robustness.draws import Imperfections
-from redundancy_pin.experiments.robustness.journal import Key, open_journal
-from redundancy_pin.experiments.robustness.scenarios import DRIVES, MASS, PLANNED_TRACK, SCENARIOS, Drive, Scenario
+from redundancy_pin.experiments.robustness.identity import identity
+from redundancy_pin.experiments.robustness.journal import TRIALS
+from redundancy_pin.experiments.robustness.scenarios import DRIVES, SCENARIOS, Drive, Scenario
 from redundancy_pin.experiments.robustness.statistics import CellStatistics, cell_statistics
-from redundancy_pin.experiments.robustness.trial import ATOL, RTOL, Trial, run_trial
-from redundancy_pin.experiments.workers import workers
+from redundancy_pin.experiments.robustness.trial import Key, Trial, run_trial
+from redundancy_pin.workers import workers
 
 DRAWS = 200
 
 Progress = Callable[[int, int, str], None]
 """Called with trials done, trials in all, and what is being done."""
 
-_SCALED = ("mass", "length", "noise")
+REMEDY = "Run again with fewer jobs: what a journal has is taken over from there."
+"""When a process has died."""
+
+_SCALED = ("mass", "length", "start_position", "start_speed", "noise")
 _FRICTION = ("coulomb", "viscous")
 
 
@@ -47,7 +52,7 @@ class Study:
 
 
 def scaled(imperfections: Imperfections, severity: float) -> Imperfections:
-    """Return imperfections with errors of masses and lengths, friction and noise times a factor.
+    """Return imperfections with errors of masses, lengths and start, friction and noise times a factor.
 
     Sampling, delay, encoders and limits stay.
 
@@ -94,7 +99,8 @@ def robustness_study(
 
     Raises:
         InputError: a number out of its domain, or two scenarios of one name.
-        OutputError: the journal is of another study, damaged, or cannot be written.
+        OutputError: the journal is of another study or of other code, in use by another run, damaged, or cannot be
+            written.
         RedundancyPinError: a process was killed from outside.
         InfeasiblePlanError: a scenario has no plan.
     """
@@ -116,15 +122,9 @@ def robustness_study(
     with contextlib.ExitStack() as stack:
         put: Callable[[Trial], None] | None = None
         if journal is not None:
-            identity = {
-                "seed": seed,
-                "imperfections": asdict(bounds),
-                "scenarios": [asdict(one) for one in scenarios],
-                "machine": {**MASS, "planned_track": PLANNED_TRACK},
-                "tolerances": [RTOL, ATOL],
-            }
-            book = stack.enter_context(open_journal(journal, identity))
-            known.update(book.trials)
+            _make_folder(Path(journal).expanduser().parent)
+            book = stack.enter_context(open_journal(TRIALS, journal, identity(bounds, seed, scenarios)))
+            known.update(book.records)
             put = book.add
         missing = [one for one in wanted if (one[0].name, one[1], one[2]) not in known]
         done = len(wanted) - len(missing)
@@ -144,13 +144,22 @@ def robustness_study(
     return Study(bounds, seed, tuple(trials), tuple(cell_statistics(group) for group in grouped))
 
 
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"Cannot make the folder {folder}: {error.strerror}.", remedy="Choose another one."
+        ) from error
+
+
 def _run(wanted: Sequence[tuple[Scenario, Drive, int]], bounds: Imperfections, seed: int, jobs: int) -> Iterator[Trial]:
     """Give trials as they are finished, in whatever order that is."""
     if jobs == 1 or len(wanted) < 2:
         for scenario, drive, number in wanted:
             yield run_trial(scenario, drive, bounds, seed, number)
         return
-    with workers(min(jobs, len(wanted))) as pool:
+    with workers(min(jobs, len(wanted)), REMEDY) as pool:
         futures: list[Future[Trial]] = [
             pool.submit(run_trial, scenario, drive, bounds, seed, number) for scenario, drive, number in wanted
         ]

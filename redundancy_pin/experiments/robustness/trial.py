@@ -26,6 +26,9 @@ from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
 
+Key = tuple[str, str, int]
+"""Names of scenario and drive, number of the draw."""
+
 SUCCESS = 0.01
 """m; a crossing counts where the simulation reaches its end and the platform was never farther from its plan."""
 
@@ -66,7 +69,7 @@ class Trial:
         return self.status == "completed" and self.largest <= SUCCESS
 
     @property
-    def key(self) -> tuple[str, str, int]:
+    def key(self) -> Key:
         """What identifies it within a study."""
         return self.scenario, self.drive, self.number
 
@@ -92,8 +95,8 @@ def trial_from(data: Mapping[str, Any]) -> Trial:
 def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, seed: int, number: int) -> Trial:
     """Simulate one draw.
 
-    The platform starts at the pose where the plan has it; the controller knows the robot as planned, and the machine
-    through encoders alone.
+    The machine is homed at the pose and carrier positions that the plan starts with, and starts a little beside them.
+    The controller knows the robot as planned, and the machine through encoders alone.
 
     Args:
         scenario: the crossing.
@@ -111,10 +114,19 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
     arguments: dict[str, Any] = {**MASS, **drawn.arguments}
     try:
         robot = load_robot("2rpr", **arguments)
+        homed = closed_state(robot, point.x, point.xd, point.s, point.sd, t=scenario.start).q - point.q
+        seen = _through_encoders(control, motion, drawn, imperfections, homed)
         run = simulate(
             robot,
-            Amplifier(_through_encoders(control, motion, drawn, imperfections), drawn.random, imperfections.noise),
-            start=closed_state(robot, point.x, point.xd, point.s, point.sd, t=scenario.start),
+            Amplifier(seen, drawn.random, imperfections.noise),
+            start=closed_state(
+                robot,
+                point.x + drawn.x,
+                point.xd + drawn.xd,
+                point.s + drawn.s,
+                point.sd + drawn.sd,
+                t=scenario.start,
+            ),
             duration=scenario.end - scenario.start,
             dt=imperfections.period,  # every value that the amplifiers put out is among the samples
             sampling=Sampling(imperfections.period, imperfections.delay),
@@ -154,7 +166,7 @@ def controller(scenario: Scenario, drive: Drive, imperfections: Imperfections) -
     limits = imperfections.effort_limit, imperfections.carrier_force_limit
     match drive:
         case "computed torque":
-            return ComputedTorque(motion, effort_limit=limits[0], sampling=sampling)
+            return ComputedTorque(motion, effort_limit=limits[0], carrier_force_limit=limits[1], sampling=sampling)
         case "LQR":
             return TimeVaryingLqr(motion, effort_limit=limits[0], carrier_force_limit=limits[1], sampling=sampling)
         case _:
@@ -190,7 +202,7 @@ class Amplifier:
 
 
 def _through_encoders(
-    control: Controller, motion: MotionReference, drawn: Draw, imperfections: Imperfections
+    control: Controller, motion: MotionReference, drawn: Draw, imperfections: Imperfections, home: Array
 ) -> Encoders:
     return Encoders(
         control,
@@ -198,6 +210,7 @@ def _through_encoders(
         period=imperfections.period,
         time_constant=imperfections.time_constant,
         phase=drawn.phase,
+        home=home,
     )
 
 

@@ -12,6 +12,9 @@ bound; the carriers are actuators too. Of all exact solutions the one with the l
 is taken: where W is regular and τ̂ is generous against |M_xs| â, δ is small and τ does the work; towards the singularity
 the carriers take over, continuously, and δ stays finite as long as [W, −M_xs] has full row rank. Where it has not,
 nothing can be done in some direction, and the answer says so.
+
+Limits are part of the problem: |τ| ≤ τ_max, and |F| ≤ F_max for the carrier forces F = F_0 + M_ss δ, F_0 that of δ = 0.
+What one kind of actuator cannot give is left to the other.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from enum import Enum
 import numpy as np
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
+from redundancy_pin.simulation.controllers.shortest import shortest
 
 
 class AllocationStatus(Enum):
@@ -30,9 +34,9 @@ class AllocationStatus(Enum):
     EXACT = "exact"
     """Efforts and carriers bring it up."""
     SATURATED = "saturated"
-    """Main efforts at their limits, carriers bring up the rest exactly."""
+    """Main efforts or carrier forces at their limits, the others bring up the rest exactly."""
     BEYOND_LIMITS = "beyond_limits"
-    """Main efforts at their limits and carriers together fall short: ``residual`` is missing."""
+    """Main efforts and carrier forces within their limits fall short together: ``residual`` is missing."""
     UNBALANCED = "unbalanced"
     """Main actuators and carriers have no effect in some direction (or there is no model: a type I pose); the residual
     is what would be missing there."""
@@ -40,6 +44,30 @@ class AllocationStatus(Enum):
 
 RESIDUAL_TOLERANCE = 1e-9
 """Share of the wanted force that may be missing by rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarrierForces:
+    """Forces of the carriers as δ changes them, F = F_0 + M_ss δ, and what they may be.
+
+    Attributes:
+        planned: (k,) F_0, force for the wanted accelerations of platform and carriers, N.
+        mass: (k, k) M_ss, kg.
+        limit: (k,) largest |F|, N; infinite where there is none.
+    """
+
+    planned: Array
+    mass: Array
+    limit: Array
+
+    def of(self, deviation: Array) -> Array:
+        """Return F (k,), cut off at the limits, for deviations δ (k,)."""
+        force: Array = np.clip(self.planned + self.mass @ deviation, -self.limit, self.limit)
+        return force
+
+    def allow(self, deviation: Array) -> bool:
+        """Return whether the forces for deviations δ (k,) are within the limits."""
+        return bool((np.abs(self.planned + self.mass @ deviation) <= self.limit).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +100,7 @@ def allocate(
     carrier_scale: Array,
     row_scale: Array,
     effort_limit: Array | None = None,
+    carriers: CarrierForces | None = None,
 ) -> Allocation:
     """Return efforts and carrier deviations that bring up a generalised force with the least weighted deviation.
 
@@ -84,64 +113,33 @@ def allocate(
         carrier_scale: (k,) â, positive, m/s².
         row_scale: (n,) lengths that turn moments into forces.
         effort_limit: (m,) largest |τ|; what they cut off is left to the others.
+        carriers: forces of the carriers and their limits; no limit when left out.
     """
-    m = W.shape[1]
+    m, k = W.shape[1], coupling.shape[1]
     full = np.concatenate([W, -coupling], axis=1) / row_scale[:, None]
     scale = np.concatenate([effort_scale, carrier_scale])
-    start = np.concatenate([planned, np.zeros(coupling.shape[1])])
+    start = np.concatenate([planned, np.zeros(k)])
     wanted = force / row_scale
     weighted = full * scale
     u, values, vt = np.linalg.svd(weighted, full_matrices=False)
     margin = float(values[-1]) if len(values) == len(wanted) else 0.0
     size = RESIDUAL_TOLERANCE * (1.0 + float(np.linalg.norm(wanted)))
     rank = values > RANK_TOLERANCE * values[0]
-    answer = start + scale * _solve(u, values, vt, rank, wanted - full @ start)
+    rest = wanted - full @ start
+    answer = start + scale * (vt[rank].T @ ((u[:, rank].T @ rest) / values[rank]))
     residual = float(np.linalg.norm(wanted - full @ answer))
     if residual > size:
         return Allocation(answer[:m], answer[m:], residual, margin, AllocationStatus.UNBALANCED)
-    if effort_limit is None or (np.abs(answer[:m]) <= effort_limit).all():
+    most = np.full(m, np.inf) if effort_limit is None else effort_limit
+    forces = CarrierForces(np.zeros(k), np.eye(k), np.full(k, np.inf)) if carriers is None else carriers
+    if (np.abs(answer[:m]) <= most).all() and forces.allow(answer[m:]):
         return Allocation(answer[:m], answer[m:], residual, margin, AllocationStatus.EXACT)
-    room = np.full((2, len(scale)), np.inf)
-    room[:, :m] = (effort_limit - planned) / effort_scale, (effort_limit + planned) / effort_scale
-    answer = start + scale * _bounded(weighted, wanted - full @ start, -room[1], room[0])
+    bounded = np.zeros((m + k, m + k))
+    bounded[:m, :m], bounded[m:, m:] = np.diag(effort_scale), forces.mass * carrier_scale
+    now, limits = np.concatenate([planned, forces.planned]), np.concatenate([most, forces.limit])
+    deviation, within = shortest(weighted, rest, bounded, -limits - now, limits - now)
+    answer = start + scale * deviation
+    answer[:m] = np.clip(answer[:m], -most, most)
     residual = float(np.linalg.norm(wanted - full @ answer))
-    status = AllocationStatus.SATURATED if residual <= size else AllocationStatus.BEYOND_LIMITS
+    status = AllocationStatus.SATURATED if within and residual <= size else AllocationStatus.BEYOND_LIMITS
     return Allocation(answer[:m], answer[m:], residual, margin, status)
-
-
-def _bounded(matrix: Array, wanted: Array, lower: Array, upper: Array) -> Array:
-    """Return the shortest y within bounds with A y = wanted, or as near to it as the clamped entries allow.
-
-    An active set: the entry that is farthest beyond its bound is clamped there, and one that would come back into its
-    bounds if it were free is freed. The answer is continuous in ``wanted``, so an integrator can follow it.
-    """
-    clamped = np.zeros(matrix.shape[1], dtype=bool)
-    value = np.zeros(matrix.shape[1])
-    for _ in range(_MOST_CHANGES * matrix.shape[1]):
-        rest = wanted - matrix[:, clamped] @ value[clamped]
-        u, values, vt = np.linalg.svd(matrix[:, ~clamped], full_matrices=False)
-        kept = values > RANK_TOLERANCE * np.abs(matrix).max()
-        value[~clamped] = _solve(u, values, vt, kept, rest)
-        multiplier = u[:, kept] @ ((u[:, kept].T @ rest) / values[kept] ** 2)
-        beyond = np.where(clamped, 0.0, np.maximum(value - upper, lower - value))
-        if beyond.max() > 0.0:
-            worst = int(beyond.argmax())
-            clamped[worst] = True
-            value[worst] = min(max(value[worst], lower[worst]), upper[worst])
-            continue
-        wish = matrix.T @ multiplier
-        returning = np.where(clamped, np.where(value == upper, upper - wish, wish - lower), 0.0)
-        if returning.max() <= RESIDUAL_TOLERANCE or not kept.all() or len(values) < len(wanted):
-            break
-        clamped[int(returning.argmax())] = False
-    return np.clip(value, lower, upper)
-
-
-_MOST_CHANGES = 4
-"""Changes of the active set for each entry before the last answer is taken as it is; its residual tells."""
-
-
-def _solve(u: Array, values: Array, vt: Array, kept: Array, wanted: Array) -> Array:
-    """Return the shortest solution by the kept singular directions."""
-    result: Array = vt[kept].T @ ((u[:, kept].T @ wanted) / values[kept])
-    return result

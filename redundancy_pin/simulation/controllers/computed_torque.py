@@ -14,17 +14,21 @@ from redundancy_pin.errors import InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.continuous_motion import TimedTrajectory
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.control import Sampling, limit
-from redundancy_pin.simulation.controllers.allocation import Allocation, AllocationStatus, allocate
+from redundancy_pin.simulation.control import CarrierDrive, Sampling, limit
+from redundancy_pin.simulation.controllers.allocation import Allocation, AllocationStatus, CarrierForces, allocate
 from redundancy_pin.simulation.controllers.reduced_model import ReducedModel
 from redundancy_pin.simulation.controllers.tracking import Tracking
 from redundancy_pin.simulation.linearise import state_error
 from redundancy_pin.simulation.manifold import Manifold
-from redundancy_pin.simulation.reference import MotionReference
+from redundancy_pin.simulation.reference import MotionReference, ReferencePoint
 from redundancy_pin.simulation.state import State
 
 CARRIER_SHARE = 0.1
 """Default â: this share of the largest planned |s̈|, per planned effort. The smaller, the later carriers take over."""
+
+POSITION = 1e-3
+"""Deviation of the platform, m, whose correction is the least default τ̂: rotations count times the characteristic
+length. That of ``bryson_weights``."""
 
 LEAST_SHARE = 1e-3
 """Scales of actuators that the plan does not use: this share of the largest, so that no weight is infinite."""
@@ -60,17 +64,21 @@ class ComputedTorque(Tracking):
     δ and come back afterwards. It gives up, by feeding the plan's efforts forward, at a type I pose and where main
     actuators and carriers together have no effect in some direction that the force needs (``UNBALANCED``).
 
+    Its feedback holds the carriers too, by their forces: ``simulate(carriers="motion")`` refuses it.
+
     Args:
         plan: a plan, or a reference of a robot; its robot is the model that the controller knows.
         motion: the trajectory that was planned for, for exact values between the samples of a plan.
         bandwidth: ω of the platform, rad/s.
         carrier_bandwidth: ω_s of the carriers, rad/s.
         damping: ζ of both.
-        effort_scale: scalar or (m,) τ̂, main effort beyond the plan's that counts as much as â; the largest planned
-            efforts when left out.
+        effort_scale: scalar or (m,) τ̂, main effort beyond the plan's that counts as much as â; when left out, the
+            largest planned efforts, or those that correct a millimetre (``correcting_efforts``) where they are larger:
+            a plan that asks next to nothing of the main actuators says nothing of what friction will ask of them.
         carrier_scale: scalar or (k,) â, carrier acceleration beyond the wanted one, m/s²; a tenth of the largest
             planned |s̈| when left out.
-        effort_limit: scalar or (m,) largest |τ|; what it cuts off is left to the carriers.
+        effort_limit: scalar or (m,) largest |τ|, N or N·m; what it cuts off is left to the carriers.
+        carrier_force_limit: scalar or (k,) largest |F|, N; what it cuts off is left to the main actuators.
         sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
             answer will act.
 
@@ -83,6 +91,9 @@ class ComputedTorque(Tracking):
         InfeasiblePlanError, PlanFileError: see ``plan_reference``.
     """
 
+    carrier_drive: CarrierDrive = "force"
+    """A motion that is prescribed would leave nothing of the feedback on the carriers."""
+
     def __init__(
         self,
         plan: Plan | MotionReference,
@@ -94,6 +105,7 @@ class ComputedTorque(Tracking):
         effort_scale: ArrayLike | None = None,
         carrier_scale: ArrayLike | None = None,
         effort_limit: ArrayLike | None = None,
+        carrier_force_limit: ArrayLike | None = None,
         sampling: Sampling | None = None,
     ) -> None:
         super().__init__(plan, motion, sampling)
@@ -105,13 +117,16 @@ class ComputedTorque(Tracking):
         frequency = np.concatenate([np.full(robot.n, bandwidth), np.full(robot.k, carrier_bandwidth)])
         self._stiffness, self._damping = frequency**2, 2.0 * damping * frequency
         largest_tau, largest_sdd = _largest(self.reference)
-        self.effort_scale = _scale(effort_scale, largest_tau, robot.m, "effort_scale")
         self.carrier_scale = _scale(carrier_scale, CARRIER_SHARE * largest_sdd, robot.k, "carrier_scale")
         self.effort_limit = limit(effort_limit, robot.m, "effort_limit")
+        self.carrier_force_limit = limit(carrier_force_limit, robot.k, "carrier_force_limit")
         self.history: deque[TorqueCommand] = deque(maxlen=HISTORY)
         self._model = ReducedModel(robot)
         self._manifold = Manifold(self._model.chain)
         self._rows = row_scale(robot)
+        if effort_scale is None:
+            largest_tau = np.maximum(largest_tau, correcting_efforts(self.reference, bandwidth**2 * POSITION))
+        self.effort_scale = _scale(effort_scale, largest_tau, robot.m, "effort_scale")
 
     def effort(self, t: float, state: State) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; ``history`` keeps how they came about."""
@@ -137,23 +152,29 @@ class ComputedTorque(Tracking):
             equations = self._model.at(here.q, here.v)
         except SingularPoseError:
             nothing = Allocation(point.tau, np.zeros(robot.k), float("nan"), 0.0, AllocationStatus.UNBALANCED)
-            return TorqueCommand(t, point.tau, point.carrier_force, nothing)
-        coupling = equations.mass[:n, n:]
+            return self._as_planned(t, point, nothing)
+        needed = equations.mass @ wanted + equations.bias
+        carriers = CarrierForces(needed[n:], equations.mass[n:, n:], self.carrier_force_limit)
         found = allocate(
             equations.W,
-            coupling,
-            equations.mass[:n] @ wanted + equations.bias[:n],
+            equations.mass[:n, n:],
+            needed[:n],
             point.tau,
             effort_scale=self.effort_scale,
             carrier_scale=self.carrier_scale,
             row_scale=self._rows,
             effort_limit=self.effort_limit,
+            carriers=carriers,
         )
         if found.status is AllocationStatus.UNBALANCED:
-            return TorqueCommand(t, point.tau, point.carrier_force, found)
-        wanted[n:] += found.deviation
-        force = equations.mass[n:] @ wanted + equations.bias[n:]
-        return TorqueCommand(t, read_only(found.tau), read_only(force), found)
+            return self._as_planned(t, point, found)
+        return TorqueCommand(t, read_only(found.tau), read_only(carriers.of(found.deviation)), found)
+
+    def _as_planned(self, t: float, point: ReferencePoint, found: Allocation) -> TorqueCommand:
+        """Return the plan's efforts, within the limits."""
+        tau = np.clip(point.tau, -self.effort_limit, self.effort_limit)
+        force = np.clip(point.carrier_force, -self.carrier_force_limit, self.carrier_force_limit)
+        return TorqueCommand(t, read_only(tau), read_only(force), found)
 
     def _advanced(self, t: float, state: State) -> State:
         """Return where the state will be when the answer acts, by its velocity and the planned acceleration."""
@@ -163,6 +184,36 @@ class ComputedTorque(Tracking):
         q = pin.integrate(model, np.array(state.q), lead * state.v + 0.5 * lead * lead * a)
         q, v, _, _ = self._manifold.project(q, state.v + lead * a)
         return State(self._model.chain, t + lead, q, v)
+
+
+def correcting_efforts(reference: MotionReference, acceleration: float) -> Array:
+    """Return the main efforts (m,) that accelerate the platform along their own directions.
+
+    With W_i the column of actuator i and u = W_i / |W_i|, in coordinates scaled to lengths: a uᵀ M_xx u / |W_i|, which
+    is finite at type II poses; the median over the motion.
+
+    Args:
+        reference: the motion.
+        acceleration: a, m/s².
+
+    Returns:
+        N or N·m; zero for an actuator without effect anywhere on the motion.
+    """
+    model, rows = ReducedModel(reference.robot), row_scale(reference.robot)
+    n, middles = reference.robot.n, 0.5 * (reference.edges[:-1] + reference.edges[1:])
+    found = []
+    for t in middles.tolist():
+        q, v, _ = reference.tree(t)
+        try:
+            equations = model.at(q, v)
+        except SingularPoseError:
+            continue
+        columns = equations.W / rows[:, None]
+        size = np.linalg.norm(columns, axis=0)
+        along = columns / np.where(size > 0.0, size, np.inf) / rows[:, None]
+        carried = np.einsum("im,ij,jm->m", along, equations.mass[:n, :n], along)
+        found.append(acceleration * carried / np.where(size > 0.0, size, np.inf))
+    return np.median(found, axis=0) if found else np.zeros(reference.robot.m)
 
 
 def _largest(reference: MotionReference) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.continuous_motion import TimedTrajectory
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.control import Sampling, limit
+from redundancy_pin.simulation.control import CarrierDrive, Sampling, limit
 from redundancy_pin.simulation.controllers.linear_model import LinearModel, linear_model, sampled_model
 from redundancy_pin.simulation.controllers.riccati import NEGATIVE, Riccati, continuous_riccati, discrete_riccati
 from redundancy_pin.simulation.controllers.tracking import Tracking
@@ -39,6 +39,8 @@ class TimeVaryingLqr(Tracking):
     Without ``sampling`` the gains are those of the continuous equation, linear between nodes. With it they are those of
     the zero-order hold, and the efforts that still act during the delay are part of the state.
 
+    Its feedback holds the carriers too, by their forces: ``simulate(carriers="motion")`` refuses it.
+
     Args:
         plan: a plan, or a reference of a robot; its robot is the model that the controller knows.
         motion: the trajectory that was planned for, for exact values between the samples of a plan.
@@ -60,6 +62,9 @@ class TimeVaryingLqr(Tracking):
         IllPosedModelError: a free motion of the model has no inertia somewhere on the way.
         InfeasiblePlanError, PlanFileError: see ``plan_reference``.
     """
+
+    carrier_drive: CarrierDrive = "force"
+    """A motion that is prescribed would leave nothing of the feedback on the carriers."""
 
     def __init__(
         self,

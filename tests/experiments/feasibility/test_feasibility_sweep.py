@@ -28,7 +28,8 @@ from redundancy_pin.experiments.feasibility import (
     sweep,
 )
 from redundancy_pin.experiments.feasibility.cell import Key
-from redundancy_pin.experiments.feasibility.journal import open_journal
+from redundancy_pin.experiments.feasibility.journal import CELLS
+from redundancy_pin.experiments.journal import open_journal
 
 joblib = pytest.importorskip("joblib")
 
@@ -135,7 +136,7 @@ def test_a_changed_problem_is_refused_and_named(tmp_path: Path, asked: list[Key]
     feasibility_map(corner(), journal, jobs=1)
     before = journal.read_bytes()
     for changed, says in (
-        (corner(limits={"max_effort": 4.0}), "for limits it has {'max_effort': 5.0}, now it is {'max_effort': 4.0}"),
+        (corner(limits={"max_effort": 4.0}), "for limits.max_effort it has 5.0, now it is 4.0"),
         (corner(parameters={}), "parameters"),
         (corner(mode=(-1, -1, -1)), "mode"),
         (corner(settings={"carrier_mass": 1.0}), "settings"),
@@ -203,10 +204,10 @@ def test_cells_survive_the_journal(tmp_path: Path) -> None:
         "ü",
         {"a": 1.0},
     )
-    with open_journal(tmp_path / "j", {"a": 1}) as journal:
+    with open_journal(CELLS, tmp_path / "j", {"a": 1}) as journal:
         journal.add(cell)
-    with open_journal(tmp_path / "j", {"a": 1}) as journal:
-        (found,) = journal.cells.values()
+    with open_journal(CELLS, tmp_path / "j", {"a": 1}) as journal:
+        (found,) = journal.records.values()
     # JSON knows no NaN
     assert found == Cell(
         "p", 0.1, 1 / 3, Verdict.INFEASIBLE, ("track", "end"), "c", 0.1, None, None, 1.1, 0.5, "", "ü", {"a": 1.0}
@@ -385,32 +386,3 @@ def test_bad_settings_of_the_sweep_are_refused(given: dict[str, Any], asked: lis
     with pytest.raises(InputError):
         feasibility_map(crossing(), **given)
     assert asked == []
-
-
-def test_a_journal_belongs_to_one_run(tmp_path: Path) -> None:
-    """A second run would compute the same cells and cut off what the first writes while it opens the file."""
-    journal, problem = tmp_path / "journal.jsonl", corner()
-    with open_journal(journal, problem.identity()) as first:
-        with (
-            pytest.raises(OutputError, match="in use by another run"),
-            open_journal(journal, problem.identity()),
-        ):
-            pytest.fail("opened twice")
-        first.add(quick(problem, WHOLE, 0.2, 0.3))
-    with open_journal(journal, problem.identity()) as again:
-        assert len(again.cells) == 1
-
-
-def test_a_full_disk_spoils_no_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    journal, problem = tmp_path / "journal.jsonl", corner()
-    write = os.write
-    with open_journal(journal, problem.identity()) as book:
-        book.add(quick(problem, WHOLE, 0.2, 0.3))
-        monkeypatch.setattr(os, "write", lambda handle, data: write(handle, data[: len(data) // 2]))
-        with pytest.raises(OutputError, match="make room"):
-            book.add(quick(problem, WHOLE, 0.2, 0.4))
-    monkeypatch.undo()
-    with open_journal(journal, problem.identity()) as again:
-        assert list(again.cells) == [(WHOLE, 0.2, 0.3)]
-        again.add(quick(problem, WHOLE, 0.2, 0.5))
-    assert all(json.loads(line) for line in _lines(journal))

@@ -14,7 +14,7 @@ from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.experiments.robustness import robustness_study, study
 from redundancy_pin.experiments.robustness.scenarios import Scenario
 from redundancy_pin.experiments.robustness.trial import Trial
-from redundancy_pin.experiments.workers import THREADS
+from redundancy_pin.workers import THREADS
 
 SHORT = Scenario("line", "switch off", 2.48, 2.50)
 OPTIONS = {"scenarios": (SHORT,), "drives": ("open loop",)}

@@ -12,10 +12,11 @@ import pytest
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.experiments.robustness import Imperfections, robustness_study, study, study_csv, study_table
 from redundancy_pin.experiments.robustness.draws import LENGTHS, MASSES, draw
-from redundancy_pin.experiments.robustness.scenarios import Scenario, nominal
+from redundancy_pin.experiments.robustness.scenarios import Scenario, nominal, planned
 from redundancy_pin.experiments.robustness.statistics import mean_interval, wilson
 from redundancy_pin.experiments.robustness.study import scaled
 from redundancy_pin.experiments.robustness.trial import SUCCESS, Amplifier, Trial, run_trial, trial_from
+from redundancy_pin.simulation.encoders import Encoders
 
 SHORT = Scenario("line", "switch off", 2.45, 2.55)
 """s; the singular pose at 2.508 s, and little else."""
@@ -32,6 +33,47 @@ def test_a_draw_depends_on_seed_and_number_alone():
     assert np.array_equal(first.phase, again.phase)
     assert first.random.normal() == again.random.normal()
     assert first.arguments != other.arguments
+
+
+def test_errors_of_the_start_have_a_stream_of_their_own():
+    """Without them the machine, and the noise of its forces, are the same."""
+    bounds = Imperfections()
+    first, none = (draw(nominal(), one, 1, 4) for one in (bounds, replace(bounds, start_position=0.0, start_speed=0.0)))
+    assert first.arguments == none.arguments
+    assert np.array_equal(first.phase, none.phase)
+    assert first.random.normal() == none.random.normal()
+    assert not np.concatenate([none.x, none.xd, none.s, none.sd]).any()
+    draws = [draw(nominal(), bounds, 0, number) for number in range(300)]
+    for name, most in (("x", 2e-4), ("s", 2e-4), ("xd", 2e-3), ("sd", 2e-3)):
+        away = np.array([getattr(one, name) for one in draws])
+        assert away.shape == (300, 2)
+        assert (0.95 * most < np.abs(away).max(axis=0)).all()
+        assert np.abs(away).max() <= most
+
+
+def test_a_trial_starts_beside_its_plan_and_the_controller_sees_it(monkeypatch: pytest.MonkeyPatch):
+    """With the geometry as planned, the first reading is the true start, to the steps of the encoders."""
+    seen = []
+    real = Encoders.estimate
+
+    def estimate(self, t, state):
+        found = real(self, t, state)
+        seen.append((state, found))
+        return found
+
+    monkeypatch.setattr(Encoders, "estimate", estimate)
+    exact = replace(scaled(Imperfections(), 0.0), start_position=2e-4, start_speed=2e-3)
+    run_trial(SHORT, "computed torque", exact, 0, 5)
+    true, found = seen[0]
+    point, drawn = planned(SHORT).at(SHORT.start), draw(nominal(), exact, 0, 5)
+    assert true.x - point.x == pytest.approx(drawn.x, abs=1e-12)
+    assert true.xd - point.xd == pytest.approx(drawn.xd, abs=1e-12)
+    assert true.s - point.s == pytest.approx(drawn.s, abs=1e-12)
+    assert true.sd - point.sd == pytest.approx(drawn.sd, abs=1e-12)
+    assert np.abs(drawn.x).max() > 2e-5
+    # 16 bits a turn on legs of half a metre
+    assert found.x == pytest.approx(true.x, abs=5e-5)
+    assert found.s == pytest.approx(true.s, abs=2e-6)
 
 
 def test_draws_stay_within_their_bounds_and_fill_them():
@@ -52,6 +94,7 @@ def test_severity_scales_errors_friction_and_noise_and_nothing_else():
     bounds = Imperfections()
     found, zero = scaled(bounds, 2.0), scaled(bounds, 0.0)
     assert (found.mass, found.length, found.noise) == (0.1, 2e-3, 0.1)
+    assert (found.start_position, found.start_speed, zero.start_position) == (4e-4, 4e-3, 0.0)
     assert found.revolute_coulomb == 2.0 * bounds.revolute_coulomb
     assert found.prismatic_viscous == 2.0 * bounds.prismatic_viscous
     assert (found.period, found.prismatic_smoothing, found.effort_limit) == (1e-3, 0.01, 20.0)
@@ -174,6 +217,13 @@ def test_the_largest_forces_are_those_of_every_period(monkeypatch: pytest.Monkey
     acted = np.abs(put_out[:-1])  # the last has not had the time to act
     assert found.effort == acted[:, :2].max()
     assert found.carrier_force == acted[:, 2:].max()
+
+
+def test_a_plan_that_hardly_uses_its_main_actuators_crosses_against_friction():
+    """With τ̂ the largest planned effort alone, 0.08 N, carrier 1 comes to the end of its track in every draw."""
+    bounds = scaled(Imperfections(), 5.0)
+    found = run_trial(Scenario("line", "whole trajectory", 1.9, 3.1), "computed torque", bounds, 0, 0)
+    assert found.success
 
 
 @pytest.mark.parametrize("changed", [{"draws": 0}, {"jobs": 0}])

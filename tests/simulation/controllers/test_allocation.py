@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.optimize import minimize
 
-from redundancy_pin.simulation.controllers.allocation import AllocationStatus, allocate
+from redundancy_pin.simulation.controllers.allocation import AllocationStatus, CarrierForces, allocate
 
 ROUNDING = 1e-8
 """Relative; matrices with entries in [-3, 3] whose smallest singular value is above 1e-3."""
@@ -140,3 +140,76 @@ def test_an_effort_that_was_clamped_comes_back_where_that_is_cheaper():
     assert found.status is AllocationStatus.SATURATED
     assert np.concatenate([found.tau, found.deviation]) == pytest.approx(best.x, abs=1e-5)
     assert abs(found.tau[1]) < 0.48
+
+
+def within(carriers_limit, **changed):
+    """Two carriers that weigh 2 kg and 1 kg, with some coupling, and need 0.4 N and −0.3 N for their plan."""
+    forces = CarrierForces(np.array([0.4, -0.3]), np.array([[2.0, 0.3], [0.3, 1.0]]), np.array(carriers_limit))
+    return forces, {"carrier_scale": np.array([0.3, 0.2]), "carriers": forces, **changed}
+
+
+def test_what_a_limit_of_the_carriers_cuts_off_is_left_to_the_main_actuators():
+    """By scipy's own solver: least weighted deviation, exact force, carrier forces within limits."""
+    W, coupling, force = (
+        np.array([[0.05, 1.0], [0.2, 0.3]]),
+        np.array([[-1.0, 0.2], [-0.5, -1.0]]),
+        np.array([1.0, 0.4]),
+    )
+    forces, settings = within([0.5, 0.4])
+    found = shared(W, coupling, force, **settings)
+    free = shared(W, coupling, force, carrier_scale=settings["carrier_scale"])
+    assert not forces.allow(free.deviation)
+    full, scale = np.hstack([W, -coupling]), np.array([1.0, 1.0, 0.3, 0.2])
+    best = minimize(
+        lambda u: float(np.sum((u / scale) ** 2)),
+        np.zeros(4),
+        constraints=[
+            {"type": "eq", "fun": lambda u: full @ u - force},
+            {"type": "ineq", "fun": lambda u: forces.limit - forces.planned - forces.mass @ u[2:]},
+            {"type": "ineq", "fun": lambda u: forces.limit + forces.planned + forces.mass @ u[2:]},
+        ],
+        options={"ftol": 1e-14},
+    )
+    assert found.status is AllocationStatus.SATURATED
+    assert np.concatenate([found.tau, found.deviation]) == pytest.approx(best.x, abs=1e-5)
+    assert np.abs(forces.of(found.deviation)).max() <= 0.5
+    assert np.abs(found.tau).max() > np.abs(free.tau).max()
+
+
+def test_a_plan_beyond_the_limits_of_the_carriers_is_left_by_them_and_made_up_for():
+    """No force is wanted of anybody, but the carriers cannot be driven as planned."""
+    forces, settings = within([0.1, 0.1])
+    found = shared(np.eye(2), np.array([[1.0, 0.0], [0.0, 1.0]]), [0.0, 0.0], **settings)
+    assert found.status is AllocationStatus.SATURATED
+    assert np.abs(forces.planned + forces.mass @ found.deviation) == pytest.approx([0.1, 0.1])
+    assert found.tau == pytest.approx(found.deviation)  # W τ = M_xs δ
+
+
+def test_carriers_and_efforts_at_their_limits_miss_least():
+    forces, settings = within([0.5, 0.5], effort_limit=np.array([0.2, 0.2]))
+    coupling, force = np.array([[-1.0, 0.0], [0.0, -1.0]]), np.array([3.0, 0.0])
+    found = shared(np.eye(2), coupling, force, **settings)
+    assert found.status is AllocationStatus.BEYOND_LIMITS
+    best = minimize(
+        lambda u: float(np.sum((force - u[:2] - u[2:]) ** 2)),
+        np.zeros(4),
+        bounds=[(-0.2, 0.2)] * 2 + [(None, None)] * 2,
+        constraints=[
+            {"type": "ineq", "fun": lambda u: forces.limit - forces.planned - forces.mass @ u[2:]},
+            {"type": "ineq", "fun": lambda u: forces.limit + forces.planned + forces.mass @ u[2:]},
+        ],
+        options={"ftol": 1e-14},
+    )
+    assert found.residual == pytest.approx(np.sqrt(best.fun), rel=1e-6)
+    assert np.abs(found.tau).max() <= 0.2
+    assert forces.of(found.deviation) == pytest.approx(forces.planned + forces.mass @ found.deviation, abs=1e-9)
+
+
+def test_limits_that_are_not_reached_change_nothing():
+    W, coupling, force = [[1.0, 0.2], [0.1, 1.0]], np.eye(2), [0.1, 0.2]
+    _, settings = within([50.0, np.inf])
+    found = shared(W, coupling, force, **settings)
+    free = shared(W, coupling, force, carrier_scale=settings["carrier_scale"])
+    assert found.status is AllocationStatus.EXACT
+    assert np.array_equal(found.tau, free.tau)
+    assert np.array_equal(found.deviation, free.deviation)

@@ -10,9 +10,18 @@ import pytest
 from crossing_case import corner, crossing, perturbed, two_rpr
 
 import redundancy_pin as rp
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, SingularPoseError
+from redundancy_pin.kinematics.coordinates import row_scale
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.simulation.control import Sampling
-from redundancy_pin.simulation.controllers import AllocationStatus, ComputedTorque, computed_torque
+from redundancy_pin.simulation.controllers import (
+    AllocationStatus,
+    ComputedTorque,
+    FeedForward,
+    TimeVaryingLqr,
+    computed_torque,
+)
+from redundancy_pin.simulation.reference import motion_reference
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 
 BEFORE = 0.5
@@ -157,8 +166,109 @@ def test_limited_main_efforts_are_made_up_for_by_carriers():
         ({"effort_scale": 0.0}, "effort_scale is 0.0"),
         ({"carrier_scale": [1.0, 2.0, 3.0]}, r"carrier_scale is \[1.0, 2.0, 3.0\]"),
         ({"effort_limit": -1.0}, "effort_limit is -1.0"),
+        ({"carrier_force_limit": [1.0, 2.0, 3.0]}, "carrier_force_limit is"),
     ],
 )
 def test_settings_out_of_their_domain(changed, message):
     with pytest.raises(InputError, match=message):
         ComputedTorque(crossing(), **changed)
+
+
+def test_limited_carriers_are_made_up_for_by_main_efforts():
+    motion, robot = crossing(), two_rpr()
+    start = perturbed(robot, motion, 0.3, AWAY, SPEED)
+    free = ComputedTorque(motion)
+    run = rp.simulate(robot, free, start=start, duration=0.1, rtol=1e-8, atol=1e-10)
+    peak = np.abs(run.carrier_force).max(axis=0)
+    limit = 0.97 * float(peak.max())
+    control = ComputedTorque(motion, carrier_force_limit=limit)
+    run = rp.simulate(robot, control, start=start, duration=0.1, carrier_force_limit=limit, rtol=1e-8, atol=1e-10)
+    statuses = Counter(one.allocation.status for one in control.history)
+    assert statuses[AllocationStatus.SATURATED] > 0
+    assert set(statuses) <= {AllocationStatus.EXACT, AllocationStatus.SATURATED}
+    assert np.abs(run.carrier_force).max() == pytest.approx(limit, rel=1e-12)
+    expected = critically_damped(run.t - 0.3, np.array(AWAY), np.array(SPEED), 30.0)
+    assert np.abs(errors(run, motion) - expected).max() < 1e-7  # the platform keeps its equation; forces kink
+    # without knowing, what the amplifiers cut off is missing
+    run = rp.simulate(robot, free, start=start, duration=0.1, carrier_force_limit=limit, rtol=1e-8, atol=1e-10)
+    assert np.abs(errors(run, motion) - expected).max() > 1e-5
+
+
+def test_where_it_gives_up_it_keeps_its_limits(monkeypatch):
+    motion = crossing()
+    control = ComputedTorque(motion, effort_limit=0.01, carrier_force_limit=0.02)
+    q, v, _ = motion.tree(0.3)
+
+    def type_I(q, v):
+        raise SingularPoseError("type I")
+
+    monkeypatch.setattr(control._model, "at", type_I)
+    command = control.command(0.3, tree_state(motion.robot, q, v, t=0.3))
+    assert command.allocation.status is AllocationStatus.UNBALANCED
+    assert np.abs(command.tau).max() == 0.01
+    assert np.array_equal(command.carrier_force, np.clip(motion.loads(0.3)[1], -0.02, 0.02))
+
+
+def straight(**masses):
+    """A slow line on the 2-RPR with little to do, above its singular line."""
+    path = rp.trajectory.Line((0.15, 0.4), (0.2, 0.3))
+    motion = rp.trajectory.Trajectory(path, rp.trajectory.SpeedProfile(path.length, 0.05, 0.5))
+    return motion_reference(rp.load_robot("2rpr", **masses), motion)
+
+
+def test_correcting_efforts_of_a_point_mass():
+    """Legs and carriers without mass: every leg pushes 0.5 kg along itself."""
+    motion = straight(end_effector_mass=0.5, carrier_mass=0.0)
+    assert computed_torque.correcting_efforts(motion, 0.9) == pytest.approx([0.45, 0.45], rel=1e-9)
+
+
+def test_correcting_efforts_are_those_of_the_backend():
+    """a (W̃ᵀ M̃ W̃)_ii / |W̃_i|³ with M and W of the inverse dynamics, in lengths."""
+    motion = corner()
+    robot, middles = motion.robot, 0.5 * (motion.edges[:-1] + motion.edges[1:])
+    dynamics, rows, found = rp.RneaDynamics(robot), row_scale(robot), []
+    assert not np.allclose(rows, 1.0)
+    for t in middles.tolist():
+        point = motion.at(t)
+        still = np.zeros((4, 3))
+        motions = PlatformMotion(
+            np.arange(4.0), np.tile(point.x, (4, 1)), still, np.concatenate([np.eye(3), np.zeros((1, 3))])
+        )
+        reduced = dynamics.reduce(motions, CarrierMotion(np.tile(point.s, (4, 1)), still, still))
+        mass = (reduced.f[:3] - reduced.f[3]).T / rows[:, None] / rows
+        W = reduced.W[0] / rows[:, None]
+        found.append(np.diag(W.T @ mass @ W) / np.linalg.norm(W, axis=0) ** 3)
+    expected = 0.9 * np.median(found, axis=0)
+    assert computed_torque.correcting_efforts(motion, 0.9) == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_default_effort_scale_is_no_less_than_what_corrects_a_millimetre():
+    slow = straight(end_effector_mass=0.5, carrier_mass=1.0)
+    planned = np.abs([slow.loads(float(t))[0] for t in slow.edges]).max()
+    assert planned < 0.1
+    least = computed_torque.correcting_efforts(slow, 30.0**2 * 1e-3)
+    assert (least > 0.45).all()
+    assert ComputedTorque(slow).effort_scale == pytest.approx(least, rel=1e-12)
+    assert ComputedTorque(slow, bandwidth=60.0).effort_scale == pytest.approx(4.0 * least, rel=1e-12)
+    assert ComputedTorque(slow, effort_scale=0.01).effort_scale == pytest.approx([0.01, 0.01])
+    fast = crossing()  # needs 4 N
+    middles = 0.5 * (fast.edges[:-1] + fast.edges[1:])
+    assert np.array_equal(
+        ComputedTorque(fast).effort_scale, np.abs([fast.loads(float(t))[0] for t in middles]).max(axis=0)
+    )
+
+
+@pytest.mark.parametrize("controller", [ComputedTorque, TimeVaryingLqr])
+def test_carriers_driven_by_motion_are_refused_for_they_would_lose_their_feedback(controller):
+    control = controller(crossing())
+    with pytest.raises(InputError, match=rf'{controller.__name__} drives carriers by force.*Pass carriers="force"'):
+        rp.simulate(two_rpr(), control, duration=0.01, carriers="motion")
+    still = FeedForward(crossing())
+    assert rp.simulate(two_rpr(), still, duration=0.01, carriers="motion").status.value == "completed"
+
+
+def test_where_there_are_no_carriers_nothing_is_refused():
+    motion = straight(end_effector_mass=0.5, carriers=False)
+    assert motion.robot.k == 0
+    run = rp.simulate(motion.robot, ComputedTorque(motion), duration=0.01, carriers="motion")
+    assert run.status.value == "completed"

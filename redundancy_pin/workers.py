@@ -16,7 +16,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @contextmanager
-def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
+def workers(jobs: int, remedy: str = "Run again with fewer jobs.") -> Iterator[ProcessPoolExecutor]:
     """Start processes for many small matrices; work that has not begun is dropped at the end.
 
     They are spawned, not forked: the parent may have threads. Libraries read how many threads to start when they are
@@ -24,6 +24,7 @@ def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
     Args:
         jobs: number of processes.
+        remedy: what to do when a process has died.
 
     Yields:
         The pool.
@@ -40,7 +41,7 @@ def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
     except BrokenProcessPool as error:
         raise RedundancyPinError(
             "A worker process died; it may have run out of memory.",
-            remedy="Run again with fewer jobs: what a journal has is taken over from there.",
+            remedy=remedy,
         ) from error
     finally:
         pool.shutdown(cancel_futures=True)

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from redundancy_pin.errors import RedundancyPinError
-from redundancy_pin.experiments.workers import THREADS, workers
+from redundancy_pin.workers import THREADS, workers
 
 
 def test_processes_have_one_thread_each_and_leave_the_environment_as_it_was(monkeypatch: pytest.MonkeyPatch):
