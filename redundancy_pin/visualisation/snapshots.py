@@ -9,7 +9,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
-from redundancy_pin.visualisation.scene import Plate, Scene, Solid
+from redundancy_pin.visualisation.scene import Plate, Scene, Solid, arc_points
 from redundancy_pin.visualisation.scene_colors import MARGIN_COLORS, ROLE_COLORS, UNKNOWN_COLOR, margin_classes
 from redundancy_pin.visualisation.show import View
 from redundancy_pin.visualisation.style import figure
@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 
 _FAINTEST = 0.25
 """Opacity of the first instant; the last one is drawn in full."""
+
+_MESH_OPACITY = 0.35
+"""Of the outline of a mesh, its convex hull: joints are seen through it."""
+
+_TRACK: dict[str, Any] = {"linestyle": (0, (3, 1.5))}
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 _DRAWN_AS_JOINT = {"actuated": "o", "passive": "o", "closure": "D"}
@@ -135,6 +140,13 @@ def _draw_solid(axes: Axes, solid: Solid, place: Array, columns: list[int], alph
                   markeredgewidth=0.7, zorder=2.8)  # fmt: skip
     elif solid.shape == "box":
         _draw_box(axes, solid, place, columns, style)
+    elif solid.shape == "arc":
+        points = arc_points(solid) @ place[:3, :3].T + place[:3, 3]
+        axes.plot(*points[:, columns].T, linewidth=1.2, zorder=2.2, **_TRACK, **style)
+    elif solid.mesh is not None:
+        points = (solid.mesh[0] @ place[:3, :3].T + place[:3, 3])[:, columns]
+        axes.fill(*_hull(points).T, facecolor=solid.color, alpha=_MESH_OPACITY * alpha, edgecolor="#202020",
+                  linewidth=0.5, zorder=1.8)  # fmt: skip
     elif solid.shape == "cylinder":
         radius, length = solid.size
         along = place[:3, 2][columns]
@@ -146,7 +158,7 @@ def _draw_solid(axes: Axes, solid: Solid, place: Array, columns: list[int], alph
 def _draw_box(axes: Axes, solid: Solid, place: Array, columns: list[int], style: dict[str, Any]) -> None:
     if solid.role == "track":
         ends = place[:3, 3] + 0.5 * solid.size[2] * np.outer([-1.0, 1.0], place[:3, 2])
-        axes.plot(*ends[:, columns].T, linestyle=(0, (3, 1.5)), linewidth=1.2, zorder=2.2, **style)
+        axes.plot(*ends[:, columns].T, linewidth=1.2, zorder=2.2, **_TRACK, **style)
         return
     sides = 0.5 * np.array(solid.size)
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -156,8 +168,13 @@ def _draw_box(axes: Axes, solid: Solid, place: Array, columns: list[int], style:
 
 
 def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points (N, 2) in order."""
+    """Return the corners of the convex hull of points (N, 2) in order; the two ends where they lie on a line."""
     from scipy.spatial import ConvexHull
 
+    spread = points - points.mean(axis=0)
+    _, size, along = np.linalg.svd(spread, full_matrices=False)
+    if size[1] <= 1e-9 * size[0]:
+        place = spread @ along[0]
+        return points[[int(place.argmin()), int(place.argmax())]]
     hull: Array = points[ConvexHull(points).vertices]
     return hull
