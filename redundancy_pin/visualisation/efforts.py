@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.visualisation.style import STROKES, figure, legend_above, mark_singular
+from redundancy_pin.visualisation.style import CARRIER_STROKES, STROKES, figure, legend_above, mark_singular
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -156,7 +156,7 @@ def _draw_bounded(axes: Axes, curves: EffortCurves) -> None:
 
 def _draw_carriers(axes: Axes, curves: EffortCurves) -> None:
     for i in range(curves.carrier_force.shape[1]):
-        stroke = STROKES[i % len(STROKES)]
+        stroke = CARRIER_STROKES[i % len(CARRIER_STROKES)]
         axes.plot(
             curves.t, curves.carrier_force[:, i], color=stroke.color, linestyle=stroke.dash, label=f"carrier {i + 1}"
         )

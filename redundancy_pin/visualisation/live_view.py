@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -71,7 +72,7 @@ def _server(handler: type[BaseHTTPRequestHandler]) -> ThreadingHTTPServer:
 
 
 class _Server(ThreadingHTTPServer):
-    allow_reuse_address = False  # a port that someone listens on is not to be shared
+    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
     daemon_threads = True
 
 
