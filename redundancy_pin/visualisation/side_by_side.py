@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _ROWS = ("position", "speed", "acceleration")
 _LABELS = {"position": "s [m]", "speed": "ṡ [m/s]", "acceleration": "s̈ [m/s²]"}
-_HEADROOM = 1.08
+_HEADROOM = 1.15
 
 
 def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: Sequence[float] = ()) -> Figure:

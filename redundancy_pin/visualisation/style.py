@@ -42,12 +42,15 @@ STROKES = (
 """Strokes of the first, second, ... series of a plot; main actuators have the first ones."""
 
 CARRIER_STROKES = (
-    Stroke("#7B3294", "-", "o"),
-    Stroke("#A6761D", (0, (5, 1.5)), "s"),
-    Stroke("#C51B7D", (0, (4, 1.2, 1, 1.2)), "^"),
-    Stroke("#35978F", (0, (1, 1)), "D"),
+    Stroke("#5E2CA5", "-", "o"),
+    Stroke("#D6219C", (0, (5, 1.5)), "s"),
+    Stroke("#9C7BD9", (0, (4, 1.2, 1, 1.2)), "^"),
+    Stroke("#8C1D5B", (0, (1, 1)), "D"),
 )
-"""Strokes of the carriers: never the colour of a main actuator, but the line style of the one with the same number."""
+"""Strokes of the carriers: violets and reds that no main actuator has, of different lightness.
+
+The line style is that of the main actuator with the same number.
+"""
 
 WINDOW_COLOR = "#D9D9D9"
 _INSTANT: dict[str, Any] = {"color": "#000000", "linewidth": 0.9, "linestyle": (0, (1, 1.5))}
@@ -56,6 +59,9 @@ BEYOND = "beyond a limit"
 """What legends call the hatched part of an axis."""
 
 _FORBIDDEN: dict[str, Any] = {"facecolor": "none", "edgecolor": "#8C8C8C", "hatch": "/////", "linewidth": 0.0}
+
+_MINOR = (2.0, 0.6)
+"""Decades on a logarithmic axis below which some, and below which all numbers between powers of ten are written."""
 
 _FORMATS = ("png", "svg", "pdf")
 
@@ -206,6 +212,15 @@ def beyond_handle() -> Artist:
     from matplotlib.patches import Patch
 
     return Patch(label=BEYOND, **_FORBIDDEN)
+
+
+def plain_log(axes: Axes) -> None:
+    """Make the ordinate logarithmic with numbers a reader need not translate: 20 in place of 2×10¹."""
+    from matplotlib.ticker import LogFormatter
+
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(LogFormatter(minor_thresholds=_MINOR))
+    axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=_MINOR))
 
 
 def legend_above(axes: Axes, columns: int) -> None:

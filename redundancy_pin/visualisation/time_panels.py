@@ -110,6 +110,8 @@ def _draw(axes: Axes, panel: Panel) -> None:
         strokes = CARRIER_STROKES if curve.carrier else STROKES
         stroke = strokes[curve.stroke % len(strokes)]
         style: dict[str, Any] = {"color": stroke.color, "linestyle": stroke.dash, "zorder": 2.2}
+        if panel.log:
+            style["color"] = "#000000"  # of condition numbers, as in other figures
         if curve.reference:
             style = {"color": "#6E6E6E", "linestyle": "-", "linewidth": 1.0, "zorder": 2.0}
         value = np.minimum(curve.value, 10.0 * _CONDITION_TOP) if panel.log else curve.value
