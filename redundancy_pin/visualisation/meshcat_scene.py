@@ -14,7 +14,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.visualisation.meshcat_shapes import arc, arrow, plate, tube
 from redundancy_pin.visualisation.meshcat_tracks import clip, pose_tracks, scale_tracks, visible_tracks
-from redundancy_pin.visualisation.scene import Arrow, Mesh, Plate, Scene, Solid, arc_points
+from redundancy_pin.visualisation.scene import Arrow, Mesh, Plate, Scene, Solid, arc_points, corners_of
 from redundancy_pin.visualisation.scene_colors import (
     EFFORT_COLORS,
     MARGIN_COLORS,
@@ -40,6 +40,12 @@ MESH_OPACITY = 0.5
 
 _NOTHING = 1e-6
 """Least size of an arrow, m: viewers warn of objects without any."""
+
+_MARGIN = 0.1
+"""Free space about the machine, in its sizes: arrows need some."""
+
+_SAMPLED = 40
+"""Frames from which the camera's view follows."""
 
 _DISTANCE = 1.4
 """Of the camera, in radii of what it must see: its view is 75 degrees high."""
@@ -101,10 +107,10 @@ def _set_stage(viewer: Any, scene: Scene) -> None:
         viewer["/Background"].set_property(end, [1.0, 1.0, 1.0])
     for name in ("/Grid", "/Axes"):
         viewer[name].set_property("visible", False)
-    points = np.concatenate([scene.placement[:, 1:, :3, 3].reshape(-1, 3), scene.placement[0, :1, :3, 3], scene.path])
-    low, high = points.min(axis=0), points.max(axis=0)
-    radius = 0.5 * float(np.linalg.norm(high - low)) + 0.2 * scene.size
-    flat = high[2] - low[2] < 0.02 * scene.size
+    low, high = _extent(scene)
+    radius = 0.5 * float(np.linalg.norm(high - low)) + _MARGIN * scene.size
+    joints = scene.placement[:, 1:, 2, 3]
+    flat = np.ptp(joints) < 0.02 * scene.size
     # a flat machine is seen from above with x to the right; any other obliquely
     direction = np.array([0.0, -0.25, 1.0]) if flat else np.array([0.8, -1.0, 0.6])
     x, y, z = _DISTANCE * radius * direction / np.linalg.norm(direction)
@@ -112,6 +118,17 @@ def _set_stage(viewer: Any, scene: Scene) -> None:
     viewer.set_transform(place(translation=-0.5 * (low + high)))
     # the camera hangs in a frame whose y axis points up
     viewer["/Cameras/default/rotated/<object>"].set_property("position", [float(x), float(z), float(-y)])
+
+
+def _extent(scene: Scene) -> tuple[Array, Array]:
+    """Return the corners (3,), (3,) m of the box that holds all solids and the path over the whole motion."""
+    frames = np.linspace(0, len(scene.t) - 1, min(len(scene.t), _SAMPLED)).round().astype(np.intp)
+    points = [scene.placement[frames, 1:, :3, 3].reshape(-1, 3), scene.path]
+    for solid in scene.solids:
+        place = scene.placement[frames, solid.body]
+        points.append((corners_of(solid) @ place[:, :3, :3].transpose(0, 2, 1) + place[:, None, :3, 3]).reshape(-1, 3))
+    every = np.concatenate(points)
+    return every.min(axis=0), every.max(axis=0)
 
 
 def _add_plate(viewer: Any, scene: Scene, item: Plate, parent: str, move: Any) -> None:

@@ -126,12 +126,35 @@ class Scene:
         return float(self.t[-1])
 
 
+def corners_of(solid: Solid) -> Array:
+    """Return points (P, 3) whose convex hull holds a solid, in the frame of its body, m."""
+    if solid.mesh is not None:
+        low, high = solid.mesh[0].min(axis=0), solid.mesh[0].max(axis=0)
+    elif solid.shape == "arc":
+        points = arc_points(solid)
+        low, high = points.min(axis=0), points.max(axis=0)
+    else:
+        if solid.shape == "box":
+            half = 0.5 * np.array(solid.size)
+        elif solid.shape == "cylinder":
+            half = np.array([solid.size[0], solid.size[0], 0.5 * solid.size[1]])
+        else:
+            half = np.full(3, solid.size[0])
+        low, high = -half, half
+    corners: Array = np.where(_CUBE, high, low)
+    placed: Array = corners @ solid.placement[:3, :3].T + solid.placement[:3, 3]
+    return placed
+
+
 def arc_points(solid: Solid) -> Array:
     """Return points (P, 3) along the middle of a solid that is an arc, in the frame of its placement, m."""
     radius, _, low, high = solid.size
     angle = np.linspace(low, high, max(2, round(abs(high - low) / _ARC_STEP) + 1))
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(angle)], axis=1)
 
+
+_CUBE = np.array([[x, y, z] for x in (False, True) for y in (False, True) for z in (False, True)])
+"""Which corner of a box has the high coordinate along which axis."""
 
 _ARC_STEP = 0.05
 """Of the points along an arc, rad."""

@@ -30,6 +30,9 @@ _ROWS = ("position", "speed", "acceleration")
 _LABELS = {"position": "s [m]", "speed": "ṡ [m/s]", "acceleration": "s̈ [m/s²]"}
 _HEADROOM = 1.15
 
+_ENTRY = 1.25
+"""Width of an entry of the legend, inches."""
+
 
 def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: Sequence[float] = ()) -> Figure:
     """Draw plans of the same motion in columns: main efforts, and s, ṡ, s̈ of the carriers with their limits.
@@ -71,9 +74,14 @@ def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, insta
             labels.append(str(handles[-1].get_label()))
         if any(axis.patches for axis in axes[1:].flat):
             handles, labels = [*handles, beyond_handle()], [*labels, BEYOND]
-        drawn.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+        drawn.legend(handles, labels, loc="outside lower center", ncols=_columns(drawn, len(labels)), frameon=False)
         drawn.align_ylabels(axes[:, 0])
         return drawn
+
+
+def _columns(drawn: Figure, entries: int) -> int:
+    """Return in how many columns a legend fits on the page."""
+    return min(entries, max(2, int(drawn.get_size_inches()[0] / _ENTRY)))
 
 
 def values_of(plan: Plan, quantity: str) -> Array:

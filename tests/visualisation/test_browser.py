@@ -240,6 +240,35 @@ def test_the_path_of_a_crossing_turns_red_and_the_platform_with_it(browser: Any,
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
+IN_VIEW = """
+const point = new MeshCat.THREE.Vector3(), seen = [];
+viewer.scene.updateMatrixWorld(true);
+viewer.scene_tree.find(["meshcat", "robot"]).object.traverse(part => {
+  if (!part.geometry || !part.geometry.attributes.position) { return; }
+  const corners = part.geometry.attributes.position;
+  for (let i = 0; i < corners.count; i++) {
+    point.fromBufferAttribute(corners, i).applyMatrix4(part.matrixWorld).project(viewer.camera);
+    seen.push(Math.max(Math.abs(point.x), Math.abs(point.y)));
+  }
+});
+return [Math.max(...seen), byId("panel").getBoundingClientRect().right,
+        document.querySelector("canvas").getBoundingClientRect().left];
+"""
+"""Largest coordinate of any corner of the robot in the picture, whose edges are at 1; where legend and picture meet."""
+
+
+@pytest.mark.parametrize("name", zoo.SHIPPED)
+def test_all_of_the_robot_is_in_the_picture_and_beside_the_legend(browser: Any, tmp_path: Path, name: str) -> None:
+    view = show(zoo.robot_of(name))
+    view.save(tmp_path / "out.html")
+    _open(browser, tmp_path / "out.html")
+    for t in (0.0, 0.5 * view.scene.duration):
+        _seek(browser, t)
+        largest, legend, picture = browser.execute_script(IN_VIEW)
+        assert 0.3 < largest < 1.0
+        assert legend <= picture
+
+
 def test_a_notebook_cell_plays_too(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "cell.html"
     file.write_text(f"<!DOCTYPE html><meta charset='utf-8'>{show('four_bar')._repr_html_()}", encoding="utf-8")
