@@ -125,6 +125,16 @@ def test_arrows_follow_the_efforts_and_never_vanish_to_nothing() -> None:
     assert {code(EFFORT_COLORS["main"]), code(EFFORT_COLORS["carrier"])} <= colors
 
 
+def test_arrows_and_path_are_drawn_over_what_is_see_through() -> None:
+    """Among see-through objects the order decides, for arrows and path take no notice of depth."""
+    sent = [c for c in commands_in(page_of("3rrr")) if c["type"] == "set_object"]
+    order = {c["path"].removeprefix("/meshcat/"): c["object"]["object"]["renderOrder"] for c in sent}
+    arrows = {order[path] for path in order if path.endswith("/arrow")}
+    assert arrows == {3}
+    assert (order["path/halo"], order["path/margin"]) == (1, 2)
+    assert {order[path] for path in order if path.startswith("robot/")} == {0}
+
+
 def test_animations_touch_groups_only() -> None:
     """A browser that joins a live server late is sent the animation before the objects."""
     for name in zoo.SHIPPED:

@@ -16,7 +16,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.view import default_motion, motion_shown, show
-from redundancy_pin.visualisation.scene import Scene, Solid, arc_points
+from redundancy_pin.visualisation.scene import Scene, Solid, arc_points, corners_of
 from redundancy_pin.visualisation.scene_carriers import BALANCED_RADIUS
 from redundancy_pin.visualisation.scene_motion import make_scene
 
@@ -148,3 +148,25 @@ def test_pages_and_snapshots_show_it(tmp_path: Path) -> None:
     drawn = [line for line in figure.axes[0].lines if len(line.get_xdata()) == len(arc_points(arc))]
     expected = in_world(view.scene, arc, arc_points(arc), 0)[:, :2]
     assert any(np.allclose(np.array(line.get_xydata()), expected, atol=ROUNDING) for line in drawn)
+
+
+@pytest.mark.parametrize("name", ["turning carriers", "3rrr"])
+def test_corners_hold_what_is_drawn(name: str) -> None:
+    """Boxes that hold a solid: every vertex that viewers draw is inside, and each face is touched."""
+    pytest.importorskip("meshcat")
+    from redundancy_pin.visualisation.meshcat_scene import _shape
+
+    scene = turned()[1] if name != "3rrr" else show("3rrr").scene
+    seen = set()
+    for item in scene.solids:
+        corners = (corners_of(item) - item.placement[:3, 3]) @ item.placement[:3, :3]
+        if item.shape in ("arc", "cylinder"):
+            drawn = np.asarray(_shape(item).vertices)
+            slack = item.size[1] if item.shape == "arc" else 0.02 * item.size[0]  # of a polygon for a circle
+        else:
+            reach = 0.5 * np.array(item.size) if item.shape == "box" else np.full(3, item.size[0])
+            drawn, slack = np.array([reach, -reach]), 1e-9
+        np.testing.assert_allclose(corners.max(axis=0), drawn.max(axis=0), atol=1.01 * slack)
+        np.testing.assert_allclose(corners.min(axis=0), drawn.min(axis=0), atol=1.01 * slack)
+        seen.add(item.shape)
+    assert {"box", "cylinder", "sphere"} <= seen

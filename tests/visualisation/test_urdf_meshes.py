@@ -129,6 +129,16 @@ def test_the_page_holds_every_vertex_of_a_mesh(tmp_path: Path) -> None:
     assert 'hidden><input id="clear"' in show("five_bar").html()  # nothing to see through
 
 
+def test_the_camera_sees_all_of_a_mesh(tmp_path: Path) -> None:
+    from redundancy_pin.visualisation.scene import corners_of
+
+    wedge().export(tmp_path / "wedge.stl")
+    (solid,) = shapes_on(scene_of(robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>')])), "left_base")
+    corners = (corners_of(solid) - solid.placement[:3, 3]) @ solid.placement[:3, :3]
+    np.testing.assert_allclose(corners.min(axis=0), wedge().vertices.min(axis=0), atol=SINGLE)
+    np.testing.assert_allclose(corners.max(axis=0), wedge().vertices.max(axis=0), atol=SINGLE)
+
+
 def test_primitives_are_drawn(tmp_path: Path) -> None:
     given = ['<box size="0.1 0.2 0.3"/>', '<cylinder radius="0.05" length="0.4"/>', '<sphere radius="0.07"/>']
     painted = [visual(shape, "0 0 1 1") for shape in given]
