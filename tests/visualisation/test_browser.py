@@ -269,6 +269,15 @@ def test_all_of_the_robot_is_in_the_picture_and_beside_the_legend(browser: Any, 
         assert legend <= picture
 
 
+def test_the_picture_takes_the_place_of_a_folded_legend(browser: Any, tmp_path: Path) -> None:
+    show("five_bar").save(tmp_path / "out.html")
+    _open(browser, tmp_path / "out.html")
+    width = "document.querySelector('canvas').clientWidth"
+    assert browser.execute_script(f"return {width} < 0.8 * window.innerWidth")
+    browser.execute_script("byId('panel').open = false;")
+    _until(browser, f"return {width} === window.innerWidth")
+
+
 def test_a_notebook_cell_plays_too(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "cell.html"
     file.write_text(f"<!DOCTYPE html><meta charset='utf-8'>{show('four_bar')._repr_html_()}", encoding="utf-8")

@@ -99,6 +99,16 @@ def test_a_mesh_is_drawn_where_it_is_and_as_large_as_it_is(tmp_path: Path, suffi
     assert abs(drawn.volume) == pytest.approx(wedge().volume, rel=1e-4)  # |2 · −1 · 0.5| = 1
 
 
+def test_each_file_and_each_scale_is_a_mesh_of_its_own(tmp_path: Path) -> None:
+    wedge().export(tmp_path / "wedge.stl")
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.stl")
+    given = ('wedge.stl"', 'box.stl"', 'box.stl" scale="3 3 3"', 'wedge.stl"')
+    shapes = shapes_on(scene_of(robot_with(tmp_path, [visual(f'<mesh filename="{name}/>') for name in given])),
+                       "left_base")  # fmt: skip
+    reach = [float(solid.mesh[0][:, 0].max()) for solid in shapes if solid.mesh is not None]
+    assert reach == pytest.approx([0.3, 0.05, 0.15, 0.3], abs=SINGLE)
+
+
 def test_a_mesh_has_the_colour_of_the_urdf(tmp_path: Path) -> None:
     wedge().export(tmp_path / "wedge.stl")
     painted = visual('<mesh filename="wedge.stl"/>', "1.0 0.2 0.6 1")
@@ -221,6 +231,8 @@ def test_where_a_mesh_is_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert find_mesh("package://pkg/none.stl", str(folder)) is None
     assert find_mesh("package://other/beside.stl", "") is None
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{tmp_path}")
+    assert find_mesh("package://other/beside.stl", "") == tmp_path / "other" / "beside.stl"
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "other"))  # the package itself
     assert find_mesh("package://other/beside.stl", "") == tmp_path / "other" / "beside.stl"
     monkeypatch.delenv("ROS_PACKAGE_PATH")
     (tmp_path / "share" / "installed").mkdir(parents=True)

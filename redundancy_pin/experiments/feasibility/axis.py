@@ -74,7 +74,7 @@ class Axis:
         if self.scale == "log":
             return end * math.sqrt(end / neighbour)
         beyond = end + 0.5 * (end - neighbour)
-        return beyond if beyond * end > 0.0 or end * neighbour < 0.0 else 0.0
+        return beyond if beyond * end > 0.0 else 0.0
 
 
 def spaced(name: str, low: float, high: float, count: int, scale: Scale = "linear") -> Axis:
