@@ -149,7 +149,7 @@ def _draw_bounded(axes: Axes, curves: EffortCurves) -> None:
         color="#D55E00",
         label="at the singular instant: force that no actuator can carry",
     )
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, _HEADROOM * float(np.nanmax(force, initial=0.0)) or 1.0)
     axes.set_ylabel("|τ| · margin [N]")
     legend_above(axes, 2)
 
