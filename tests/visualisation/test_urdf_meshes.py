@@ -252,3 +252,20 @@ def test_snapshots_draw_the_outline_of_a_mesh(tmp_path: Path) -> None:
     (outline,) = red
     np.testing.assert_allclose(outline.get_xy().max(axis=0), points.max(axis=0), atol=SINGLE)
     np.testing.assert_allclose(outline.get_xy().min(axis=0), points.min(axis=0), atol=SINGLE)
+
+
+def test_a_xacro_with_the_mesh_of_a_package_that_is_not_there_loads(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its dynamics do not need the mesh; pictures say what they miss and draw the rest, relative names included."""
+    wedge().export(tmp_path / "wedge.stl")
+    given = "".join(f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+                    for name in ("package://nowhere/gone.stl", "wedge.stl"))  # fmt: skip
+    urdf = urdf_of(JOINTS).replace('<link name="left_1">', f'<link name="left_1">{given}')
+    (tmp_path / "robot.urdf.xacro").write_text(
+        urdf.replace('name="written"', 'name="written" xmlns:xacro="http://www.ros.org/wiki/xacro"')
+    )
+    path = write_robot(tmp_path, urdf, {**DECLARATION, "urdf": "robot.urdf.xacro"})
+    (solid,) = shapes_on(scene_of(rp.load_robot(path)), "left_base")
+    assert solid.shape == "mesh"
+    assert "package://nowhere/gone.stl is not found" in caplog.text
