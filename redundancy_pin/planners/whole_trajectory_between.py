@@ -18,8 +18,19 @@ from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_limits import RESERVE, scaled_bounds
 from redundancy_pin.planners.whole_trajectory_motion import CarrierCourse
 from redundancy_pin.planners.whole_trajectory_nlp import build
+from redundancy_pin.planners.whole_trajectory_program import Program
 from redundancy_pin.planners.whole_trajectory_progress import Say
-from redundancy_pin.planners.whole_trajectory_solver import ADAPTIVE, FLAT, LEAST_SECONDS, QUICK, WARM, Solution, Solver
+from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution, Solver
+from redundancy_pin.planners.whole_trajectory_strategy import (
+    WARM,
+    Options,
+    first_attempts,
+    is_flat,
+    last_steps,
+    later_attempts,
+    scaling,
+    with_more_rows,
+)
 
 ROUNDS = 4
 """Rounds of adding rows, after which all are."""
@@ -60,7 +71,7 @@ def solve(problem: WholeProblem, guess: dict[str, Array], seconds: float, say: S
     attempts = [first]
     values = guess
     # the other strategy often ends where the first one crawls
-    for options in ({}, ADAPTIVE):
+    for options in later_attempts(problem):
         left = deadline - time.perf_counter()
         if attempts[-1].infeasible or left <= 0.0:
             break
@@ -77,17 +88,24 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
     groups: list[BoolArray] = []
     covered = np.zeros(len(problem.grid.h), dtype=bool)
     found: list[Solution] = []
-    limit_force, warm = False, False
-    # a flat optimum needs exact steps to be the same from either backend
-    first = {} if FLAT & set(problem.settings.objective) else QUICK
-    while True:
+    limit_force, warm, finished = False, False, not is_flat(problem)
+
+    def attempt(program: Program, options: Options, start: dict[str, Array] | Solution) -> None:
         left = max(deadline - time.perf_counter(), LEAST_SECONDS)
+        found.append(Solver(program, left, options, say).solve(start))
+
+    while True:
         program = build(problem, between=groups, limit_force=limit_force)
-        options = {**first, **WARM} if warm else first
-        found.append(Solver(program, left, options, say).solve(found[-1] if warm else guess))
+        if warm:
+            attempt(program, with_more_rows(problem), found[-1])
+            finished = True
+        else:
+            for options in first_attempts(problem):
+                attempt(program, options, guess)
+                if found[-1].optimal or time.perf_counter() > deadline:
+                    break
         if not found[-1].optimal and found[-1].acceptable:
-            left = max(deadline - time.perf_counter(), LEAST_SECONDS)
-            found.append(Solver(program, left, WARM, say).solve(found[-1]))
+            attempt(program, {**scaling(problem), **WARM}, found[-1])
         if not found[-1].optimal:
             kept = not leaving(problem, found[-1].course(problem)).any() and not _too_strong(problem, found[-1])
             return _summed(replace(found[-1], feasible=found[-1].feasible and kept), found)
@@ -95,6 +113,13 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
             limit_force, warm, guess = True, False, found[-1].values
             continue
         leaves = leaving(problem, found[-1].course(problem))
+        if not leaves.any() and not finished:
+            finished = True
+            near = found[-1]
+            attempt(program, last_steps(problem), near)
+            if not found[-1].optimal:
+                return _summed(near, found)
+            leaves = leaving(problem, found[-1].course(problem))
         if not leaves.any():
             return _summed(found[-1], found)
         new = _wider(leaves) & ~covered

@@ -53,7 +53,8 @@ def add_objective(
             same = program.rows((len(copies) - 1,))
             program.add(same, copies[1:], 1.0)
             program.add(same, copies[:-1], -1.0)
-            program.charge(copies[:1], share * scales.tau)
+            # on all copies alike, else the solver scales the whole objective by its one large slope
+            program.charge(copies, share * scales.tau / len(copies))
         elif name == "carrier_acceleration":
             program.charge_square(A, share * w * scales.sdd**2)
         elif name == "effort_rate":

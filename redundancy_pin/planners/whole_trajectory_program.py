@@ -66,6 +66,7 @@ class Program:
         self._linear, self._product, self._cost, self._square = _Entries(), _Entries(), _Entries(), _Entries()
         self.size = 0
         self.row_count = 0
+        self._functions: tuple[dict[str, Any], dict[str, Any]] | None = None
 
     def variable(self, name: str, shape: tuple[int, ...], lower: Any = -np.inf, upper: Any = np.inf) -> IntArray:
         """Add a block of variables within bounds and return their indices, of the same shape."""
@@ -119,7 +120,12 @@ class Program:
         return {name: np.concatenate([np.empty(0), *part]) for name, part in parts.items()}
 
     def functions(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the programme and its derivatives as the solver wants them."""
+        """Return the finished programme and its derivatives as the solver wants them; they are made once."""
+        if self._functions is None:
+            self._functions = self._assembled()
+        return self._functions
+
+    def _assembled(self) -> tuple[dict[str, Any], dict[str, Any]]:
         library = casadi()
         x, p = library.MX.sym("x", self.size), library.MX.sym("p", 0)
         lam_f, lam_g = library.MX.sym("lam_f"), library.MX.sym("lam_g", self.row_count)

@@ -23,33 +23,6 @@ FEASIBLE = 1e-7
 LEAST_SECONDS = 1e-3
 """Time the solver is given when there is none left; it accepts none of zero."""
 
-ADAPTIVE = {"ipopt.mu_strategy": "adaptive"}
-"""Options for another attempt: this strategy often ends where the first one crawls."""
-
-QUICK = {
-    "ipopt.fast_step_computation": "yes",
-    "ipopt.mumps_permuting_scaling": 0,
-    "ipopt.mumps_scaling": 0,
-}
-"""Options for the first attempt at objectives that are not flat: the programme is scaled already, and the steps are not
-refined. A fourth faster on the 3-RRR; whether the result is an optimum is judged as strictly."""
-
-FLAT = frozenset({"peak", "energy"})
-"""Objectives that leave the carriers open over whole stretches. There the regularisation alone decides, and steps that
-are not refined end wherever the conditions hold within tolerance: plans of both backends then differ by up to 0.1."""
-
-WARM = {
-    "ipopt.warm_start_init_point": "yes",
-    "ipopt.warm_start_bound_push": 1e-3,
-    "ipopt.warm_start_bound_frac": 1e-3,
-    "ipopt.warm_start_slack_bound_push": 1e-3,
-    "ipopt.warm_start_slack_bound_frac": 1e-3,
-    "ipopt.warm_start_mult_bound_push": 1e-3,
-    "ipopt.mu_init": 1e-7,
-}
-"""Options for beginning at the optimum of a programme with fewer rows: the fewest iterations over the barrier
-parameters 1e-3 to 1e-9 and the pushes 1e-3 to 1e-9, on 11 plans that needed more rows."""
-
 
 @dataclass(frozen=True, eq=False)
 class Solution:
