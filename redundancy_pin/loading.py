@@ -69,7 +69,8 @@ def load_robot(
             gap=gap,
         )
     length = declaration.characteristic_length or characteristic_length(robot.model, q_reference, robot.carriers)
-    robot = replace(robot, q_reference=frozen(q_reference), characteristic_length=length)
+    folder = str(source_file.resolve().parent)
+    robot = replace(robot, q_reference=frozen(q_reference), characteristic_length=length, urdf_folder=folder)
     _check_reference_rank(robot)
     return robot
 

@@ -46,8 +46,9 @@ def show(
     """Return a moving picture: links, joints, tracks, carriers, efforts as arrows, and how near singularities are.
 
     In a notebook ``rp.show(plan)`` as the last line of a cell plays it; ``.save("out.html")`` writes one file that
-    plays offline; ``.serve()`` starts a live viewer. The platform and the path it traces are coloured by the margin to
-    type II.
+    plays offline; ``.serve()`` shows the same page at an address of this machine. The platform and the path it traces
+    are coloured by the margin to type II. Meshes of the URDF are in the page; those that are not found or cannot be
+    read are named in a warning through ``logging``.
 
     Args:
         subject: a plan; or a robot, or the name or path of one.

@@ -43,8 +43,8 @@ def show(
     Links, joints, tracks, carriers, the path of the platform, efforts as arrows; platform and path have the colour of
     the margin to a singularity. Without --plan and --motion: its motion in the thesis, or a small swing.
 
-    With --html one self-contained file is written. Without, a meshcat server runs until Ctrl-C; its address is
-    printed. No display is needed for either.
+    With --html one self-contained file is written. Without, the same page is served to browsers of this machine until
+    Ctrl-C; its address is printed. No display is needed for either.
 
     \b
     Examples:

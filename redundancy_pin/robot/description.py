@@ -109,7 +109,11 @@ def _run_xacro(path: Path, given: dict[str, str]) -> tuple[str, dict[str, Argume
     try:
         with _XACRO:
             document = xacro.process_file(str(path.resolve()), mappings=resolved)
-            text: str = XacroDoc.from_string(document.toxml(), rootdir=path.parent).to_urdf_string()
+            text: str = XacroDoc.from_string(
+                document.toxml(),
+                rootdir=path.parent,
+                resolve_packages=False,  # the meshes of a package that is not there are missed by pictures only
+            ).to_urdf_string()
     except Exception as error:  # xacro evaluates Python expressions: anything may come out of it
         raise ModelFileError(
             f"xacro cannot render {path}: {type(error).__name__}: {error}",

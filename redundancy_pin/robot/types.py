@@ -107,6 +107,8 @@ class Robot:
         closed_form: name of the closed-form model that covers this robot ("2rpr", "3rrr"), or None.
         source: what to pass to ``load_robot`` to load it again: name of a shipped robot or absolute path of its
             declaration; empty for a robot that was not loaded.
+        urdf_folder: absolute path of the folder of the URDF, which names of mesh files are relative to; empty for a
+            robot that was not loaded.
     """
 
     name: str
@@ -128,6 +130,7 @@ class Robot:
     characteristic_length: float
     closed_form: str | None
     source: str = ""
+    urdf_folder: str = ""
 
     def __repr__(self) -> str:
         """Return what tells robots apart, not their whole URDF."""

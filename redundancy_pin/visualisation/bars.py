@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.visualisation.style import STROKES, figure, legend_above
+from redundancy_pin.visualisation.style import STROKES, figure, legend_above, plain_log
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,7 +52,7 @@ def plot_bars(
             )
             for x in at[np.isnan(values)]:
                 axes.text(x, smallest, "none", rotation=90, ha="center", va="bottom", fontsize=7)
-        axes.set_yscale("log")
+        plain_log(axes)
         axes.set_ylim(bottom=0.7 * smallest)
         axes.set_xticks(places, groups)
         axes.set_xlabel(groups_label)

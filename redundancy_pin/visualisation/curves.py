@@ -15,6 +15,7 @@ from redundancy_pin.kinematics.singular_crossings import Crossing
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.visualisation.style import words
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ def curves_of_plan(plan: Plan) -> Curves:
     """Return the curves of a plan; singular instants and threshold where its planner names them."""
     threshold = plan.parameters.get("threshold") if plan.parameters.get("measure") == "condition" else None
     return Curves(
-        title=f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
+        title=f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {words(plan.status.value)}",
         t=plan.t,
         tau=plan.tau,
         main_unit=_unit(tuple(name in plan.robot.rotating for name in plan.robot.actuated)),

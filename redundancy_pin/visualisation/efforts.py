@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.visualisation.style import STROKES, figure, legend_above, mark_singular
+from redundancy_pin.visualisation.style import CARRIER_STROKES, STROKES, figure, legend_above, mark_singular
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -149,14 +149,14 @@ def _draw_bounded(axes: Axes, curves: EffortCurves) -> None:
         color="#D55E00",
         label="at the singular instant: force that no actuator can carry",
     )
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, _HEADROOM * float(np.nanmax(force, initial=0.0)) or 1.0)
     axes.set_ylabel("|τ| · margin [N]")
     legend_above(axes, 2)
 
 
 def _draw_carriers(axes: Axes, curves: EffortCurves) -> None:
     for i in range(curves.carrier_force.shape[1]):
-        stroke = STROKES[i % len(STROKES)]
+        stroke = CARRIER_STROKES[i % len(CARRIER_STROKES)]
         axes.plot(
             curves.t, curves.carrier_force[:, i], color=stroke.color, linestyle=stroke.dash, label=f"carrier {i + 1}"
         )

@@ -117,7 +117,7 @@ def plot_feasibility(panels: Sequence[MapPanel], labels: MapLabels) -> Figure:
         drawn.draw_without_rendering()
         for panel, on in zip(panels, axes, strict=True):
             _draw_marks(on, panel.tiles)
-        _legend(drawn, panels, labels)
+        _legend(drawn, panels, labels, any(len(segments) for segments in borders))
         return drawn
 
 
@@ -221,14 +221,16 @@ def _centre(axes: Axes, tile: Tile) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _legend(drawn: Figure, panels: Sequence[MapPanel], labels: MapLabels) -> None:
+def _legend(drawn: Figure, panels: Sequence[MapPanel], labels: MapLabels, bordered: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     tiles = [tile for panel in panels for tile in panel.tiles]
     present = {tile.kind for tile in tiles}
-    handles: list[Any] = [Line2D([], [], color="#000000", linewidth=2.4, label="border")]
-    if len(panels) == 2:
+    handles: list[Any] = []
+    if bordered:
+        handles.append(Line2D([], [], color="#000000", linewidth=2.4, label="border"))
+    if bordered and len(panels) == 2:
         handles.append(
             Line2D([], [], color="#000000", linewidth=1.1, linestyle=(0, (4, 2)), label="border, other panel")
         )
@@ -250,4 +252,5 @@ def _legend(drawn: Figure, panels: Sequence[MapPanel], labels: MapLabels) -> Non
     if "failed" in present:
         hatch, grey = _HATCHES["failed"]
         handles.append(Patch(facecolor="#FFFFFF", edgecolor=grey, hatch=hatch, label="? not known (numerical failure)"))
-    drawn.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False)
+    if handles:
+        drawn.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False)

@@ -10,23 +10,20 @@ from __future__ import annotations
 import base64
 import html
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from redundancy_pin.visualisation.scene import Role, Scene
-from redundancy_pin.visualisation.scene_colors import EFFORT_COLORS, MARGIN_COLORS, ROLE_COLORS, margin_labels
+from redundancy_pin.visualisation.meshcat_scene import MESH_OPACITY, solid_path
+from redundancy_pin.visualisation.scene import Scene
+from redundancy_pin.visualisation.scene_colors import (
+    EFFORT_COLORS,
+    MARGIN_COLORS,
+    ROLE_COLORS,
+    ROLE_NAMES,
+    margin_labels,
+)
 
 _TEMPLATE = Path(__file__).with_name("html_page.html")
-
-_ROLE_NAMES: Mapping[Role, str] = {
-    "link": "link",
-    "actuated": "driven joint",
-    "passive": "passive joint",
-    "closure": "closure",
-    "track": "track",
-    "carrier": "carrier",
-}
 
 
 class Recorder:
@@ -66,6 +63,9 @@ def page(scene: Scene, commands: list[bytes], *, forces: bool) -> str:
         "CAPTIONS": "".join(f"<div>{html.escape(text)}</div>" for text in scene.captions),
         "CHECKED": "checked" if forces else "",
         "HAS_FORCES": "" if scene.arrows else "hidden",
+        "HAS_MESHES": "" if any(solid.shape == "mesh" for solid in scene.solids) else "hidden",
+        "MESH_NODES": json.dumps([solid_path(scene, solid) for solid in scene.solids if solid.shape == "mesh"]),
+        "MESH_OPACITY": json.dumps(MESH_OPACITY),
         "COMMANDS": encoded,
         "DURATION": json.dumps(scene.duration),
         "FORCE_NODES": json.dumps([f"{item.group}_{item.name.replace('/', '_')}" for item in scene.arrows]),
@@ -86,9 +86,9 @@ def _licenses(folder: Path) -> str:
 
 
 def _legend(scene: Scene) -> str:
-    roles = [role for role in _ROLE_NAMES if any(solid.role == role for solid in scene.solids)]
+    roles = [role for role in ROLE_NAMES if any(solid.role == role for solid in scene.solids)]
     # links have the colours of the URDF where it gives them
-    entries = [(_ROLE_NAMES[role], ROLE_COLORS[role]) for role in roles if role != "link"]
+    entries = [(ROLE_NAMES[role], ROLE_COLORS[role]) for role in roles if role != "link"]
     groups = {item.group for item in scene.arrows}
     entries += [
         (f"effort of {what}", EFFORT_COLORS[group])
@@ -97,7 +97,8 @@ def _legend(scene: Scene) -> str:
     ]
     drawn = "".join(_entry(name, color) for name, color in entries)
     margins = "".join(_entry(name, color) for name, color in zip(margin_labels(), MARGIN_COLORS, strict=True))
-    return f"{drawn}<div class='head'>margin to singularity (platform, path)</div>{margins}"
+    colored = "platform, path" if any(item.role == "platform" for item in scene.plates) else "path"
+    return f"{drawn}<div class='head'>margin to singularity ({colored})</div>{margins}"
 
 
 def _entry(name: str, color: str) -> str:

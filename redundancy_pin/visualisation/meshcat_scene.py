@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.visualisation.meshcat_shapes import Mesh, arc, arrow, plate, tube
+from redundancy_pin.visualisation.meshcat_shapes import arc, arrow, plate, tube
 from redundancy_pin.visualisation.meshcat_tracks import clip, pose_tracks, scale_tracks, visible_tracks
-from redundancy_pin.visualisation.scene import Arrow, Plate, Scene, Solid
+from redundancy_pin.visualisation.scene import Arrow, Mesh, Plate, Scene, Solid, arc_points, corners_of
 from redundancy_pin.visualisation.scene_colors import (
     EFFORT_COLORS,
     MARGIN_COLORS,
@@ -24,7 +24,7 @@ from redundancy_pin.visualisation.scene_colors import (
     margin_classes,
     rgb,
 )
-from redundancy_pin.visualisation.scene_parts import along_z, place
+from redundancy_pin.visualisation.scene_frames import along_z, place
 
 PATH_RADIUS = 0.008
 """Of the traced path, in sizes of the machine."""
@@ -35,11 +35,23 @@ _POINT_RADIUS = 0.09
 _CLEAR = 0.35
 """Opacity of what other things must be seen through."""
 
+MESH_OPACITY = 0.5
+"""Of meshes: joints, closures and carriers are inside them."""
+
 _NOTHING = 1e-6
 """Least size of an arrow, m: viewers warn of objects without any."""
 
+_MARGIN = 0.1
+"""Free space about the machine, in its sizes: arrows need some."""
+
+_SAMPLED = 40
+"""Frames from which the camera's view follows."""
+
 _DISTANCE = 1.4
 """Of the camera, in radii of what it must see: its view is 75 degrees high."""
+
+_LAST = 3
+"""Order in which arrows are drawn: after what is see-through (0) and the path (1, 2)."""
 
 _ENDLESS = 2**31 - 1
 """Repetitions of the animation."""
@@ -70,9 +82,11 @@ def send_scene(viewer: Any, scene: Scene, *, forces: bool = True) -> None:
     # shapes of a platform stand back for the plate whose colour says something
     covered = {item.body for item in scene.plates if len(item.corners) >= 3 and item.role == "platform"}
     for solid in scene.solids:
-        path = f"{bodies[solid.body]}/{_plain(solid.name)}"
-        opacity = _CLEAR if solid.body in covered and solid.role == "link" else 1.0
-        _add(viewer, path, _primitive(solid), _material(solid.color, opacity), solid.placement)
+        clear = solid.body in covered and solid.role == "link"
+        material = _material(solid.color, _CLEAR if clear else 1.0)
+        if solid.shape == "mesh":
+            material = _faceted(solid.color, _CLEAR if clear else MESH_OPACITY)
+        _add(viewer, solid_path(scene, solid), _shape(solid), material, solid.placement)
     for flat in scene.plates:
         _add_plate(viewer, scene, flat, bodies[flat.body], move)
     for effort in scene.arrows:
@@ -82,16 +96,21 @@ def send_scene(viewer: Any, scene: Scene, *, forces: bool = True) -> None:
     viewer.set_animation(Animation(clips=clips), play=True, repetitions=_ENDLESS)
 
 
+def solid_path(scene: Scene, solid: Solid) -> str:
+    """Return where a solid is in the tree of meshcat, below its root."""
+    return f"robot/{_plain(scene.names[solid.body])}/{_plain(solid.name)}"
+
+
 def _set_stage(viewer: Any, scene: Scene) -> None:
     """White behind, no grid, and a camera that sees all of the motion."""
     for end in ("top_color", "bottom_color"):
         viewer["/Background"].set_property(end, [1.0, 1.0, 1.0])
     for name in ("/Grid", "/Axes"):
         viewer[name].set_property("visible", False)
-    points = np.concatenate([scene.placement[:, 1:, :3, 3].reshape(-1, 3), scene.placement[0, :1, :3, 3], scene.path])
-    low, high = points.min(axis=0), points.max(axis=0)
-    radius = 0.5 * float(np.linalg.norm(high - low)) + 0.2 * scene.size
-    flat = high[2] - low[2] < 0.02 * scene.size
+    low, high = _extent(scene)
+    radius = 0.5 * float(np.linalg.norm(high - low)) + _MARGIN * scene.size
+    joints = scene.placement[:, 1:, 2, 3]
+    flat = np.ptp(joints) < 0.02 * scene.size
     # a flat machine is seen from above with x to the right; any other obliquely
     direction = np.array([0.0, -0.25, 1.0]) if flat else np.array([0.8, -1.0, 0.6])
     x, y, z = _DISTANCE * radius * direction / np.linalg.norm(direction)
@@ -99,6 +118,17 @@ def _set_stage(viewer: Any, scene: Scene) -> None:
     viewer.set_transform(place(translation=-0.5 * (low + high)))
     # the camera hangs in a frame whose y axis points up
     viewer["/Cameras/default/rotated/<object>"].set_property("position", [float(x), float(z), float(-y)])
+
+
+def _extent(scene: Scene) -> tuple[Array, Array]:
+    """Return the corners (3,), (3,) m of the box that holds all solids and the path over the whole motion."""
+    frames = np.linspace(0, len(scene.t) - 1, min(len(scene.t), _SAMPLED)).round().astype(np.intp)
+    points = [scene.placement[frames, 1:, :3, 3].reshape(-1, 3), scene.path]
+    for solid in scene.solids:
+        place = scene.placement[frames, solid.body]
+        points.append((corners_of(solid) @ place[:, :3, :3].transpose(0, 2, 1) + place[:, None, :3, 3]).reshape(-1, 3))
+    every = np.concatenate(points)
+    return every.min(axis=0), every.max(axis=0)
 
 
 def _add_plate(viewer: Any, scene: Scene, item: Plate, parent: str, move: Any) -> None:
@@ -144,17 +174,19 @@ def _add_arrow(viewer: Any, scene: Scene, item: Arrow, move: Any) -> None:
     viewer[f"{path}/effort"].set_transform(np.diag([*scale[0], 1.0]))
     move(f"{path}/effort", scale_tracks(scene.t, scale))
     geometry = _mesh(arc() if item.turning else arrow())
-    _add(viewer, f"{path}/effort/arrow", geometry, _on_top(color=code(EFFORT_COLORS[item.group])), np.eye(4))
+    material = _on_top(color=code(EFFORT_COLORS[item.group]))
+    _add(viewer, f"{path}/effort/arrow", geometry, material, np.eye(4), order=_LAST)
 
 
 def _add_path(viewer: Any, scene: Scene) -> None:
-    for name, radius in (("halo", 2.0 * PATH_RADIUS), ("margin", PATH_RADIUS)):  # white about it: seen on any ground
+    layers = (("halo", 2.0 * PATH_RADIUS), ("margin", PATH_RADIUS))  # white about it: seen on any ground
+    for order, (name, radius) in enumerate(layers, start=1):
         vertices, triangles, owner = tube(scene.path, radius * scene.size)
         if not len(vertices):
             return
         color = np.ones(vertices.shape) if name == "halo" else _path_colors(scene)[owner]
         geometry = _geometry().TriangularMeshGeometry(vertices, triangles, color=color)
-        _add(viewer, f"path/{name}", geometry, _on_top(vertexColors=True), np.eye(4))
+        _add(viewer, f"path/{name}", geometry, _on_top(vertexColors=True), np.eye(4), order=order)
 
 
 def _path_colors(scene: Scene) -> Array:
@@ -164,21 +196,40 @@ def _path_colors(scene: Scene) -> Array:
     return colors
 
 
-def _add(viewer: Any, path: str, geometry: Any, material: Any, placement: Array) -> None:
-    """Set an object. Identifiers, else random, follow from its path: the same scene gives the same bytes."""
-    thing = _geometry().Mesh(geometry, material)
+def _add(viewer: Any, path: str, geometry: Any, material: Any, placement: Array, *, order: int = 0) -> None:
+    """Set an object. Identifiers, else random, follow from its path: the same scene gives the same bytes.
+
+    Among see-through objects, those of a higher ``order`` are drawn later.
+    """
+    thing = _ordered(geometry, material, order)
     for kind, element in (("object", thing), ("geometry", geometry), ("material", material)):
         element.uuid = str(uuid.uuid5(uuid.NAMESPACE_URL, f"redundancy_pin/{path}/{kind}"))
     viewer[path].set_object(thing)
     viewer[path].set_transform(placement)
 
 
-def _primitive(solid: Solid) -> Any:
+def _ordered(geometry: Any, material: Any, order: int) -> Any:
+    """Return an object that says when it is drawn, which meshcat's own cannot."""
+
+    class Ordered(_geometry().Mesh):  # type: ignore[misc]
+        def lower(self) -> Any:
+            data = super().lower()
+            data["object"]["renderOrder"] = order
+            return data
+
+    return Ordered(geometry, material)
+
+
+def _shape(solid: Solid) -> Any:
     geometry = _geometry()
+    if solid.mesh is not None:
+        return _mesh(solid.mesh)
     if solid.shape == "box":
         return geometry.Box(list(solid.size))
     if solid.shape == "sphere":
         return geometry.Sphere(solid.size[0])
+    if solid.shape == "arc":
+        return _mesh(tube(arc_points(solid), solid.size[1])[:2])
     radius, length = solid.size
     return _mesh(_cylinder(radius, length))
 
@@ -203,6 +254,11 @@ def _mesh(mesh: Mesh) -> Any:
 
 def _material(color: str, opacity: float = 1.0) -> Any:
     return _geometry().MeshLambertMaterial(color=code(color), opacity=opacity)
+
+
+def _faceted(color: str, opacity: float = 1.0) -> Any:
+    """Return a material that shades each triangle by itself: edges of machine parts stay sharp."""
+    return _geometry().MeshPhongMaterial(color=code(color), opacity=opacity, flatShading=True)
 
 
 def _flat(color: str) -> Any:

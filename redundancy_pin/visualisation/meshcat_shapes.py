@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from redundancy_pin.arrays import Array, IntArray
-
-Mesh = tuple[Array, IntArray]
-"""Vertices (V, 3), m, and triangles (T, 3), indices of vertices."""
+from redundancy_pin.visualisation.scene import Mesh
 
 AROUND = 14
 """Corners of a round cross-section."""

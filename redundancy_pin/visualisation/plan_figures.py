@@ -19,7 +19,15 @@ from redundancy_pin.visualisation.plan_panels import (
     phase_handles,
     shade_phases,
 )
-from redundancy_pin.visualisation.style import figure, legend_above
+from redundancy_pin.visualisation.style import (
+    CARRIER_STROKES,
+    beyond_handle,
+    figure,
+    instant_handle,
+    legend_above,
+    mark_instants,
+    words,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,8 +80,7 @@ def plot_plan(
             panel.set_ylabel(f"carrier {label}")
         for panel in panels.flat:
             shade_phases(panel, plan)
-            for instant in instants:
-                panel.axvline(instant, color="#000000", linewidth=0.9, linestyle=(0, (1, 1.5)), zorder=1.6)
+            mark_instants(panel, instants)
             if plan.t[-1] > plan.t[0]:
                 panel.set_xlim(plan.t[0], plan.t[-1])
         for panel in panels[-1]:
@@ -86,14 +93,20 @@ def plot_plan(
 
 def plan_title(plan: Plan) -> str:
     """Return one line that says what the plan is and how it ended."""
-    robot, planner, status = plan.robot.name, plan.planner.replace("_", " "), plan.status.value.replace("_", " ")
+    robot, planner, status = plan.robot.name, plan.planner.replace("_", " "), words(plan.status.value)
     said = f"{robot}: {planner}, {status}"
     if not plan.diagnostics.get("optimal", True):
         said = f"{said}, NOT an optimum"
     if plan.status is not PlanStatus.VIOLATES_LIMITS:
         return said
-    broken = sorted({f"{event.quantity} of {event.carrier}" for event in plan.limits.violated})
-    return f"{said} ({', '.join(broken)})"
+    broken: dict[str, list[str]] = {}
+    for i, name in enumerate(plan.robot.carriers):
+        for quantity in sorted({event.quantity for event in plan.limits.violated if event.carrier == name}):
+            broken.setdefault(quantity, []).append(str(i + 1))
+    parts = [
+        f"{quantity} of carrier{'s' if len(which) > 1 else ''} {', '.join(which)}" for quantity, which in broken.items()
+    ]
+    return f"{said} ({'; '.join(parts)})"
 
 
 def _draw_efforts(axes: Axes, plan: Plan, reference: Array | None, name: str) -> None:
@@ -114,7 +127,7 @@ def _draw_efforts(axes: Axes, plan: Plan, reference: Array | None, name: str) ->
 def _draw_forces(axes: Axes, plan: Plan) -> None:
     names = [f"carrier {i + 1}" for i in range(len(plan.robot.carriers))]
     if names:
-        draw_series(axes, plan.t, plan.carrier_force, names)
+        draw_series(axes, plan.t, plan.carrier_force, names, CARRIER_STROKES)
         draw_limits(axes, plan.carrier_force, [_force(limits) for limits in plan.limits.judged_by])
         mark_broken(axes, plan, "force")
         legend_above(axes, len(names))
@@ -127,7 +140,7 @@ def _draw_motion(
     names = [f"carrier {i + 1}" for i in range(len(plan.robot.carriers))]
     if not names:
         return
-    draw_series(axes, plan.t, values, names)
+    draw_series(axes, plan.t, values, names, CARRIER_STROKES)
     draw_limits(axes, values, [limit(limits) for limits in plan.limits.judged_by])
     mark_broken(axes, plan, quantity)
     if quantity == "track":
@@ -149,16 +162,11 @@ def _draw_condition(axes: Axes, plan: Plan, threshold: float | None) -> None:
 
 
 def _legend_of_phases(drawn: Figure, plan: Plan, with_instants: bool) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     handles = phase_handles(plan)
     if with_instants:
-        handles.append(
-            Line2D([], [], color="#000000", linewidth=0.9, linestyle=(0, (1, 1.5)), label="singular instant")
-        )
+        handles.append(instant_handle())
     if plan.robot.carriers:
-        handles.append(Patch(facecolor="none", edgecolor="#8C8C8C", hatch="/////", linewidth=0, label="beyond a limit"))
+        handles.append(beyond_handle())
     drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.style import STROKES
+from redundancy_pin.visualisation.style import STROKES, Stroke, hatch_beyond
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 _PHASE_FILLS = ("#FFFFFF", "#E4E4E4", "#C4C4C4", "#F1F1F1", "#D4D4D4", "#B4B4B4")
 """Greys of the phases, in the order of their names; neighbours differ enough to be told apart in print."""
 
-_FORBIDDEN = "#8C8C8C"
 _VISIBLE_FRACTION = 0.35
 """A limit is drawn if the motion uses at least this fraction of it; else it would flatten the curves."""
 
@@ -57,14 +56,14 @@ def phase_handles(plan: Plan) -> list[Artist]:
     ]
 
 
-def draw_series(axes: Axes, t: Array, values: Array, names: Sequence[str]) -> None:
-    """Draw one line for each column of ``values`` (N, m), in the common strokes."""
+def draw_series(axes: Axes, t: Array, values: Array, names: Sequence[str], strokes: Sequence[Stroke] = STROKES) -> None:
+    """Draw one line for each column of ``values`` (N, m), in the strokes of main actuators or of carriers."""
     for i, name in enumerate(names):
-        stroke = STROKES[i % len(STROKES)]
+        stroke = strokes[i % len(strokes)]
         axes.plot(t, values[:, i], color=stroke.color, linestyle=stroke.dash, label=name, zorder=2.0)
 
 
-def draw_limits(axes: Axes, values: Array, limits: Sequence[tuple[float, float]]) -> None:
+def draw_limits(axes: Axes, values: Array, limits: Sequence[tuple[float, float]], *, label: str | None = None) -> None:
     """Draw the limits of the carriers, hatch what none of them may do, and fit the axis to it and to the values.
 
     Where the carriers' limits differ, each line says whose it is. Limits far beyond the values are not drawn, as they
@@ -74,6 +73,7 @@ def draw_limits(axes: Axes, values: Array, limits: Sequence[tuple[float, float]]
         axes: the axes.
         values: (N, k) what is drawn.
         limits: lower and upper limit of each carrier; infinite where there is none.
+        label: what a legend calls the hatched parts; None leaves them out of it.
     """
     least, most = float(values.min(initial=0.0)), float(values.max(initial=0.0))
     lower = [low if _is_visible(low, least) else None for low, _ in limits]
@@ -90,8 +90,8 @@ def draw_limits(axes: Axes, values: Array, limits: Sequence[tuple[float, float]]
                 _say_whose(axes, edge, whose)
         if drawn and None not in side:
             edge = outermost(drawn)
-            band = axes.axhspan(min(edge, far), max(edge, far), facecolor="none", edgecolor=_FORBIDDEN, linewidth=0)
-            band.set(hatch="/////", zorder=0.4)
+            hatch_beyond(axes, edge, far, label=label)
+            label = None
     axes.set_ylim(bottom, top)
     if len(set(limits)) == 1 and not {*lower, *upper} - {None} and np.isfinite(limits[0]).any():
         low, high = limits[0]

@@ -35,7 +35,15 @@ from redundancy_pin.visualisation.plan_figures import plot_plan as plan
 from redundancy_pin.visualisation.plan_panels import draw_limits, draw_series, fit_to
 from redundancy_pin.visualisation.sketch import base_hinges, links
 from redundancy_pin.visualisation.snapshots import draw_snapshots as snapshots
-from redundancy_pin.visualisation.style import STROKES, figure, legend_above, mark_singular, save
+from redundancy_pin.visualisation.style import (
+    BEYOND,
+    CARRIER_STROKES,
+    STROKES,
+    figure,
+    legend_above,
+    mark_singular,
+    save,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,8 +94,10 @@ def efforts(subject: Plan | Curves) -> Figure:
         fit_to(panels[0], drawn.tau, drawn.regular)
         panels[0].set_ylabel(f"main {drawn.main_unit}")
         if k:
-            draw_series(panels[1], drawn.t, drawn.carrier_force, _carrier_names(k))
-            draw_limits(panels[1], drawn.carrier_force, [(-limits.force, limits.force) for limits in drawn.limits])
+            draw_series(panels[1], drawn.t, drawn.carrier_force, _carrier_names(k), CARRIER_STROKES)
+            draw_limits(
+                panels[1], drawn.carrier_force, [(-limits.force, limits.force) for limits in drawn.limits], label=BEYOND
+            )
             panels[1].set_ylabel("carrier torque [N·m]" if drawn.carriers_turn else "carrier force [N]")
         _finish(page, panels, drawn)
         return page
@@ -119,8 +129,8 @@ def carriers(subject: Plan | Curves) -> Figure:
                 [(-each.acceleration, each.acceleration) for each in drawn.limits],
             ),
         ):
-            draw_series(panel, drawn.t, values, _carrier_names(k))
-            draw_limits(panel, values, bounds)
+            draw_series(panel, drawn.t, values, _carrier_names(k), CARRIER_STROKES)
+            draw_limits(panel, values, bounds, label=BEYOND)
             panel.set_ylabel(f"carrier {label}")
         _finish(page, panels, drawn)
         return page

@@ -5,12 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from redundancy_pin.arrays import Array
+import numpy as np
+
+from redundancy_pin.arrays import Array, IntArray
 
 Role = Literal["base", "link", "track", "carrier", "actuated", "passive", "closure", "platform"]
 """What a part is to the mechanism; it decides on the colour (``scene_colors``)."""
 
-Shape = Literal["box", "cylinder", "sphere"]
+Shape = Literal["box", "cylinder", "sphere", "arc", "mesh"]
+
+Mesh = tuple[Array, IntArray]
+"""Vertices (V, 3), m, and triangles (T, 3), indices of vertices."""
 
 Group = Literal["main", "carrier"]
 """Whose effort an arrow shows."""
@@ -18,16 +23,18 @@ Group = Literal["main", "carrier"]
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A primitive shape fixed to a body.
+    """A shape fixed to a body.
 
     Attributes:
         name: unique within the body.
         body: index of the joint that moves it; 0 is the base.
         placement: (4, 4) homogeneous placement in the frame of that joint, m.
         shape: what it is; a cylinder has its axis along z.
-        size: sides (3) of a box, radius and length of a cylinder, radius of a sphere, m.
+        size: sides (3) of a box, radius and length of a cylinder, radius of a sphere, m; radius and thickness of an
+            arc, m, and where it starts and ends, rad about z from x; empty for a mesh.
         role: what it is to the mechanism.
         color: ``#rrggbb``.
+        mesh: of a mesh, in the frame of ``placement``; None for other shapes.
     """
 
     name: str
@@ -37,6 +44,7 @@ class Solid:
     size: tuple[float, ...]
     role: Role
     color: str
+    mesh: Mesh | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,3 +124,37 @@ class Scene:
     def duration(self) -> float:
         """Duration of the motion, s."""
         return float(self.t[-1])
+
+
+def corners_of(solid: Solid) -> Array:
+    """Return points (P, 3) whose convex hull holds a solid, in the frame of its body, m."""
+    if solid.mesh is not None:
+        low, high = solid.mesh[0].min(axis=0), solid.mesh[0].max(axis=0)
+    elif solid.shape == "arc":
+        points = arc_points(solid)
+        low, high = points.min(axis=0), points.max(axis=0)
+    else:
+        if solid.shape == "box":
+            half = 0.5 * np.array(solid.size)
+        elif solid.shape == "cylinder":
+            half = np.array([solid.size[0], solid.size[0], 0.5 * solid.size[1]])
+        else:
+            half = np.full(3, solid.size[0])
+        low, high = -half, half
+    corners: Array = np.where(_CUBE, high, low)
+    placed: Array = corners @ solid.placement[:3, :3].T + solid.placement[:3, 3]
+    return placed
+
+
+def arc_points(solid: Solid) -> Array:
+    """Return points (P, 3) along the middle of a solid that is an arc, in the frame of its placement, m."""
+    radius, _, low, high = solid.size
+    angle = np.linspace(low, high, max(2, round(abs(high - low) / _ARC_STEP) + 1))
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(angle)], axis=1)
+
+
+_CUBE = np.array([[x, y, z] for x in (False, True) for y in (False, True) for z in (False, True)])
+"""Which corner of a box has the high coordinate along which axis."""
+
+_ARC_STEP = 0.05
+"""Of the points along an arc, rad."""

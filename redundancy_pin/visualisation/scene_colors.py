@@ -22,6 +22,16 @@ ROLE_COLORS: Mapping[Role, str] = {
 }
 """Colour of each role, where the URDF does not give a link its own."""
 
+ROLE_NAMES: Mapping[Role, str] = {
+    "link": "link",
+    "actuated": "driven joint",
+    "passive": "passive joint",
+    "closure": "closure",
+    "track": "track",
+    "carrier": "carrier",
+}
+"""What legends call them, in their order."""
+
 EFFORT_COLORS: Mapping[Group, str] = {"main": "#E4007C", "carrier": "#00A3A3"}
 """Colours of the arrows: the main actuators', the carriers'."""
 

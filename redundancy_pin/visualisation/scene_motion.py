@@ -15,7 +15,8 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.visualisation.scene import Arrow, Group, Scene
 from redundancy_pin.visualisation.scene_colors import margin_classes
-from redundancy_pin.visualisation.scene_parts import joint_axis, plates_of, slides, solids_of
+from redundancy_pin.visualisation.scene_frames import joint_axis, slides
+from redundancy_pin.visualisation.scene_parts import plates_of, solids_of
 
 FRAME_RATE = 60.0
 """Frames a second of the motion's own time."""

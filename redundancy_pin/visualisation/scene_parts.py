@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +10,10 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
 from redundancy_pin.visualisation.scene import Plate, Role, Shape, Solid
+from redundancy_pin.visualisation.scene_carriers import carrier_solids
 from redundancy_pin.visualisation.scene_colors import ROLE_COLORS
+from redundancy_pin.visualisation.scene_frames import along_z, joint_axis, place, slides
+from redundancy_pin.visualisation.urdf_shapes import shapes_of_urdf
 
 JOINT_RADIUS, JOINT_LENGTH = 0.03, 0.06
 """Of a joint, in sizes of the machine; thicker than the links of the shipped robots."""
@@ -19,14 +21,7 @@ JOINT_RADIUS, JOINT_LENGTH = 0.03, 0.06
 BAR_RADIUS = 0.012
 """Of a link that has no shape of its own."""
 
-RAIL_WIDTH, RAIL_HEIGHT = 0.012, 0.06
-"""Cross-section of a track: narrow and high, so that it stands out of the link it lies on."""
-
 PLATE_THICKNESS = 0.02
-_CARRIER_SIDE = 0.06
-_LONGEST_RAIL = 1.2
-"""Half length, in sizes, at which the drawing of an unbounded track ends."""
-
 _NO_LENGTH = 1e-9
 
 
@@ -37,14 +32,13 @@ def solids_of(robot: Robot, size: float) -> tuple[Solid, ...]:
         robot: the robot.
         size: of the machine, m.
     """
-    drawn = _shapes_of_urdf(robot)
+    drawn = shapes_of_urdf(robot)
     clothed = {solid.body for solid in drawn}
     return (
         *drawn,
         *_bars(robot, size, clothed),
         *_joints(robot, size),
-        *_tracks(robot, size),
-        *_bare_carriers(robot, size, clothed),
+        *carrier_solids(robot, size, clothed),
     )
 
 
@@ -98,73 +92,6 @@ def ordered(points: Array) -> Array:
     return result
 
 
-def along_z(axis: Array) -> Array:
-    """Return a rotation (3, 3) whose third column is a unit axis."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(helper, axis)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first), axis], axis=1)
-
-
-def joint_axis(model: pin.Model, index: int) -> Array:
-    """Return (3,) the unit axis of a joint of one freedom in its own frame."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    joint = model.joints[index]
-    column = np.reshape(pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL), (6, model.nv))[
-        :, joint.idx_v
-    ]
-    part = column[3:] if np.abs(column[3:]).max() > 0.0 else column[:3]
-    axis: Array = part / np.linalg.norm(part)
-    return axis
-
-
-def slides(model: pin.Model, index: int) -> bool:
-    """Return whether a joint is prismatic."""
-    return str(model.joints[index].shortname()).startswith("JointModelP")
-
-
-def place(rotation: Array | None = None, translation: Array | None = None) -> Array:
-    """Return a homogeneous placement (4, 4)."""
-    placement = np.eye(4)
-    if rotation is not None:
-        placement[:3, :3] = rotation
-    if translation is not None:
-        placement[:3, 3] = translation
-    return placement
-
-
-def _shapes_of_urdf(robot: Robot) -> list[Solid]:
-    """Return the primitive shapes of the URDF; meshes are left out, as their files may be anywhere."""
-    try:
-        visual = pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.GeometryType.VISUAL)
-    except (ValueError, RuntimeError):
-        return []  # a mesh that is not found spoils the whole model: bars are drawn then
-    solids = []
-    for item in visual.geometryObjects:
-        form = _primitive(item.geometry)
-        if form is None:
-            continue
-        body = int(item.parentJoint)
-        name = str(robot.model.names[body])
-        role: Role = "carrier" if name in robot.carriers else "base" if body == 0 else "link"
-        given = "#" + "".join(f"{round(255 * float(part)):02x}" for part in item.meshColor[:3])
-        color = given if role == "link" else ROLE_COLORS[role]
-        solids.append(Solid(str(item.name), body, item.placement.homogeneous.copy(), *form, role, color))
-    return solids
-
-
-def _primitive(geometry: Any) -> tuple[Shape, tuple[float, ...]] | None:
-    kind = type(geometry).__name__
-    if kind == "Box":
-        return "box", tuple(2.0 * float(side) for side in geometry.halfSide)
-    if kind in ("Cylinder", "Capsule"):
-        return "cylinder", (float(geometry.radius), 2.0 * float(geometry.halfLength))
-    if kind == "Sphere":
-        return "sphere", (float(geometry.radius),)
-    return None
-
-
 def _bars(robot: Robot, size: float, clothed: set[int]) -> list[Solid]:
     solids = []
     for body in range(1, robot.model.njoints):
@@ -212,38 +139,6 @@ def _joints(robot: Robot, size: float) -> list[Solid]:
             )
         )
     return solids
-
-
-def _tracks(robot: Robot, size: float) -> list[Solid]:
-    model, solids = robot.model, []
-    for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True):
-        body = int(model.getJointId(name))
-        if not slides(model, body):
-            continue
-        longest = _LONGEST_RAIL * size
-        low, high = max(limits.lower, -longest), min(limits.upper, longest)
-        axis = joint_axis(model, body)
-        upright = along_z(axis)
-        if abs(axis[2]) < 0.9:  # high side along the joint's z, which is the plane's normal in a planar machine
-            side = np.cross(np.array([0.0, 0.0, 1.0]), axis)
-            side /= np.linalg.norm(side)
-            upright = np.stack([side, np.cross(axis, side), axis], axis=1)
-        home = model.jointPlacements[body].homogeneous @ place(upright, 0.5 * (low + high) * axis)
-        sides = (RAIL_WIDTH * size, RAIL_HEIGHT * size, high - low)
-        solids.append(
-            Solid(f"track_of_{name}", int(model.parents[body]), home, "box", sides, "track", ROLE_COLORS["track"])
-        )
-    return solids
-
-
-def _bare_carriers(robot: Robot, size: float, clothed: set[int]) -> list[Solid]:
-    bodies = [int(robot.model.getJointId(name)) for name in robot.carriers]
-    side = (_CARRIER_SIDE * size,) * 3
-    return [
-        Solid("carrier", body, np.eye(4), "box", side, "carrier", ROLE_COLORS["carrier"])
-        for body in bodies
-        if body not in clothed
-    ]
 
 
 def _link(model: pin.Model, name: str) -> int:

@@ -1,18 +1,17 @@
-"""A moving picture to look at: as one HTML file, in a notebook cell, or on a live meshcat server."""
+"""A moving picture to look at: as one HTML file, in a notebook cell, or served to a browser."""
 
 from __future__ import annotations
 
-import contextlib
 import html
-import io
 import warnings
+import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.files import write_text
 from redundancy_pin.visualisation.html_page import Recorder, page
+from redundancy_pin.visualisation.live_view import LiveView, serve_page
 from redundancy_pin.visualisation.meshcat_scene import send_scene
 from redundancy_pin.visualisation.scene import Scene
 
@@ -32,7 +31,7 @@ class View:
     height: int = 480
 
     def html(self) -> str:
-        """Return one self-contained HTML page, about a megabyte: it plays offline, at true speed, in a loop.
+        """Return one self-contained HTML page, a megabyte and its meshes: it plays offline, at true speed, in a loop.
 
         Raises:
             RedundancyPinError: meshcat is not installed.
@@ -55,28 +54,17 @@ class View:
         write_text(path, self.html())
 
     def serve(self, *, open_browser: bool = False) -> LiveView:
-        """Start a meshcat server and send the scene to it.
+        """Show the page at an address of this machine, ``http://127.0.0.1:7000/`` if it is free.
 
         Args:
             open_browser: whether to open it in the default browser.
 
         Raises:
-            RedundancyPinError: meshcat is not installed, or its server does not start.
+            RedundancyPinError: meshcat is not installed, or no port can be opened.
         """
-        require_meshcat()
-        import meshcat
-
-        try:
-            with contextlib.redirect_stdout(io.StringIO()):  # meshcat prints the address itself
-                viewer = meshcat.Visualizer()
-        except (RuntimeError, OSError) as error:
-            raise RedundancyPinError(
-                f"The meshcat server did not start: {error}.", remedy="Write a file instead (--html, View.save)."
-            ) from error
-        live = LiveView(viewer.url(), viewer)
-        send_scene(viewer, self.scene, forces=self.forces)
+        live = serve_page(self.html())
         if open_browser:
-            viewer.open()
+            webbrowser.open(live.url)
         return live
 
     def _repr_html_(self) -> str:
@@ -84,32 +72,6 @@ class View:
         inlined = html.escape(self.html(), quote=True)
         style = f"width: 100%; height: {self.height}px; border: none"
         return f'<iframe srcdoc="{inlined}" style="{style}" title="{html.escape(self.scene.title)}"></iframe>'
-
-
-@dataclass(frozen=True, eq=False)
-class LiveView:
-    """A running meshcat server.
-
-    Attributes:
-        url: where to look.
-        viewer: the ``meshcat.Visualizer``.
-    """
-
-    url: str
-    viewer: Any
-
-    def wait(self) -> None:
-        """Wait until the server ends or Ctrl-C is pressed."""
-        self.viewer.window.server_proc.wait()
-
-    def close(self) -> None:
-        """End the server."""
-        process = self.viewer.window.server_proc
-        process.terminate()
-        process.wait()
-        for stream in (process.stdout, process.stderr):
-            stream.close()
-        self.viewer.window.zmq_socket.close(linger=0)
 
 
 def require_html(path: str | Path) -> None:

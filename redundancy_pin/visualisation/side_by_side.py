@@ -9,7 +9,17 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.style import INSTANT_COLOR, STROKES, figure
+from redundancy_pin.visualisation.style import (
+    BEYOND,
+    CARRIER_STROKES,
+    STROKES,
+    beyond_handle,
+    figure,
+    hatch_beyond,
+    instant_handle,
+    mark_instants,
+    words,
+)
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -18,7 +28,10 @@ if TYPE_CHECKING:
 
 _ROWS = ("position", "speed", "acceleration")
 _LABELS = {"position": "s [m]", "speed": "ṡ [m/s]", "acceleration": "s̈ [m/s²]"}
-_HEADROOM = 1.08
+_HEADROOM = 1.15
+
+_ENTRY = 1.25
+"""Width of an entry of the legend, inches."""
 
 
 def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: Sequence[float] = ()) -> Figure:
@@ -44,8 +57,7 @@ def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, insta
             for row, quantity in enumerate(_ROWS, start=1):
                 _carriers(axes[row, column], plan, quantity)
             for axis in axes[:, column]:
-                for instant in instants:
-                    axis.axvline(instant, color=INSTANT_COLOR, linewidth=0.9, linestyle=(0, (1, 1.5)), zorder=1.6)
+                mark_instants(axis, instants)
             axes[3, column].set_xlabel("time t [s]")
         for row, quantity in enumerate(_ROWS, start=1):
             _share(list(axes[row]), list(plans.values()), quantity)
@@ -57,9 +69,19 @@ def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, insta
         for axis in (axes[0, -1], axes[1, -1]):
             found = axis.get_legend_handles_labels()
             handles, labels = handles + found[0], labels + found[1]
-        drawn.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+        if instants:
+            handles.append(instant_handle())
+            labels.append(str(handles[-1].get_label()))
+        if any(axis.patches for axis in axes[1:].flat):
+            handles, labels = [*handles, beyond_handle()], [*labels, BEYOND]
+        drawn.legend(handles, labels, loc="outside lower center", ncols=_columns(drawn, len(labels)), frameon=False)
         drawn.align_ylabels(axes[:, 0])
         return drawn
+
+
+def _columns(drawn: Figure, entries: int) -> int:
+    """Return in how many columns a legend fits on the page."""
+    return min(entries, max(2, int(drawn.get_size_inches()[0] / _ENTRY)))
 
 
 def values_of(plan: Plan, quantity: str) -> Array:
@@ -71,7 +93,8 @@ def _efforts(axes: Axes, name: str, plan: Plan, unit: str) -> None:
     for i in range(plan.tau.shape[1]):
         stroke = STROKES[i % len(STROKES)]
         axes.plot(plan.t, plan.tau[:, i], color=stroke.color, linestyle=stroke.dash, label=f"actuator {i + 1}")
-    axes.set_title(f"{name}\npeak {float(plan.peak_effort.max()):.3g} {unit}, {plan.status.value}", fontsize=8.5)
+    peak = f"peak {float(plan.peak_effort.max()):.3g} {unit}, {words(plan.status.value)}"
+    axes.set_title(f"{name}\n{peak}", fontsize=8.5)
 
 
 def _carriers(axes: Axes, plan: Plan, quantity: str) -> None:
@@ -80,7 +103,7 @@ def _carriers(axes: Axes, plan: Plan, quantity: str) -> None:
         axes.text(0.5, 0.5, "no carriers", transform=axes.transAxes, ha="center", va="center", color="#6E6E6E")
         return
     for i in range(values.shape[1]):
-        stroke = STROKES[i % len(STROKES)]
+        stroke = CARRIER_STROKES[i % len(CARRIER_STROKES)]
         axes.plot(plan.t, values[:, i], color=stroke.color, linestyle=stroke.dash, label=f"carrier {i + 1}")
 
 
@@ -94,8 +117,11 @@ def _share(axes: list[Axes], plans: list[Plan], quantity: str) -> None:
     for i, axis in enumerate(axes):
         axis.set_ylim(-top, top)
         for limit in sorted(set(shown)):
-            label = "limit" if limit == max(shown) else None
-            axis.axhline(limit, color="#000000", linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.8, label=label)
+            axis.axhline(limit, color="#000000", linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.8)
+        for side in (-1.0, 1.0):
+            outermost = max((side * limit for limit in shown if side * limit > 0.0), default=top)
+            if outermost < top:
+                hatch_beyond(axis, side * outermost, side * top)
         if i:
             axis.tick_params(labelleft=False)
 

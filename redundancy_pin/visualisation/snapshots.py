@@ -9,8 +9,15 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
-from redundancy_pin.visualisation.scene import Plate, Scene, Solid
-from redundancy_pin.visualisation.scene_colors import MARGIN_COLORS, ROLE_COLORS, UNKNOWN_COLOR, margin_classes
+from redundancy_pin.visualisation.scene import Plate, Scene, Solid, arc_points
+from redundancy_pin.visualisation.scene_colors import (
+    MARGIN_COLORS,
+    ROLE_COLORS,
+    ROLE_NAMES,
+    UNKNOWN_COLOR,
+    margin_classes,
+    margin_labels,
+)
 from redundancy_pin.visualisation.show import View
 from redundancy_pin.visualisation.style import figure
 
@@ -20,6 +27,11 @@ if TYPE_CHECKING:
 
 _FAINTEST = 0.25
 """Opacity of the first instant; the last one is drawn in full."""
+
+_MESH_OPACITY = 0.35
+"""Of the outline of a mesh, its convex hull: joints are seen through it."""
+
+_TRACK: dict[str, Any] = {"linestyle": (0, (3, 1.5))}
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 _DRAWN_AS_JOINT = {"actuated": "o", "passive": "o", "closure": "D"}
@@ -60,13 +72,18 @@ def draw_snapshots(
         axes = drawn.add_subplot()
         axes.set_title(scene.title if title is None else title)
         for i, frame in enumerate(frames):
-            draw_frame(axes, scene, frame, plane=plane, alpha=_FAINTEST + (1.0 - _FAINTEST) * (i + 1) / len(frames))
+            alpha = _FAINTEST + (1.0 - _FAINTEST) * (i + 1) / len(frames)
+            draw_frame(axes, scene, frame, plane=plane, alpha=alpha, base=i == 0)
         draw_path(axes, scene, plane=plane)
         label_plane(axes, plane)
+        handles = _handles(scene, frames)
+        drawn.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False)
         return drawn
 
 
-def draw_frame(axes: Axes, scene: Scene, frame: int, *, plane: str = "xy", alpha: float = 1.0) -> None:
+def draw_frame(
+    axes: Axes, scene: Scene, frame: int, *, plane: str = "xy", alpha: float = 1.0, base: bool = True
+) -> None:
     """Draw the mechanism at one frame of a scene.
 
     Args:
@@ -75,10 +92,12 @@ def draw_frame(axes: Axes, scene: Scene, frame: int, *, plane: str = "xy", alpha
         frame: number of the frame.
         plane: which coordinates are drawn.
         alpha: opacity.
+        base: whether to draw the plate of the base, which is the same in every frame.
     """
     columns = list(_PLANES[plane])
     for item in scene.plates:
-        _draw_plate(axes, scene, item, frame, columns, alpha)
+        if base or item.body:
+            _draw_plate(axes, scene, item, frame, columns, alpha)
     for solid in scene.solids:
         _draw_solid(axes, solid, scene.placement[frame, solid.body] @ solid.placement, columns, alpha)
 
@@ -96,8 +115,7 @@ def draw_path(axes: Axes, scene: Scene, *, plane: str = "xy") -> None:
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges + 1, [len(points)]])
     pieces = [points[a:b] for a, b in zip(starts, stops, strict=True)]
     colors = [palette[classes[a]] for a in starts]
-    # singular stretches are also wider, for print without colour
-    widths = [3.4 if classes[a] == 0 else 1.6 for a in starts]
+    widths = [_width(int(classes[a])) for a in starts]
     axes.add_collection(LineCollection(pieces, colors=colors, linewidths=widths, zorder=4.0))
     axes.plot(*points[0], "o", color="#000000", markersize=4, zorder=4.1)
 
@@ -109,6 +127,34 @@ def label_plane(axes: Axes, plane: str = "xy") -> None:
     axes.set_ylabel(f"{plane[1]} [m]")
 
 
+def _handles(scene: Scene, frames: Sequence[int]) -> list[Any]:
+    """Return what the legend says: the kinds of parts there are, and the margins that occur."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = []
+    for role in (role for role in ROLE_NAMES if role != "link" and any(solid.role == role for solid in scene.solids)):
+        color, name = ROLE_COLORS[role], ROLE_NAMES[role]
+        if role in _DRAWN_AS_JOINT:
+            face = "#FFFFFF" if role == "passive" else color
+            handles.append(Line2D([], [], linestyle="none", marker=_DRAWN_AS_JOINT[role], markerfacecolor=face,
+                                  markeredgecolor="#202020", markersize=5.0, label=name))  # fmt: skip
+        elif role == "track":
+            handles.append(Line2D([], [], color=color, linewidth=1.2, label=name, **_TRACK))
+        else:
+            handles.append(Patch(facecolor=color, edgecolor="#202020", linewidth=0.5, label=name))
+    margins = margin_classes(np.concatenate([scene.path_margin, scene.margin[list(frames)]]))
+    for number, (color, name) in enumerate(zip(MARGIN_COLORS, margin_labels(), strict=True)):
+        if number in margins:
+            handles.append(Line2D([], [], color=color, linewidth=_width(number), label=f"margin {name}"))
+    return handles
+
+
+def _width(number: int) -> float:
+    """Return the width of the path in a class of the margin: singular stretches are wider, for print without colour."""
+    return 3.4 if number == 0 else 1.6
+
+
 def _draw_plate(axes: Axes, scene: Scene, item: Plate, frame: int, columns: list[int], alpha: float) -> None:
     place = scene.placement[frame, item.body]
     corners = (item.corners @ place[:3, :3].T + place[:3, 3])[:, columns]
@@ -118,7 +164,8 @@ def _draw_plate(axes: Axes, scene: Scene, item: Plate, frame: int, columns: list
         color, order = MARGIN_COLORS[number] if number >= 0 else UNKNOWN_COLOR, 2.6
     opacity = alpha if item.role == "platform" else 0.18
     if len(corners) >= 3:
-        axes.fill(*corners.T, facecolor=color, alpha=opacity, edgecolor="none", zorder=order)
+        # with an edge: seen from the side a plate is a line
+        axes.fill(*corners.T, facecolor=color, alpha=opacity, edgecolor=color, linewidth=1.6, zorder=order)
     elif len(corners) == 2:
         axes.plot(*corners.T, color=color, alpha=opacity, linewidth=5.0, zorder=order)
     else:
@@ -135,6 +182,13 @@ def _draw_solid(axes: Axes, solid: Solid, place: Array, columns: list[int], alph
                   markeredgewidth=0.7, zorder=2.8)  # fmt: skip
     elif solid.shape == "box":
         _draw_box(axes, solid, place, columns, style)
+    elif solid.shape == "arc":
+        points = arc_points(solid) @ place[:3, :3].T + place[:3, 3]
+        axes.plot(*points[:, columns].T, linewidth=1.2, zorder=2.2, **_TRACK, **style)
+    elif solid.mesh is not None:
+        points = (solid.mesh[0] @ place[:3, :3].T + place[:3, 3])[:, columns]
+        axes.fill(*_hull(points).T, facecolor=solid.color, alpha=_MESH_OPACITY * alpha, edgecolor="#202020",
+                  linewidth=0.5, zorder=1.8)  # fmt: skip
     elif solid.shape == "cylinder":
         radius, length = solid.size
         along = place[:3, 2][columns]
@@ -146,7 +200,7 @@ def _draw_solid(axes: Axes, solid: Solid, place: Array, columns: list[int], alph
 def _draw_box(axes: Axes, solid: Solid, place: Array, columns: list[int], style: dict[str, Any]) -> None:
     if solid.role == "track":
         ends = place[:3, 3] + 0.5 * solid.size[2] * np.outer([-1.0, 1.0], place[:3, 2])
-        axes.plot(*ends[:, columns].T, linestyle=(0, (3, 1.5)), linewidth=1.2, zorder=2.2, **style)
+        axes.plot(*ends[:, columns].T, linewidth=1.2, zorder=2.2, **_TRACK, **style)
         return
     sides = 0.5 * np.array(solid.size)
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -156,8 +210,13 @@ def _draw_box(axes: Axes, solid: Solid, place: Array, columns: list[int], style:
 
 
 def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points (N, 2) in order."""
+    """Return the corners of the convex hull of points (N, 2) in order; the two ends where they lie on a line."""
     from scipy.spatial import ConvexHull
 
+    spread = points - points.mean(axis=0)
+    _, size, along = np.linalg.svd(spread, full_matrices=False)
+    if size[1] <= 1e-9 * size[0]:
+        place = spread @ along[0]
+        return points[[int(place.argmin()), int(place.argmax())]]
     hull: Array = points[ConvexHull(points).vertices]
     return hull

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.visualisation.style import STROKES, figure, legend_above
+from redundancy_pin.visualisation.style import STROKES, figure, legend_above, plain_log
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,7 +50,7 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
                 tried.without, [0.02] * len(tried.without), linestyle="none", marker="x", color=stroke.color,
                 transform=axes.get_xaxis_transform(), clip_on=False,
             )  # fmt: skip
-        axes.set_yscale("log")
+        plain_log(axes)
         axes.set_xlabel("cruising speed [m/s] (crosses: no plan found)")
         axes.set_ylabel("largest main force [N]")
         legend_above(axes, 1)

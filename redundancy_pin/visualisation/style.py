@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from redundancy_pin.errors import OutputError, RedundancyPinError
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -38,10 +39,29 @@ STROKES = (
     Stroke("#E69F00", (0, (7, 1.5, 1, 1.5, 1, 1.5)), "v"),
     Stroke("#56B4E9", (0, (2, 2)), "P"),
 )
-"""Strokes of the first, second, ... series of a plot."""
+"""Strokes of the first, second, ... series of a plot; main actuators have the first ones."""
+
+CARRIER_STROKES = (
+    Stroke("#5E2CA5", "-", "o"),
+    Stroke("#D6219C", (0, (5, 1.5)), "s"),
+    Stroke("#9C7BD9", (0, (4, 1.2, 1, 1.2)), "^"),
+    Stroke("#8C1D5B", (0, (1, 1)), "D"),
+)
+"""Strokes of the carriers: violets and reds that no main actuator has, of different lightness.
+
+The line style is that of the main actuator with the same number.
+"""
 
 WINDOW_COLOR = "#D9D9D9"
-INSTANT_COLOR = "#000000"
+_INSTANT: dict[str, Any] = {"color": "#000000", "linewidth": 0.9, "linestyle": (0, (1, 1.5))}
+
+BEYOND = "beyond a limit"
+"""What legends call the hatched part of an axis."""
+
+_FORBIDDEN: dict[str, Any] = {"facecolor": "none", "edgecolor": "#8C8C8C", "hatch": "/////", "linewidth": 0.0}
+
+_MINOR = (2.0, 0.6)
+"""Decades on a logarithmic axis below which some, and below which all numbers between powers of ten are written."""
 
 _FORMATS = ("png", "svg", "pdf")
 
@@ -94,6 +114,11 @@ def _styled() -> Iterator[None]:
 
     with matplotlib.style.context(["default", _SETTINGS]):
         yield
+
+
+def words(name: str) -> str:
+    """Return a name in plain data, such as the value of a plan's status, as titles say it: "within limits"."""
+    return name.replace("_", " ")
 
 
 def require_matplotlib() -> None:
@@ -161,7 +186,41 @@ def mark_singular(
         axes.axvspan(start, end, color=WINDOW_COLOR, linewidth=0, zorder=0.5, label=name)
     for index, instant in enumerate(instants):
         name = "singular instant" if label and index == 0 else None
-        axes.axvline(instant, color=INSTANT_COLOR, linewidth=0.8, linestyle=(0, (1, 1.5)), zorder=1.5, label=name)
+        axes.axvline(instant, zorder=1.5, label=name, **_INSTANT)
+
+
+def mark_instants(axes: Axes, instants: Sequence[float]) -> None:
+    """Draw a dotted line at each singular instant, s."""
+    for instant in instants:
+        axes.axvline(instant, zorder=1.6, **_INSTANT)
+
+
+def instant_handle() -> Artist:
+    """Return what a legend shows of ``mark_instants``."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label="singular instant", **_INSTANT)
+
+
+def hatch_beyond(axes: Axes, edge: float, far: float, *, label: str | None = None) -> None:
+    """Hatch what lies between a limit and the end of the axis behind it, on the ordinate."""
+    axes.axhspan(min(edge, far), max(edge, far), zorder=0.4, label=label, **_FORBIDDEN)
+
+
+def beyond_handle() -> Artist:
+    """Return what a legend shows of ``hatch_beyond``."""
+    from matplotlib.patches import Patch
+
+    return Patch(label=BEYOND, **_FORBIDDEN)
+
+
+def plain_log(axes: Axes) -> None:
+    """Make the ordinate logarithmic with numbers a reader need not translate: 20 in place of 2×10¹."""
+    from matplotlib.ticker import LogFormatter
+
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(LogFormatter(minor_thresholds=_MINOR))
+    axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=_MINOR))
 
 
 def legend_above(axes: Axes, columns: int) -> None:

@@ -11,7 +11,16 @@ import numpy as np
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.visualisation.plan_panels import phase_handles, shade_phases
-from redundancy_pin.visualisation.style import STROKES, figure, legend_above
+from redundancy_pin.visualisation.style import (
+    BEYOND,
+    CARRIER_STROKES,
+    STROKES,
+    figure,
+    hatch_beyond,
+    instant_handle,
+    legend_above,
+    mark_instants,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +40,7 @@ class Curve:
         value: (N,) what is drawn; not drawn where it is not finite.
         stroke: which of the common strokes.
         reference: whether it is what others are compared with: thin and grey.
+        carrier: whether it is one of the carriers', which have strokes of their own.
     """
 
     label: str
@@ -38,6 +48,7 @@ class Curve:
     value: Array
     stroke: int = 0
     reference: bool = False
+    carrier: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +59,7 @@ class Panel:
         label: of the axis, with its unit.
         curves: what is drawn.
         levels: horizontal lines, by what the legend says of them.
-        limits: largest and smallest admissible value, drawn as lines where the axis shows them; may be empty.
+        limits: largest and smallest admissible value, drawn and hatched beyond where the axis shows them; may be empty.
         log: whether the axis is logarithmic, for condition numbers: from 1 to 1000.
         height: relative.
     """
@@ -83,8 +94,7 @@ def plot_time_panels(
             _draw(axis, panel)
             if plan is not None:
                 shade_phases(axis, plan)
-            for instant in instants:
-                axis.axvline(instant, color="#000000", linewidth=0.9, linestyle=(0, (1, 1.5)), zorder=1.6)
+            mark_instants(axis, instants)
         times = [curve.t for panel in panels for curve in panel.curves]
         axes[-1].set_xlim(min(float(t[0]) for t in times), max(float(t[-1]) for t in times))
         axes[-1].set_xlabel("time t [s]")
@@ -97,8 +107,11 @@ def plot_time_panels(
 
 def _draw(axes: Axes, panel: Panel) -> None:
     for curve in panel.curves:
-        stroke = STROKES[curve.stroke % len(STROKES)]
+        strokes = CARRIER_STROKES if curve.carrier else STROKES
+        stroke = strokes[curve.stroke % len(strokes)]
         style: dict[str, Any] = {"color": stroke.color, "linestyle": stroke.dash, "zorder": 2.2}
+        if panel.log:
+            style["color"] = "#000000"  # of condition numbers, as in other figures
         if curve.reference:
             style = {"color": "#6E6E6E", "linestyle": "-", "linewidth": 1.0, "zorder": 2.0}
         value = np.minimum(curve.value, 10.0 * _CONDITION_TOP) if panel.log else curve.value
@@ -120,20 +133,16 @@ def _fit(axes: Axes, panel: Panel) -> None:
     values = np.concatenate([curve.value[np.isfinite(curve.value)] for curve in panel.curves])
     low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
     shown = [limit for limit in panel.limits if 0.5 * abs(limit) <= (high if limit > 0 else -low)]
-    for i, limit in enumerate(shown):
-        label = "limit" if i == 0 else None
-        axes.axhline(limit, color="#000000", linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.8, label=label)
     low, high = min([low, *shown]), max([high, *shown])
     room = _HEADROOM * ((high - low) or 1.0)
+    for i, limit in enumerate(shown):
+        axes.axhline(limit, color="#000000", linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.8)
+        hatch_beyond(axes, limit, high + room if limit > 0.0 else low - room, label=None if i else BEYOND)
     axes.set_ylim(low - room, high + room)
 
 
 def _handles(plan: Plan | None, with_instants: bool) -> list[Any]:
-    from matplotlib.lines import Line2D
-
     handles: list[Any] = phase_handles(plan) if plan is not None and len(plan.phases) > 1 else []
     if with_instants:
-        handles.append(
-            Line2D([], [], color="#000000", linewidth=0.9, linestyle=(0, (1, 1.5)), label="singular instant")
-        )
+        handles.append(instant_handle())
     return handles

@@ -33,7 +33,7 @@ def plot_tracking(title: str, curves: Mapping[str, tuple[Array, Array]]) -> Figu
         for stroke, (label, (t, error)) in zip(STROKES, curves.items(), strict=False):
             axes.plot(t, np.maximum(error, LEAST), color=stroke.color, linestyle=stroke.dash, label=label)
         axes.set_yscale("log")
-        axes.set_xlabel("time [s]")
+        axes.set_xlabel("time t [s]")
         axes.set_ylabel("distance from the plan [m]")
         legend_above(axes, 2)
         return drawn

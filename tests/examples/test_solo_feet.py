@@ -164,6 +164,15 @@ def test_the_motors_supply_the_change_of_energy(robot: Robot, reader: Reader, t:
     np.testing.assert_allclose(supplied.sum(), gained, atol=DIFFERENCED * np.abs(supplied).sum())
 
 
+def test_every_mesh_of_the_urdf_is_drawn(robot: Robot) -> None:
+    """The folder it was declared in is gone; its meshes are in a package of example-robot-data."""
+    scene = rp.show(robot, example.swing().sample(dt=0.05)).scene
+    meshes = [solid for solid in scene.solids if solid.shape == "mesh"]
+    visuals = [visual for link in yourdfpy.URDF.load(io.BytesIO(URDF.encode()), load_meshes=False).robot.links
+               for visual in link.visuals]  # fmt: skip
+    assert len(meshes) == len(visuals) == 13
+
+
 def test_the_script_runs_as_the_documentation_says(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

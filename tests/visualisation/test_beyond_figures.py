@@ -14,7 +14,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.visualisation.bars import plot_bars
 from redundancy_pin.visualisation.side_by_side import plot_side_by_side
 from redundancy_pin.visualisation.speed_border import Attempts, plot_speed_border
-from redundancy_pin.visualisation.style import save
+from redundancy_pin.visualisation.style import save, words
 from redundancy_pin.visualisation.trade_off import TradeCurve, plot_trade_off
 
 
@@ -38,7 +38,8 @@ def test_columns_show_each_plan_and_its_limits(plans: dict[str, Plan], tmp_path:
     for column, (name, plan) in enumerate(plans.items()):
         assert name in axes[0, column].get_title()
         assert f"{plan.peak_effort.max():.3g} N" in axes[0, column].get_title()
-        assert plan.status.value in axes[0, column].get_title()
+        assert axes[0, column].get_title().endswith(words(plan.status.value))
+        assert "_" not in axes[0, column].get_title()
         parts = (plan.tau, plan.carriers.s, plan.carriers.sd, plan.carriers.sdd)
         for axis, values in zip(axes[:, column], parts, strict=True):
             for i in range(2):
@@ -46,6 +47,16 @@ def test_columns_show_each_plan_and_its_limits(plans: dict[str, Plan], tmp_path:
         levels = [line.get_ydata()[0] for line in axes[1, column].lines if len(set(line.get_ydata())) == 1]
         assert {-0.2, 0.2} <= set(levels)
         assert sum(list(line.get_xdata()) == [0.57, 0.57] for line in axes[0, column].lines) == 1
+    mains = {line.get_color() for line in axes[0, 0].lines}
+    carriers = {line.get_color() for line in axes[1, 0].lines[:2]}
+    assert len(carriers) == 2
+    assert not carriers & mains
+    (legend,) = figure.legends
+    said = [text.get_text() for text in legend.get_texts()]
+    assert said == ["actuator 1", "actuator 2", "carrier 1", "carrier 2", "singular instant", "beyond a limit"]
+    hatched = [patch.get_bbox() for patch in axes[1, 0].patches if patch.get_hatch()]
+    bottom, top = axes[1, 0].get_ylim()
+    np.testing.assert_allclose(sorted((box.y0, box.y1) for box in hatched), [(bottom, -0.2), (0.2, top)])
     for row in range(1, 4):  # one scale a row, and every curve inside
         assert axes[row, 0].get_ylim() == axes[row, 1].get_ylim()
     assert axes[1, 0].get_ylim()[1] > np.abs(plans["off"].carriers.s).max()
@@ -78,4 +89,27 @@ def test_trade_off_shows_curve_and_marks(tmp_path: Path) -> None:
     assert list(line.get_ydata()) == [5.0, 3.0]
     assert (list(mark.get_xdata()), list(mark.get_ydata())) == ([3.0], [4.0])
     assert mark.get_label() == "stepwise"
+    assert figure.axes[0].get_legend() is None  # one legend for all panels, where it hides no point
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "whole trajectory, one point a weight", "stepwise"
+    ]  # fmt: skip
     written(figure, tmp_path)
+
+
+def test_a_way_has_the_same_mark_in_every_panel() -> None:
+    points = np.array([[1.0, 5.0], [2.0, 3.0]])
+    first = TradeCurve("a", "N", points, {"off": (3.0, 4.0), "stepwise": (2.0, 4.0)})
+    second = TradeCurve("b", "N", points, {"stepwise": (3.0, 4.0)})
+    figure = plot_trade_off("title", [first, second])
+    marks = [next(line for line in axes.lines if line.get_label() == "stepwise") for axes in figure.axes]
+    assert marks[0].get_marker() == marks[1].get_marker()
+    assert marks[0].get_color() == marks[1].get_color()
+
+
+def test_logarithmic_axes_have_plain_numbers(tmp_path: Path) -> None:
+    figure = plot_bars("title", ["+", "-"], "mode", "τ [N·m]", {"a": np.array([3.0, 40.0])})
+    figure.draw_without_rendering()
+    axis = figure.axes[0].yaxis
+    said = [text.get_text() for text in (*axis.get_majorticklabels(), *axis.get_minorticklabels())]
+    assert {"10", "20"} <= set(said)
+    assert not [text for text in said if "^" in text]

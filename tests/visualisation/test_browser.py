@@ -37,7 +37,7 @@ FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
@@ -240,6 +240,44 @@ def test_the_path_of_a_crossing_turns_red_and_the_platform_with_it(browser: Any,
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
+IN_VIEW = """
+const point = new MeshCat.THREE.Vector3(), seen = [];
+viewer.scene.updateMatrixWorld(true);
+viewer.scene_tree.find(["meshcat", "robot"]).object.traverse(part => {
+  if (!part.geometry || !part.geometry.attributes.position) { return; }
+  const corners = part.geometry.attributes.position;
+  for (let i = 0; i < corners.count; i++) {
+    point.fromBufferAttribute(corners, i).applyMatrix4(part.matrixWorld).project(viewer.camera);
+    seen.push(Math.max(Math.abs(point.x), Math.abs(point.y)));
+  }
+});
+return [Math.max(...seen), byId("panel").getBoundingClientRect().right,
+        document.querySelector("canvas").getBoundingClientRect().left];
+"""
+"""Largest coordinate of any corner of the robot in the picture, whose edges are at 1; where legend and picture meet."""
+
+
+@pytest.mark.parametrize("name", zoo.SHIPPED)
+def test_all_of_the_robot_is_in_the_picture_and_beside_the_legend(browser: Any, tmp_path: Path, name: str) -> None:
+    view = show(zoo.robot_of(name))
+    view.save(tmp_path / "out.html")
+    _open(browser, tmp_path / "out.html")
+    for t in (0.0, 0.5 * view.scene.duration):
+        _seek(browser, t)
+        largest, legend, picture = browser.execute_script(IN_VIEW)
+        assert 0.3 < largest < 1.0
+        assert legend <= picture
+
+
+def test_the_picture_takes_the_place_of_a_folded_legend(browser: Any, tmp_path: Path) -> None:
+    show("five_bar").save(tmp_path / "out.html")
+    _open(browser, tmp_path / "out.html")
+    width = "document.querySelector('canvas').clientWidth"
+    assert browser.execute_script(f"return {width} < 0.8 * window.innerWidth")
+    browser.execute_script("byId('panel').open = false;")
+    _until(browser, f"return {width} === window.innerWidth")
+
+
 def test_a_notebook_cell_plays_too(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "cell.html"
     file.write_text(f"<!DOCTYPE html><meta charset='utf-8'>{show('four_bar')._repr_html_()}", encoding="utf-8")
@@ -250,6 +288,47 @@ def test_a_notebook_cell_plays_too(browser: Any, tmp_path: Path) -> None:
     assert _is_shaded(picture, ROLE_COLORS["closure"]).sum() > 20
     browser.switch_to.default_content()
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_meshes_are_seen_and_seen_through(browser: Any, tmp_path: Path) -> None:
+    """A link in magenta: pale while joints are to be seen through it, in its own colour otherwise."""
+    from test_urdf_meshes import robot_with, visual, wedge
+
+    wedge().apply_scale(2.0).export(tmp_path / "wedge.stl")
+    robot = robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>', "1 0 1 1")])
+    show(robot, forces=False).save(tmp_path / "mesh.html")
+    (tmp_path / "wedge.stl").unlink()
+    _open(browser, tmp_path / "mesh.html")
+    _seek(browser, 0.0)
+    pale = _picture(browser)
+    browser.execute_script("byId('clear').click();")
+    full = _picture(browser)
+    assert _is_shaded(full, "#FF00FF").sum() > 500
+    assert _is_shaded(pale, "#FF00FF").sum() < 0.1 * _is_shaded(full, "#FF00FF").sum()
+    assert (np.abs(pale - 255.0).max(axis=2) > 20.0).sum() > 500
+    browser.execute_script("byId('clear').click();")
+    np.testing.assert_array_equal(_picture(browser), pale)
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_the_live_view_is_the_same_page(browser: Any) -> None:
+    online = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
+    browser.execute_cdp_cmd("Network.emulateNetworkConditions", online)
+    live = show(zoo.robot_of("3rrr")).serve()
+    try:
+        browser.get(live.url)
+        _wait(browser)
+        legend = browser.execute_script("return byId('panel').textContent")
+        assert "effort of carriers" in legend
+        _seek(browser, 0.9)
+        shown = _is(_picture(browser), EFFORT_COLORS["carrier"]).sum()
+        browser.execute_script("byId('forces').click();")
+        assert shown > 20
+        assert _is(_picture(browser), EFFORT_COLORS["carrier"]).sum() == 0
+        assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    finally:
+        live.close()
+        browser.execute_cdp_cmd("Network.emulateNetworkConditions", {**online, "offline": True})
 
 
 def test_the_browser_would_notice(browser: Any, tmp_path: Path) -> None:

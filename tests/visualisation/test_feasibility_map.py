@@ -108,6 +108,20 @@ def test_a_refined_border_lies_where_it_was_found() -> None:
     assert sorted(upright) == pytest.approx([0.2375, 0.25])
 
 
+@pytest.mark.parametrize(
+    ("values", "edges"),
+    [
+        ((0.1, 0.5, 0.9), (0.0, 0.3, 0.7, 1.1)),  # half a step below 0.1 there is no stroke
+        ((0.0, 0.4, 0.8), (0.0, 0.2, 0.6, 1.0)),
+        ((0.5, 0.7), (0.4, 0.6, 0.8)),
+        ((-0.5, 0.5), (-1.0, 0.0, 1.0)),  # an angle has values on both sides
+        ((-0.9, -0.5, -0.1), (-1.1, -0.7, -0.3, 0.0)),
+    ],
+)
+def test_tiles_do_not_reach_across_zero(values: tuple[float, ...], edges: tuple[float, ...]) -> None:
+    assert Axis("stroke", values).edges(values) == pytest.approx(edges)
+
+
 def test_edges_of_a_logarithmic_axis() -> None:
     assert Axis("stroke", (0.01, 0.1, 1.0), "log").edges([0.01, 0.1, 1.0]) == pytest.approx(
         [10**-2.5, 10**-1.5, 10**-0.5, 10**0.5]
@@ -137,6 +151,9 @@ def test_the_legend_tells_only_what_there_is() -> None:
     def said(*panels: MapPanel) -> str:
         return " | ".join(text.get_text() for text in plot_feasibility(panels, _labels()).legends[0].get_texts())
 
+    good = MapPanel("r", (Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "failed")))
+    assert said(good, good) == "? not known (numerical failure)"  # no border anywhere
+    assert not plot_feasibility([MapPanel("s", good.tiles[:1])], _labels()).legends
     assert said(one) == "border | not possible; in the way: T track"
     assert "border, other panel" in said(one, two)
     assert "optimiser stopped early" in said(one, two)

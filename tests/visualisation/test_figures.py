@@ -12,7 +12,7 @@ from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.visualisation.comparison import plot_comparison
 from redundancy_pin.visualisation.efforts import EffortCurves, plot_efforts
 from redundancy_pin.visualisation.paths import PathCurves, plot_path
-from redundancy_pin.visualisation.style import STROKES, figure, save
+from redundancy_pin.visualisation.style import CARRIER_STROKES, STROKES, figure, save
 
 T = np.linspace(0.0, 1.0, 201)
 SINGULAR = 100
@@ -87,6 +87,16 @@ def test_the_bounded_product_meets_the_missing_force() -> None:
 def test_strokes_differ_without_colour() -> None:
     assert len({str(stroke.dash) for stroke in STROKES}) == len(STROKES)
     assert len({stroke.marker for stroke in STROKES}) == len(STROKES)
+
+
+def test_carriers_have_strokes_of_their_own() -> None:
+    mains, carriers = ({stroke.color for stroke in strokes} for strokes in (STROKES, CARRIER_STROKES))
+    assert len(carriers) == len(CARRIER_STROKES)
+    assert not mains & carriers
+    assert len({str(stroke.dash) for stroke in CARRIER_STROKES}) == len(CARRIER_STROKES)
+    drawn = plot_efforts(_efforts())
+    (panel,) = [axes for axes in drawn.axes if axes.get_ylabel() == "carrier force [N]"]
+    assert {line.get_color() for line in panel.lines[:2]} <= carriers
 
 
 def test_comparison_shows_each_case_with_its_peak() -> None:

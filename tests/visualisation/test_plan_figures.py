@@ -173,7 +173,7 @@ def test_broken_limits_are_marked_where_they_are_worst() -> None:
     marks = [line for line in position.lines if line.get_marker() == "X"]
     assert [(float(line.get_xdata()[0]), float(line.get_ydata()[0])) for line in marks] == [(0.5, 0.25)]
     assert any("0.05 beyond" in text for text in _texts(drawn))
-    assert "track of c1" in drawn.get_suptitle()
+    assert "(track of carrier 1)" in drawn.get_suptitle()
     for label in ("carrier speed", "carrier acceleration", "carrier force"):
         assert not [line for line in _panel(drawn, label).lines if line.get_marker() == "X"]
 

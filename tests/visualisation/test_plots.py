@@ -202,6 +202,15 @@ def test_snapshots_show_the_mechanism_once_an_instant() -> None:
     assert {to_hex(color) for color in path.get_colors()} == {color.lower() for color in MARGIN_COLORS}
 
 
+def test_snapshots_say_what_is_what() -> None:
+    view = rp.show(zoo.robot_of("3rrr"))
+    drawn = rp.plot.snapshots(view, 3)
+    said = [text.get_text() for text in drawn.legends[0].get_texts()]
+    assert said == ["driven joint", "passive joint", "closure", "track", "carrier", "margin above 0.4"]
+    base = [patch for patch in drawn.axes[0].patches if to_hex(patch.get_facecolor()) == "#5a5a5a"]
+    assert len(base) == 1  # it does not move
+
+
 def test_what_cannot_be_drawn_is_refused() -> None:
     robot = zoo.robot_of("2rpr")
     view = rp.show(robot)

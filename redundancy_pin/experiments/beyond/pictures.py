@@ -32,6 +32,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.visualisation.bars import plot_bars
 from redundancy_pin.visualisation.side_by_side import plot_side_by_side
 from redundancy_pin.visualisation.speed_border import Attempts, plot_speed_border
+from redundancy_pin.visualisation.style import words
 from redundancy_pin.visualisation.trade_off import TradeCurve, plot_trade_off
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def _mode_stem(radius: float) -> str:
 
 def _caption(task: Task, rows: Sequence[Row]) -> str:
     parts = [
-        f"{row.way} (status {row.status}): peak {row.worst:.3g} {row.unit}"
+        f"{row.way} ({words(row.status)}): peak {row.worst:.3g} {row.unit}"
         for row in rows
         if row.exists and row.way in _SHOWN
     ]

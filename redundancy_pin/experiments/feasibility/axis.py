@@ -63,14 +63,18 @@ class Axis:
     def edges(self, values: Sequence[float]) -> list[float]:
         """Return the len(values) + 1 edges of tiles around values of this axis.
 
-        Tiles meet half way; the outermost reach as far beyond the grid as its first and last step go half way inside.
+        Tiles meet half way; the outermost reach as far beyond the grid as its first and last step go half way inside,
+        but not across zero: a stroke or a speed has no values there.
         """
         first, last = self._beyond(self.values[0], self.values[1]), self._beyond(self.values[-1], self.values[-2])
         between = [self.middle(a, b) for a, b in pairwise(values)]
         return [first, *between, last]
 
     def _beyond(self, end: float, neighbour: float) -> float:
-        return end * math.sqrt(end / neighbour) if self.scale == "log" else end + 0.5 * (end - neighbour)
+        if self.scale == "log":
+            return end * math.sqrt(end / neighbour)
+        beyond = end + 0.5 * (end - neighbour)
+        return beyond if beyond * end > 0.0 else 0.0
 
 
 def spaced(name: str, low: float, high: float, count: int, scale: Scale = "linear") -> Axis:

@@ -176,7 +176,7 @@ def carrier_panels(case: StepwiseCase, quantity: Quantity) -> Draw:
         panels = tuple(
             Panel(
                 f"carrier {i + 1}\n{_UNITS[quantity]}",
-                (Curve(f"{quantity} of carrier {i + 1}", plan.t, _values(plan, quantity)[:, i], i),),
+                (Curve(f"{quantity} of carrier {i + 1}", plan.t, _values(plan, quantity)[:, i], i, carrier=True),),
                 limits=_limits(plan, quantity),
             )
             for i in range(3)
@@ -188,7 +188,7 @@ def carrier_panels(case: StepwiseCase, quantity: Quantity) -> Draw:
 
 def _carrier_panel(plan: Plan, quantity: Quantity) -> Panel:
     values = _values(plan, quantity)
-    curves = tuple(Curve(f"carrier {i + 1}", plan.t, values[:, i], i) for i in range(values.shape[1]))
+    curves = tuple(Curve(f"carrier {i + 1}", plan.t, values[:, i], i, carrier=True) for i in range(values.shape[1]))
     return Panel(_UNITS[quantity], curves, limits=_limits(plan, quantity), height=1.2)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 from redundancy_pin.experiments.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, Cell, MapProblem, Verdict, sweep
@@ -50,3 +51,8 @@ def slow(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
     sweep.ignore_interrupts()
     time.sleep(0.3)
     return quick(problem, planner, x, y)
+
+
+def journal_lines(path: Path) -> list[bytes]:
+    """Return the lines of a journal, their ends included."""
+    return path.read_bytes().splitlines(keepends=True)

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_maps import corner, crossing, quick
+from small_maps import corner, crossing, journal_lines
 
-from redundancy_pin.errors import InfeasiblePlanError, InputError, OutputError, RedundancyPinError
+from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError
 from redundancy_pin.experiments.feasibility import (
     STEPWISE,
     SWITCH_OFF,
@@ -28,29 +28,10 @@ from redundancy_pin.experiments.feasibility import (
     sweep,
 )
 from redundancy_pin.experiments.feasibility.cell import Key
-from redundancy_pin.experiments.feasibility.journal import CELLS
-from redundancy_pin.experiments.journal import open_journal
 
 joblib = pytest.importorskip("joblib")
 
 HERE = Path(__file__).resolve().parent
-
-
-@pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[Key]:
-    """Let cells be quick, and list those that are computed."""
-    keys: list[Key] = []
-
-    def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
-        keys.append((planner, x, y))
-        return quick(problem, planner, x, y)
-
-    monkeypatch.setattr(sweep, "compute", compute)
-    return keys
-
-
-def _lines(path: Path) -> list[bytes]:
-    return path.read_bytes().splitlines(keepends=True)
 
 
 # -------------------------------------------------------------------------------------------- killed and taken up again
@@ -81,7 +62,7 @@ def _start(journal: Path) -> subprocess.Popen[bytes]:
         preexec_fn=_heed_interrupts,
     )
     patience = time.monotonic() + 120.0
-    while not (journal.exists() and len(_lines(journal)) >= 4):
+    while not (journal.exists() and len(journal_lines(journal)) >= 4):
         if sweeping.poll() is not None or time.monotonic() > patience:
             os.killpg(sweeping.pid, signal.SIGKILL)
             pytest.fail(f"the sweep ended by itself: {sweeping.communicate()[1].decode()}")
@@ -97,7 +78,7 @@ def test_a_sweep_that_is_killed_goes_on_where_it_was(how: signal.Signals, tmp_pa
     os.killpg(sweeping.pid, how)
     sweeping.communicate(timeout=60)
     assert sweeping.returncode != 0
-    kept = [line for line in _lines(journal) if line.endswith(b"\n")]
+    kept = [line for line in journal_lines(journal) if line.endswith(b"\n")]
     finished = {tuple(json.loads(line)[name] for name in ("planner", "x", "y")) for line in kept[1:]}
     assert 3 <= len(finished) < 18
     if how is signal.SIGKILL:  # the worst moment: in the middle of a line
@@ -109,8 +90,8 @@ def test_a_sweep_that_is_killed_goes_on_where_it_was(how: signal.Signals, tmp_pa
     assert len(asked) == 18 - len(finished)
     assert not finished & set(asked)
     # what was finished is as it was, to the last byte
-    assert _lines(journal)[: len(kept)] == kept
-    assert len(_lines(journal)) == 19
+    assert journal_lines(journal)[: len(kept)] == kept
+    assert len(journal_lines(journal)) == 19
     asked.clear()
     again = feasibility_map(corner(), journal, jobs=1)
     assert asked == []
@@ -126,92 +107,6 @@ def test_a_finer_grid_takes_over_the_cells_it_shares(tmp_path: Path, asked: list
     found = feasibility_map(finer, journal, jobs=1)
     assert {x for _, x, _ in asked} == {0.6}
     assert len(found.cells) == 12
-
-
-# --------------------------------------------------------------------------------------------- journals that do not fit
-
-
-def test_a_changed_problem_is_refused_and_named(tmp_path: Path, asked: list[Key]) -> None:
-    journal = tmp_path / "journal.jsonl"
-    feasibility_map(corner(), journal, jobs=1)
-    before = journal.read_bytes()
-    for changed, says in (
-        (corner(limits={"max_effort": 4.0}), "for limits.max_effort it has 5.0, now it is 4.0"),
-        (corner(parameters={}), "parameters"),
-        (corner(mode=(-1, -1, -1)), "mode"),
-        (corner(settings={"carrier_mass": 1.0}), "settings"),
-        (corner(y=Axis("max_speed", (0.1, 1.0))), "axes"),
-        (corner(options={"radius": 0.013}), "options"),
-    ):
-        with pytest.raises(OutputError, match="another problem") as caught:
-            feasibility_map(changed, journal, jobs=1)
-        assert says in caught.value.message
-    assert journal.read_bytes() == before
-
-
-def test_a_robot_whose_file_has_changed_is_another_problem(
-    tmp_path: Path, asked: list[Key], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    journal = tmp_path / "journal.jsonl"
-    feasibility_map(corner(), journal, jobs=1)
-    monkeypatch.setattr(sweep, "fingerprint", lambda robot: "another")
-    with pytest.raises(OutputError, match="machine"):
-        feasibility_map(corner(), journal, jobs=1)
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (b"", "no journal"),
-        (b"planner,x,y\n", "no journal"),
-        (b'{"format": "redundancy_pin feasibility journal", "version": 2, "digest": "", "problem": {}}\n', "version 2"),
-        (b"\xff\xfe\n", "no journal"),
-    ],
-)
-def test_files_that_are_no_journal_are_left_alone(content: bytes, says: str, tmp_path: Path, asked: list[Key]) -> None:
-    journal = tmp_path / "journal.jsonl"
-    journal.write_bytes(content)
-    with pytest.raises(OutputError, match=says):
-        feasibility_map(corner(), journal, jobs=1)
-    assert journal.read_bytes() == content
-    assert asked == []
-
-
-@pytest.mark.parametrize("line", [b"{torn\n", b'{"planner": "x"}\n', b'{"verdict": "perhaps", "limits": []}\n', b"\n"])
-def test_a_journal_that_is_damaged_in_the_middle_is_refused(line: bytes, tmp_path: Path, asked: list[Key]) -> None:
-    journal = tmp_path / "journal.jsonl"
-    feasibility_map(corner(), journal, jobs=1)
-    lines = _lines(journal)
-    journal.write_bytes(b"".join([*lines[:3], line, *lines[3:]]))
-    with pytest.raises(OutputError, match="Line 4"):
-        feasibility_map(corner(), journal, jobs=1)
-
-
-def test_cells_survive_the_journal(tmp_path: Path) -> None:
-    cell = Cell(
-        "p",
-        0.1,
-        1 / 3,
-        Verdict.INFEASIBLE,
-        ("track", "end"),
-        "c",
-        0.1,
-        float("nan"),
-        None,
-        1.1,
-        0.5,
-        "",
-        "ü",
-        {"a": 1.0},
-    )
-    with open_journal(CELLS, tmp_path / "j", {"a": 1}) as journal:
-        journal.add(cell)
-    with open_journal(CELLS, tmp_path / "j", {"a": 1}) as journal:
-        (found,) = journal.records.values()
-    # JSON knows no NaN
-    assert found == Cell(
-        "p", 0.1, 1 / 3, Verdict.INFEASIBLE, ("track", "end"), "c", 0.1, None, None, 1.1, 0.5, "", "ü", {"a": 1.0}
-    )
 
 
 # ---------------------------------------------------------------------------------------------------- what may go wrong
@@ -333,56 +228,3 @@ def test_a_border_on_a_logarithmic_axis_is_halved_there(asked: list[Key]) -> Non
     problem = crossing(x=Axis("speed", (0.01, 1.0), "log"), planners=(SWITCH_OFF,))
     feasibility_map(problem, jobs=1, refine=1)
     assert (SWITCH_OFF, 0.1, 0.05) in asked
-
-
-# --------------------------------------------------------------------------------------------------------------- errors
-
-BAD: dict[str, tuple[Any, str]] = {
-    "misspelt axis": (lambda: corner(x=Axis("sped", (1, 2))), "Did you mean 'speed'"),
-    "argument of another robot": (lambda: corner(x=Axis("end_effector_mass", (1, 2))), "no parameter"),
-    "argument that is no number": (lambda: corner(x=Axis("carriers", (0, 1))), "no parameter"),
-    "key of another trajectory": (lambda: corner(x=Axis("side", (0.1, 0.2))), "no parameter"),
-    "same axis twice": (lambda: corner(x=Axis("stroke", (1, 2))), "Both axes are stroke"),
-    "axis that is fixed": (lambda: corner(limits={"stroke": 1.0}), "has the fixed value 1.0"),
-    "axis fixed in the trajectory": (lambda: corner(options={"speed": 1.0}), "has the fixed value"),
-    "axis of one value": (lambda: Axis("speed", (1.0,)), "at least two"),
-    "axis that does not increase": (lambda: Axis("speed", (1.0, 0.5)), "do not increase"),
-    "axis with a double": (lambda: Axis("speed", (1.0, 1.0)), "do not increase"),
-    "axis of infinity": (lambda: Axis("speed", (1.0, float("inf"))), "finite"),
-    "axis of words": (lambda: Axis("speed", ("slow", "fast")), "not numbers"),  # type: ignore[arg-type]
-    "logarithm of zero": (lambda: Axis("speed", (0.0, 1.0), "log"), "no logarithm"),
-    "unknown scale": (lambda: Axis("speed", (0.0, 1.0), "cubic"), "scale"),  # type: ignore[arg-type]
-    "negative speed": (lambda: corner(x=Axis("speed", (-1.0, 1.0))), "positive"),
-    "no stroke": (lambda: corner(y=Axis("stroke", (0.0, 1.0))), "positive"),
-    "negative limit": (lambda: corner(limits={"max_effort": -1.0}), "positive"),
-    "limit of infinity": (lambda: corner(limits={"max_effort": float("inf")}), "Leave out"),
-    "unknown limit": (lambda: corner(limits={"max_torque": 1.0}), "no limit"),
-    "unknown planner": (lambda: corner(planners=("step-wise",)), "Did you mean 'stepwise'"),
-    "no planner": (lambda: corner(planners=()), "at least one"),
-    "planner twice": (lambda: corner(planners=(WHOLE, WHOLE)), "once"),
-    "unknown trajectory": (lambda: corner(trajectory="coner"), "Did you mean 'corner'"),
-    "unknown backend": (lambda: corner(backend="virtual_work"), "Did you mean 'virtual-work'"),
-    "unknown option": (lambda: corner(options={"radios": 1.0}), "Did you mean 'radius'"),
-    "unknown parameter": (
-        lambda: corner(parameters={WHOLE: {"objektive": "peak"}}),
-        "no parameter of whole-trajectory",
-    ),
-    "limit as a parameter": (lambda: corner(parameters={WHOLE: {"effort": 1.0}}), "Limits are those of the map"),
-    "unknown robot argument": (lambda: corner(settings={"carrier_mas": 1.0}), "carrier_mass"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_problems_are_refused(case: str, asked: list[Key]) -> None:
-    make, says = BAD[case]
-    with pytest.raises(InputError) as caught:
-        feasibility_map(make(), jobs=1)
-    assert says in str(caught.value)
-    assert asked == []
-
-
-@pytest.mark.parametrize("given", [{"jobs": 0}, {"refine": -1}, {"refine": 0.5}, {"along": "z"}])
-def test_bad_settings_of_the_sweep_are_refused(given: dict[str, Any], asked: list[Key]) -> None:
-    with pytest.raises(InputError):
-        feasibility_map(crossing(), **given)
-    assert asked == []

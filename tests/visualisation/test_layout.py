@@ -1,0 +1,119 @@
+"""Nothing a figure says is cut off at its edge or lies over another thing it says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+import zoo
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+
+import redundancy_pin as rp
+from redundancy_pin.experiments.beyond.cases import SwitchOff
+from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS, TASKS
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.trajectory import reference
+from redundancy_pin.visualisation.bars import plot_bars
+from redundancy_pin.visualisation.feasibility_map import MapLabels, MapPanel, Tile, plot_feasibility
+from redundancy_pin.visualisation.side_by_side import plot_side_by_side
+from redundancy_pin.visualisation.speed_border import Attempts, plot_speed_border
+from redundancy_pin.visualisation.trade_off import TradeCurve, plot_trade_off
+
+EDGE = 1.5
+"""Pixels by which the box of a text may be larger than what is seen of it: ascenders and descenders it has not."""
+
+
+@cache
+def crossing() -> Plan:
+    return SwitchOff(CROSSINGS[0], CROSSINGS[0].threshold).plan("virtual-work")
+
+
+@cache
+def corner() -> Plan:
+    return rp.plan_stepwise(rp.VirtualWork(zoo.robot_of("3rrr")), reference.corner())
+
+
+def _map() -> Figure:
+    kinds = ("feasible", "stopped_early", "infeasible", "failed")
+    tiles = tuple(
+        Tile(i, i + 1, j, j + 1, kinds[(i + j) % 4], 1.0 + i, "T" if (i + j) % 4 == 2 else "")  # type: ignore[arg-type]
+        for i in range(4)
+        for j in range(4)
+    )
+    labels = MapLabels("2rpr, circle: what the machine can do", "speed of the platform [m/s]",
+                       "stroke of the carriers [m]", "peak main effort [N]", {"T": "track"})  # fmt: skip
+    panels = [MapPanel("switch off: threshold 5, 10, 20", tiles), MapPanel("whole trajectory: least effort", tiles)]
+    return plot_feasibility(panels, labels)
+
+
+def _trade() -> Figure:
+    points = np.array([[1.0, 5.0], [2.0, 3.0]])
+    longest = sorted((task.title for task in TASKS), key=len)[-2:]
+    marks = {"no carriers": (0.5, 5.0), "stepwise λ = 0": (3.0, 4.0), "switching off": (2.0, 4.0)}
+    return plot_trade_off("Main effort", [TradeCurve(title, "N", points, marks) for title in longest])
+
+
+def _bars() -> Figure:
+    values = np.linspace(2.0, 30.0, 8)
+    series = dict.fromkeys(
+        ("no carriers", "stepwise λ = 0", "whole trajectory: effort", "whole trajectory: peak"), values
+    )
+    modes = [f"({a},{b},{c})" for a in "+-" for b in "+-" for c in "+-"]
+    return plot_bars("3-RRR: largest torque in every working mode", modes, "working mode", "largest |τ| [N·m]", series)
+
+
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "plan of a crossing": lambda: rp.plot.plan(crossing()),
+    "plan of a corner": lambda: rp.plot.plan(corner()),
+    "efforts": lambda: rp.plot.efforts(crossing()),
+    "carriers": lambda: rp.plot.carriers(corner()),
+    "condition": lambda: rp.plot.condition(crossing()),
+    "path of a crossing": lambda: rp.plot.path(crossing()),
+    "path of a corner": lambda: rp.plot.path(corner()),
+    "snapshots of a crossing": lambda: rp.plot.snapshots(rp.show(crossing())),
+    "snapshots of a corner": lambda: rp.plot.snapshots(rp.show(corner())),
+    "comparison": lambda: rp.plot.comparison({"stepwise": corner(), "the same again": corner()}),
+    "locus": lambda: rp.plot.locus(rp.singular_locus(zoo.robot_of("2rpr"))),
+    "locus of one coordinate": lambda: rp.plot.locus(rp.singular_locus(zoo.robot_of("four_bar"))),
+    "side by side": lambda: plot_side_by_side(CROSSINGS[0].title, dict.fromkeys(
+        ("switching off", "whole trajectory: effort", "whole trajectory: smooth effort"), crossing()), "N",
+        instants=[0.5]),
+    "one alone": lambda: plot_side_by_side(CORNERS[0].title, {"stepwise λ = 0": corner()}, "N·m"),
+    "map": _map,
+    "trade-off": _trade,
+    "bars": _bars,
+    "speeds": lambda: plot_speed_border("2-RPR: largest main force over speed", [
+        Attempts(task.title, np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3])) for task in CROSSINGS]),
+}  # fmt: skip
+
+
+def _said(drawn: Figure) -> dict[str, Bbox]:
+    """Return the boxes of titles, labels of axes and legends, pixels."""
+    drawn.draw_without_rendering()
+    things: list[tuple[str, object]] = [("suptitle", drawn._suptitle)] if drawn._suptitle else []
+    things += [(f"legend {i}", legend) for i, legend in enumerate(drawn.legends)]
+    for i, axes in enumerate(drawn.axes):
+        things += [(f"{kind} of panel {i}", thing) for kind, thing in (
+            ("title", axes.title), ("x label", axes.xaxis.label), ("y label", axes.yaxis.label),
+            ("legend", axes.get_legend())) if thing is not None]  # fmt: skip
+    texts = {name: thing for name, thing in things if not isinstance(thing, Text) or thing.get_text()}
+    return {name: thing.get_window_extent() for name, thing in texts.items()}  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_titles_labels_and_legends_are_whole_and_apart(name: str) -> None:
+    drawn = FIGURES[name]()
+    boxes = _said(drawn)
+    for what, box in boxes.items():
+        assert box.x0 > -EDGE, what
+        assert box.y0 > -EDGE, what
+        assert box.x1 < drawn.bbox.x1 + EDGE, what
+        assert box.y1 < drawn.bbox.y1 + EDGE, what
+    for (first, a), (second, b) in combinations(boxes.items(), 2):
+        over = Bbox.intersection(a, b)
+        assert over is None or min(over.width, over.height) < EDGE, f"{first} over {second}"

@@ -1,0 +1,44 @@
+"""Panels over time: limits hatched, carriers in their own colours, condition numbers in black."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from redundancy_pin.visualisation.style import BEYOND, CARRIER_STROKES, STROKES
+from redundancy_pin.visualisation.time_panels import Curve, Panel, plot_time_panels
+
+T = np.linspace(0.0, 1.0, 11)
+
+
+def test_limits_that_are_near_are_hatched_and_others_left_out() -> None:
+    position = Panel("s [m]", (Curve("carrier 1", T, 0.9 * T, carrier=True),), limits=(-1.0, 1.0))
+    (axes,) = plot_time_panels("title", [position]).axes
+    (band,) = [patch.get_bbox() for patch in axes.patches if patch.get_hatch()]
+    assert (band.y0, band.y1) == pytest.approx((1.0, axes.get_ylim()[1]))
+    assert axes.get_legend_handles_labels()[1] == ["carrier 1", BEYOND]
+    far = Panel("s [m]", (Curve("carrier 1", T, 0.1 * T),), limits=(-1.0, 1.0))
+    (axes,) = plot_time_panels("title", [far]).axes
+    assert not [patch for patch in axes.patches if patch.get_hatch()]
+    assert axes.get_ylim()[1] < 0.2
+
+
+def test_both_sides_are_hatched_but_named_once() -> None:
+    speed = Panel("v [m/s]", (Curve("carrier 1", T, 2.0 * T - 1.0, carrier=True),), limits=(-1.2, 1.2))
+    (axes,) = plot_time_panels("title", [speed]).axes
+    bands = sorted((patch.get_bbox().y0, patch.get_bbox().y1) for patch in axes.patches if patch.get_hatch())
+    low, high = axes.get_ylim()
+    np.testing.assert_allclose(bands, [(low, -1.2), (1.2, high)])
+    assert axes.get_legend_handles_labels()[1].count(BEYOND) == 1
+
+
+def test_carriers_and_condition_numbers_are_no_main_actuators() -> None:
+    panels = [
+        Panel("f [N]", (Curve("main", T, T, 1), Curve("carrier", T, -T, 1, carrier=True))),
+        Panel("condition number [–]", (Curve("condition number", T, 1.0 + T),), log=True),
+    ]
+    drawn = plot_time_panels("title", panels, instants=[0.5])
+    main, carrier = drawn.axes[0].lines[:2]
+    assert (main.get_color(), carrier.get_color()) == (STROKES[1].color, CARRIER_STROKES[1].color)
+    assert drawn.axes[1].lines[0].get_color() == "#000000"
+    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["singular instant"]
