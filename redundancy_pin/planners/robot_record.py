@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +67,17 @@ def robot_record(robot: Robot) -> RobotRecord:
         bodies=tuple(tuple(float(v) for v in body.toDynamicParameters()) for body in list(robot.model.inertias)[1:]),
         q_reference=tuple(float(q) for q in robot.q_reference),
     )
+
+
+def read_robot(record: Mapping[str, Any]) -> RobotRecord:
+    """Return the record that a file holds as a mapping of its fields.
+
+    Raises:
+        KeyError, TypeError: a field is missing, or is none.
+    """
+    values = {field.name: record[field.name] for field in fields(RobotRecord)}
+    values["carrier_limits"] = tuple(CarrierLimits(**entry) for entry in values["carrier_limits"])
+    return RobotRecord(**values)
 
 
 def load_recorded(record: RobotRecord, source: str | Path | None = None) -> Robot:
