@@ -19,8 +19,11 @@ _SAME_BODIES = 1e-9
 _SAME_REFERENCE = 1e-6
 """Deviation, m or rad, of the closed reference configuration between two machines: Newton stops far below it."""
 
+_RATES = {"track": "", "speed": "/s", "acceleration": "/s²", "jerk": "/s³"}
+"""Limits of a motion, and what their units add to that of its position."""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class RobotRecord:
     """What is needed to load the plan's robot again, and to notice that it has changed.
 
@@ -50,6 +53,26 @@ class RobotRecord:
     carrier_limits: tuple[CarrierLimits, ...]
     bodies: tuple[tuple[float, ...], ...]
     q_reference: tuple[float, ...]
+
+    def __repr__(self) -> str:
+        """Return which robot it is, not its mass properties."""
+        return f"RobotRecord({self.name!r}, m={len(self.actuated)}, k={len(self.carriers)}, source={self.source!r})"
+
+    def limit_unit(self, quantity: str, joint: str) -> str:
+        """Return the unit of a limit of a joint.
+
+        Args:
+            quantity: "track", "speed", "acceleration" or "jerk" of its motion; anything else is an effort.
+            joint: name of an actuated joint or a carrier.
+        """
+        if quantity not in _RATES:
+            return self.effort_unit(joint)
+        return ("rad" if joint in self.rotating else "m") + _RATES[quantity]
+
+    def effort_unit(self, *joints: str) -> str:
+        """Return the unit of the efforts of joints: N, N·m, or both where some slide and some rotate."""
+        turning = [name in self.rotating for name in joints]
+        return "N·m" if turning and all(turning) else "N or N·m" if any(turning) else "N"
 
 
 def robot_record(robot: Robot) -> RobotRecord:
