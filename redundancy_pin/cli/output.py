@@ -7,12 +7,15 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from redundancy_pin.errors import OutputError
 
 Advance = Callable[[int, int, str], None]
 """Called with steps done, steps in all, and what is being done."""
@@ -58,6 +61,20 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def require_suffix(flag: str, path: str, suffix: str) -> None:
+    """Check that a file to write is named as what it will be: other programs, and people, go by the name.
+
+    Raises:
+        OutputError: it has another suffix, or none.
+    """
+    named = Path(path)
+    if named.suffix.lower() != suffix:
+        fitting = named.with_name(f"{named.stem or 'result'}{suffix}")
+        raise OutputError(
+            f"{flag} {path} does not end in {suffix}.", remedy=f"Write {flag} {fitting}.", path=path, suffix=suffix
+        )
 
 
 @contextmanager

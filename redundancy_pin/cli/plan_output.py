@@ -12,7 +12,7 @@ import click
 import numpy as np
 from rich.table import Table
 
-from redundancy_pin.cli.output import console, number, print_json
+from redundancy_pin.cli.output import console, number, print_json, require_suffix
 from redundancy_pin.errors import OutputError
 from redundancy_pin.experiments.beyond.rows import SWING, reversals
 from redundancy_pin.files import replacing_file, require_writable
@@ -34,6 +34,7 @@ def require_outputs(out: str | None, plot: str | None, inputs: Sequence[str] = (
         RedundancyPinError: a picture without matplotlib.
     """
     if out:
+        require_suffix("--out", out, ".npz")
         require_writable(out)
     if plot:
         require_matplotlib()
@@ -42,8 +43,6 @@ def require_outputs(out: str | None, plot: str | None, inputs: Sequence[str] = (
     for flag, path in (("--out", out), ("--plot", plot)):
         if path and any(_same_file(path, given) for given in inputs):
             raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
-    if out and plot and Path(out).expanduser().resolve() == Path(plot).expanduser().resolve():
-        raise OutputError("--out and --plot are the same file.", remedy="Give one of them another name.", path=out)
 
 
 def write_outputs(plan: Plan, out: str | None, plot: str | None) -> None:

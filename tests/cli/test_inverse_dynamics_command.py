@@ -151,7 +151,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 
 def test_motion_of_another_robot_is_refused(tmp_path: Path) -> None:
     motion = write_motion(tmp_path / "motion.csv", reference.corner(), 0.1)
-    assert "2 coordinates" in refused(
+    assert "moves in 2 (x, y)" in refused(
         "inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", tmp_path / "o.csv"
     )
 
@@ -192,5 +192,5 @@ def test_virtual_work_of_a_robot_without_closed_form_is_refused(tmp_path: Path) 
         "--motion",
         motion,
         "--out",
-        tmp_path / "o",
+        tmp_path / "o.csv",
     )

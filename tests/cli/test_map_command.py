@@ -230,7 +230,7 @@ BAD: dict[str, tuple[tuple[str, ...], str]] = {
     "axis that is fixed": (("--stroke", "1"), "has the fixed value 1.0"),
     "axis fixed in the trajectory": (("--trajectory", "corner:speed=1"), "has the fixed value"),
     "unknown trajectory": (("--trajectory", "coner"), "Did you mean 'corner'"),
-    "key that is text": (("--trajectory", "corner:radius=big"), "radius is 'big'"),
+    "key that is text": (("--trajectory", "corner:radius=big"), "radius of the trajectory corner is 'big'"),
     "points that are none": (("--trajectory", "points:points=1 2;3,ramp_time=1"), "points"),
     "option that is missing": (("--trajectory", "points:points=1 2;3 4"), "lacks the option 'ramp_time'"),
     "pair that is none": (("--trajectory", "corner:radius"), "KEY=VALUE"),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import call, write_motion
 from plan_cases import CORNER, LINE, same
@@ -107,6 +109,48 @@ def test_json_is_pure_and_tells_what_the_plan_holds(tmp_path: Path) -> None:
     assert len(found["limits"]["binding"]) == len(plan.limits.binding)
     assert found["parameters"]["lam"] == 0.0
     assert found["out"] == str(out)
+
+
+def test_points_of_the_command_line(tmp_path: Path) -> None:
+    out = tmp_path / "plan.npz"
+    path = "points:points=1.0 0.4;1.02 0.5;0.95 0.6,speed=0.1,ramp_time=0.2,alpha=0.1"
+    assert (
+        call("plan", "stepwise", "--robot", "3rrr", "--step", "0.02", "--trajectory", path, "--out", out).exit_code == 0
+    )
+    x = rp.load_plan(out).motion.x
+    np.testing.assert_allclose(x[0], [1.0, 0.4, 0.1], atol=1e-12)
+    np.testing.assert_allclose(x[-1], [0.95, 0.6, 0.1], atol=1e-12)
+    at = call(
+        "plan", "stepwise", "--robot", "3rrr", "--step", "0.02", "--trajectory", "corner:start=1.0 0.45", "--json"
+    )
+    assert json.loads(at.stdout)["status"] == "within_limits"
+
+
+def test_the_table_has_what_the_plan_says(tmp_path: Path) -> None:
+    out = tmp_path / "plan.npz"
+    lines = call(*CORNER, "--out", out).stdout.splitlines()
+    plan = rp.load_plan(out)
+    # a limit of the size: the carrier meets it in its negative sense
+    assert plan.limits.binding[0].limit == -1.0
+    assert any("speed of carrier_2 at its limit 1 m/s" in line for line in lines)
+    (turns,) = [line for line in lines if "reversals above 5 % of the peak" in line]
+    assert [int(number) for number in re.findall(r"\d+", turns.partition("peak")[2])] == counted(plan.tau)
+
+
+def counted(tau: np.ndarray) -> list[int]:
+    """How often each column turns round and moves back by more than a twentieth of the largest magnitude."""
+    least, found = 0.05 * np.abs(tau).max(), []
+    for effort in tau.T:
+        turns, sense, low, high = 0, 0, effort[0], effort[0]
+        for value in effort:
+            low, high = min(low, value), max(high, value)
+            back = -1 if high - value > least else 1 if value - low > least else 0
+            if back and back != sense:
+                turns, sense = turns + (sense != 0), back
+            if back:
+                low = high = value
+        found.append(turns)
+    return found
 
 
 def test_nothing_need_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

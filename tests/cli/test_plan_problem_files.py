@@ -132,6 +132,13 @@ BAD_PROBLEMS: dict[str, tuple[dict[str, Any], str]] = {
     "whole number that is none": ({"parameters": {"between": 1.5}}, "between"),
     "infinite whole number": ({"parameters": {"between": float("inf")}}, "between"),
     "mode that is a list": ({"mode": [1, 1, 1]}, "mode"),
+    "mode of another robot": ({"mode": "++"}, "such as mode: +++"),
+    "backend of another robot": (
+        {"robot": "five_bar", "backend": "virtual-work", "trajectory": {"name": "line"}},
+        "Write backend: rnea",
+    ),
+    "trajectory of another robot": ({"trajectory": {"name": "circle"}}, "Choose the trajectory corner, square"),
+    "limits of another robot": ({"parameters": {"acceleration": [1, 2]}}, "acceleration is [1.0, 2.0], expected 3"),
     "mode of letters": ({"mode": "abc"}, "mode"),
     "gravity of two": ({"gravity": [0, 1]}, "three numbers"),
     "gravity that is a number": ({"gravity": 9.81}, "three numbers"),
