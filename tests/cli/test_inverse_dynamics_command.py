@@ -129,11 +129,12 @@ BAD = {
     "parameter not finite": (["--set", "carrier_mass=inf"], "finite"),
     "gravity as a setting": (["--set", "gravity=1"], "--gravity"),
     "mode of letters": (["--mode", "abc"], "--mode"),
-    "mode too short": (["--mode", "++"], "mode"),
+    "mode too short": (["--mode", "++"], "--mode is ++, but the robot has 3 legs"),
     "gravity of two": (["--gravity", "0,-9.81"], "three numbers"),
     "unknown backend": (["--backend", "lagrange"], "lagrange"),
     "unknown option": (["--bakend", "rnea"], "--bakend"),
     "no such folder": (["--out", "nowhere/out.csv"], "nowhere"),
+    "efforts of another kind": (["--out", "out.txt"], "--out out.txt does not end in .csv. Write --out out.csv."),
 }
 
 

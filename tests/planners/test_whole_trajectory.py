@@ -284,9 +284,13 @@ def test_infeasible_says_how_much_would_suffice():
     assert details["constraint"] in relaxed
     assert 0.0 <= details["time"] <= circle().duration
     effort = relaxed["effort"]
-    assert effort["amount"] == pytest.approx(abs(effort["limit"]) - 0.05, rel=1e-6)
+    assert effort["amount"] == pytest.approx(effort["limit"] - 0.05, rel=1e-6)
+    # both actuators slide, and a limit of |τ| is a size
+    assert effort["unit"] == "N"
+    assert f"the effort of {effort['carrier']}, from 0.05 to {effort['limit']:.6g} N " in caught.value.message
+    assert effort["carrier"] in dynamics.robot.actuated
     least = plan_whole_trajectory(dynamics, circle(), objective="peak", dt=0.03, refinements=0).peak_effort.max()
-    assert abs(effort["limit"]) == pytest.approx(least, rel=1e-3)
+    assert effort["limit"] == pytest.approx(least, rel=1e-3)
     enough = plan_whole_trajectory(dynamics, circle(), effort=1.001 * least, dt=0.03, refinements=0)
     assert enough.diagnostics["optimal"]
     assert enough.peak_effort.max() <= 1.001 * least * (1.0 + 1e-6)
