@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 from redundancy_pin.errors import OutputError
 
@@ -36,6 +37,23 @@ def console(*, markup: bool = False) -> Console:
     if sys.stdout.isatty():
         return Console(markup=markup, highlight=False)
     return Console(markup=markup, highlight=False, width=_PIPE_WIDTH, color_system=None)
+
+
+def table_of(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = False) -> Table:
+    """Return a table.
+
+    Args:
+        title: above it.
+        headings: of the columns.
+        rows: of it, a text a column.
+        numbers: whether all columns but the first hold numbers, and stand to the right.
+    """
+    table = Table(title=title)
+    for place, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if numbers and place else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def print_json(data: Mapping[str, Any]) -> None:

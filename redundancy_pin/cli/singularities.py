@@ -9,7 +9,7 @@ import click
 from rich.table import Table
 
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import console, number, print_json, progress
+from redundancy_pin.cli.output import console, number, print_json, progress, table_of
 from redundancy_pin.cli.plan_trajectory import parse_trajectory, trajectory_option
 from redundancy_pin.cli.wording import OPTIONS, in_words
 from redundancy_pin.errors import InputError
@@ -96,22 +96,22 @@ def crossing_data(crossing: Crossing) -> dict[str, Any]:
 
 
 def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
-    table = Table(title=f"{robot.name}: {len(crossings)} singular instant(s)")
-    for heading in ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction"):
-        table.add_column(heading)
+    rows = []
     for crossing in crossings:
         type_ii = crossing.kind != SingularityKind.TYPE_I
         direction = crossing.uncontrolled_twist if type_ii else crossing.lost_direction
         place = crossing.x[:3, 3] if crossing.x.ndim == 2 else crossing.x
-        when = f"{crossing.t:.9g}" if crossing.until == crossing.t else f"{crossing.t:.9g} to {crossing.until:.9g}"
-        table.add_row(
-            when,
-            ", ".join(number(value) for value in place),
-            crossing.kind.label,
-            "crossed" if crossing.crosses else "touched",
-            ", ".join(number(value) for value in direction),
+        rows.append(
+            (
+                f"{crossing.t:.9g}" if crossing.until == crossing.t else f"{crossing.t:.9g} to {crossing.until:.9g}",
+                ", ".join(number(value) for value in place),
+                crossing.kind.label,
+                "crossed" if crossing.crosses else "touched",
+                ", ".join(number(value) for value in direction),
+            )
         )
-    return table
+    headings = ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction")
+    return table_of(f"{robot.name}: {len(crossings)} singular instant(s)", headings, rows)
 
 
 def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:
