@@ -153,6 +153,12 @@ def counted(tau: np.ndarray) -> list[int]:
     return found
 
 
+def test_the_case_of_a_suffix_is_free(tmp_path: Path) -> None:
+    out = tmp_path / "PLAN.NPZ"
+    assert call(*CORNER, "--out", out).exit_code == 0
+    assert rp.load_plan(out).status is PlanStatus.WITHIN_LIMITS
+
+
 def test_nothing_need_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert call(*CORNER).exit_code == 0

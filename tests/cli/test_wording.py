@@ -14,6 +14,7 @@ from redundancy_pin.errors import (
 )
 
 NAMES = {
+    "dt": "--step",
     "lam": "--lam",
     "stop": "--stop",
     "speed": "--max-speed",
@@ -31,6 +32,7 @@ YAML = KEYS.knowing({name: name for name in NAMES})
         ("lam = 0.5 asks for more.", "--lam 0.5 asks for more.", "lam: 0.5 asks for more."),
         ("Use lam = 0, which suits.", "Use --lam 0, which suits.", "Use lam: 0, which suits."),
         ("Use a larger lam, or wait.", "Use a larger --lam, or wait.", "Use a larger lam, or wait."),
+        ("Allow a longer dt.", "Allow a longer --step.", "Allow a longer dt."),
         ('Use stop="after".', "Use --stop after.", "Use stop: after."),
         ("Use anticipate=True, or not.", "Use --anticipate, or not.", "Use anticipate: true, or not."),
         ("Try anticipate=False.", "Try --no-anticipate.", "Try anticipate: false."),
