@@ -95,6 +95,10 @@ def require_suffix(flag: str, path: str, suffix: str) -> None:
         )
 
 
+def _unseen(done: int, total: int, what: str = "") -> None:
+    """Take progress that nobody watches."""
+
+
 @contextmanager
 def progress(title: str) -> Iterator[Advance]:
     """Show a progress bar on stderr while the block runs; nothing unless stdout and stderr are terminals.
@@ -102,6 +106,9 @@ def progress(title: str) -> Iterator[Advance]:
     Yields:
         A function to call with steps done, steps in all, and what is being done.
     """
+    if not (sys.stderr.isatty() and sys.stdout.isatty()):
+        yield _unseen
+        return
     bar = Progress(
         SpinnerColumn(),
         TextColumn("{task.description}"),
@@ -110,7 +117,6 @@ def progress(title: str) -> Iterator[Advance]:
         TimeElapsedColumn(),
         console=Console(stderr=True),
         transient=True,
-        disable=not (sys.stderr.isatty() and sys.stdout.isatty()),
     )
     with bar:
         task = bar.add_task(title, total=None)

@@ -137,10 +137,8 @@ def _event(problem: WholeProblem, robot: RobotRecord, elastic: Solution, kind: s
     if kind != "track" and low[j] == -high[j]:
         # a limit of the size, as users write it; the ends of a track are places
         limit, enough = abs(limit), abs(enough)
-    text = (
-        f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({100.0 * fraction:.3g} %), "
-        f"most at t = {t[i]:.6g} s"
-    )
+    percent = f"{100.0 * fraction:.3g}" if fraction < 1.0 else f"{100.0 * fraction:.0f}"
+    text = f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at t = {t[i]:.6g} s"
     return {
         "constraint": kind,
         "carrier": names[j],

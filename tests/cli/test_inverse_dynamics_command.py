@@ -95,7 +95,7 @@ def test_unreachable_samples_are_marked_on_request(tmp_path: Path) -> None:
     out = tmp_path / "out.csv"
     arguments = ("inverse-dynamics", "--robot", "five_bar", "--motion", motion, "--out", out)
     assert "reach" in refused(*arguments)
-    assert not out.exists()
+    assert "Keep the motion inside the workspace, or write --unreachable mark." in refused(*arguments)
     assert call(*arguments, "--unreachable", "mark").exit_code == 0
     found = _columns(out)
     assert list(found["status"]) == ["regular", "unreachable", "regular"]
