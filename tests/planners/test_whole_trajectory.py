@@ -299,15 +299,21 @@ def test_infeasible_says_how_much_would_suffice():
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
 
 
-def test_infeasible_track_names_the_carrier():
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_infeasible_track_names_the_carrier(sense):
     """A start with a speed that no acceleration stops before the end of the track: v² / 2a is needed."""
     speed, room = 2.0, 0.1
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_whole_trajectory(two_rpr(), circle(), start=(0.1, 0.0), start_speed=(speed, 0.0), dt=0.02, end="free")
+        plan_whole_trajectory(two_rpr(), circle(), start=(sense * 0.1, 0.0), start_speed=(sense * speed, 0.0), dt=0.02,
+                              end="free")  # fmt: skip
     details = caught.value.details
     assert speed**2 / (2.0 * 10.0) > room
     kinds = {relaxed["constraint"] for relaxed in details["relaxations"]}
     assert kinds <= {"track", "acceleration"}
+    # the end of a track is a place, with its sign; an acceleration is a size
+    enough = {relaxed["constraint"]: relaxed["limit"] for relaxed in details["relaxations"]}
+    assert sense * enough["track"] > 0.2
+    assert enough.get("acceleration", np.inf) > 10.0
     assert details["carrier"] == "carrier_1"
     assert details["time"] < 0.3
 
