@@ -84,3 +84,18 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
             index=where,
         )
     return array
+
+
+def largest(values: Array) -> Array:
+    """Return (m,) the largest magnitude in each column of (N, m), NaN left out; zero where nothing is left."""
+    found: Array = np.nanmax(np.abs(values), axis=0, initial=0.0)
+    return found
+
+
+def peak(name: str, values: Array, unit: str) -> str:
+    """Return the largest magnitude in each column of (N, m) as text for a ``repr``: ``peak |tau| 0.31, 0.28 N``."""
+    return (
+        f"peak |{name}| {', '.join(f'{value:.4g}' for value in largest(values))} {unit}"
+        if values.size
+        else f"no {name}"
+    )

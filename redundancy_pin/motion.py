@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, checked, read_only
+from redundancy_pin.arrays import Array, BoolArray, checked, largest, read_only
 from redundancy_pin.errors import InputError
 
 
-@dataclass(frozen=True, init=False, eq=False)
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class PlatformMotion:
     """Motion of the independent (platform) coordinates, sampled in time.
 
@@ -49,6 +49,11 @@ class PlatformMotion:
         for name, value in (("t", time), ("x", position), ("xd", rate), ("xdd", acceleration)):
             object.__setattr__(self, name, value)
 
+    def __repr__(self) -> str:
+        """Return shape and times, not the arrays."""
+        poses = ", poses" if self.is_pose else ""
+        return f"PlatformMotion(N={len(self)}, n={self.xd.shape[1]}{poses}, t={self.t[0]:g}..{self.t[-1]:g} s)"
+
     def __len__(self) -> int:
         """Return the number of samples."""
         return len(self.t)
@@ -68,7 +73,7 @@ class PlatformMotion:
         return PlatformMotion(self.t[index], self.x[index], self.xd[index], self.xdd[index])
 
 
-@dataclass(frozen=True, init=False, eq=False)
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class CarrierMotion:
     """Motion of the carriers along their tracks, sampled at the times of a platform motion.
 
@@ -91,6 +96,11 @@ class CarrierMotion:
         acceleration = checked(sdd, "sdd", position.shape)
         for name, value in (("s", position), ("sd", rate), ("sdd", acceleration)):
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        """Return shape and peaks, not the arrays."""
+        peaks = ", ".join(f"{largest(values).max(initial=0.0):.4g}" for values in (self.s, self.sd, self.sdd))
+        return f"CarrierMotion(N={len(self)}, k={self.s.shape[1]}; largest |s|, |sd|, |sdd|: {peaks})"
 
     def __len__(self) -> int:
         """Return the number of samples."""

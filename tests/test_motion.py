@@ -25,6 +25,17 @@ def poses(samples: int) -> np.ndarray:
     return x
 
 
+def test_motions_print_shapes_and_not_arrays() -> None:
+    assert repr(flat([0.0, 0.25, 0.5])) == "PlatformMotion(N=3, n=2, t=0..0.5 s)"
+    still = np.zeros((5, 6))
+    assert repr(PlatformMotion(np.arange(5.0), poses(5), still, still)) == "PlatformMotion(N=5, n=6, poses, t=0..4 s)"
+    wave = np.array([[0.1, -0.3], [0.2, 0.1]])
+    assert repr(CarrierMotion(wave, 2.0 * wave, np.zeros((2, 2)))) == (
+        "CarrierMotion(N=2, k=2; largest |s|, |sd|, |sdd|: 0.3, 0.6, 0)"
+    )
+    assert "k=0; largest |s|, |sd|, |sdd|: 0, 0, 0" in repr(CarrierMotion.parked(3, 0))
+
+
 # --- platform motions ---
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from redundancy_pin.cli.wording import OPTIONS
 from redundancy_pin.errors import CrossCheckError, RedundancyPinError
 
 FAILED_CHECK = 1
@@ -46,7 +47,7 @@ class OneLineErrors(click.Group):
             _say(str(error))
             sys.exit(FAILED_CHECK)
         except RedundancyPinError as error:
-            _say(str(error))
+            _say(str(OPTIONS.reword(error)))
             sys.exit(BAD_INPUT)
         except (click.Abort, KeyboardInterrupt):
             _say("interrupted.")

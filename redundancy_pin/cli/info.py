@@ -10,7 +10,7 @@ from rich.console import Group
 from rich.table import Table
 
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import console, number, print_json
+from redundancy_pin.cli.output import console, number, print_json, table_of
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
@@ -134,12 +134,7 @@ def _list_robots(as_json: bool) -> None:
     if as_json:
         print_json({"robots": [{"name": name, "description": text} for name, text in robots]})
         return
-    table = Table(title="shipped robots")
-    table.add_column("robot")
-    table.add_column("description")
-    for name, text in robots:
-        table.add_row(name, text)
-    console().print(table)
+    console().print(table_of("shipped robots", ("robot", "description"), robots))
 
 
 def _tables(found: dict[str, Any]) -> Group:
@@ -171,46 +166,32 @@ def _general(found: dict[str, Any]) -> Table:
 
 
 def _joints(found: dict[str, Any]) -> Table:
-    table = Table(title="joints of the tree")
-    for heading in ("joint", "type", "role"):
-        table.add_column(heading)
-    for joint in found["joints"]:
-        table.add_row(joint["name"], joint["type"], joint["role"])
-    return table
+    rows = [(joint["name"], joint["type"], joint["role"]) for joint in found["joints"]]
+    return table_of("joints of the tree", ("joint", "type", "role"), rows)
 
 
 def _closures(found: dict[str, Any]) -> Table:
-    table = Table(title="closures")
-    for heading in ("frame a", "frame b", "axes"):
-        table.add_column(heading)
-    for closure in found["closures"]:
-        table.add_row(closure["frame_a"], closure["frame_b"], ", ".join(closure["axes"]))
-    return table
+    rows = [(closure["frame_a"], closure["frame_b"], ", ".join(closure["axes"])) for closure in found["closures"]]
+    return table_of("closures", ("frame a", "frame b", "axes"), rows)
 
 
 def _parameters(found: dict[str, Any]) -> list[Table]:
-    if not found["parameters"]:
-        return []
-    table = Table(title="parameters (--set NAME=VALUE)")
-    table.add_column("parameter")
-    for heading in ("value", "default"):
-        table.add_column(heading, justify="right")
-    for name, entry in found["parameters"].items():
-        table.add_row(name, _text(entry["value"]), _text(entry["default"]))
-    return [table]
+    rows = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in found["parameters"].items()]
+    title, headings = "parameters (--set NAME=VALUE)", ("parameter", "value", "default")
+    return [table_of(title, headings, rows, numbers=True)] if rows else []
 
 
 def _limits(found: dict[str, Any]) -> list[Table]:
-    if not found["carrier_limits"]:
-        return []
-    table = Table(title="carrier limits")
-    table.add_column("carrier")
-    for heading in ("position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]"):
-        table.add_column(heading, justify="right")
-    for name, limits in found["carrier_limits"].items():
-        ends = " … ".join(f"{end:g}" for end in limits["position"])
-        table.add_row(name, ends, *(f"{limits[key]:g}" for key in ("speed", "acceleration", "force")))
-    return [table]
+    rows = [
+        (
+            name,
+            " … ".join(f"{end:g}" for end in limits["position"]),
+            *(f"{limits[key]:g}" for key in ("speed", "acceleration", "force")),
+        )
+        for name, limits in found["carrier_limits"].items()
+    ]
+    headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
+    return [table_of("carrier limits", headings, rows, numbers=True)] if rows else []
 
 
 def _coordinates(values: list[Any]) -> str:

@@ -11,8 +11,9 @@ import numpy as np
 from rich.table import Table
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import console, print_json, progress
+from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, robot_options
+from redundancy_pin.cli.output import console, print_json, progress, require_suffix
+from redundancy_pin.cli.wording import OPTIONS, in_words
 from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.status import Distribution, SampleStatus
@@ -25,7 +26,7 @@ from redundancy_pin.trajectory import carriers_from_csv, from_csv
 
 @click.command("inverse-dynamics")
 @robot_options()
-@click.option("--backend", type=click.Choice(list(BACKENDS)), default=RNEA, show_default=True, help="How to compute.")
+@backend_option(RNEA)
 @click.option("--motion", "motion_path", required=True, metavar="CSV", help="Motion to follow.")
 @click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
 @click.option(
@@ -65,8 +66,9 @@ def inverse_dynamics(
     """
     if _same_file(motion_path, out):
         raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
+    require_suffix("--out", out, ".csv")
     require_writable(out)
-    with progress("inverse dynamics") as advance:
+    with progress("inverse dynamics") as advance, in_words(OPTIONS.knowing({"unreachable": "--unreachable"})):
         advance(0, 4, "reading")
         loaded = RobotOptions(robot, settings, mode, gravity).load()
         motion, carriers = from_csv(motion_path), carriers_from_csv(motion_path)

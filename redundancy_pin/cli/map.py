@@ -13,13 +13,21 @@ import numpy as np
 from redundancy_pin.cli.errors import FAILED_CHECK, INTERRUPTED
 from redundancy_pin.cli.keys import require_choice
 from redundancy_pin.cli.map_output import print_map, warn_of_failures
-from redundancy_pin.cli.options import json_option, parse_mode, parse_setting, parse_vector, robot_options
+from redundancy_pin.cli.options import (
+    backend_option,
+    jobs_option,
+    json_option,
+    parse_mode,
+    parse_setting,
+    parse_vector,
+    robot_options,
+)
 from redundancy_pin.cli.output import progress
 from redundancy_pin.cli.plan_parameters import PARAMETERS, read_parameters
-from redundancy_pin.cli.plan_trajectory import split_trajectory
+from redundancy_pin.cli.plan_trajectory import split_trajectory, trajectory_option, trajectory_value
 from redundancy_pin.cli.plan_values import number
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.backends import BACKENDS, RNEA, VIRTUAL_WORK
+from redundancy_pin.experiments.backends import RNEA, VIRTUAL_WORK
 from redundancy_pin.experiments.feasibility import (
     LIMITS,
     OTHER,
@@ -36,7 +44,6 @@ from redundancy_pin.experiments.feasibility import (
 from redundancy_pin.experiments.feasibility.result import Direction
 from redundancy_pin.experiments.feasibility.sweep import require_sense
 from redundancy_pin.experiments.feasibility.written import JOURNAL, make_folder
-from redundancy_pin.experiments.trajectories import TRAJECTORIES
 from redundancy_pin.visualisation.style import require_matplotlib
 
 
@@ -49,12 +56,8 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command("map")
 @robot_options()
-@click.option("--backend", type=click.Choice(list(BACKENDS)), help="How to compute; virtual-work where it can.")
-@click.option(
-    "--trajectory",
-    metavar="NAME[:KEY=VALUE,...]",
-    help=f"Motion: {', '.join(TRAJECTORIES)}; points are written as points=0.2 0.4;0.3 0.4.",
-)
+@backend_option(None, "How to compute; virtual-work where it can.")
+@trajectory_option("Motion")
 @click.option("--x", "x_text", metavar="AXIS", help="NAME=LOW:HIGH:COUNT, with :log at its end for a logarithmic one.")
 @click.option("--y", "y_text", metavar="AXIS", help="The same, or NAME=V,V,...: values one by one.")
 @_limit_options
@@ -74,7 +77,7 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.option("--refine", default=2, show_default=True, metavar="N", help="How often the border is bisected.")
 @click.option("--along", type=click.Choice(["x", "y"]), default="x", show_default=True, help="Axis of the bisection.")
-@click.option("--jobs", default=-1, show_default=True, metavar="N", help="Processes; -1: one for each core.")
+@jobs_option(-1)
 @click.option("--out", metavar="FOLDER", help="Where journal, tables and pictures go.  [default: map-ROBOT]")
 @json_option
 def map_command(**given: Any) -> int:
@@ -157,7 +160,7 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
         x=x,
         y=y,
         trajectory=name,
-        options={key: _option(key, value) for key, value in options.items()},
+        options={key: trajectory_value(key, value, f"the trajectory {name}") for key, value in options.items()},
         settings=dict(parse_setting(text) for text in given["settings"]),
         mode=() if given["mode"] is None else parse_mode(given["mode"]),
         gravity=None if given["gravity"] is None else parse_vector(given["gravity"]),
@@ -166,15 +169,6 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
         planners=given["planners"] or (preset.thesis, WHOLE),
         parameters={planner: _read(planner, values) for planner, values in parameters.items()},
     )
-
-
-def _option(key: str, text: str) -> Any:
-    """Return an option of a trajectory: a number, true or false, or rows of them such as ``0.2 0.4; 0.3 0.4``."""
-    if text in ("true", "false"):
-        return text == "true"
-    if ";" in text:
-        return [[number(key, value) for value in row.split()] for row in text.split(";")]
-    return number(key, text)
 
 
 def _parameter(text: str) -> tuple[str, str, str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from redundancy_pin.cli.output import console, print_json
+from redundancy_pin.cli.output import console, print_json, table_of
 from redundancy_pin.experiments.feasibility import Cell, FeasibilityMap, Verdict
 from redundancy_pin.experiments.feasibility.pictured import axis_label, effort_unit
 
@@ -40,17 +40,16 @@ def warn_of_failures(found: FeasibilityMap) -> None:
 
 
 def _counts(found: FeasibilityMap) -> Table:
-    table = Table(title=f"{found.problem.robot}, {found.problem.trajectory}: cells")
-    for heading in ("planner", "possible", "stopped early", "not possible", "in the way", "failed", "time [s]"):
-        table.add_column(heading)
+    rows = []
     for planner in found.problem.planners:
         counts = found.counts(planner)
         why = ", ".join(f"{limit} {count}" for limit, count in found.in_the_way(planner).items())
         seconds = sum(cell.seconds for cell in found.of(planner))
         numbers = [str(counts[verdict.value]) for verdict in (Verdict.FEASIBLE, Verdict.STOPPED_EARLY)]
         last = (str(counts[Verdict.INFEASIBLE.value]), why, str(counts[Verdict.FAILED.value]), f"{seconds:.1f}")
-        table.add_row(planner, *numbers, *last)
-    return table
+        rows.append((planner, *numbers, *last))
+    headings = ("planner", "possible", "stopped early", "not possible", "in the way", "failed", "time [s]")
+    return table_of(f"{found.problem.robot}, {found.problem.trajectory}: cells", headings, rows)
 
 
 def _border(found: FeasibilityMap) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -9,6 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from redundancy_pin.errors import InputError
+from redundancy_pin.experiments.backends import BACKENDS
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Robot
 
@@ -67,6 +69,25 @@ def json_option(command: _Command) -> _Command:
     """Add ``--json`` to a command (argument ``as_json``)."""
     option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout instead of text.")
     return option(command)
+
+
+def backend_option(default: str | None, text: str = "How to compute.") -> Callable[[_Command], _Command]:
+    """Return the option ``--backend``.
+
+    Args:
+        default: the backend where none is named; None leaves it to the command.
+        text: its help.
+    """
+    return click.option(
+        "--backend", type=click.Choice(list(BACKENDS)), default=default, show_default=default is not None, help=text
+    )
+
+
+def jobs_option(default: int) -> Callable[[_Command], _Command]:
+    """Return the option ``--jobs``: how many processes share the work."""
+    return click.option(
+        "--jobs", default=default, show_default=True, metavar="N", help="Processes; -1: one for each core."
+    )
 
 
 def _robot_option_list(required: bool) -> list[Callable[[Any], Any]]:
@@ -133,6 +154,6 @@ def parse_vector(text: str) -> tuple[float, ...]:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) != 3:
+    if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
         raise InputError(f"--gravity {text!r} is not three numbers.", remedy="Write --gravity 0,-9.81,0 (m/s²).")
     return numbers

@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from redundancy_pin.errors import OutputError
 
 Advance = Callable[[int, int, str], None]
 """Called with steps done, steps in all, and what is being done."""
@@ -33,6 +37,23 @@ def console(*, markup: bool = False) -> Console:
     if sys.stdout.isatty():
         return Console(markup=markup, highlight=False)
     return Console(markup=markup, highlight=False, width=_PIPE_WIDTH, color_system=None)
+
+
+def table_of(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = False) -> Table:
+    """Return a table.
+
+    Args:
+        title: above it.
+        headings: of the columns.
+        rows: of it, a text a column.
+        numbers: whether all columns but the first hold numbers, and stand to the right.
+    """
+    table = Table(title=title)
+    for place, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if numbers and place else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -60,6 +81,24 @@ def plain(value: Any) -> Any:
     return value
 
 
+def require_suffix(flag: str, path: str, suffix: str) -> None:
+    """Check that a file to write is named as what it will be: other programs, and people, go by the name.
+
+    Raises:
+        OutputError: it has another suffix, or none.
+    """
+    named = Path(path)
+    if named.suffix.lower() != suffix:
+        fitting = named.with_name(f"{named.stem or 'result'}{suffix}")
+        raise OutputError(
+            f"{flag} {path} does not end in {suffix}.", remedy=f"Write {flag} {fitting}.", path=path, suffix=suffix
+        )
+
+
+def _unseen(done: int, total: int, what: str = "") -> None:
+    """Take progress that nobody watches."""
+
+
 @contextmanager
 def progress(title: str) -> Iterator[Advance]:
     """Show a progress bar on stderr while the block runs; nothing unless stdout and stderr are terminals.
@@ -67,6 +106,9 @@ def progress(title: str) -> Iterator[Advance]:
     Yields:
         A function to call with steps done, steps in all, and what is being done.
     """
+    if not (sys.stderr.isatty() and sys.stdout.isatty()):
+        yield _unseen
+        return
     bar = Progress(
         SpinnerColumn(),
         TextColumn("{task.description}"),
@@ -75,7 +117,6 @@ def progress(title: str) -> Iterator[Advance]:
         TimeElapsedColumn(),
         console=Console(stderr=True),
         transient=True,
-        disable=not (sys.stderr.isatty() and sys.stdout.isatty()),
     )
     with bar:
         task = bar.add_task(title, total=None)

@@ -8,15 +8,16 @@ from typing import Any
 
 import click
 
-from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
+from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, robot_options
 from redundancy_pin.cli.output import progress
 from redundancy_pin.cli.plan_output import print_plan, require_outputs, warn, write_outputs
-from redundancy_pin.cli.plan_parameters import PREFIX, planner_options
+from redundancy_pin.cli.plan_parameters import PARAMETERS, PREFIX, flags_of, planner_options
 from redundancy_pin.cli.plan_problem import STEP, Problem, problem
 from redundancy_pin.cli.plan_problem_file import read_problem
 from redundancy_pin.cli.plan_trajectory import FLAGS, parse_trajectory, trajectory_options
+from redundancy_pin.cli.wording import KEYS, OPTIONS, in_words
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.backends import BACKENDS, RNEA
+from redundancy_pin.experiments.backends import RNEA
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.trajectory import Trajectory, from_csv
@@ -38,11 +39,7 @@ def _output_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    command = trajectory_options(_output_options(command))
-    command = click.option(
-        "--backend", type=click.Choice(list(BACKENDS)), default=RNEA, show_default=True, help="How to compute."
-    )(command)
-    return robot_options()(command)
+    return robot_options()(backend_option(RNEA)(trajectory_options(_output_options(command))))
 
 
 @click.group(invoke_without_command=True)
@@ -68,7 +65,8 @@ def plan(
         if problem_path is None:
             raise InputError("There is nothing to plan.", remedy="Name a planner, or give --problem.")
         path = problem_path
-        return _run(lambda: read_problem(path), out, plot, as_json, inputs=(path,))
+        with in_words(KEYS.knowing({name: name for names in PARAMETERS.values() for name in names})):
+            return _run(lambda: read_problem(path), out, plot, as_json, inputs=(path,))
     if problem_path or out or plot or as_json:
         raise InputError(
             "Options before the name of the planner belong to --problem.",
@@ -144,7 +142,8 @@ def _from_flags(planner: str, given: Mapping[str, Any]) -> int:
         backend, step = given["backend"], given.get("step")
         return problem(planner, robot, backend, motion, parameters, baseline=baseline, step=step)
 
-    return _run(read, given["out"], given["plot"], given["as_json"], inputs=(motion_path,) if motion_path else ())
+    with in_words(OPTIONS.knowing(flags_of(planner))):
+        return _run(read, given["out"], given["plot"], given["as_json"], inputs=(motion_path,) if motion_path else ())
 
 
 def _motion(

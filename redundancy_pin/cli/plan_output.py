@@ -12,17 +12,15 @@ import click
 import numpy as np
 from rich.table import Table
 
-from redundancy_pin.cli.output import console, number, print_json
+from redundancy_pin.cli.output import console, number, print_json, require_suffix
 from redundancy_pin.errors import OutputError
+from redundancy_pin.experiments.beyond.rows import SWING, reversals
 from redundancy_pin.files import replacing_file, require_writable
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.whole_trajectory_check import ALLOWED
 from redundancy_pin.visualisation.plan_figures import plot_plan
 from redundancy_pin.visualisation.style import picture_format, require_matplotlib, save
-
-UNITS = {"track": "m", "speed": "m/s", "acceleration": "m/s²", "force": "N"}
-"""Units of the limits of a carrier that slides, by quantity."""
 
 _LISTED = 6
 """Broken limits that a table and a warning list; the rest is counted."""
@@ -36,6 +34,7 @@ def require_outputs(out: str | None, plot: str | None, inputs: Sequence[str] = (
         RedundancyPinError: a picture without matplotlib.
     """
     if out:
+        require_suffix("--out", out, ".npz")
         require_writable(out)
     if plot:
         require_matplotlib()
@@ -44,8 +43,6 @@ def require_outputs(out: str | None, plot: str | None, inputs: Sequence[str] = (
     for flag, path in (("--out", out), ("--plot", plot)):
         if path and any(_same_file(path, given) for given in inputs):
             raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
-    if out and plot and Path(out).expanduser().resolve() == Path(plot).expanduser().resolve():
-        raise OutputError("--out and --plot are the same file.", remedy="Give one of them another name.", path=out)
 
 
 def write_outputs(plan: Plan, out: str | None, plot: str | None) -> None:
@@ -72,7 +69,7 @@ def print_plan(plan: Plan, out: str | None, plot: str | None, *, as_json: bool) 
 def warn(plan: Plan) -> None:
     """Say in one line on stderr what is wrong with a plan; nothing if it is within its limits."""
     if plan.status is PlanStatus.VIOLATES_LIMITS:
-        said = "; ".join(_event(event, broken=True) for event in plan.limits.violated[:_LISTED])
+        said = "; ".join(_event(plan, event, broken=True) for event in plan.limits.violated[:_LISTED])
         more = len(plan.limits.violated) - _LISTED
         click.echo(f"warning: limits broken: {said}{f'; and {more} more' if more > 0 else ''}.", err=True)
     if plan.status is PlanStatus.UNBOUNDED_EFFORT:
@@ -110,6 +107,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "end": float(plan.t[-1]),
         "peak_effort": plan.peak_effort,
         "rms_effort": plan.rms_effort,
+        "reversals": reversals(plan),
         "peak_carrier_force": np.abs(plan.carrier_force).max(axis=0, initial=0.0),
         "main_energy": plan.main_energy,
         "carrier_energy": plan.carrier_energy,
@@ -179,17 +177,18 @@ def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
     table.add_row("status", status_text(plan))
     table.add_row("time [s]", f"{found['start']:.6g} to {found['end']:.6g}, {found['samples']} samples")
     table.add_row("phases [s]", _phases(found["phases"]))
-    main = _effort_unit(plan, plan.robot.actuated)
+    main, moved = plan.robot.effort_unit(*plan.robot.actuated), plan.robot.effort_unit(*plan.robot.carriers)
     table.add_row(f"peak main effort [{main}]", _row(found["peak_effort"]))
     table.add_row(f"rms main effort [{main}]", _row(found["rms_effort"]))
-    table.add_row(f"peak carrier effort [{_effort_unit(plan, plan.robot.carriers)}]", _row(found["peak_carrier_force"]))
+    table.add_row(f"reversals above {100.0 * SWING:g} % of the peak", _row(found["reversals"]))
+    table.add_row(f"peak carrier effort [{moved}]", _row(found["peak_carrier_force"]))
     table.add_row("energy, main actuators [J]", number(plan.main_energy))
     table.add_row("energy, carriers [J]", number(plan.carrier_energy))
     table.add_row("smallest margin", number(found["smallest_margin"]))
     for name, text in _of_the_optimum(plan):
         table.add_row(name, text)
-    table.add_row("limits broken", _events(plan.limits.violated, broken=True))
-    table.add_row("limits touched", _events(plan.limits.binding, broken=False))
+    table.add_row("limits broken", _events(plan, plan.limits.violated, broken=True))
+    table.add_row("limits touched", _events(plan, plan.limits.binding, broken=False))
     for name, path in (("plan", out), ("picture", plot)):
         if path:
             table.add_row(f"{name} written to", path)
@@ -201,22 +200,18 @@ def _phases(phases: list[dict[str, Any]]) -> str:
     return ", ".join(shown[:10]) + (f", and {len(shown) - 10} more" if len(shown) > 10 else "")
 
 
-def _events(events: tuple[LimitEvent, ...], *, broken: bool) -> str:
+def _events(plan: Plan, events: tuple[LimitEvent, ...], *, broken: bool) -> str:
     if not events:
         return "none"
-    lines = [_event(event, broken=broken) for event in events[:_LISTED]]
+    lines = [_event(plan, event, broken=broken) for event in events[:_LISTED]]
     return "\n".join(lines) + (f"\nand {len(events) - _LISTED} more" if len(events) > _LISTED else "")
 
 
-def _event(event: LimitEvent, *, broken: bool) -> str:
-    unit = UNITS.get(event.quantity, "")
-    much = f"by {event.amount:.3g} {unit}" if broken else f"at its limit {event.limit:.3g} {unit}"
+def _event(plan: Plan, event: LimitEvent, *, broken: bool) -> str:
+    unit = plan.robot.limit_unit(event.quantity, event.carrier)
+    limit = event.limit if event.quantity == "track" else abs(event.limit)  # the others are limits of a size
+    much = f"by {event.amount:.3g} {unit}" if broken else f"at its limit {limit:.3g} {unit}"
     return f"{event.quantity} of {event.carrier} {much} at t = {event.worst:.4g} s"
-
-
-def _effort_unit(plan: Plan, names: tuple[str, ...]) -> str:
-    turning = [name in plan.robot.rotating for name in names]
-    return "N·m" if turning and all(turning) else "N or N·m" if any(turning) else "N"
 
 
 def _row(values: Any) -> str:

@@ -120,6 +120,20 @@ WITH_BASELINE = ("stepwise", "whole-trajectory")
 """Planners that can aim at a fraction of the efforts of a baseline robot."""
 
 
+def flags_of(planner: str) -> Mapping[str, str]:
+    """Return the flag of each parameter of a planner; of a truth value both, as ``--on/--off``.
+
+    The steps of a stepwise plan have one too, though the command makes them itself.
+    """
+    flags = {name: _flag(name, parameter) for name, parameter in PARAMETERS[planner].items()}
+    others = {make.__name__: f"`plan {name}`" for name, make in PLANNERS.items()}
+    return {**others, **({"dt": "--step"} if planner == "stepwise" else {}), **flags}
+
+
+def _flag(name: str, parameter: Parameter) -> str:
+    return parameter.flag or f"--{name.replace('_', '-')}"
+
+
 def read_parameters(planner: str, given: Mapping[str, object]) -> dict[str, Any]:
     """Return the parameters of a planner, each as the kind of value it is.
 
@@ -155,7 +169,7 @@ def planner_options(planner: str) -> Callable[[_Command], _Command]:
 
 def _option(planner: str, name: str, parameter: Parameter) -> Callable[[_Command], _Command]:
     default = inspect.signature(PLANNERS[planner]).parameters[name].default
-    written = parameter.flag or f"--{name.replace('_', '-')}"
+    written = _flag(name, parameter)
     if "/" in written:
         said = written.partition("/")[0 if default else 2]
         return click.option(written, f"{PREFIX}{name}", default=None, help=f"{parameter.text}  [default: {said}]")

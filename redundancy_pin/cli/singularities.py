@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,9 +9,10 @@ import click
 from rich.table import Table
 
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import console, number, print_json, progress
+from redundancy_pin.cli.output import console, number, print_json, progress, table_of
+from redundancy_pin.cli.plan_trajectory import parse_trajectory, trajectory_option
+from redundancy_pin.cli.wording import OPTIONS, in_words
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.experiment import PATHS
 from redundancy_pin.files import require_writable
 from redundancy_pin.kinematics.singular_crossings import Crossing, find_crossings
 from redundancy_pin.kinematics.singular_locus import singular_locus
@@ -30,11 +30,7 @@ _DRAWN_STEP = 1e-3
 @click.command()
 @robot_options()
 @click.option("--motion", "motion_path", metavar="CSV", help="Motion to search: columns t, x0.., xd0.., xdd0...")
-@click.option(
-    "--trajectory",
-    metavar="NAME[:KEY=VALUE,...]",
-    help=f"Reference trajectory to search instead: {', '.join(PATHS)}; such as circle:speed=0.75.",
-)
+@trajectory_option("Trajectory to search instead")
 @click.option("--plot", metavar="PICTURE", help="Draw the singularities over the workspace (.png, .svg or .pdf).")
 @json_option
 def singularities(
@@ -65,10 +61,10 @@ def singularities(
         require_matplotlib()
         picture_format(plot)
         require_writable(plot)
-    with progress("singularities") as advance:
+    with progress("singularities") as advance, in_words(OPTIONS.knowing({"find_crossings": "--motion"})):
         advance(0, 3, "reading")
         loaded = RobotOptions(robot, settings, mode, gravity).load()
-        followed = from_csv(motion_path) if motion_path else make_trajectory(trajectory) if trajectory else None
+        followed = from_csv(motion_path) if motion_path else parse_trajectory(trajectory, {}) if trajectory else None
         advance(1, 3, "along the motion")
         crossings = find_crossings(loaded, followed) if followed is not None else ()
         advance(2, 3, "over the workspace")
@@ -82,31 +78,6 @@ def singularities(
         console().print(_table(loaded, crossings))
     if plot:
         console().print(f"The picture is {plot}.")
-
-
-def make_trajectory(text: str) -> Trajectory:
-    """Return the reference trajectory that ``name:key=value,...`` describes.
-
-    Raises:
-        InputError: an unknown name or key, or a value that is not a number.
-    """
-    name, _, rest = text.partition(":")
-    if name not in PATHS:
-        raise InputError(f"There is no trajectory {name!r}.", remedy=f"Choose one of {', '.join(PATHS)}.", name=name)
-    make = PATHS[name]  # type: ignore[index]
-    known = [key for key in inspect.signature(make).parameters if key != "start"]
-    options = {}
-    for pair in filter(None, rest.split(",")):
-        key, _, value = pair.partition("=")
-        if key not in known:
-            raise InputError(f"The {name} takes no {key!r}.", remedy=f"It takes {', '.join(known)}.", key=key)
-        try:
-            options[key] = float(value)
-        except ValueError as error:
-            raise InputError(
-                f"{key} of the {name} is {value!r}, not a number.", remedy="Write circle:speed=0.5.", key=key
-            ) from error
-    return make(**options)
 
 
 def crossing_data(crossing: Crossing) -> dict[str, Any]:
@@ -125,22 +96,22 @@ def crossing_data(crossing: Crossing) -> dict[str, Any]:
 
 
 def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
-    table = Table(title=f"{robot.name}: {len(crossings)} singular instant(s)")
-    for heading in ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction"):
-        table.add_column(heading)
+    rows = []
     for crossing in crossings:
         type_ii = crossing.kind != SingularityKind.TYPE_I
         direction = crossing.uncontrolled_twist if type_ii else crossing.lost_direction
         place = crossing.x[:3, 3] if crossing.x.ndim == 2 else crossing.x
-        when = f"{crossing.t:.9g}" if crossing.until == crossing.t else f"{crossing.t:.9g} to {crossing.until:.9g}"
-        table.add_row(
-            when,
-            ", ".join(number(value) for value in place),
-            crossing.kind.label,
-            "crossed" if crossing.crosses else "touched",
-            ", ".join(number(value) for value in direction),
+        rows.append(
+            (
+                f"{crossing.t:.9g}" if crossing.until == crossing.t else f"{crossing.t:.9g} to {crossing.until:.9g}",
+                ", ".join(number(value) for value in place),
+                crossing.kind.label,
+                "crossed" if crossing.crosses else "touched",
+                ", ".join(number(value) for value in direction),
+            )
         )
-    return table
+    headings = ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction")
+    return table_of(f"{robot.name}: {len(crossings)} singular instant(s)", headings, rows)
 
 
 def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:

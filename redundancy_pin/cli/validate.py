@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import click
 
 from redundancy_pin import crosscheck
 from redundancy_pin.cli.errors import FAILED_CHECK
-from redundancy_pin.cli.options import json_option
+from redundancy_pin.cli.options import jobs_option, json_option
 from redundancy_pin.cli.output import console, print_json, progress
 
 
@@ -20,7 +22,7 @@ from redundancy_pin.cli.output import console, print_json, progress
 )
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
-@click.option("--jobs", default=1, show_default=True, metavar="J", help="Processes that share the work.")
+@jobs_option(1)
 @json_option
 def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_json: bool) -> int:
     r"""Check the dynamics on random states.
@@ -32,8 +34,9 @@ def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_jso
     Example:
       redundancy-pin validate --robot 3rrr --samples 10000 --seed 1 --jobs 4
     """
+    processes = os.cpu_count() or 1 if jobs == -1 else jobs
     with progress("validate") as advance:
-        report = crosscheck.run(robots or None, samples, seed, lambda done, total: advance(done, total, ""), jobs)
+        report = crosscheck.run(robots or None, samples, seed, lambda done, total: advance(done, total, ""), processes)
     if as_json:
         print_json(report.as_dict())
     else:

@@ -135,6 +135,11 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
             f"The motion has x of shape {motion.x.shape} and xd of shape {motion.xd.shape}; {robot.name} moves in "
             f"{robot.n} coordinates ({', '.join(names)}).",
             remedy=f"Pass x as {form} and xd, xdd as (N, {robot.n}).",
+            robot=robot.name,
+            axes=tuple(names),
+            poses=wants_pose,
+            given=motion.xd.shape[1],
+            given_poses=motion.is_pose,
         )
 
 

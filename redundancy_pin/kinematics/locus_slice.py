@@ -113,7 +113,7 @@ def _free(robot: Robot) -> tuple[tuple[str, ...], tuple[int, ...]]:
     if robot.platform is None or len(free) != 2 or len(names) - len(free) > 1:
         raise UnsupportedRobotError(
             f"The singular locus of {robot.name} cannot be drawn: its coordinates are {', '.join(names)}.",
-            remedy="A locus is for two translations with at most one rotation, or a single joint; use classify and "
-            "find_crossings for other robots.",
+            remedy="A locus is for two translations with at most one rotation, or a single joint; of other robots "
+            "look at the singular instants of a motion, with find_crossings.",
         )
     return tuple(names[k] for k in free), free

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable, Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from redundancy_pin.arrays import read_only
-from redundancy_pin.errors import OutputError, PlanFileError
+from redundancy_pin.errors import InputError, OutputError, PlanFileError
 from redundancy_pin.files import replacing_file
 from redundancy_pin.planners.plain import Arrays, decode, encode
+
+_T = TypeVar("_T")
 
 _METADATA = "metadata"
 """Name of the array that holds the JSON text."""
@@ -50,68 +53,79 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
             ) from error
 
 
-def read_archive(path: str | Path, kind: str, version: int) -> dict[str, Any]:
-    """Read the record of a file, dataclasses as mappings of their fields; arrays are read-only.
+def read_archive(path: str | Path, kind: str, version: int, word: str, make: Callable[[Mapping[str, Any]], _T]) -> _T:
+    """Read what ``write_archive`` wrote. Nothing in the file is executed; its arrays are read-only.
 
     Args:
         path: the file.
         kind: what it must call itself.
         version: newest version of the format that the caller understands.
+        word: what it holds, for messages: "plan".
+        make: from the record, dataclasses as mappings of their fields, to what is returned; raises ``InputError``, or
+            what Python raises, where it does not fit.
 
     Raises:
-        PlanFileError: missing, unreadable, truncated or damaged, another kind of file, or a newer format.
+        PlanFileError: missing, unreadable, truncated or damaged, another kind of file, a newer format, or a record
+            that ``make`` refuses.
     """
     if not isinstance(path, (str, Path)):
         raise PlanFileError(f"A file is named by text or a path, not by {path!r}.", remedy="Pass its path.")
     place = Path(path).expanduser()
-    arrays = _read_arrays(place)
-    content = _metadata(place, arrays)
-    if content.get("format") != kind:
-        raise PlanFileError(
-            f"{place} is a {content.get('format')!r}, not a {kind!r}.",
-            remedy="Give a file that a plan was saved to.",
-            path=str(place),
-        )
-    found = content.get("format_version")
-    if type(found) is not int or found < 1:
-        raise damaged(place, f"its format version is {found!r}")
-    if found > version:
-        raise PlanFileError(
-            f"{place} has format version {found}, written by redundancy_pin {content.get('package_version')}; this "
-            f"one, {_package_version()}, reads up to version {version}.",
-            remedy="Install a newer redundancy_pin.",
-            path=str(place),
-            found=found,
-            readable=version,
-        )
+    arrays = _read_arrays(place, word)
+    content = _metadata(place, arrays, word)
+    _require_format(place, content, kind, version, word)
     try:
         record = decode(content["record"], arrays)
     except (KeyError, TypeError, ValueError) as error:
-        raise damaged(place, f"its metadata cannot be followed ({type(error).__name__}: {error})") from error
+        raise _damaged(place, word, f"its metadata cannot be followed ({type(error).__name__}: {error})") from error
     if not isinstance(record, dict):
-        raise damaged(place, "its metadata hold no record")
-    return record
+        raise _damaged(place, word, "its metadata hold no record")
+    try:
+        return make(record)
+    except InputError as error:
+        raise _damaged(place, word, error.message.removesuffix(".")) from error
+    except KeyError as error:
+        raise _damaged(place, word, f"{error.args[0]!r} is missing") from error
+    except (TypeError, ValueError, AttributeError) as error:
+        raise _damaged(place, word, f"it does not hold a {word}'s fields ({error})") from error
 
 
-def damaged(path: str | Path, what: str) -> PlanFileError:
+def _require_format(path: Path, content: Mapping[str, Any], kind: str, version: int, word: str) -> None:
+    if content.get("format") != kind:
+        raise _foreign(path, word, f"is a {content.get('format')!r}, not a {kind!r}")
+    found = content.get("format_version")
+    if type(found) is not int or found < 1:
+        raise _damaged(path, word, f"its format version is {found!r}")
+    if found > version:
+        raise PlanFileError(
+            f"{path} has format version {found}, written by redundancy_pin {content.get('package_version')}; this "
+            f"one, {_package_version()}, reads up to version {version}.",
+            remedy="Install a newer redundancy_pin.",
+            path=str(path),
+            found=found,
+            readable=version,
+        )
+
+
+def _foreign(path: Path, word: str, what: str) -> PlanFileError:
+    """Return the error for a file that never held what is looked for."""
+    return PlanFileError(f"{path} {what}.", remedy=f"Give a file that a {word} was saved to.", path=str(path))
+
+
+def _damaged(path: Path, word: str, what: str) -> PlanFileError:
     """Return the error for a file that was not written by ``write_archive``, or not wholly, or was changed since."""
     return PlanFileError(
-        f"{path} is damaged: {what}.", remedy="Save the plan again, or restore the file.", path=str(path)
+        f"{path} is damaged: {what}.", remedy=f"Save the {word} again, or restore the file.", path=str(path)
     )
 
 
-def _read_arrays(path: Path) -> Arrays:
+def _read_arrays(path: Path, word: str) -> Arrays:
     if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise PlanFileError(f"{path} {what}.", remedy="Give a file that a plan was saved to.", path=str(path))
+        raise _foreign(path, word, "is a folder" if path.is_dir() else "does not exist")
     try:
         with path.open("rb") as stream:
             if stream.read(4) != b"PK\x03\x04":
-                raise PlanFileError(
-                    f"{path} is not an npz archive ({os.path.getsize(path)} bytes).",
-                    remedy="Give a file that a plan was saved to.",
-                    path=str(path),
-                )
+                raise _foreign(path, word, f"is not an npz archive ({os.path.getsize(path)} bytes)")
             stream.seek(0)
             with np.load(stream, allow_pickle=False) as archive:
                 return {name: read_only(archive[name]) for name in archive.files}
@@ -120,22 +134,19 @@ def _read_arrays(path: Path) -> Arrays:
     except Exception as error:  # bytes that nobody vouches for: zip, zlib and numpy raise a dozen kinds
         size = os.path.getsize(path) if os.access(path, os.R_OK) else 0
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise damaged(path, f"its {size} bytes are no complete archive of arrays ({reason})") from error
+        raise _damaged(path, word, f"its {size} bytes are no complete archive of arrays ({reason})") from error
 
 
-def _metadata(path: Path, arrays: Arrays) -> dict[str, Any]:
+def _metadata(path: Path, arrays: Arrays, word: str) -> dict[str, Any]:
     if _METADATA not in arrays:
-        raise PlanFileError(
-            f"{path} is an npz archive without metadata (it holds {', '.join(list(arrays)[:5]) or 'nothing'}).",
-            remedy="Give a file that a plan was saved to.",
-            path=str(path),
-        )
+        held = ", ".join(list(arrays)[:5]) or "nothing"
+        raise _foreign(path, word, f"is an npz archive without metadata (it holds {held})")
     try:
         content = json.loads(str(arrays[_METADATA]))
     except ValueError as error:
-        raise damaged(path, f"its metadata are not JSON ({error})") from error
+        raise _damaged(path, word, f"its metadata are not JSON ({error})") from error
     if not isinstance(content, dict):
-        raise damaged(path, "its metadata are no JSON object")
+        raise _damaged(path, word, "its metadata are no JSON object")
     return content
 
 

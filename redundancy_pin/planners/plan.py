@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array, IntArray, largest, peak
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.archive import write_archive
 from redundancy_pin.planners.limits import LimitReport
@@ -35,7 +35,7 @@ class PlanStatus(Enum):
     """Every limit holds, but the optimiser stopped before it had an optimum: there may be a better plan."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """What a planner returns; the arrays are read-only. N samples, n coordinates, m main actuators, k carriers.
 
@@ -79,6 +79,16 @@ class Plan:
     parameters: Mapping[str, object] = field(default_factory=dict)
     diagnostics: Mapping[str, object] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Return what tells plans apart, not their arrays."""
+        main, moved = self.robot.actuated, self.robot.carriers
+        return (
+            f"Plan({self.robot.name!r}, {self.planner!r}, {self.backend!r}, {self.status.value}; "
+            f"N={len(self.t)}, t={self.t[0]:g}..{self.t[-1]:g} s, n={self.motion.xd.shape[1]}, m={len(main)}, "
+            f"k={len(moved)}; {peak('tau', self.tau, self.robot.effort_unit(*main))}, "
+            f"{peak('carrier_force', self.carrier_force, self.robot.effort_unit(*moved))})"
+        )
+
     @property
     def t(self) -> Array:
         """(N,) time, s."""
@@ -109,8 +119,7 @@ class Plan:
     @property
     def peak_effort(self) -> Array:
         """(m,) largest |τ| of each main actuator over the samples with finite efforts, N or N·m."""
-        finite: Array = np.nanmax(np.abs(self.tau), axis=0, initial=0.0)
-        return finite
+        return largest(self.tau)
 
     @property
     def rms_effort(self) -> Array:

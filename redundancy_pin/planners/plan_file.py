@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from redundancy_pin.dynamics.status import SampleStatus
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.archive import damaged, read_archive
+from redundancy_pin.planners.archive import read_archive
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.plan import PLAN_FORMAT, PLAN_VERSION, Plan, PlanStatus
-from redundancy_pin.planners.robot_record import RobotRecord, load_recorded
+from redundancy_pin.planners.robot_record import load_recorded, read_robot
 from redundancy_pin.robot import CarrierLimits, Robot
 
 _T = TypeVar("_T")
@@ -42,17 +42,7 @@ def load_plan(path: str | Path) -> Plan:
         PlanFileError: the file is missing, truncated, damaged, no plan, of a newer format, or its arrays do not fit
             together.
     """
-    record = read_archive(path, PLAN_FORMAT, PLAN_VERSION)
-    try:
-        plan = _plan(record)
-        _check(plan)
-    except InputError as error:
-        raise damaged(path, error.message.removesuffix(".")) from error
-    except KeyError as error:
-        raise damaged(path, f"{error.args[0]!r} is missing") from error
-    except (TypeError, ValueError, AttributeError) as error:
-        raise damaged(path, f"it does not hold a plan's fields ({error})") from error
-    return plan
+    return read_archive(path, PLAN_FORMAT, PLAN_VERSION, "plan", _plan)
 
 
 def load_robot_of(plan: Plan, source: str | Path | None = None) -> Robot:
@@ -69,10 +59,9 @@ def load_robot_of(plan: Plan, source: str | Path | None = None) -> Robot:
 
 
 def _plan(record: Mapping[str, Any]) -> Plan:
+    """Return the plan of a record, checked."""
     values = _values(Plan, record)
     limits = _values(LimitReport, values["limits"])
-    robot = _values(RobotRecord, values["robot"])
-    robot["carrier_limits"] = tuple(_make(CarrierLimits, entry) for entry in robot["carrier_limits"])
     values["motion"] = _make(PlatformMotion, values["motion"])
     values["carriers"] = _make(CarrierMotion, values["carriers"])
     values["limits"] = LimitReport(
@@ -81,8 +70,10 @@ def _plan(record: Mapping[str, Any]) -> Plan:
         judged_by=tuple(_make(CarrierLimits, entry) for entry in limits["judged_by"]),
     )
     values["status"] = PlanStatus(values["status"])
-    values["robot"] = RobotRecord(**robot)
-    return Plan(**values)
+    values["robot"] = read_robot(values["robot"])
+    plan = Plan(**values)
+    _check(plan)
+    return plan
 
 
 def _values(kind: type[Any], record: Mapping[str, Any]) -> dict[str, Any]:

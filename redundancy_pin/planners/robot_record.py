@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,11 @@ _SAME_BODIES = 1e-9
 _SAME_REFERENCE = 1e-6
 """Deviation, m or rad, of the closed reference configuration between two machines: Newton stops far below it."""
 
+_RATES = {"track": "", "speed": "/s", "acceleration": "/s²", "jerk": "/s³"}
+"""Limits of a motion, and what their units add to that of its position."""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class RobotRecord:
     """What is needed to load the plan's robot again, and to notice that it has changed.
 
@@ -50,6 +54,26 @@ class RobotRecord:
     bodies: tuple[tuple[float, ...], ...]
     q_reference: tuple[float, ...]
 
+    def __repr__(self) -> str:
+        """Return which robot it is, not its mass properties."""
+        return f"RobotRecord({self.name!r}, m={len(self.actuated)}, k={len(self.carriers)}, source={self.source!r})"
+
+    def limit_unit(self, quantity: str, joint: str) -> str:
+        """Return the unit of a limit of a joint.
+
+        Args:
+            quantity: "track", "speed", "acceleration" or "jerk" of its motion; anything else is an effort.
+            joint: name of an actuated joint or a carrier.
+        """
+        if quantity not in _RATES:
+            return self.effort_unit(joint)
+        return ("rad" if joint in self.rotating else "m") + _RATES[quantity]
+
+    def effort_unit(self, *joints: str) -> str:
+        """Return the unit of the efforts of joints: N, N·m, or both where some slide and some rotate."""
+        turning = [name in self.rotating for name in joints]
+        return "N·m" if turning and all(turning) else "N or N·m" if any(turning) else "N"
+
 
 def robot_record(robot: Robot) -> RobotRecord:
     """Return the plain data from which a robot can be loaded again."""
@@ -66,6 +90,17 @@ def robot_record(robot: Robot) -> RobotRecord:
         bodies=tuple(tuple(float(v) for v in body.toDynamicParameters()) for body in list(robot.model.inertias)[1:]),
         q_reference=tuple(float(q) for q in robot.q_reference),
     )
+
+
+def read_robot(record: Mapping[str, Any]) -> RobotRecord:
+    """Return the record that a file holds as a mapping of its fields.
+
+    Raises:
+        KeyError, TypeError: a field is missing, or is none.
+    """
+    values = {field.name: record[field.name] for field in fields(RobotRecord)}
+    values["carrier_limits"] = tuple(CarrierLimits(**entry) for entry in values["carrier_limits"])
+    return RobotRecord(**values)
 
 
 def load_recorded(record: RobotRecord, source: str | Path | None = None) -> Robot:

@@ -138,13 +138,20 @@ def resolve_limits(
         values = _each(given, name, (k,))
         if not (values > 0.0).all():
             raise InputError(
-                f"{name} limits must be positive: {given}.", remedy="Pass inf for no limit.", name=name, value=given
+                f"{name} is {typed(given)}, but limits must be positive.",
+                remedy="Pass inf for no limit.",
+                name=name,
+                value=given,
             )
         limits = [replace(limit, **{name: float(value)}) for limit, value in zip(limits, values, strict=True)]
     if track is not None:
         ends = _each(track, "track", (k, 2))
         if not (ends[:, 0] < ends[:, 1]).all():
-            raise InputError(f"The ends of a track must increase: {track}.", remedy="Pass (lower, upper).", value=track)
+            raise InputError(
+                f"track is {typed(track)}, but the ends of a track must increase.",
+                remedy="Give the lower end first.",
+                value=track,
+            )
         limits = [replace(limit, lower=float(a), upper=float(b)) for limit, (a, b) in zip(limits, ends, strict=True)]
     return tuple(limits)
 
@@ -153,10 +160,16 @@ def _each(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
     try:
         values = np.broadcast_to(np.asarray(given, dtype=float), shape)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is {given!r}, expected shape {shape} or less.", name=name) from error
+        rows = f"two ends, or two for each of {shape[0]} carriers" if len(shape) == 2 else f"{shape[0]} numbers or one"
+        raise InputError(f"{name} is {typed(given)!r}, expected {rows}.", name=name) from error
     if np.isnan(values).any():
         raise InputError(f"{name} contains NaN.", name=name)
     return values
+
+
+def typed(values: ArrayLike) -> object:
+    """Return numbers as they are typed, for messages: the command line hands over arrays."""
+    return values.tolist() if isinstance(values, np.ndarray) else values
 
 
 def require_inside(values: ArrayLike, name: str, robot_limits: StepLimits) -> Array:
@@ -174,7 +187,7 @@ def require_inside(values: ArrayLike, name: str, robot_limits: StepLimits) -> Ar
             raise InfeasiblePlanError(
                 f"{name} puts {carrier} at {place:g} m, {beyond:.3g} m off its track "
                 f"[{limit.lower:g}, {limit.upper:g}] m.",
-                remedy="Start on the track.",
+                remedy="Choose a place on the track.",
                 constraint="track",
                 carrier=carrier,
                 time=0.0,

@@ -129,7 +129,7 @@ def checked_settings(
         return_time,
         stop,
         positive(brake_time, "brake_time", "s"),
-        positive(least_margin, "least_margin", "(no unit)"),
+        positive(least_margin, "least_margin", ""),
         int(between),
     )
 

@@ -128,7 +128,7 @@ def _settings(
         )
     _require_on_track(robot, np.zeros(robot.k) + place)
     return Settings(
-        threshold=positive(threshold, "threshold", "(no unit)"),
+        threshold=positive(threshold, "threshold", ""),
         measure=measure,
         ramp_down=positive(ramp_down, "ramp_down", "s"),
         return_time=return_time if isinstance(return_time, str) else positive(return_time, "return_time", "s"),

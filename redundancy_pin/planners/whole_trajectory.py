@@ -15,6 +15,7 @@ from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory_check import DenseCheck, dense_check
 from redundancy_pin.planners.whole_trajectory_curved import search_curved
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
@@ -146,7 +147,7 @@ def plan_whole_trajectory(
             curved = True
             problem, found = search_curved(task, grid, warm, progress)
         else:
-            found = search(problem, robot.carriers, warm, settings.seconds, progress)
+            found = search(problem, robot_record(robot), warm, settings.seconds, progress)
         warm, tau = found.best.course(problem), found.best.tau(problem)
         checks.append(dense_check(task, problem, warm, tau))
         say(f"peak effort {checks[-1].peak_at_nodes:.4g} at the nodes, {checks[-1].peak:.4g} between them")

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory_between import solve
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_elastic import relax
@@ -82,7 +83,7 @@ def _fitted(
     task: Task, first: WholeProblem, course: CarrierCourse, deadline: float, say: Say | None
 ) -> tuple[WholeProblem, Solution, int]:
     """Fit and solve in turn, and count; the outcome is an optimum only where the true f is balanced."""
-    grid, carriers = first.grid, task.dynamics.robot.carriers
+    grid, robot = first.grid, robot_record(task.dynamics.robot)
     course = CarrierCourse(grid.t, *_parts(course, grid))
     balance, cost, iterations = np.inf, np.inf, 0
     tau = np.zeros((len(grid.t), first.model.W.shape[2]))
@@ -97,7 +98,7 @@ def _fitted(
         solution = solve(problem, guess, left, say)
         iterations += solution.iterations
         if not solution.feasible:
-            solution = relax(problem, carriers, guess, task.settings.seconds, solution.message, say)
+            solution = relax(problem, robot, guess, task.settings.seconds, solution.message, say)
         target, goal = solution.course(problem), solution.tau(problem)
         step = 1.0
         while True:

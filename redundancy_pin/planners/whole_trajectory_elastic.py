@@ -8,6 +8,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_limits import KINDS, scaled_bounds, slack_name
 from redundancy_pin.planners.whole_trajectory_nlp import build
@@ -23,12 +24,10 @@ TOUCHED = 1e-4
 OUT_OF_TIME = "Maximum_WallTime_Exceeded"
 """The solver's word for it."""
 
-_UNITS = {"track": "m", "speed": "m/s", "acceleration": "m/s²", "jerk": "m/s³", "effort": "N or N·m", "force": "N"}
-
 
 def relax(
     problem: WholeProblem,
-    carriers: tuple[str, ...],
+    robot: RobotRecord,
     guess: dict[str, Array],
     seconds: float,
     message: str,
@@ -40,7 +39,7 @@ def relax(
 
     Args:
         problem: the numbers.
-        carriers: (k,) names.
+        robot: names of carriers and actuators, and which of them rotate.
         guess: first guess.
         seconds: time bound, s.
         message: how the solver ended on the ordinary problem.
@@ -61,7 +60,7 @@ def relax(
         return elastic
     alone = {}
     # one that is only touched may do as well by itself: with a price on all, others gave way in its place
-    touched = [kind for kind in KINDS if kind not in let_out and _touched(problem, carriers, elastic, kind)]
+    touched = [kind for kind in KINDS if kind not in let_out and _touched(problem, robot, elastic, kind)]
     candidates = [*let_out, *touched]
     for kind in candidates if len(candidates) > 1 else []:
         left = deadline - time.perf_counter()
@@ -72,7 +71,7 @@ def relax(
             alone[kind] = found
     relaxed = alone or dict.fromkeys(let_out, elastic)
     order = sorted(relaxed, key=lambda kind: _slack(relaxed[kind], kind))
-    events = [_event(problem, carriers, relaxed[kind], kind) for kind in order]
+    events = [_event(problem, robot, relaxed[kind], kind) for kind in order]
     text = ("; or " if alone else "; and ").join(str(event["text"]) for event in events)
     relaxations = tuple({name: value for name, value in event.items() if name != "text"} for event in events)
     raise InfeasiblePlanError(
@@ -88,11 +87,11 @@ def _slack(solution: Solution, kind: str) -> float:
     return float(solution.values[slack_name(kind)][0])
 
 
-def _touched(problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, kind: str) -> bool:
+def _touched(problem: WholeProblem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
     """Return whether a limit is reached somewhere."""
     if kind == "end" or (kind == "force" and "force" not in elastic.values):
         return False
-    values, low, high, _ = _quantity(problem, carriers, elastic, kind)
+    values, low, high, _ = _quantity(problem, robot, elastic, kind)
     with np.errstate(invalid="ignore"):
         near = TOUCHED * np.where(np.isfinite(high - low), high - low, 0.0)
     return bool(((values >= high - near) | (values <= low + near)).any())
@@ -118,7 +117,7 @@ def _nothing_helps(problem: WholeProblem, elastic: Solution, message: str) -> In
     )
 
 
-def _event(problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, kind: str) -> dict[str, object]:
+def _event(problem: WholeProblem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:
     """Return what is exceeded most, where, and what would suffice."""
     fraction = _slack(elastic, kind)
     t = problem.grid.t
@@ -129,16 +128,17 @@ def _event(problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, 
         else:
             text = f"the end state by {fraction:.3g} of its size"
         return {"constraint": kind, "time": float(t[-1]), "amount": float(missed.max()), "text": text}
-    values, low, high, names = _quantity(problem, carriers, elastic, kind)
+    values, low, high, names = _quantity(problem, robot, elastic, kind)
     excess = np.maximum(values - high, low - values)
     i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(excess), excess, -np.inf))), excess.shape)
     upper = bool(values[i, j] - high[j] >= low[j] - values[i, j])
-    limit, amount, unit = float((high if upper else low)[j]), float(excess[i, j]), _UNITS[kind]
+    limit, amount, unit = float((high if upper else low)[j]), float(excess[i, j]), robot.limit_unit(kind, names[j])
     enough = limit + (amount if upper else -amount)
-    text = (
-        f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({100.0 * fraction:.3g} %), "
-        f"most at t = {t[i]:.6g} s"
-    )
+    if kind != "track" and low[j] == -high[j]:
+        # a limit of the size, as users write it; the ends of a track are places
+        limit, enough = abs(limit), abs(enough)
+    percent = f"{100.0 * fraction:.3g}" if fraction < 1.0 else f"{100.0 * fraction:.0f}"
+    text = f"the {kind} of {names[j]}, from {limit:.6g} to {enough:.6g} {unit} ({percent} %), most at t = {t[i]:.6g} s"
     return {
         "constraint": kind,
         "carrier": names[j],
@@ -152,14 +152,14 @@ def _event(problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, 
 
 
 def _quantity(
-    problem: WholeProblem, carriers: tuple[str, ...], elastic: Solution, kind: str
+    problem: WholeProblem, robot: RobotRecord, elastic: Solution, kind: str
 ) -> tuple[Array, Array, Array, tuple[str, ...]]:
     """Return the values of a limited quantity at the nodes, its bounds, and whose they are."""
     u = problem.scales
     if kind == "jerk":
         h = np.where(problem.grid.h > 0.0, problem.grid.h, np.inf)[:, None]
         jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
-        return jerk, -problem.settings.jerk, problem.settings.jerk, carriers
+        return jerk, -problem.settings.jerk, problem.settings.jerk, robot.carriers
     name, size = {
         "track": ("s", u.s),
         "speed": ("sd", u.sd),
@@ -168,5 +168,4 @@ def _quantity(
         "force": ("force", u.force),
     }[kind]
     low, high = (bound * size for bound in scaled_bounds(problem)[name])
-    names = carriers if kind != "effort" else tuple(f"main actuator {j + 1}" for j in range(len(size)))
-    return elastic.values[name] * size, low, high, names
+    return elastic.values[name] * size, low, high, robot.actuated if kind == "effort" else robot.carriers

@@ -9,6 +9,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.planners.whole_trajectory_between import solve
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
 from redundancy_pin.planners.whole_trajectory_elastic import OUT_OF_TIME, relax
@@ -77,13 +78,13 @@ def _same(one: Solution, other: Solution) -> bool:
 
 
 def search(
-    problem: WholeProblem, carriers: tuple[str, ...], warm: CarrierCourse | None, seconds: float, say: Say | None = None
+    problem: WholeProblem, robot: RobotRecord, warm: CarrierCourse | None, seconds: float, say: Say | None = None
 ) -> Found:
     """Solve a problem from all first guesses within a time bound.
 
     Args:
         problem: the numbers.
-        carriers: (k,) names, for messages.
+        robot: names and kinds of its joints, for messages.
         warm: a motion to begin with in place of parked carriers.
         seconds: time bound over all, s. The search for an explanation of a failure has as much again.
         say: called with the progress where the plan is long.
@@ -103,7 +104,7 @@ def search(
         solutions.append(solve(problem, guess, max(left, LEAST_SECONDS), say))
     usable = [solution for solution in solutions if solution.feasible]
     if not usable:
-        elastic = relax(problem, carriers, first_guess(problem, warm, 0), seconds, solutions[0].message, say)
+        elastic = relax(problem, robot, first_guess(problem, warm, 0), seconds, solutions[0].message, say)
         solution = solve(problem, elastic.values, seconds, say)
         if not solution.feasible:
             late = solution.message == OUT_OF_TIME

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, frozen
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.planners.stepwise_limits import StepLimits, require_inside, resolve_limits
+from redundancy_pin.planners.stepwise_limits import StepLimits, require_inside, resolve_limits, typed
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory.domain import positive
 
@@ -132,9 +132,9 @@ def checked_settings(
         limits = tuple(replace(limit, force=float(value)) for limit, value in zip(limits, bound, strict=True))
     on_track = StepLimits(robot.carriers, limits, anticipate=False, rest_at=math.inf)
     place = frozen(require_inside(datum, "datum", on_track))
-    for name, value in (("starts", starts), ("refinements", refinements)):
-        if not _is_whole(value) or value < (1 if name == "starts" else 0):
-            raise InputError(f"{name} is {value}.", remedy="Pass a whole number.", name=name, value=value)
+    for name, value, least in (("starts", starts, 1), ("refinements", refinements, 0)):
+        if not _is_whole(value) or value < least:
+            raise InputError(f"{name} is {value}, expected a whole number from {least} up.", name=name, value=value)
     return WholeSettings(
         objective=weights,
         lam=float(lam),
@@ -179,20 +179,17 @@ def _weights(objective: Objective | Mapping[Objective, float]) -> dict[Objective
 def _bounds(values: ArrayLike, name: str, length: int) -> Array:
     bounds = _vector(values, name, length, finite=False)
     if not (bounds > 0.0).all():
-        raise InputError(f"{name} limits must be positive: {_plain(values)!r}.", remedy="Pass inf for none.", name=name)
+        raise InputError(
+            f"{name} is {typed(values)}, but limits must be positive.", remedy="Pass inf for none.", name=name
+        )
     return bounds
-
-
-def _plain(values: ArrayLike) -> object:
-    """Return them as they are typed, for messages: the command line hands over arrays."""
-    return values.tolist() if isinstance(values, np.ndarray) else values
 
 
 def _vector(values: ArrayLike, name: str, length: int, *, finite: bool = True) -> Array:
     try:
         vector = np.broadcast_to(np.asarray(values, dtype=float), (length,))
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is {_plain(values)!r}, expected {length} numbers or one.", name=name) from error
+        raise InputError(f"{name} is {typed(values)!r}, expected {length} numbers or one.", name=name) from error
     if np.isnan(vector).any() or (finite and not np.isfinite(vector).all()):
-        raise InputError(f"{name} is {_plain(values)!r}, expected finite numbers.", name=name)
+        raise InputError(f"{name} is {typed(values)!r}, expected finite numbers.", name=name)
     return frozen(vector)

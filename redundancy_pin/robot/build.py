@@ -172,7 +172,9 @@ def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, 
     mode = tuple(wanted) if isinstance(wanted, Sequence) else ()
     if declaration.working_modes is None or len(mode) != legs or not all(sign in (1, -1) for sign in mode):
         allowed = f"a tuple of {legs} signs, 1 or -1, one a leg" if legs else "left out: this robot declares no modes"
-        raise InputError(f"The working mode is {wanted!r}.", remedy=f"It must be {allowed}.", working_mode=wanted)
+        raise InputError(
+            f"The working mode is {wanted!r}.", remedy=f"It must be {allowed}.", working_mode=wanted, legs=legs
+        )
     return tuple(int(sign) for sign in mode)
 
 

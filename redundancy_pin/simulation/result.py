@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
-from redundancy_pin.arrays import Array, checked
+from redundancy_pin.arrays import Array, checked, peak
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.archive import write_archive
@@ -55,7 +55,7 @@ class Statistics:
     seconds: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation:
     """A simulated motion; the arrays are read-only.
 
@@ -107,6 +107,17 @@ class Simulation:
     statistics: Statistics
     robot: RobotRecord
     parameters: Mapping[str, object] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return what tells simulations apart, not their arrays."""
+        main, moved = self.robot.actuated, self.robot.carriers
+        why = f" ({self.reason})" if self.reason else ""
+        return (
+            f"Simulation({self.robot.name!r}, {self.status.value}{why}, {len(self.events)} events; N={len(self)}, "
+            f"t={self.t[0]:g}..{self.t[-1]:g} s, n={self.xd.shape[1]}, m={len(main)}, k={len(moved)}; "
+            f"{peak('tau', self.tau, self.robot.effort_unit(*main))}, "
+            f"{peak('carrier_force', self.carrier_force, self.robot.effort_unit(*moved))})"
+        )
 
     def __len__(self) -> int:
         """Return the number of samples."""

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.archive import damaged, read_archive
-from redundancy_pin.planners.robot_record import RobotRecord
-from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.planners.archive import read_archive
+from redundancy_pin.planners.robot_record import read_robot
 from redundancy_pin.simulation.events import Event
 from redundancy_pin.simulation.result import FORMAT, VERSION, Simulation, SimulationStatus, Statistics
 
@@ -24,28 +23,19 @@ def load_simulation(path: str | Path) -> Simulation:
         PlanFileError: the file is missing, truncated, damaged, no simulation, of a newer format, or its arrays do not
             fit together.
     """
-    record = read_archive(path, FORMAT, VERSION)
-    try:
-        simulation = _simulation(record)
-        _check(simulation)
-    except InputError as error:
-        raise damaged(path, error.message.removesuffix(".")) from error
-    except KeyError as error:
-        raise damaged(path, f"{error.args[0]!r} is missing") from error
-    except (TypeError, ValueError, AttributeError) as error:
-        raise damaged(path, f"it does not hold a simulation's fields ({error})") from error
-    return simulation
+    return read_archive(path, FORMAT, VERSION, "simulation", _simulation)
 
 
 def _simulation(record: Mapping[str, Any]) -> Simulation:
+    """Return the simulation of a record, checked."""
     values = {field.name: record[field.name] for field in fields(Simulation)}
-    robot = dict(values["robot"])
-    robot["carrier_limits"] = tuple(CarrierLimits(**entry) for entry in robot["carrier_limits"])
-    values["robot"] = RobotRecord(**robot)
+    values["robot"] = read_robot(values["robot"])
     values["events"] = tuple(Event(**entry) for entry in values["events"])
     values["status"] = SimulationStatus(values["status"])
     values["statistics"] = Statistics(**values["statistics"])
-    return Simulation(**values)
+    simulation = Simulation(**values)
+    _check(simulation)
+    return simulation
 
 
 def _check(simulation: Simulation) -> None:

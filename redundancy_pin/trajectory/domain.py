@@ -22,15 +22,22 @@ what a few dozen additions of doubles lose, and far below any sampling interval.
 def positive(value: float, name: str, unit: str) -> float:
     """Return ``value`` as a float after checking that it is positive and finite.
 
+    Args:
+        value: the number.
+        name: what to call it in an error.
+        unit: its unit; empty for a number without.
+
     Raises:
         InputError: not a number, zero, negative, NaN or infinite.
     """
     try:
         number = float(value)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is {value!r}, expected a number of {unit}.", name=name) from error
+        of = f" of {unit}" if unit else ""
+        raise InputError(f"{name} is {value!r}, expected a number{of}.", name=name) from error
     if not (math.isfinite(number) and number > 0.0):
-        raise InputError(f"{name} is {number:g} {unit}, expected a positive number.", name=name, value=number)
+        said = f"{number:g} {unit}".rstrip()
+        raise InputError(f"{name} is {said}, expected a positive number.", name=name, value=number)
     return number
 
 

@@ -95,7 +95,7 @@ def test_unreachable_samples_are_marked_on_request(tmp_path: Path) -> None:
     out = tmp_path / "out.csv"
     arguments = ("inverse-dynamics", "--robot", "five_bar", "--motion", motion, "--out", out)
     assert "reach" in refused(*arguments)
-    assert not out.exists()
+    assert "Keep the motion inside the workspace, or write --unreachable mark." in refused(*arguments)
     assert call(*arguments, "--unreachable", "mark").exit_code == 0
     found = _columns(out)
     assert list(found["status"]) == ["regular", "unreachable", "regular"]
@@ -129,11 +129,12 @@ BAD = {
     "parameter not finite": (["--set", "carrier_mass=inf"], "finite"),
     "gravity as a setting": (["--set", "gravity=1"], "--gravity"),
     "mode of letters": (["--mode", "abc"], "--mode"),
-    "mode too short": (["--mode", "++"], "mode"),
+    "mode too short": (["--mode", "++"], "--mode is ++, but the robot has 3 legs"),
     "gravity of two": (["--gravity", "0,-9.81"], "three numbers"),
     "unknown backend": (["--backend", "lagrange"], "lagrange"),
     "unknown option": (["--bakend", "rnea"], "--bakend"),
     "no such folder": (["--out", "nowhere/out.csv"], "nowhere"),
+    "efforts of another kind": (["--out", "out.txt"], "--out out.txt does not end in .csv. Write --out out.csv."),
 }
 
 
@@ -151,7 +152,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 
 def test_motion_of_another_robot_is_refused(tmp_path: Path) -> None:
     motion = write_motion(tmp_path / "motion.csv", reference.corner(), 0.1)
-    assert "2 coordinates" in refused(
+    assert "moves in 2 (x, y)" in refused(
         "inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", tmp_path / "o.csv"
     )
 
@@ -192,5 +193,5 @@ def test_virtual_work_of_a_robot_without_closed_form_is_refused(tmp_path: Path) 
         "--motion",
         motion,
         "--out",
-        tmp_path / "o",
+        tmp_path / "o.csv",
     )

@@ -191,7 +191,7 @@ BAD_FLAGS: dict[str, tuple[tuple[str, ...], str]] = {
     "datum off the track": (("--datum", "0.5"), "datum"),
     "limits of another robot": (("--max-effort", "1,2,3"), "effort"),
     "limit of nothing": (("--max-jerk", "0"), "jerk"),
-    "force that is text": (("--max-carrier-force", "big"), "carrier_force is 'big'"),
+    "force that is text": (("--max-carrier-force", "big"), "--max-carrier-force is 'big'"),
     "flag of another planner": (("--threshold", "5"), "--threshold"),
 }
 
@@ -233,8 +233,8 @@ def test_weights_as_users_write_them() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ("1,2", "effort is [1.0, 2.0], expected 3 numbers or one."),
-        ("1,-2,3", "effort limits must be positive: [1.0, -2.0, 3.0]. Pass inf for none."),
+        ("1,2", "--max-effort is [1.0, 2.0], expected 3 numbers or one."),
+        ("1,-2,3", "--max-effort is [1.0, -2.0, 3.0], but limits must be positive. Pass inf for none."),
     ],
 )
 def test_wrong_limits_are_said_as_they_were_typed(given: str, said: str) -> None:

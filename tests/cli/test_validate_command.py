@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import pytest
 from command_line import call, refused
@@ -18,6 +19,19 @@ def test_small_run_passes_and_is_the_api() -> None:
     found = json.loads(result.stdout)
     assert found == json.loads(json.dumps(crosscheck.run(["2rpr"], 20, 3).as_dict()))
     assert found["passed"]
+
+
+def test_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def run(*arguments: object) -> CrossCheckReport:
+        asked.append(arguments[-1])
+        return CrossCheckReport((), 0)
+
+    monkeypatch.setattr(crosscheck, "run", run)
+    for jobs in ("1", "3", "-1"):
+        call("validate", "--jobs", jobs)
+    assert asked == [1, 3, os.cpu_count()]
 
 
 def test_failure_shows_in_table_json_and_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:

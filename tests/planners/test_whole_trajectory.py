@@ -284,9 +284,13 @@ def test_infeasible_says_how_much_would_suffice():
     assert details["constraint"] in relaxed
     assert 0.0 <= details["time"] <= circle().duration
     effort = relaxed["effort"]
-    assert effort["amount"] == pytest.approx(abs(effort["limit"]) - 0.05, rel=1e-6)
+    assert effort["amount"] == pytest.approx(effort["limit"] - 0.05, rel=1e-6)
+    # both actuators slide, and a limit of |τ| is a size
+    assert effort["unit"] == "N"
+    assert f"the effort of {effort['carrier']}, from 0.05 to {effort['limit']:.6g} N " in caught.value.message
+    assert effort["carrier"] in dynamics.robot.actuated
     least = plan_whole_trajectory(dynamics, circle(), objective="peak", dt=0.03, refinements=0).peak_effort.max()
-    assert abs(effort["limit"]) == pytest.approx(least, rel=1e-3)
+    assert effort["limit"] == pytest.approx(least, rel=1e-3)
     enough = plan_whole_trajectory(dynamics, circle(), effort=1.001 * least, dt=0.03, refinements=0)
     assert enough.diagnostics["optimal"]
     assert enough.peak_effort.max() <= 1.001 * least * (1.0 + 1e-6)
@@ -295,15 +299,21 @@ def test_infeasible_says_how_much_would_suffice():
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
 
 
-def test_infeasible_track_names_the_carrier():
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_infeasible_track_names_the_carrier(sense):
     """A start with a speed that no acceleration stops before the end of the track: v² / 2a is needed."""
     speed, room = 2.0, 0.1
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_whole_trajectory(two_rpr(), circle(), start=(0.1, 0.0), start_speed=(speed, 0.0), dt=0.02, end="free")
+        plan_whole_trajectory(two_rpr(), circle(), start=(sense * 0.1, 0.0), start_speed=(sense * speed, 0.0), dt=0.02,
+                              end="free")  # fmt: skip
     details = caught.value.details
     assert speed**2 / (2.0 * 10.0) > room
     kinds = {relaxed["constraint"] for relaxed in details["relaxations"]}
     assert kinds <= {"track", "acceleration"}
+    # the end of a track is a place, with its sign; an acceleration is a size
+    enough = {relaxed["constraint"]: relaxed["limit"] for relaxed in details["relaxations"]}
+    assert sense * enough["track"] > 0.2
+    assert enough.get("acceleration", np.inf) > 10.0
     assert details["carrier"] == "carrier_1"
     assert details["time"] < 0.3
 

@@ -12,7 +12,7 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, PlanFileError
 from redundancy_pin.simulation.control import Constant
-from redundancy_pin.simulation.result import Simulation
+from redundancy_pin.simulation.result import Simulation, SimulationStatus
 from redundancy_pin.simulation.result_file import load_simulation
 from redundancy_pin.simulation.state import closed_state
 
@@ -37,9 +37,19 @@ def test_a_simulation_comes_back_bit_for_bit(simulation: Simulation, tmp_path: P
             assert before == after, entry.name
 
 
+def test_a_simulation_prints_what_tells_it_apart(simulation: Simulation) -> None:
+    text = repr(simulation)
+    largest = np.abs(simulation.carrier_force).max(axis=0)
+    assert f"Simulation('{simulation.robot.name}', {simulation.status.value}, {len(simulation.events)} events; " in text
+    assert f"N={len(simulation)}, t=0..{simulation.t[-1]:g} s, n={simulation.xd.shape[1]}, " in text
+    peaks = ", ".join(f"{value:.4g}" for value in largest)
+    assert text.endswith(f"peak |carrier_force| {peaks} N)" if len(largest) else "no carrier_force)")
+    assert "failed (too fast)" in repr(replace(simulation, status=SimulationStatus.FAILED, reason="too fast"))
+
+
 def test_what_is_no_simulation_is_refused_by_name(simulation: Simulation, tmp_path: Path) -> None:
     path = tmp_path / "run.npz"
-    with pytest.raises(PlanFileError, match="does not exist"):
+    with pytest.raises(PlanFileError, match=r"does not exist\. Give a file that a simulation was saved to"):
         load_simulation(path)
     path.write_bytes(b"no archive")
     with pytest.raises(PlanFileError, match=r"run\.npz"):
@@ -48,7 +58,7 @@ def test_what_is_no_simulation_is_refused_by_name(simulation: Simulation, tmp_pa
         ("tau", np.array(simulation.tau[:-1]), "tau has shape"),
         ("energy", np.zeros(len(simulation.t), dtype=int), "energy is no array of floats"),
         ("x", np.zeros((3, 2)), "x has shape"),
-        ("status", "elsewhere", "elsewhere"),
+        ("status", "elsewhere", r"a simulation's fields .*elsewhere.*Save the simulation again"),
         ("statistics", {"steps": 1}, "damaged"),
     ):
         replace(simulation, **{field: value}).save(path)

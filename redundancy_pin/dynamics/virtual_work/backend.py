@@ -67,7 +67,11 @@ class VirtualWork:
             raise InputError(
                 f"{self._robot.name} moves in {rows} platform coordinates; the motion has x of shape {motion.x.shape}.",
                 remedy=f"Pass x, xd and xdd of shape (N, {rows}).",
-                shape=motion.x.shape,
+                robot=self._robot.name,
+                axes=self._robot.platform.axes if self._robot.platform else self._robot.independent_joints,
+                poses=False,
+                given=motion.xd.shape[1],
+                given_poses=motion.is_pose,
             )
         legs = self._mechanism.legs(motion.x)
         bad_leg = (legs.gap > CLOSURE_TOLERANCE) | (legs.margin <= legs.least_margin)
@@ -225,9 +229,10 @@ def _mechanism_of(robot: Robot) -> Mechanism:
         return TwoRprMechanism(TwoRprParameters.from_parameters(robot.parameters, gravity), mode)
     if robot.closed_form == "3rrr" and len(mode) == 3:
         return ThreeRrrMechanism(ThreeRrrParameters.from_parameters(robot.parameters, gravity), mode)
+    declared = f"{robot.closed_form!r} and {len(mode)} legs" if robot.closed_form else "neither"
     raise UnsupportedRobotError(
-        f"Robot {robot.name!r} declares the closed form {robot.closed_form!r} and the working mode {mode}; virtual "
-        'work is hand-coded for "2rpr" (two signs) and "3rrr" (three signs).',
+        f"Virtual work is written out for the 2-RPR (closed form '2rpr', two legs) and the 3-RRR ('3rrr', three legs); "
+        f"{robot.name} declares {declared}.",
         remedy="Use RneaDynamics, which covers every robot.",
         robot=robot.name,
         closed_form=robot.closed_form,

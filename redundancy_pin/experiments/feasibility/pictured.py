@@ -114,8 +114,7 @@ def unit_of(name: str, effort: str) -> str:
 def effort_unit(problem: MapProblem) -> str:
     """Return the unit of the main efforts."""
     robot = robot_record(problem.loaded)
-    turning = [name in robot.rotating for name in robot.actuated]
-    return "N·m" if all(turning) else "N or N·m" if any(turning) else "N"
+    return robot.effort_unit(*robot.actuated)
 
 
 def panel_title(problem: MapProblem, planner: str) -> str:

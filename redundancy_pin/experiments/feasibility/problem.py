@@ -72,7 +72,10 @@ class MapProblem:
         for name in (*self.planners, *self.parameters):
             _require(name, (SWITCH_OFF, STEPWISE, WHOLE), "planner")
         if not self.planners or len(set(self.planners)) < len(self.planners):
-            raise InputError(f"The planners are {self.planners}.", remedy="Name each planner once, at least one.")
+            raise InputError(
+                f"The planners are {', '.join(self.planners) or 'none'}.",
+                remedy="Name each planner once, at least one.",
+            )
         keys = inspect.signature(TRAJECTORIES[self.trajectory]).parameters
         for name in self.options:
             _require(name, tuple(keys), f"option of the {self.trajectory}")

@@ -27,10 +27,15 @@ from redundancy_pin.experiments.feasibility.result import (
     lines_of,
 )
 from redundancy_pin.experiments.journal import digest, open_journal
+from redundancy_pin.kinematics.coordinates import require_matching
 from redundancy_pin.robot import Robot
 
 Progress = Callable[[int, int, str], None]
 """Called with cells done, cells in all as far as known, and what is being done."""
+
+_IDLE = 20.0
+"""Time, s, after which a worker process without a cell ends: how long it outlives a parent that was killed. A new one
+takes about a second to start."""
 
 _DIGITS = 9
 """Significant digits of a machine's numbers that must agree for its cells to be taken over."""
@@ -106,8 +111,10 @@ def require_sense(problem: MapProblem, *, jobs: int | None, refine: int, along: 
         RedundancyPinError: as ``feasibility_map``.
     """
     joblib()
-    if along not in ("x", "y") or int(refine) != refine or refine < 0:
-        raise InputError(f"along is {along!r}, refine is {refine}.", remedy='Pass "x" or "y", and a whole number.')
+    if along not in ("x", "y"):
+        raise InputError(f"along is {along!r}.", remedy='Pass "x" or "y".')
+    if int(refine) != refine or refine < 0:
+        raise InputError(f"refine is {refine}.", remedy="Pass a whole number from zero up.")
     if jobs == 0:
         raise InputError("jobs is 0.", remedy="Pass the number of processes, or -1 for all cores.")
     robot = problem.loaded
@@ -150,10 +157,13 @@ def _require_some_corner(problem: MapProblem) -> None:
     for x in (problem.x.values[0], problem.x.values[-1]):
         for y in (problem.y.values[0], problem.y.values[-1]):
             try:
-                machine(problem, x, y)
-                return
+                made = machine(problem, x, y)
             except RedundancyPinError as error:
                 errors.append(error)
+            else:
+                # one for all corners: a motion with other coordinates than the robot's fits none of them
+                require_matching(made.dynamics.robot, made.trajectory.sample_at([0.0]))
+                return
     raise errors[0]
 
 
@@ -177,7 +187,8 @@ def _computed(problem: MapProblem, keys: Sequence[Key], jobs: int | None) -> Ite
         backend, _ = module.parallel.get_active_backend()
         if type(backend).__name__ == "LokyBackend" and backend.inner_max_num_threads is None:
             # one thread each: the matrices are small, and every core has its own cells
-            stack.enter_context(module.parallel_config(backend="loky", inner_max_num_threads=1))
+            local = {"inner_max_num_threads": 1, "idle_worker_timeout": _IDLE}
+            stack.enter_context(module.parallel_config(backend="loky", **local))
         settings = {} if jobs is None else {"n_jobs": jobs}
         calls = [module.delayed(_in_worker)(problem, *key) for key in keys]
         try:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import os
 from pathlib import Path
 
 import pytest
-from small_maps import corner, journal_lines, quick
+from small_maps import corner, journal_lines
 
 from redundancy_pin.errors import OutputError
-from redundancy_pin.experiments.feasibility import WHOLE, Axis, Cell, Verdict, feasibility_map, sweep
+from redundancy_pin.experiments.feasibility import Axis, Cell, Verdict, feasibility_map, sweep
 from redundancy_pin.experiments.feasibility.cell import Key
 from redundancy_pin.experiments.feasibility.journal import CELLS
 from redundancy_pin.experiments.journal import open_journal
@@ -95,4 +93,5 @@ def test_cells_survive_the_journal(tmp_path: Path) -> None:
         (found,) = journal.records.values()
     # JSON knows no NaN
     assert found == Cell(
-        "p", 0.1, 1 / 3, Verdict.INFEASIBLE, ("track", "end"), "c", 0.1, None, None, 1.1, 0.5, "", "ü", {"a
+        "p", 0.1, 1 / 3, Verdict.INFEASIBLE, ("track", "end"), "c", 0.1, None, None, 1.1, 0.5, "", "ü", {"a": 1.0}
+    )

@@ -46,6 +46,22 @@ feasibility_map(small_maps.corner(), {journal!r}, jobs=2)
 """
 
 
+def test_workers_without_work_end_soon(asked: list[Key], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of a caller that was killed wait for work until then; joblib's own five minutes are long."""
+    given: dict[str, Any] = {}
+    real = joblib.parallel_config
+
+    def watched(**settings: Any) -> Any:
+        given.update(settings)
+        return real(**settings)
+
+    monkeypatch.setattr(joblib, "parallel_config", watched)
+    feasibility_map(corner(), jobs=1)
+    assert asked
+    assert 1.0 < given["idle_worker_timeout"] <= 30.0
+    assert given["inner_max_num_threads"] == 1
+
+
 def _heed_interrupts() -> None:
     """A shell starts what runs in its background with Ctrl-C ignored, and children inherit that."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
