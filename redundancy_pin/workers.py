@@ -5,10 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing.connection import wait
 
 from redundancy_pin.errors import RedundancyPinError
 
@@ -19,8 +21,9 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 def workers(jobs: int, remedy: str = "Run again with fewer jobs.") -> Iterator[ProcessPoolExecutor]:
     """Start processes for many small matrices; work that has not begun is dropped at the end.
 
-    They are spawned, not forked: the parent may have threads. Libraries read how many threads to start when they are
-    loaded, before anything of ours runs in the new process, so the environment is set here while processes may start.
+    They are spawned, not forked: the parent may have threads. They end with the parent, even where that is killed.
+    Libraries read how many threads to start when they are loaded, before anything of ours runs in the new process, so
+    the environment is set here while processes may start.
 
     Args:
         jobs: number of processes.
@@ -35,7 +38,7 @@ def workers(jobs: int, remedy: str = "Run again with fewer jobs.") -> Iterator[P
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_end_at_interrupt)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_end_in_time)
     try:
         yield pool
     except BrokenProcessPool as error:
@@ -52,6 +55,19 @@ def workers(jobs: int, remedy: str = "Run again with fewer jobs.") -> Iterator[P
                 os.environ[name] = value
 
 
-def _end_at_interrupt() -> None:
-    """Have Ctrl-C end this process at once and without a traceback: what to say is the parent's."""
+def _end_in_time() -> None:
+    """Have this process end with Ctrl-C, at once and without a traceback, and with its parent.
+
+    What to say of an interrupt is the parent's. A parent that was killed can tell nobody to end: its processes would
+    wait for work for ever.
+    """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_after(parent: int) -> None:
+    """Wait until a process ends, and end this one."""
+    wait([parent])
+    os._exit(1)
