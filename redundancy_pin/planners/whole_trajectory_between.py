@@ -98,7 +98,6 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
         program = build(problem, between=groups, limit_force=limit_force)
         if warm:
             attempt(program, with_more_rows(problem), found[-1])
-            finished = True
         else:
             for options in first_attempts(problem):
                 attempt(program, options, guess)
@@ -117,8 +116,9 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
             finished = True
             near = found[-1]
             attempt(program, last_steps(problem), near)
-            if not found[-1].optimal:
+            if not (found[-1].optimal or found[-1].acceptable):
                 return _summed(near, found)
+            found[-1] = replace(found[-1], optimal=True, message=near.message)
             leaves = leaving(problem, found[-1].course(problem))
         if not leaves.any():
             return _summed(found[-1], found)

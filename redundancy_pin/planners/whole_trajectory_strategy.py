@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from redundancy_pin.planners.whole_trajectory_data import WholeProblem
+from redundancy_pin.planners.whole_trajectory_solver import TOLERANCE
 
 Options = dict[str, Any]
 """Options of IPOPT by name."""
@@ -21,13 +22,13 @@ least peak it takes 22 iterations where the monotone strategy takes 28 (the corn
 ADAPTIVE: Options = {"ipopt.mu_strategy": "adaptive"}
 """This strategy often ends where the monotone one crawls."""
 
-UNREFINED: Options = {
-    "ipopt.fast_step_computation": "yes",
-    "ipopt.mumps_permuting_scaling": 0,
-    "ipopt.mumps_scaling": 0,
-}
-"""Takes steps as they come from one solution of the linear system: the programme is scaled already. A fourth faster on
-the 3-RRR; whether the result is an optimum is judged as strictly."""
+UNPERMUTED: Options = {"ipopt.mumps_permuting_scaling": 0, "ipopt.mumps_scaling": 0}
+"""Leaves the linear system as it is: the programme is scaled already, and the search for a permutation takes a time
+that grows with the square of the nodes (25 s of 27 for six iterations at 10 000 nodes)."""
+
+UNREFINED: Options = {"ipopt.fast_step_computation": "yes"}
+"""Takes steps as they come from one solution of the linear system. With the former a fourth faster on the 3-RRR;
+whether the result is an optimum is judged as strictly."""
 
 MANY = 1000
 """Nodes from which steps are refined all the same: rounding there makes the iterations more."""
@@ -53,9 +54,18 @@ WARM = _from_solution(push=1e-3, mu=1e-7)
 """For beginning at the optimum of a programme with fewer rows: the fewest iterations over the barrier parameters 1e-3
 to 1e-9 and the pushes 1e-3 to 1e-9, on 11 plans that needed more rows."""
 
-FINISH = _from_solution(push=1e-9, mu=1e-10)
-"""For the last of Newton's steps on a flat optimum, one to five: efforts from two backends then agree to 1e-8. Pushes
-of 1e-12 would accept the point as it is."""
+FINISH: Options = {
+    **_from_solution(push=1e-9, mu=1e-10),
+    "ipopt.mu_target": 1e-10,
+    "ipopt.tol": 1e-14,
+    "ipopt.acceptable_tol": TOLERANCE,
+}
+"""For the last of Newton's steps on a flat optimum: at a barrier parameter that stays they converge to rounding, which
+is more than the tolerance can ask for, so their number is given. Efforts from two backends then agree to 1e-11. (Pushes
+of 1e-12 would accept the point as it is.)"""
+
+LAST_STEPS, LAST_STEPS_OF_MANY = 2, 4
+"""Numbers of these steps within tolerance. At 3000 nodes two leave 3e-5 of the efforts, four 3e-12."""
 
 
 def is_flat(problem: WholeProblem) -> bool:
@@ -75,22 +85,31 @@ def scaling(problem: WholeProblem) -> Options:
 def first_attempts(problem: WholeProblem) -> tuple[Options, ...]:
     """Return what to try on a problem in turn, before it is built with every row."""
     if TANGLED & set(problem.settings.objective):
-        return ({},)
-    steps: Options = {} if len(problem.grid.t) >= MANY else UNREFINED
-    return tuple({**scaling(problem), **steps, **strategy} for strategy in (PREDICTED, {}))
+        return (_linear_system(problem),)
+    steps: Options = {} if _many(problem) else UNREFINED
+    return tuple({**scaling(problem), **UNPERMUTED, **steps, **strategy} for strategy in (PREDICTED, {}))
 
 
 def with_more_rows(problem: WholeProblem) -> Options:
     """Return the options for a solution that is begun from that of a programme with fewer rows."""
-    exact = is_flat(problem) or len(problem.grid.t) >= MANY
-    return {**scaling(problem), **({} if exact else UNREFINED), **WARM}
+    return {**scaling(problem), **UNPERMUTED, **({} if _many(problem) else UNREFINED), **WARM}
 
 
 def last_steps(problem: WholeProblem) -> Options:
     """Return the options for the exact steps that end on a flat optimum."""
-    return {**scaling(problem), **FINISH}
+    steps = LAST_STEPS_OF_MANY if _many(problem) else LAST_STEPS
+    return {**scaling(problem), **UNPERMUTED, **FINISH, "ipopt.acceptable_iter": steps}
 
 
 def later_attempts(problem: WholeProblem) -> tuple[Options, ...]:
     """Return what to try in turn on a problem with every row, where the first attempts did not end at an optimum."""
-    return tuple({**scaling(problem), **strategy} for strategy in ({}, ADAPTIVE))
+    return tuple({**scaling(problem), **_linear_system(problem), **strategy} for strategy in ({}, ADAPTIVE))
+
+
+def _many(problem: WholeProblem) -> bool:
+    return len(problem.grid.t) >= MANY
+
+
+def _linear_system(problem: WholeProblem) -> Options:
+    """Return the linear solver's own scaling where the number of nodes leaves time for it."""
+    return UNPERMUTED if _many(problem) else {}
