@@ -8,7 +8,8 @@ import zoo
 
 import redundancy_pin.planners.whole_trajectory_strategy as strategy
 from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
-from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
+from redundancy_pin.trajectory.segments import Line
 
 SAME_COST = 1e-6
 """Relative difference of the objective of two solutions that are one optimum: the solver's tolerance leaves 1e-7."""
@@ -50,6 +51,20 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
     assert other.diagnostics["optimal"]
     assert other.diagnostics["iterations"] > usual.diagnostics["iterations"]
     assert other.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
+
+
+def test_a_first_strategy_that_wanders_is_given_up():
+    """On this line of the five-bar it takes 68 iterations, and ends in an optimum a third worse, if it is let."""
+    path = Line((0.36395008276923135, 0.3972365808628847), (0.16252613968460775, 0.6383251732788081))
+    trajectory = Trajectory(path, SpeedProfile(path.length, 0.2562291898747395, 0.2))
+    dynamics, dt = RneaDynamics(zoo.robot_of("five_bar")), trajectory.duration / 350
+    plan = plan_whole_trajectory(
+        dynamics, trajectory, objective="peak", speed=0.5975863272111532, dt=dt, refinements=0, starts=2
+    )
+    assert plan.diagnostics["optimal"]
+    # found by the monotone strategy from six first guesses
+    assert plan.peak_effort.max() == pytest.approx(5.42895, rel=1e-5)
+    assert [optimum["starts"] for optimum in plan.diagnostics["starts"]["optima"]] == [[0, 1]]
 
 
 @pytest.mark.parametrize("objective", ["effort", "peak", "energy"])
