@@ -17,9 +17,9 @@ PREDICTED: Options = {
 }
 """Mehrotra's predictor and corrector, made for quadratic programmes, which these are but for a few bilinear rows. On
 least peak it takes 22 iterations where the monotone strategy takes 28 (the corner, 280 nodes), and 40 where that takes
-63 and 96 (the square, 1000 and 3000 nodes). It has no line search, hence the bound on its iterations: where it takes more
-it has wandered, and may end far from where it began (once in an optimum a third worse). Of 389 random tasks, half of them
-of the five-bar, 368 took it up to 57, to the optimum of the monotone strategy but for one, 15 % worse."""
+63 and 96 (the square, 1000 and 3000 nodes). It has no line search, hence the bound on its iterations: where it takes
+more it has wandered, and may end far from where it began (once in an optimum a third worse). Of 389 random tasks, half
+of them of the five-bar, 368 took it up to 57, to the optimum of the monotone strategy but for one, 15 % worse."""
 
 ADAPTIVE: Options = {"ipopt.mu_strategy": "adaptive"}
 """This strategy often ends where the monotone one crawls."""

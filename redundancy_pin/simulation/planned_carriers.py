@@ -131,14 +131,19 @@ def apart(times: Array) -> Array:
 def actuators_off(plan: Plan, edges: Array) -> BoolArray:
     """Return (P,) the pieces between (P + 1,) edges, s, inside which a plan has its main actuators off.
 
-    There its samples at both ends have no effort, and W τ = f of the planned motion holds with τ = 0 up to the plan's
-    own residual: W⁻¹ f would magnify that.
+    There its samples at both ends have no effort, one of them at least in the phase that is called so, and W τ = f of
+    the planned motion holds with τ = 0 up to the plan's own residual: W⁻¹ f would magnify that. Two samples without
+    effort alone do not say it: between two samples at rest there may be a motion that needs efforts.
     """
     after = np.searchsorted(plan.t, 0.5 * (edges[:-1] + edges[1:]))
     zero = (plan.tau == 0.0).all(axis=1)
-    off: BoolArray = zero[after - 1] & zero[after]
+    named = np.isin(plan.phase, [i for i, name in enumerate(plan.phases) if name == _OFF])
+    off: BoolArray = zero[after - 1] & zero[after] & (named[after - 1] | named[after])
     return off
 
+
+_OFF = "off"
+"""Name of the phase in which a plan has its main actuators off."""
 
 _SAME_TIME = 1e-9
 """How far, relative to the duration, plan and trajectory may differ in their times."""

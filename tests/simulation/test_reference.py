@@ -123,6 +123,22 @@ def test_where_a_plan_has_its_actuators_off_the_reference_has_no_efforts() -> No
     assert np.abs(np.array([reference.loads(t)[1] for t in times])).max() > 0.1
 
 
+def test_between_two_samples_at_rest_a_plan_has_its_efforts() -> None:
+    """A step from rest to rest: no effort at either sample, but in between."""
+    robot = zoo.robot_of("2rpr", end_effector_mass=0.5, cylinder_mass=0.3)
+    path = rp.trajectory.Line((0.25, 0.45), (0.2, 0.35))
+    motion = rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=0.5))
+    plan = rp.plan_switch_off(rp.RneaDynamics(robot), motion, threshold=5.0, dt=0.5)
+    assert len(plan.t) == 2
+    assert not plan.tau.any()
+    reference = plan_reference(plan, robot=robot, motion=motion)
+    times = np.array([0.1, 0.2, 0.4])
+    expected = rp.distribute(rp.RneaDynamics(robot).reduce(motion.sample_at(times))).tau
+    assert np.abs(expected).max() > 0.1
+    # half a second is long for one polynomial
+    np.testing.assert_allclose([reference.loads(t)[0] for t in times], expected, atol=1e-3)
+
+
 def test_parked_references_of_any_robot() -> None:
     robot = zoo.robot_of("five_bar")
     start = zoo.home_of(robot)
