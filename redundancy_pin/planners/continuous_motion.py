@@ -96,7 +96,9 @@ def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
     acceleration = velocity.derivative()
     # second differences of positions that are rounded themselves, over h²; 60 is the factor of the quintic
     rounding = 60.0 * np.finfo(float).eps * np.abs(motion.x).max() / np.median(h) ** 2
-    if rounding > DENSE * np.abs(motion.xdd).max():
+    # of the motion, not of its samples: between two at rest there may be one
+    largest = max(np.abs(motion.xdd).max(), np.abs(acceleration.c).max())
+    if rounding > DENSE * largest:
         velocity = BPoly(np.stack([v0, v0 + h * a0 / 3.0, v1 - h * a1 / 3.0, v1]), edges)
         acceleration = velocity.derivative()
     breaks = frozen(motion.t[motion.jumps])

@@ -6,7 +6,7 @@ import zoo
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from redundancy_pin import VirtualWork
+from redundancy_pin import PlatformMotion, VirtualWork
 from redundancy_pin.planners.carrier_model import carrier_model
 from redundancy_pin.planners.continuous_motion import continuous_motion
 from redundancy_pin.planners.dips import below_zero, minima
@@ -105,3 +105,17 @@ def test_samples_however_dense_give_the_acceleration(dt):
     assert np.abs(ours.x - exact.x).max() < 1e-12
     assert np.abs(ours.xd - exact.xd).max() < 1e-10
     assert np.abs(ours.xdd - exact.xdd).max() < 3e-9
+
+
+def test_between_samples_at_rest_there_is_a_motion():
+    """The quintic from rest to rest, all of it: velocity and acceleration too, although no sample has any."""
+    still, length, duration = np.zeros((2, 2)), 0.1, 0.5
+    motion = continuous_motion(PlatformMotion(np.array([0.0, duration]), np.array([[0.0, 0.3], [length, 0.3]]), still,
+                                              still))  # fmt: skip
+    ours = motion.sample_at(np.array([0.1, 0.25]))
+    u = ours.t / duration
+    np.testing.assert_allclose(ours.x[:, 0], length * u**3 * (10.0 - 15.0 * u + 6.0 * u**2), atol=1e-14)
+    np.testing.assert_allclose(ours.xd[:, 0], length / duration * 30.0 * (u * (1.0 - u)) ** 2, atol=1e-13)
+    np.testing.assert_allclose(
+        ours.xdd[:, 0], length / duration**2 * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u), atol=1e-12
+    )
