@@ -40,6 +40,11 @@ def _simulation(record: Mapping[str, Any]) -> Simulation:
 
 def _check(simulation: Simulation) -> None:
     """Check that the arrays fit together."""
+    # the sizes that the others are measured by
+    for name, axes in (("t", (1,)), ("v", (2,)), ("x", (2, 3)), ("xd", (2,)), ("closure_force", (2,))):
+        value = getattr(simulation, name)
+        if np.ndim(value) not in axes:
+            raise InputError(f"{name} has shape {np.shape(value)}, which no simulation has")
     count, robot = len(simulation.t), simulation.robot
     n, nv = simulation.xd.shape[1], simulation.v.shape[1]
     m, k = len(robot.actuated), len(robot.carriers)

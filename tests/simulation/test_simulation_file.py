@@ -58,6 +58,7 @@ def test_what_is_no_simulation_is_refused_by_name(simulation: Simulation, tmp_pa
         ("tau", np.array(simulation.tau[:-1]), "tau has shape"),
         ("energy", np.zeros(len(simulation.t), dtype=int), "energy is no array of floats"),
         ("x", np.zeros((3, 2)), "x has shape"),
+        *((name, np.array(5.0), rf"{name} has shape \(\)") for name in ("t", "v", "x", "xd", "closure_force")),
         ("status", "elsewhere", r"a simulation's fields .*elsewhere.*Save the simulation again"),
         ("statistics", {"steps": 1}, "damaged"),
     ):
