@@ -27,9 +27,9 @@ LINEAR_SYSTEM: Options = {
     "ipopt.mumps_scaling": 0,
     "ipopt.mumps_pivot_order": 2,
 }
-"""Leaves the linear system as it is, for the programme is scaled already, and orders it by approximate minimum fill. The
-search for a permutation takes a time that grows with the square of the nodes (25 s of 27 for six iterations at 10 000
-nodes), and METIS, which long problems get by themselves, takes 1.4 to 1.7 times as long."""
+"""Leaves the linear system as it is, for the programme is scaled already, and orders it by approximate minimum fill.
+The search for a permutation takes a time that grows with the square of the nodes (25 s of 27 for six iterations at
+10 000 nodes), and METIS, which long problems get by themselves, takes 1.4 to 1.7 times as long."""
 
 UNREFINED: Options = {"ipopt.fast_step_computation": "yes"}
 """Takes steps as they come from one solution of the linear system. With the former a fourth faster on the 3-RRR;
