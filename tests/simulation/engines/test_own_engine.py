@@ -21,6 +21,10 @@ EXTRAPOLATED = 1e-8
 OWN_TOLERANCE = 1e-9
 """m and rad: a plan followed by the default settings; the efforts are planned to 1e-9 N."""
 
+ACROSS_KINKS = 1e-4
+"""m and rad: steps across kinks of the efforts. What such a step misses depends on where it falls: 0.8e-5 to 1.9e-5 at
+relative tolerances of 1e-7, 5e-8 and 3e-8, on two plans of the same motion."""
+
 MASSES = {"2rpr": SHORT.arguments, "3rrr": {}}
 """Everything that moves has mass, which MuJoCo asks for."""
 
@@ -114,7 +118,7 @@ def test_steps_may_reach_across_kinks_where_the_tolerance_is_loose(planned):
     loose = {"integrator": "RK45", "rtol": 1e-7, "atol": 1e-8}
     every, jumps = (run_own(drive.task, restart_at=where, **loose) for where in ("breaks", "jumps"))
     assert jumps.steps < every.steps / 2
-    assert deviation(drive, jumps).largest < TOLERANCE
+    assert deviation(drive, jumps).largest < ACROSS_KINKS
     assert deviation(drive, jumps).largest > deviation(drive, every).largest
     with pytest.raises(InputError, match="restart_at is 'kinks'"):
         run_own(drive.task, restart_at="kinks")
