@@ -53,18 +53,18 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
     assert other.diagnostics["cost"] == pytest.approx(usual.diagnostics["cost"], rel=SAME_COST)
 
 
-def test_a_first_strategy_that_wanders_is_given_up():
-    """On this line of the five-bar it takes 68 iterations, and ends in an optimum a third worse, if it is let."""
+def test_a_first_strategy_that_wanders_is_given_up(monkeypatch):
+    """On this line of the five-bar it nearly always does, and once, let for 80 iterations, ended a third worse."""
     path = Line((0.36395008276923135, 0.3972365808628847), (0.16252613968460775, 0.6383251732788081))
     trajectory = Trajectory(path, SpeedProfile(path.length, 0.2562291898747395, 0.2))
-    dynamics, dt = RneaDynamics(zoo.robot_of("five_bar")), trajectory.duration / 350
-    plan = plan_whole_trajectory(
-        dynamics, trajectory, objective="peak", speed=0.5975863272111532, dt=dt, refinements=0, starts=2
-    )
+    dynamics, dt = RneaDynamics(zoo.robot_of("five_bar")), trajectory.duration / 352
+    settings = {"objective": "peak", "speed": 0.5975863272111532, "dt": dt, "refinements": 0}
+    plan = plan_whole_trajectory(dynamics, trajectory, **settings)
+    monkeypatch.setitem(strategy.PREDICTED, "ipopt.max_iter", 1)
+    monotone = plan_whole_trajectory(dynamics, trajectory, **settings)
     assert plan.diagnostics["optimal"]
-    # found by the monotone strategy from six first guesses
-    assert plan.peak_effort.max() == pytest.approx(5.42895, rel=1e-5)
-    assert [optimum["starts"] for optimum in plan.diagnostics["starts"]["optima"]] == [[0, 1]]
+    assert plan.diagnostics["cost"] == pytest.approx(monotone.diagnostics["cost"], rel=SAME_COST)
+    assert plan.diagnostics["iterations"] <= monotone.diagnostics["iterations"] + 60
 
 
 @pytest.mark.parametrize("objective", ["effort", "peak", "energy"])

@@ -151,3 +151,12 @@ def test_a_task_that_cannot_go_on_is_a_result():
     assert run.status is RunStatus.STOPPED
     assert run.t[-1] < 1.0
     assert run.message
+
+
+def test_a_task_may_start_at_any_time():
+    first = thrown("2rpr")
+    early = waves(first.robot, 0.5)
+    later = Task(first.robot, 0.2, 0.45, first.q, first.v, lambda t, side="right": early(np.asarray(t) - 0.2, side))
+    run, same = run_own(later), run_own(first)
+    assert (run.t[0], run.t[-1]) == (0.2, 0.45)
+    np.testing.assert_allclose(run.q, same.q, atol=EXTRAPOLATED)
