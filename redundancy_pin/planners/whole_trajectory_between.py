@@ -127,7 +127,7 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
             return _summed(replace(found[-1], optimal=False, feasible=False), found)
         groups.append(new)
         covered |= new
-        warm = True
+        warm, finished = True, not is_flat(problem)
 
 
 def _too_strong(problem: WholeProblem, solution: Solution) -> bool:
