@@ -60,7 +60,7 @@ def distribute(
         upper: (m,) or (N, m) largest efforts; inf for none. Where the efforts of least norm leave the bounds, those
             of least norm within the bounds are returned, or NaN with the status bound_infeasible.
         near_singular: margin below which a sample is near-singular (scaled, no unit).
-        rank_tolerance: singular values up to this fraction of the largest one count as zero.
+        rank_tolerance: singular values up to this fraction of the largest one, and up to this, count as zero.
         consistency_tolerance: fraction of f that may lie outside the range of W, ...
         force_tolerance: ... plus this force, N, scaled.
 
