@@ -69,6 +69,10 @@ def distribute(
             a tolerance that is negative or not finite, or a rank tolerance below 1e-14.
         RedundancyPinError: bounds need the optional quadprog, and it is not installed.
     """
+    if not isinstance(reduced, ReducedDynamics):
+        raise InputError(
+            f"distribute was given {type(reduced).__name__}.", remedy="Pass the result of a backend's reduce."
+        )
     _check_tolerances(
         near_singular=near_singular,
         rank_tolerance=rank_tolerance,

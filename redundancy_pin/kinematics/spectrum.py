@@ -16,8 +16,8 @@ JACOBI_MAX_COLUMNS = 3
 """Matrices with more rows and columns than this are left to LAPACK, which is faster for them."""
 
 UNIT = 1.0
-"""Size of an actuation matrix without units, a lever ratio: where all of it vanishes, as at a singular pose of a machine
-with one freedom, its largest singular value is rounding itself and no measure of the others."""
+"""Size of an actuation matrix without units, a lever ratio: where all of it vanishes, as at a singular pose of a
+machine with one freedom, its largest singular value is rounding itself and no measure of the others."""
 
 SIGN_TIE = 1e-6
 """Components within this fraction of the largest tie for the sign of a direction; the first of them decides."""
