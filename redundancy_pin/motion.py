@@ -116,8 +116,14 @@ class CarrierMotion:
             at: scalar or (k,) position on each track, m.
 
         Raises:
-            InputError: ``at`` does not fit k carriers, or a count is negative.
+            InputError: ``at`` does not fit k carriers, or a count is negative or no whole number.
         """
+        for count in (samples, carriers):
+            if not isinstance(count, (int, np.integer)):
+                raise InputError(
+                    f"The numbers of samples and of carriers are whole, not {type(count).__name__}.",
+                    remedy="Pass len(motion) of a sampled motion, and robot.k.",
+                )
         if min(samples, carriers) < 0:
             raise InputError(
                 f"The number of samples ({samples}) or of carriers ({carriers}) is negative.", remedy="Pass counts."
@@ -134,6 +140,21 @@ class CarrierMotion:
     def __getitem__(self, index: slice) -> CarrierMotion:
         """Return the motion of a slice of the samples."""
         return CarrierMotion(self.s[index], self.sd[index], self.sdd[index])
+
+
+def require_sampled(motion: object) -> None:
+    """Check that a motion has samples, for what does not sample a trajectory by itself.
+
+    Raises:
+        InputError: it is a trajectory, or something else.
+    """
+    if not isinstance(motion, PlatformMotion):
+        raise InputError(
+            f"A sampled motion was expected, not {type(motion).__name__}.",
+            remedy="Pass trajectory.sample(dt=0.001)."
+            if hasattr(motion, "sample")
+            else "Pass a PlatformMotion, such as trajectory.sample(dt=0.001) returns.",
+        )
 
 
 def _dimensions(values: ArrayLike) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,7 +16,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, row_scale
 from redundancy_pin.kinematics.state import lift
 from redundancy_pin.loading import load_robot
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_robot_of
 from redundancy_pin.robot import Robot
@@ -34,7 +35,7 @@ _DT = 0.005
 
 
 def show(
-    subject: Plan | Robot | str,
+    subject: Plan | Robot | str | Path,
     motion: PlatformMotion | None = None,
     carriers: CarrierMotion | None = None,
     *,
@@ -60,7 +61,8 @@ def show(
         height: of the picture in a notebook, pixels.
 
     Raises:
-        InputError: a motion or carriers together with a plan, or a motion that is not the robot's.
+        InputError: no plan, robot or name; a motion or carriers together with a plan; or a motion that is not sampled
+            or not the robot's.
         RedundancyPinError: what ``load_robot``, ``load_robot_of`` and ``lift`` raise.
     """
     if isinstance(subject, Plan):
@@ -68,6 +70,11 @@ def show(
             raise InputError("A plan has its own motions.", remedy="Pass a robot instead of the plan, or no motion.")
         shown = plan_shown(subject, robot or load_robot_of(subject))
     else:
+        if not isinstance(subject, (Robot, str, Path)):
+            raise InputError(
+                f"A plan, a robot or its name can be shown, not {type(subject).__name__}.",
+                remedy="Pass show(plan), or show(robot, motion, carriers).",
+            )
         if robot is not None:
             raise InputError("robot= goes with a plan.", remedy="Pass the robot first, without robot=.")
         loaded = subject if isinstance(subject, Robot) else load_robot(subject)
@@ -98,6 +105,7 @@ def motion_shown(robot: Robot, motion: PlatformMotion | None, carriers: CarrierM
         RedundancyPinError: as ``RneaDynamics.reduce``.
     """
     followed = default_motion(robot) if motion is None else motion
+    require_sampled(followed)
     sliding = CarrierMotion.parked(len(followed), robot.k) if carriers is None else carriers
     reduced = RneaDynamics(robot).reduce(followed, sliding)
     efforts = distribute(reduced)

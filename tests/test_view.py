@@ -97,3 +97,21 @@ def test_the_package_loads_no_viewer_and_no_plots_until_asked() -> None:
     program = "import sys, redundancy_pin; print({'meshcat', 'matplotlib', 'selenium'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+def test_a_trajectory_in_place_of_its_samples_is_refused_with_how_to_sample_it() -> None:
+    robot, corner = zoo.robot_of("3rrr"), rp.trajectory.reference.corner()
+    for computed in (
+        lambda: rp.show(robot, corner),  # type: ignore[arg-type]
+        lambda: rp.lift(robot, corner),  # type: ignore[arg-type]
+        lambda: rp.RneaDynamics(robot).reduce(corner),  # type: ignore[arg-type]
+        lambda: rp.VirtualWork(robot).reduce(corner),  # type: ignore[arg-type]
+        lambda: rp.plot.path(robot, corner),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(InputError, match=r"not Trajectory\. Pass trajectory\.sample\(dt="):
+            computed()
+
+
+def test_what_is_neither_plan_nor_robot_is_named() -> None:
+    with pytest.raises(InputError, match=r"not PlatformMotion\. Pass show\(plan\)"):
+        rp.show(rp.trajectory.reference.corner().sample(dt=0.1))  # type: ignore[arg-type]

@@ -158,7 +158,7 @@ def _general(found: dict[str, Any]) -> Table:
     table.add_row("characteristic length [m]", f"{found['characteristic_length']:.6g}")
     table.add_row("closed form (virtual work)", found["closed_form"] or "none")
     reference = found["reference"]
-    table.add_row("reference", _coordinates(reference["coordinates"]))
+    table.add_row(f"reference [{_unit(found)}]", _coordinates(reference["coordinates"]))
     table.add_row("type I margin there (lower bound)", f"{reference['type_i_margin']:.4g}")
     table.add_row("type II margin there", f"{reference['type_ii_margin']:.4g}")
     table.add_row("condition number there", f"{reference['condition']:.4g}")
@@ -192,6 +192,16 @@ def _limits(found: dict[str, Any]) -> list[Table]:
     ]
     headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
     return [table_of("carrier limits", headings, rows, numbers=True)] if rows else []
+
+
+def _unit(found: dict[str, Any]) -> str:
+    """Return the unit of the reference coordinates; "m" of a pose, whose rotation matrix has none."""
+    axes, names = found["independent"]["axes"], found["independent"]["joints"] or ()
+    turning = [joint["type"] == "revolute" for joint in found["joints"] if joint["name"] in names]
+    turning = turning or [axis in ("rx", "ry", "rz") for axis in axes]
+    if isinstance(found["reference"]["coordinates"][0], list) or not any(turning):
+        return "m"
+    return "rad" if all(turning) else "m, rad"
 
 
 def _coordinates(values: list[Any]) -> str:

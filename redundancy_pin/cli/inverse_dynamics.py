@@ -21,6 +21,7 @@ from redundancy_pin.errors import OutputError
 from redundancy_pin.experiments.backends import BACKENDS, RNEA
 from redundancy_pin.experiments.csv_text import csv_text
 from redundancy_pin.files import require_writable, write_text
+from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory import carriers_from_csv, from_csv
 
 
@@ -85,9 +86,12 @@ def inverse_dynamics(
     table = Table(title=f"{loaded.name}, {backend}: {len(motion)} samples", show_header=False)
     for name, count in found["statuses"].items():
         table.add_row(f"{name} samples", str(count))
-    table.add_row("largest |tau|", ", ".join(f"{value:.6g}" for value in found["largest_tau"]))
+    record = robot_record(loaded)
+    main, moved = record.effort_unit(*loaded.actuated), record.effort_unit(*loaded.carriers)
+    table.add_row(f"largest |tau| [{main}]", ", ".join(f"{value:.6g}" for value in found["largest_tau"]))
     if loaded.k:
-        table.add_row("largest |carrier force|", ", ".join(f"{value:.6g}" for value in found["largest_carrier_force"]))
+        forces = ", ".join(f"{value:.6g}" for value in found["largest_carrier_force"])
+        table.add_row(f"largest |carrier force| [{moved}]", forces)
     table.add_row("smallest margin", f"{found['smallest_margin']:.6g}")
     table.add_row("written to", out)
     console().print(table)

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from redundancy_pin.cli.output import console, number, print_json, require_suffix
 from redundancy_pin.errors import OutputError
+from redundancy_pin.experiments.backends import RNEA, VIRTUAL_WORK
 from redundancy_pin.experiments.beyond.rows import SWING, reversals
 from redundancy_pin.files import replacing_file, require_writable
 from redundancy_pin.planners.limits import LimitEvent
@@ -21,6 +22,9 @@ from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.whole_trajectory_check import ALLOWED
 from redundancy_pin.visualisation.plan_figures import plot_plan
 from redundancy_pin.visualisation.style import picture_format, require_matplotlib, save
+
+_BACKENDS = {"Rnea": RNEA, "VirtualWork": VIRTUAL_WORK}
+"""How the command line calls what a plan names by its class."""
 
 _LISTED = 6
 """Broken limits that a table and a warning list; the rest is counted."""
@@ -173,7 +177,10 @@ def _phase_times(plan: Plan) -> list[dict[str, Any]]:
 
 def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
     found = summary(plan)
-    table = Table(title=f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {plan.backend}", show_header=False)
+    table = Table(
+        title=f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {_BACKENDS.get(plan.backend, plan.backend)}",
+        show_header=False,
+    )
     table.add_row("status", status_text(plan))
     table.add_row("time [s]", f"{found['start']:.6g} to {found['end']:.6g}, {found['samples']} samples")
     table.add_row("phases [s]", _phases(found["phases"]))

@@ -10,13 +10,16 @@ from typing import Any
 import click
 
 from redundancy_pin.cli.options import json_option
-from redundancy_pin.cli.output import console, print_json, progress
+from redundancy_pin.cli.output import console, print_json, progress, table_of
 from redundancy_pin.experiments.document import Heading, Paragraph
 from redundancy_pin.experiments.markdown import markdown
 from redundancy_pin.experiments.robustness import DRAWS, Study, robustness_study, study_csv, study_table
 from redundancy_pin.files import write_text
 
 JOURNAL = "journal.jsonl"
+
+_SHOWN = (0, 1, 3, 4, 5, 9)
+"""Columns of the table that fit a terminal side by side; all of them are in study.md."""
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
@@ -64,8 +67,12 @@ def study(draws: int, seed: int, severity: float, jobs: int | None, out: str, as
     if as_json:
         print_json(data)
         return
-    console().print(text)
-    console().print(f"Results are in {folder}.")
+    shown = study_table(found)
+    console().print(_said(found, severity))
+    rows = [[str(row[column]) for column in _SHOWN] for row in shown.rows]
+    console().print(table_of("robustness", [shown.headings[column] for column in _SHOWN], rows))
+    console().print(shown.caption)
+    console().print(f"Tables and journal are in {folder}: study.md, trials.csv, summary.json, {JOURNAL}.")
 
 
 def summary(found: Study, severity: float) -> dict[str, Any]:
@@ -85,4 +92,5 @@ def _plain(value: Any) -> Any:
 
 
 def _said(found: Study, severity: float) -> str:
-    return f"Seed {found.seed}, severity {severity:g}, {found.cells[0].draws} draws a cell."
+    draws = found.cells[0].draws
+    return f"Seed {found.seed}, severity {severity:g}, {draws} {'draw' if draws == 1 else 'draws'} a cell."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array, BoolArray, peak
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 
@@ -13,7 +13,7 @@ OnUnreachable = Literal["raise", "mark"]
 """What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its gap."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ReducedDynamics:
     """The equation of motion W τ = f in independent coordinates, with the carrier forces.
 
@@ -42,6 +42,14 @@ class ReducedDynamics:
     gap: Array
     row_scale: Array
     column_scale: Array
+
+    def __repr__(self) -> str:
+        """Return shapes and peaks, not the arrays."""
+        unreached = "" if self.reachable.all() else f", {int((~self.reachable).sum())} unreachable"
+        return (
+            f"ReducedDynamics(N={len(self.t)}, n={self.W.shape[1]}, m={self.W.shape[2]}, "
+            f"k={self.carrier_force.shape[1]}{unreached}; {peak('f', self.f, 'N or N·m')})"
+        )
 
 
 @dataclass(frozen=True, eq=False)

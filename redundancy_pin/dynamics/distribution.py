@@ -60,7 +60,7 @@ def distribute(
         upper: (m,) or (N, m) largest efforts; inf for none. Where the efforts of least norm leave the bounds, those
             of least norm within the bounds are returned, or NaN with the status bound_infeasible.
         near_singular: margin below which a sample is near-singular (scaled, no unit).
-        rank_tolerance: singular values up to this fraction of the largest one count as zero.
+        rank_tolerance: singular values up to this fraction of the largest one, and up to this, count as zero.
         consistency_tolerance: fraction of f that may lie outside the range of W, ...
         force_tolerance: ... plus this force, N, scaled.
 
@@ -69,6 +69,10 @@ def distribute(
             a tolerance that is negative or not finite, or a rank tolerance below 1e-14.
         RedundancyPinError: bounds need the optional quadprog, and it is not installed.
     """
+    if not isinstance(reduced, ReducedDynamics):
+        raise InputError(
+            f"distribute was given {type(reduced).__name__}.", remedy="Pass the result of a backend's reduce."
+        )
     _check_tolerances(
         near_singular=near_singular,
         rank_tolerance=rank_tolerance,

@@ -20,7 +20,7 @@ from redundancy_pin.dynamics.base import CarrierDerivatives, OnUnreachable, Redu
 from redundancy_pin.dynamics.carriers import require_choice, require_matching, require_on_track
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.state import TreeMotion, lift
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
 
 _SAMPLES_PER_THREAD = 500
@@ -68,6 +68,7 @@ class RneaDynamics:
             CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
         """
+        require_sampled(motion)
         if check_track:
             require_on_track(self._robot, require_matching(self._robot, carriers, len(motion)), motion.t)
         return self.along(motion, unreachable=unreachable).reduce(carriers)

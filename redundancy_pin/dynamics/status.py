@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
+from redundancy_pin.arrays import Array, BoolArray, IntArray, peak, read_only
 
 
 class SampleStatus(IntEnum):
@@ -36,7 +36,7 @@ class SampleStatus(IntEnum):
         return self.name.lower()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Distribution:
     """Efforts of the main actuators and what they rest on, sample by sample.
 
@@ -71,6 +71,15 @@ class Distribution:
     condition: Array
     free_direction: Array
     uncontrolled: Array
+
+    def __repr__(self) -> str:
+        """Return how many samples have which status, and peaks, not the arrays."""
+        found = [(status, int((self.status == status).sum())) for status in SampleStatus]
+        counts = ", ".join(f"{count} {status.label}" for status, count in found if count)
+        return (
+            f"Distribution(N={len(self)}, m={self.tau.shape[1]}: {counts}; {peak('tau', self.tau, 'N or N·m')}, "
+            f"least margin {np.nanmin(self.margin, initial=np.inf):.4g})"
+        )
 
     def __len__(self) -> int:
         """Return the number of samples."""

@@ -10,7 +10,7 @@ from redundancy_pin.arrays import Array, BoolArray, checked
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintState
 from redundancy_pin.kinematics.tree import motion_subspace
-from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.motion import PlatformMotion, require_sampled
 from redundancy_pin.robot import AXES, Robot
 
 
@@ -125,8 +125,9 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
     """Check that a motion has this robot's coordinates.
 
     Raises:
-        InputError: wrong number of coordinates, or poses where coordinates belong.
+        InputError: not sampled, wrong number of coordinates, or poses where coordinates belong.
     """
+    require_sampled(motion)
     wants_pose = robot.platform is not None and robot.platform.is_pose
     names = robot.platform.axes if robot.platform else robot.independent_joints
     if motion.is_pose != wants_pose or motion.xd.shape[1] != robot.n:

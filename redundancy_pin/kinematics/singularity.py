@@ -122,9 +122,9 @@ def classify(robot: Robot, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -
     Args:
         robot: the robot.
         q: (N, nq) or (nq,) configurations of the tree, closed; carriers do not matter.
-        tolerance: singular values below this fraction of the largest count as zero. A type I configuration that
-            comes from a position (rather than from a joint angle) is only exact to the square root of rounding: ask
-            for 1e-7 there.
+        tolerance: singular values below this fraction of the largest (of W also below this) count as zero. A type I
+            configuration that comes from a position (rather than from a joint angle) is only exact to the square root
+            of rounding: ask for 1e-7 there.
 
     Raises:
         InputError: wrong shape, values that are not finite, a configuration that is not closed, or a tolerance
@@ -184,7 +184,7 @@ def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: flo
     W[type_i] = np.nan
     spectrum = spectrum_of(W)
     plain = spectrum_of(W * (rows[:, None] / column_scale(system.robot)))
-    type_ii = np.where(type_i, _lacks_rank(locked.S, tolerance), _lacks_rank(spectrum.singular_values, tolerance))
+    type_ii = np.where(type_i, _lacks_rank(locked.S, tolerance), spectrum.rank(tolerance) < min(W.shape[1:]))
 
     twists = K[:, len(system.rows) :] @ locked.Vh.transpose(0, 2, 1)
     least_controlled = _least_controlled(W, twists[:, :, locked.S.shape[1] - 1], type_i)

@@ -15,6 +15,10 @@ JACOBI_MIN_SAMPLES = 1000
 JACOBI_MAX_COLUMNS = 3
 """Matrices with more rows and columns than this are left to LAPACK, which is faster for them."""
 
+UNIT = 1.0
+"""Size of an actuation matrix without units, a lever ratio: where all of it vanishes, as at a singular pose of a
+machine with one freedom, its largest singular value is rounding itself and no measure of the others."""
+
 SIGN_TIE = 1e-6
 """Components within this fraction of the largest tie for the sign of a direction; the first of them decides."""
 
@@ -43,11 +47,12 @@ class Spectrum:
         return read_only(ratio)
 
     def rank(self, tolerance: float = RANK_TOLERANCE) -> IntArray:
-        """Return (N,) the number of singular values above ``tolerance`` times the largest one.
+        """Return (N,) the number of singular values above ``tolerance`` times the largest one, or times ``UNIT``.
 
         A matrix that is not finite has rank 0.
         """
-        return read_only((self.singular_values > tolerance * self.singular_values[:, :1]).sum(axis=1))
+        largest = np.maximum(self.singular_values[:, :1], UNIT)
+        return read_only((self.singular_values > tolerance * largest).sum(axis=1))
 
 
 def scaled(W: Array, row_scale: Array, column_scale: Array) -> Array:

@@ -217,7 +217,8 @@ def path(
 def comparison(subjects: Mapping[str, Plan | Curves], *, title: str | None = None) -> Figure:
     """Draw the main efforts of several plans along the same motion, one panel an actuator, with their peaks.
 
-    Near-singular samples are left out of curves and peaks: efforts grow without bound there.
+    Of an inverse-dynamics computation, near-singular samples are left out of curves and peaks, and the title says so:
+    efforts grow without bound there. Those of a plan are bounded, and all of them count.
 
     Args:
         subjects: plans or ``curves`` by what the legend calls them; at most six.
@@ -236,8 +237,13 @@ def comparison(subjects: Mapping[str, Plan | Curves], *, title: str | None = Non
         )
     (m, unit), first = next(iter(kinds)), next(iter(drawn.values()))
     names = tuple(f"τ{i + 1}" for i in range(m))
-    cases = {label: (each.t, np.where(each.regular[:, None], each.tau, np.nan)) for label, each in drawn.items()}
-    return plot_comparison(title or first.title.partition(":")[0], names, unit.partition("[")[2].rstrip("]"), cases)
+    cases, cut = {}, False
+    for label, each in drawn.items():
+        counts = np.isfinite(each.tau) if isinstance(subjects[label], Plan) else each.regular[:, None]
+        cut = cut or not counts.all()
+        cases[label] = (each.t, np.where(counts, each.tau, np.nan))
+    heading = title or first.title.partition(":")[0] + (", near-singular samples left out" if cut else "")
+    return plot_comparison(heading, names, unit.partition("[")[2].rstrip("]"), cases)
 
 
 def _curves(subject: Plan | Curves) -> Curves:

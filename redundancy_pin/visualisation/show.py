@@ -82,7 +82,7 @@ def require_html(path: str | Path) -> None:
     """
     if Path(path).suffix.lower() not in (".html", ".htm"):
         raise OutputError(
-            f"Cannot write {path}: {Path(path).suffix or 'no suffix'} is not .html.",
+            f"Cannot write {path}: its name does not end in .html.",
             remedy="Give the file the suffix .html.",
             path=str(path),
         )

@@ -46,6 +46,11 @@ def test_describes_every_robot(name: str) -> None:
         assert parameter in text
 
 
+@pytest.mark.parametrize(("name", "unit"), [("2rpr", "m"), ("3rrr", "m, rad"), ("four_bar", "rad"), ("gough", "m")])
+def test_the_reference_has_its_unit(name: str, unit: str) -> None:
+    assert f"reference [{unit}] " in call("info", "--robot", name).stdout
+
+
 def test_parameters_show_value_and_default() -> None:
     found = json.loads(
         call(

@@ -67,7 +67,10 @@ def test_json_is_pure_and_tells_what_was_written(corner: Path, tmp_path: Path) -
 def test_carrier_columns_may_be_left_out(tmp_path: Path) -> None:
     motion = write_motion(tmp_path / "motion.csv", reference.corner(), 0.1)
     out = tmp_path / "out.csv"
-    assert call("inverse-dynamics", "--robot", "3rrr", "--motion", motion, "--out", out).exit_code == 0
+    result = call("inverse-dynamics", "--robot", "3rrr", "--motion", motion, "--out", out)
+    assert result.exit_code == 0
+    assert "largest |tau| [N·m]" in result.stdout
+    assert "largest |carrier force| [N]" in result.stdout
     parked = distribute(RneaDynamics(load_robot("3rrr")).reduce(from_csv(motion)))
     np.testing.assert_array_equal(_columns(out)["tau2"], parked.tau[:, 2])
 

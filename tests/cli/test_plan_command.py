@@ -130,6 +130,7 @@ def test_the_table_has_what_the_plan_says(tmp_path: Path) -> None:
     out = tmp_path / "plan.npz"
     lines = call(*CORNER, "--out", out).stdout.splitlines()
     plan = rp.load_plan(out)
+    assert lines[0].strip() == "3rrr, stepwise, rnea"  # the backend as --backend names it
     # a limit of the size: the carrier meets it in its negative sense
     assert plan.limits.binding[0].limit == -1.0
     assert any("speed of carrier_2 at its limit 1 m/s" in line for line in lines)

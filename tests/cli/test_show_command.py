@@ -62,7 +62,7 @@ def test_what_cannot_be_shown_is_refused_and_nothing_written(tmp_path: Path, pla
     assert "is not the one the plan was made for" in refused(
         "show", "--plan", plan_file, "--robot", "3rrr", "--html", out
     )
-    assert "is not .html" in refused("show", "--robot", "3rrr", "--html", tmp_path / "out.png")
+    assert "does not end in .html" in refused("show", "--robot", "3rrr", "--html", tmp_path / "out.png")
     assert "force_scale" in refused("show", "--robot", "3rrr", "--force-scale", "0", "--html", out)
     assert "no folder" in refused("show", "--robot", "3rrr", "--html", tmp_path / "none" / "out.html")
     assert list(tmp_path.iterdir()) == []

@@ -58,6 +58,7 @@ def test_a_tiny_study_is_simulated_and_written(tmp_path: Path) -> None:
     assert (result.exit_code, result.stderr) == (0, "")
     assert sorted(path.name for path in folder.iterdir()) == FILES
     assert "Seed 0, severity 1, 2 draws a cell." in result.stdout
+    assert "| ---" not in result.stdout  # a table as the other commands print them, not its Markdown
     with (folder / "trials.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["drive"], row["number"]) for row in rows] == [

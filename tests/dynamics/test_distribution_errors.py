@@ -95,3 +95,17 @@ def test_labels_are_the_names_in_lower_case():
         "bound_infeasible",
         "unreachable",
     ]
+
+
+def test_a_backend_in_place_of_its_result_is_refused():
+    with pytest.raises(InputError, match=r"given dict. Pass the result of a backend's reduce"):
+        distribute({})
+
+
+def test_results_print_what_tells_them_apart():
+    given = reduced([[[1.0]], [[1e-37]], [[1.0]]], [[2.0], [1.0], [-3.0]], reachable=[True, True, False])
+    assert repr(given) == "ReducedDynamics(N=3, n=1, m=1, k=0, 1 unreachable; peak |f| 3 N or N·m)"
+    assert repr(distribute(given)) == (
+        "Distribution(N=3, m=1: 1 regular, 1 singular_inconsistent, 1 unreachable; peak |tau| 2 N or N·m, "
+        "least margin 1e-37)"
+    )

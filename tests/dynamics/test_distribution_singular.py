@@ -40,6 +40,15 @@ def test_outer_product_with_the_force_across_it():
     assert d.uncontrolled[0] == pytest.approx(across, abs=ROUNDING)
 
 
+def test_one_freedom_at_its_singular_pose():
+    # W is one number there, of the size of rounding, and largest and smallest singular value at once
+    d = distribute(reduced([[[1e-37]], [[1e-37]], [[1e-4]]], [[2.5], [0.0], [2.5]]))
+    assert d.status_labels.tolist() == ["singular_inconsistent", "singular_consistent", "near_singular"]
+    assert np.isnan(d.tau[0]).all()
+    assert d.residual[0] == pytest.approx(2.5, rel=1e-12)
+    assert d.tau[1:, 0] == pytest.approx([0.0, 2.5e4], rel=1e-12)
+
+
 def test_two_rpr_in_line_needs_the_scalar_condition_of_the_thesis():
     # both legs along x: W = Jᵀ has the columns ±(1, 0); a force along x is shared, one along y cannot be held
     W = np.array([[[1.0, -1.0], [0.0, 0.0]]] * 2)

@@ -210,10 +210,24 @@ def test_one_actuator_too_many_removes_the_singularity(tmp_path: Path) -> None:
     assert found.kind[1] == SingularityKind.TYPE_I  # with the swivel locked nothing is left to move
 
 
-def variant(folder: Path, old: str, new: str) -> Path:
-    """Copy the 2-RPR with one line of its declaration changed."""
+def test_one_freedom_driven_where_its_motor_stands_still(tmp_path: Path) -> None:
+    # crank and coupler in line, 0.1 + 0.35 m: the rocker turns round, and W, its rate over the crank's, is rounding
+    robot = load_robot(variant(tmp_path, "actuated: [crank]", "actuated: [rocker]", name="four_bar"))
+    theta = np.arccos((0.45**2 + 0.4**2 - 0.25**2) / (2.0 * 0.45 * 0.4))
+    psi = np.arctan2(0.45 * np.sin(theta), 0.45 * np.cos(theta) - 0.4)
+    q = np.zeros((1, robot.model.nq))
+    for name, angle in {"crank": theta, "rocker": psi, "coupler": theta + np.pi - psi}.items():
+        q[0, index(robot, name)] = angle
+    found = classify(robot, q)
+    assert found.kind[0] == SingularityKind.TYPE_II
+    assert found.parallel_margin[0] == pytest.approx(0.0, abs=ROUNDING)
+    assert np.isinf(found.condition[0])
+
+
+def variant(folder: Path, old: str, new: str, name: str = "2rpr") -> Path:
+    """Copy a shipped robot with one line of its declaration changed."""
     target = folder / "variant"
-    shutil.copytree(declaration_path("2rpr").parent, target)
+    shutil.copytree(declaration_path(name).parent, target)
     declaration = target / "robot.yaml"
     text = declaration.read_text(encoding="utf-8")
     assert old in text

@@ -68,9 +68,16 @@ def test_rank_counts_singular_values_above_the_tolerance(samples, values, rank):
 
 
 def test_rank_tolerance_is_relative():
-    matrices = 1e-7 * with_values(np.random.default_rng(3), FEW, 3, 3, np.array([1.0, 0.5, 1e-4]))
+    matrices = 1e7 * with_values(np.random.default_rng(3), FEW, 3, 3, np.array([1.0, 0.5, 1e-4]))
     assert (spectrum_of(matrices).rank(1e-3) == 2).all()
     assert (spectrum_of(matrices).rank(1e-5) == 3).all()
+
+
+def test_of_a_matrix_that_vanishes_altogether_no_rank_is_left():
+    # singular values that are all rounding have a largest one too; lever ratios are of size 1
+    matrices = with_values(np.random.default_rng(3), FEW, 3, 3, np.array([1e-17, 5e-18, 1e-21]))
+    assert (spectrum_of(matrices).rank() == 0).all()
+    assert spectrum_of(np.array([[[1e-37]], [[1e-3]], [[-0.5]]])).rank().tolist() == [0, 1, 1]
 
 
 @pytest.mark.parametrize("samples", [FEW, MANY])

@@ -14,6 +14,7 @@ from matplotlib.colors import to_hex
 from scipy.optimize import brentq
 
 import redundancy_pin as rp
+from redundancy_pin.dynamics.status import SampleStatus
 from redundancy_pin.errors import InputError
 from redundancy_pin.visualisation.scene_colors import MARGIN_COLORS, margin_classes
 
@@ -162,6 +163,17 @@ def test_unbounded_efforts_do_not_flatten_the_others() -> None:
     assert axes.get_ylim()[1] < 1.2 * regular
     comparison = rp.plot.comparison({"parked": computed()}).axes[0]
     assert comparison.get_ylim()[1] < 1.2 * regular
+
+
+def test_a_comparison_leaves_out_unbounded_efforts_and_says_so_but_nothing_of_a_plan() -> None:
+    near = np.full(len(plan().t), SampleStatus.NEAR_SINGULAR)
+    drawn = rp.plot.comparison({"plan": replace(plan(), sample_status=near)})
+    assert drawn.get_suptitle() == "2rpr"
+    for axes, tau in zip(drawn.axes, plan().tau.T, strict=True):
+        np.testing.assert_array_equal(_lines(axes, len(tau))[0], tau)
+    drawn = rp.plot.comparison({"plan": plan(), "parked": computed()})
+    assert drawn.get_suptitle() == "2rpr, near-singular samples left out"
+    assert np.isnan(_lines(drawn.axes[0], len(computed().t))[0]).sum() == (~computed().regular).sum()
 
 
 def test_series_are_told_apart_without_colour() -> None:

@@ -19,7 +19,7 @@ from redundancy_pin.errors import (
     UnreachablePoseError,
     UnsupportedRobotError,
 )
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
 
 
@@ -62,6 +62,7 @@ class VirtualWork:
             SingularPoseError: a leg is at a type I singularity (unless marked).
         """
         require_choice(unreachable)
+        require_sampled(motion)
         rows = len(self._mechanism.angular_rows)
         if motion.is_pose or motion.xd.shape[1] != rows:
             raise InputError(
@@ -106,6 +107,7 @@ class VirtualWork:
             CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
             InputError, UnreachablePoseError, SingularPoseError: as in ``along``.
         """
+        require_sampled(motion)
         if check_track:
             require_on_track(self._robot, require_matching(self._robot, carriers, len(motion)), motion.t)
         return self.along(motion, unreachable=unreachable).reduce(carriers)
