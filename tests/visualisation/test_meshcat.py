@@ -191,7 +191,7 @@ def test_titles_are_text_and_not_markup(tmp_path: Path) -> None:
 
 def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     view = view_of("five_bar")
-    with pytest.raises(OutputError, match=r"\.png is not \.html"):
+    with pytest.raises(OutputError, match=r"does not end in \.html"):
         view.save(tmp_path / "out.png")
     with pytest.raises(OutputError, match="no folder"):
         view.save(tmp_path / "none" / "out.html")
