@@ -38,7 +38,7 @@ test: $(STAMP) ## lint, types, import contracts, tests (under five minutes on tw
 	@if $(BIN)/python -c '$(TYPED)'; then echo "$(BIN)/mypy --strict"; $(BIN)/mypy --strict; \
 	  else echo "mypy --strict: left out, the newest numpy for Python 3.10 has types too coarse for it"; fi
 	$(BIN)/lint-imports
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: results)
 	$(BIN)/redundancy-pin reproduce --out "$(OUT)"

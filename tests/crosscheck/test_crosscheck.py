@@ -22,7 +22,7 @@ def failed(report):
 
 @pytest.fixture(scope="module")
 def report():
-    return crosscheck.run(samples=150, seed=3)
+    return crosscheck.run(samples=80, seed=3)
 
 
 def test_everything_agrees_on_random_robots(report):

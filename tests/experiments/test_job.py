@@ -20,7 +20,7 @@ from redundancy_pin.experiments.stated import STATEMENTS, compare_with_thesis
 reproduce = functools.partial(job.reproduce, study=None, beyond=None, replay=None)
 """The job without the planned experiments and the last chapter, which have tests of their own."""
 
-SAMPLES = 20
+SAMPLES = 4
 """Random states of the cross-check: it has tests of its own."""
 
 NAMES = ("circle-0.5-parked", "corner-r0.025-baseline", "corner-r0.025-parked")

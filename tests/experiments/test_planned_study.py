@@ -36,7 +36,7 @@ def done() -> Reproduction:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(job, "PICTURE_SUFFIXES", (".png",))  # half the time
         return job.reproduce(
-            folder, [cases.experiment("corner-r0.025-baseline")], study=QUICK, beyond=None, replay=None, samples=20
+            folder, [cases.experiment("corner-r0.025-baseline")], study=QUICK, beyond=None, replay=None, samples=4
         )
 
 
