@@ -286,7 +286,7 @@ def test_sampled_motion_gives_nearly_the_same_plan():
     np.testing.assert_allclose(sampled.tau[smooth], exact.tau[smooth], atol=1e-6)
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(
     base=st.floats(0.4, 0.7),
     aside=st.floats(-0.06, 0.06),
