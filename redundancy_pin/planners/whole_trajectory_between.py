@@ -22,13 +22,12 @@ from redundancy_pin.planners.whole_trajectory_program import Program
 from redundancy_pin.planners.whole_trajectory_progress import Say
 from redundancy_pin.planners.whole_trajectory_solver import LEAST_SECONDS, Solution, Solver
 from redundancy_pin.planners.whole_trajectory_strategy import (
-    WARM,
     Options,
     first_attempts,
     is_flat,
     last_steps,
     later_attempts,
-    scaling,
+    refined,
     with_more_rows,
 )
 
@@ -104,7 +103,7 @@ def _by_rows_needed(problem: WholeProblem, guess: dict[str, Array], deadline: fl
                 if found[-1].optimal or time.perf_counter() > deadline:
                     break
         if not found[-1].optimal and found[-1].acceptable:
-            attempt(program, {**scaling(problem), **WARM}, found[-1])
+            attempt(program, refined(problem), found[-1])
         if not found[-1].optimal:
             kept = not leaving(problem, found[-1].course(problem)).any() and not _too_strong(problem, found[-1])
             return _summed(replace(found[-1], feasible=found[-1].feasible and kept), found)

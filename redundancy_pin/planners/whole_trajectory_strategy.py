@@ -102,6 +102,11 @@ def with_more_rows(problem: WholeProblem) -> Options:
     return {**scaling(problem), **LINEAR_SYSTEM, **({} if _many(problem) else UNREFINED), **WARM}
 
 
+def refined(problem: WholeProblem) -> Options:
+    """Return the options for going on, with refined steps, from a point that is near an optimum and no further."""
+    return {**scaling(problem), **_linear_system(problem), **WARM}
+
+
 def last_steps(problem: WholeProblem) -> Options:
     """Return the options for the exact steps that end on a flat optimum."""
     steps = LAST_STEPS_OF_MANY if _many(problem) else LAST_STEPS
