@@ -61,8 +61,8 @@ pictures: $(STAMP) ## draw the pictures of the README into docs/pictures
 engines: $(STAMP) ## planned efforts in Exudyn and MuJoCo: every motion to 1e-5 m, and the tables of docs/engines.md
 	@$(BIN)/python -c 'import exudyn, mujoco' 2>/dev/null || \
 	  $(BIN)/python -m pip install --quiet --no-input --disable-pip-version-check --editable '.[dev,engines]'
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m engines -n auto tests/simulation/engines
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/engines.py
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m engines -n auto tests/engines
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/engine_table.py
 
 docs: $(DOCS_STAMP) ## build the documentation into build/docs; warnings are errors
 	rm -rf build/docs build/doctrees

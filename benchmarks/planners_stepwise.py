@@ -13,11 +13,11 @@ import numpy as np
 from scipy.optimize import minimize
 
 import redundancy_pin as rp
+from redundancy_pin.planners.carrier_model import effort_model
 from redundancy_pin.planners.carrier_return import CarrierState
-from redundancy_pin.planners.effort_model import effort_model
-from redundancy_pin.planners.stepwise import LEAST_MARGIN, plan_stepwise
-from redundancy_pin.planners.stepwise_limits import StepLimits
-from redundancy_pin.planners.stepwise_march import optimise, step_problems
+from redundancy_pin.planners.stepwise.optimiser import optimise, step_problems
+from redundancy_pin.planners.stepwise.planner import LEAST_MARGIN, plan_stepwise
+from redundancy_pin.planners.stepwise.settings import StepLimits
 
 REPEATS = 7
 TARGET = 20

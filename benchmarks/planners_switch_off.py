@@ -4,7 +4,7 @@ import statistics
 import time
 
 import redundancy_pin as rp
-from redundancy_pin.planners.switch_off import plan_switch_off
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.trajectory import reference
 
 REPEATS = 5

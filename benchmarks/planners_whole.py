@@ -16,13 +16,13 @@ import symbolic_mechanisms
 import symbolic_plans
 
 import redundancy_pin as rp
-from redundancy_pin.planners import whole_trajectory_between
-from redundancy_pin.planners.continuous_motion import continuous_motion
-from redundancy_pin.planners.whole_trajectory_grid import grid_of
-from redundancy_pin.planners.whole_trajectory_nlp import build
-from redundancy_pin.planners.whole_trajectory_prepare import Task, prepare
-from redundancy_pin.planners.whole_trajectory_settings import checked_settings
-from redundancy_pin.planners.whole_trajectory_solver import Solver
+from redundancy_pin.planners.whole_trajectory import constraint_generation as whole_trajectory_between
+from redundancy_pin.planners.whole_trajectory.mesh import grid_of
+from redundancy_pin.planners.whole_trajectory.problem import Task, prepare
+from redundancy_pin.planners.whole_trajectory.settings import checked_settings
+from redundancy_pin.planners.whole_trajectory.solver import Solver
+from redundancy_pin.planners.whole_trajectory.transcription import build
+from redundancy_pin.trajectory.continuous import continuous_motion
 
 REPEATS = 5
 FULL_REPEATS = 3

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-import engines
+import engine_table
 import planners_stepwise
 import planners_switch_off
 import planners_whole
@@ -141,7 +141,7 @@ def main():
     rows += planners_switch_off.rows()
     rows += planners_whole.rows()
     rows += simulation.rows()
-    rows += engines.rows()
+    rows += engine_table.rows()
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(json.dumps(rows, indent=2) + "\n")
 

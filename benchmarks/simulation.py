@@ -12,7 +12,7 @@ import numpy as np
 
 import redundancy_pin as rp
 from redundancy_pin.simulation import Constant, ForwardDynamics, Sampling, closed_state
-from redundancy_pin.simulation.pinocchio_way import ConstraintDynamics
+from redundancy_pin.simulation.system import ConstraintDynamics
 
 REPEATS = 5
 CALLS = 500

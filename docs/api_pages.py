@@ -12,7 +12,7 @@ import redundancy_pin
 
 NAMES: Mapping[str, str] = {
     "redundancy_pin": "redundancy_pin (rp)",
-    "redundancy_pin.visualisation.plots": "rp.plot",
+    "redundancy_pin.visualisation.figures.plots": "rp.plot",
     "redundancy_pin.trajectory": "rp.trajectory",
     "redundancy_pin.trajectory.reference": "rp.trajectory.reference",
     "redundancy_pin.simulation": "rp.simulation",

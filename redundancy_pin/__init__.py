@@ -5,20 +5,20 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.reactions import joint_reactions
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
-from redundancy_pin.kinematics.singular_crossings import find_crossings
-from redundancy_pin.kinematics.singular_locus import singular_locus
-from redundancy_pin.kinematics.singularity import classify, classify_motion
-from redundancy_pin.kinematics.state import lift
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_plan, load_robot_of
-from redundancy_pin.planners.stepwise import plan_stepwise
-from redundancy_pin.planners.switch_off import plan_switch_off
-from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
+from redundancy_pin.planners.stepwise.planner import plan_stepwise
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.simulation import simulate
+from redundancy_pin.singularities.classify import classify, classify_motion
+from redundancy_pin.singularities.crossings import find_crossings
+from redundancy_pin.singularities.locus import singular_locus
 from redundancy_pin.view import show
-from redundancy_pin.visualisation import plots as plot
+from redundancy_pin.visualisation.figures import plots as plot
 
 __all__ = [
     "CarrierMotion",

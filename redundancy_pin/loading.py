@@ -14,14 +14,13 @@ from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
+from redundancy_pin.kinematics.inverse_kinematics import search_nearest
 from redundancy_pin.kinematics.modes import mode_name, working_modes
 from redundancy_pin.kinematics.projection import project
-from redundancy_pin.kinematics.search import search_nearest
 from redundancy_pin.robot import AXES, Closure, Robot
-from redundancy_pin.robot.arguments import known_values
 from redundancy_pin.robot.build import build, characteristic_length
 from redundancy_pin.robot.declaration import parse, read_yaml, require_conditions
-from redundancy_pin.robot.description import declaration_path, render
+from redundancy_pin.robot.urdf import declaration_path, known_values, render
 
 
 def load_robot(

@@ -14,15 +14,15 @@ from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, row_scale
-from redundancy_pin.kinematics.state import lift
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.scene_motion import ShownMotion, make_scene
-from redundancy_pin.visualisation.show import View
+from redundancy_pin.visualisation.viewer.motion import ShownMotion, make_scene
+from redundancy_pin.visualisation.viewer.page import View
 
 SWING_DURATION = 2.0
 """Of the default motion of a robot that has none in the thesis, s."""

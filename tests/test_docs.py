@@ -28,7 +28,7 @@ from doc_blocks import Block, blocks_of
 
 import redundancy_pin as rp
 from redundancy_pin.cli import main
-from redundancy_pin.cli.plan_problem_file import read_problem
+from redundancy_pin.cli.plan_problem import read_problem
 
 ROOT = Path(__file__).resolve().parents[1]
 GENERATED = ("docs/reference/api/modules", "docs/tutorials/notebooks")
@@ -82,7 +82,9 @@ def test_every_public_name_has_a_docstring_and_a_page(monkeypatch: pytest.Monkey
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
     modules = importlib.import_module("api_pages").public_modules()
     assert modules[0] == "redundancy_pin"
-    assert {"redundancy_pin.trajectory", "redundancy_pin.visualisation.plots", "redundancy_pin.errors"} <= set(modules)
+    assert {"redundancy_pin.trajectory", "redundancy_pin.visualisation.figures.plots", "redundancy_pin.errors"} <= set(
+        modules
+    )
     for module in (sys.modules[name] for name in modules):
         for public in getattr(module, "__all__", ()):
             value = getattr(module, public)

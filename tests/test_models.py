@@ -16,7 +16,7 @@ import yourdfpy
 
 import redundancy_pin as rp
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.description import shipped_robots
+from redundancy_pin.robot.urdf import shipped_robots
 
 ROUNDING = 1e-12
 """Both sides evaluate the same closed formula on numbers of order one; chains are at most nine joints long."""

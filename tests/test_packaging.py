@@ -53,7 +53,7 @@ def test_wheel_ships_every_module_and_the_typing_marker(contents: set[str]) -> N
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "redundancy_pin").rglob("*.py")}
     assert modules <= contents
     assert "redundancy_pin/py.typed" in contents
-    assert "redundancy_pin/visualisation/html_page.html" in contents
+    assert "redundancy_pin/visualisation.viewer.page.html" in contents
 
 
 def test_wheel_holds_the_package_and_nothing_else(contents: set[str]) -> None:
@@ -66,7 +66,7 @@ def test_installed_wheel_loads_its_own_models(wheel: Path, tmp_path: Path) -> No
     empty.mkdir()
     _pip("install", "--no-deps", "--no-index", "--target", str(target), str(wheel))
     program = (
-        "import redundancy_pin, redundancy_pin.robot.description as files\n"
+        "import redundancy_pin, redundancy_pin.robot.urdf as files\n"
         "robots = [redundancy_pin.load_robot(name) for name in files.shipped_robots()]\n"
         "print(redundancy_pin.__file__, files.models_root(), *(robot.name for robot in robots), sep='\\n')\n"
     )

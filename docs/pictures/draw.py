@@ -10,10 +10,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 import redundancy_pin as rp
-from redundancy_pin.files import replacing_file
-from redundancy_pin.visualisation.scene import Scene
-from redundancy_pin.visualisation.snapshots import draw_frame, draw_path, label_plane
-from redundancy_pin.visualisation.style import figure
+from redundancy_pin.io.files import replacing_file
+from redundancy_pin.visualisation.figures.snapshots import draw_frame, draw_path, label_plane
+from redundancy_pin.visualisation.figures.style import figure
+from redundancy_pin.visualisation.viewer.scene import Scene
 
 FOLDER = Path(__file__).resolve().parent
 

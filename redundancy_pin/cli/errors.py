@@ -2,14 +2,152 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Any
 
 import click
 
-from redundancy_pin.cli.wording import OPTIONS
-from redundancy_pin.errors import CrossCheckError, RedundancyPinError
+from redundancy_pin.errors import (
+    CarrierLimitError,
+    CrossCheckError,
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+)
+from redundancy_pin.experiments.experiment import PATHS
+
+_NO_ENGLISH = ("dt", "lam")
+"""Names without an underscore that are no English words: wherever they stand they are names."""
+
+_VALUES = ("carrier_force",)
+"""Names of parameters that are also words given to another one, here to the objective."""
+
+_SAID = "reworded"
+"""Detail of an error that is in the user's words already."""
+
+_MARKED = re.compile(r", or (?:pass unreachable=|ask for unreachable samples).*$")
+"""The part of a remedy that only the command with ``--unreachable`` can follow."""
+
+
+@dataclass(frozen=True)
+class Wording:
+    """How users write what the package has a name for.
+
+    Attributes:
+        names: by name in the package, how it is written: a flag (a truth value's two as ``--on/--off``) or a key.
+        separator: between it and its value.
+    """
+
+    names: Mapping[str, str]
+    separator: str
+
+    def knowing(self, names: Mapping[str, str]) -> Wording:
+        """Return this wording with more names, or others for the same."""
+        return replace(self, names={**self.names, **names})
+
+    def write(self, name: str, value: str) -> str:
+        """Return how a value is given to a name: ``--stop after``, or ``stop: after``."""
+        written, is_flag = self.names[name], self.separator == " "
+        if value in ("True", "False"):
+            on, _, off = written.partition("/")
+            if is_flag:
+                return on if value == "True" else off
+            value = value.lower()
+        return f"{written}{self.separator}{value}"
+
+    def reword(self, error: RedundancyPinError) -> RedundancyPinError:
+        """Return an error of the same kind that says the same in these words.
+
+        Said once in the user's words, it is left alone further up.
+        """
+        if _SAID in error.details:
+            return error
+        message, remedy = _answer(error, self) or (error.message, error.remedy)
+        return type(error)(self._translated(message), remedy=self._translated(remedy), **{_SAID: True})
+
+    def _translated(self, text: str) -> str:
+        """Replace names: those with a value (``lam = 0``), at the beginning, and those that can be nothing else."""
+        for name, written in self.names.items():
+            with_value = rf"""(?<![\w-]){name} ?= ?(?:"([^"]*)"|'([^']*)'|(-?\w+(?:\.\w+)*))"""
+            text = re.sub(with_value, lambda found, name=name: self.write(name, _value(found)), text)  # type: ignore[misc]
+            flag = written.partition("/")[0]
+            text = re.sub(rf"^{name}\b(?!-)", flag, text)
+            if ("_" in name and name not in _VALUES) or name in _NO_ENGLISH:
+                text = re.sub(rf"(?<![\w-]){name}\b(?!-)", flag, text)
+        return text
+
+
+OPTIONS = Wording({"backend": "--backend", "working_mode": "--mode"}, " ")
+"""The options that commands share."""
+
+KEYS = Wording({"backend": "backend", "working_mode": "mode"}, ": ")
+"""The keys of a problem file."""
+
+
+@contextmanager
+def in_words(wording: Wording) -> Iterator[None]:
+    """Have errors raised in the block say what they say in these words.
+
+    Raises:
+        RedundancyPinError: the error of the block, reworded.
+    """
+    try:
+        yield
+    except RedundancyPinError as error:
+        raise wording.reword(error) from error
+
+
+def _value(found: re.Match[str]) -> str:
+    return next(part for part in found.groups() if part is not None)
+
+
+def _answer(error: RedundancyPinError, wording: Wording) -> tuple[str, str] | None:
+    """Return message and remedy of errors that need other words than the package's; None for all others."""
+    found: Mapping[str, Any] = error.details
+    if "axes" in found:
+        return _other_motion(found)
+    if "legs" in found:
+        return _other_mode(found, wording)
+    if "closed_form" in found:
+        return error.message, f"Write {wording.write('backend', 'rnea')}, which covers every robot."
+    if isinstance(error, (UnreachablePoseError, SingularPoseError)):
+        mark = f", or write {wording.write('unreachable', 'mark')}." if "unreachable" in wording.names else "."
+        return error.message, _MARKED.sub(mark, error.remedy)
+    if isinstance(error, CarrierLimitError):
+        return error.message, error.remedy.partition(";")[0].rstrip(".") + "."
+    return None
+
+
+def _other_motion(found: Mapping[str, Any]) -> tuple[str, str]:
+    axes, robot = found["axes"], found["robot"]
+    given = "poses" if found["given_poses"] else f"{found['given']} coordinates"
+    moves = "through poses" if found["poses"] else f"in {len(axes)} ({', '.join(axes)})"
+    return f"The motion has {given}, but {robot} moves {moves}.", _motions(len(axes), is_pose=found["poses"])
+
+
+def _motions(coordinates: int, *, is_pose: bool) -> str:
+    """Say which motions have so many coordinates."""
+    if is_pose:
+        return "Give a file with x0 to x6 (position and unit quaternion x, y, z, w), xd0 to xd5 and xdd0 to xdd5."
+    fitting = [str(name) for name, make in PATHS.items() if make().dimension == coordinates]
+    own = f"points with {coordinates} number{'s' if coordinates > 1 else ''} a row"
+    alpha = " (or 2 and alpha)" if coordinates == 3 else ""
+    columns = ", ".join(f"{name}{i}" for name in ("x", "xd", "xdd") for i in range(coordinates))
+    return f"Choose the trajectory {', '.join([*fitting, own])}{alpha}, or a file with the columns t, {columns}."
+
+
+def _other_mode(found: Mapping[str, Any], wording: Wording) -> tuple[str, str]:
+    mode, legs = wording.names["working_mode"], int(found["legs"])
+    signs = "".join("+" if sign == 1 else "-" for sign in found["working_mode"])
+    if not legs:
+        return f"{mode} is {signs}, but the robot declares no working modes.", "Leave it out."
+    example = wording.write("working_mode", "+" * legs)
+    return f"{mode} is {signs}, but the robot has {legs} legs.", f"Give a sign for each, such as {example}."
+
 
 FAILED_CHECK = 1
 """Exit code where the command ran and what it checked does not hold."""

@@ -16,12 +16,12 @@ from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.modes import all_working_modes, mode_name
-from redundancy_pin.kinematics.state import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.declaration import read_yaml
-from redundancy_pin.robot.description import declaration_path, render, shipped_robots
+from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
 
 
 @click.command()

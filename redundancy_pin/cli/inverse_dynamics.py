@@ -11,16 +11,15 @@ import numpy as np
 from rich.table import Table
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, robot_options
 from redundancy_pin.cli.output import console, print_json, progress, require_suffix
-from redundancy_pin.cli.wording import OPTIONS, in_words
 from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.status import Distribution, SampleStatus
+from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import OutputError
 from redundancy_pin.experiments.backends import BACKENDS, RNEA
 from redundancy_pin.experiments.csv_text import csv_text
-from redundancy_pin.files import require_writable, write_text
+from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.trajectory import carriers_from_csv, from_csv
 

@@ -3,19 +3,305 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
-from redundancy_pin.cli.keys import require_choice
+import click
+import numpy as np
+import yaml
+
+from redundancy_pin.arrays import frozen
 from redundancy_pin.cli.options import RobotOptions
-from redundancy_pin.cli.plan_parameters import PLANNERS, WITH_BASELINE, read_parameters
+from redundancy_pin.cli.output import require_choice, require_known
+from redundancy_pin.cli.trajectory_options import make_trajectory
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.backends import BACKENDS
+from redundancy_pin.experiments.backends import BACKENDS, RNEA
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.trajectory import Trajectory
+from redundancy_pin.planners.stepwise.planner import plan_stepwise
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
+from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.trajectory import Trajectory, from_csv
+
+Reader = Callable[[str, object], Any]
+"""From the name of a parameter and the value as written to the value the planner takes."""
+
+
+def number(name: str, value: object) -> float:
+    """Return a number; text with one is accepted (YAML reads ``1e-3`` as text).
+
+    Raises:
+        InputError: anything else.
+    """
+    if not isinstance(value, bool) and isinstance(value, (int, float, str)):
+        try:
+            return float(value)
+        except (ValueError, OverflowError):
+            pass
+    raise InputError(f"{name} is {value!r}, not a number.", remedy="Write a number, such as 0.5 (SI units).", name=name)
+
+
+def numbers(name: str, value: object) -> Any:
+    """Return a number, or an array of the numbers of nested lists or of text such as ``0.1,-0.1``.
+
+    Raises:
+        InputError: anything else.
+    """
+    if isinstance(value, str) and "," in value:
+        value = [part.strip() for part in value.split(",")]
+    if not isinstance(value, list):
+        return number(name, value)
+    rows = [numbers(name, entry) for entry in value]
+    if len({np.shape(row) for row in rows}) != 1:
+        raise InputError(f"{name} is {value!r}, not a row of numbers.", remedy="Write [0.1, -0.1].", name=name)
+    return frozen(rows)
+
+
+def whole(name: str, value: object) -> int:
+    """Return a whole number.
+
+    Raises:
+        InputError: anything else.
+    """
+    found = number(name, value)
+    if not math.isfinite(found) or found != int(found):
+        raise InputError(f"{name} is {value!r}, not a whole number.", remedy="Write a number such as 4.", name=name)
+    return int(found)
+
+
+def number_or_word(name: str, value: object) -> float | str:
+    """Return a number, or the word as it stands (the planner knows which words it takes).
+
+    Raises:
+        InputError: neither.
+    """
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return number(name, value)
+
+
+def word(name: str, value: object) -> str:
+    """Return a word as it stands.
+
+    Raises:
+        InputError: no text.
+    """
+    if not isinstance(value, str):
+        raise InputError(f"{name} is {value!r}, not a word.", remedy="Write text.", name=name)
+    return value
+
+
+def flag(name: str, value: object) -> bool:
+    """Return a truth value.
+
+    Raises:
+        InputError: neither true nor false.
+    """
+    if not isinstance(value, bool):
+        raise InputError(f"{name} is {value!r}, neither true nor false.", remedy="Write true or false.", name=name)
+    return value
+
+
+def weights(name: str, value: object) -> str | dict[str, float]:
+    """Return one word, or the weights of several: from a mapping, or from words such as ``effort`` and ``peak=2``.
+
+    Raises:
+        InputError: neither; a weight that is no number; a word twice.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): number(f"the weight of {key}", weight) for key, weight in value.items()}
+    if isinstance(value, str):
+        value = [value]
+    if not isinstance(value, Sequence) or not all(isinstance(entry, str) for entry in value):
+        raise InputError(
+            f"{name} is {value!r}, neither a word nor weights.", remedy="Write effort, or {effort: 1, peak: 2}."
+        )
+    if len(value) == 1 and "=" not in value[0]:
+        return str(value[0])
+    found: dict[str, float] = {}
+    for entry in value:
+        key, separator, weight = entry.partition("=")
+        key = key.strip()
+        if key in found:
+            raise InputError(f"{name} has {key!r} twice.", remedy="Leave one of them out.", name=name)
+        found[key] = number(f"the weight of {key}", weight) if separator else 1.0
+    return found
+
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+PLANNERS: Mapping[str, Callable[..., Plan]] = {
+    "switch-off": plan_switch_off,
+    "stepwise": plan_stepwise,
+    "whole-trajectory": plan_whole_trajectory,
+}
+"""Planners, by the name the command line uses."""
+
+PREFIX = "parameter_"
+"""Of the arguments that are parameters of a planner: the speed of a trajectory is not that of a carrier."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """How users write a parameter of a planner.
+
+    Attributes:
+        read: from the value as written to the one the planner takes.
+        metavar: stands for the value in the help.
+        text: what it is, for the help.
+        flag: on the command line; made from the name when left out.
+        multiple: whether the flag may be repeated.
+    """
+
+    read: Reader
+    metavar: str
+    text: str
+    flag: str = ""
+    multiple: bool = False
+
+
+_MAX_SPEED = Parameter(numbers, "V[,V...]", "Limit of the carriers in place of theirs, m/s.", "--max-speed")
+_MAX_ACCELERATION = Parameter(numbers, "A[,A...]", "The same, m/s².", "--max-acceleration")
+_TRACK = Parameter(numbers, "LOWER,UPPER", "Ends of the tracks in place of theirs, m.")
+_START = Parameter(numbers, "S[,S...]", "Where the carriers start, m.")
+
+SWITCH_OFF: Mapping[str, Parameter] = {
+    "threshold": Parameter(number, "NUMBER", "Measure beyond which the actuators are off."),
+    "measure": Parameter(word, "WORD", "condition (number of W), or margin."),
+    "ramp_down": Parameter(number, "SECONDS", "Duration of the ramp to zero."),
+    "return_time": Parameter(number_or_word, "SECONDS", "Duration of the return, or shortest."),
+    "datum": Parameter(numbers, "S[,S...]", "Where the carriers park, m."),
+    "dt": Parameter(number, "SECONDS", "Spacing of the samples of the plan."),
+    "scheme": Parameter(word, "WORD", "integration, or backward_differences as in the thesis."),
+}
+"""Parameters of ``plan_switch_off``."""
+
+STEPWISE: Mapping[str, Parameter] = {
+    "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort to aim at, 0 to 1."),
+    "active": Parameter(word, "WORD", "always, or accelerating: only while the platform accelerates."),
+    "speed": _MAX_SPEED,
+    "acceleration": _MAX_ACCELERATION,
+    "track": _TRACK,
+    "return_time": Parameter(number_or_word, "SECONDS", "Duration of a return, or shortest."),
+    "start": _START,
+    "datum": Parameter(numbers, "S[,S...]", "Where the carriers return to, m."),
+    "stop": Parameter(word, "WORD", "When the carriers come to rest: after the motion, or within it."),
+    "brake_time": Parameter(number, "SECONDS", "Time to brake the carriers in."),
+    "anticipate": Parameter(
+        flag, "", "Keep carriers able to stop before their track ends.", "--anticipate/--no-anticipate"
+    ),
+    "least_margin": Parameter(number, "NUMBER", "Smallest margin of W along the motion."),
+    "between": Parameter(whole, "N", "Points inside each step at which the efforts are checked as well."),
+}
+"""Parameters of ``plan_stepwise``, but for the baseline, which is a robot."""
+
+WHOLE_TRAJECTORY: Mapping[str, Parameter] = {
+    "objective": Parameter(
+        weights,
+        "WORD[=WEIGHT]",
+        "What to minimise: effort, peak, tracking, carrier_force, carrier_acceleration, effort_rate, energy; may be "
+        "repeated.",
+        multiple=True,
+    ),
+    "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort that tracking aims at, 0 to 1."),
+    "start": Parameter(numbers, "S[,S...]", "Where the carriers start, m; at the datum when left out."),
+    "start_speed": Parameter(numbers, "V[,V...]", "Their speeds there, m/s."),
+    "end": Parameter(word, "WORD", "How they end: free, rest, datum (at rest there), or periodic."),
+    "datum": Parameter(numbers, "S[,S...]", "Where the carriers park, m."),
+    "track": _TRACK,
+    "speed": _MAX_SPEED,
+    "acceleration": _MAX_ACCELERATION,
+    "jerk": Parameter(numbers, "J[,J...]", "Limit of the carriers' jerk, m/s³.", "--max-jerk"),
+    "effort": Parameter(numbers, "E[,E...]", "Limit of the main efforts, N or N·m.", "--max-effort"),
+    "carrier_force": Parameter(numbers, "F[,F...]", "Limit of the carriers' forces, N.", "--max-carrier-force"),
+    "dt": Parameter(number, "SECONDS", "Largest step between nodes."),
+    "starts": Parameter(whole, "N", "First guesses to optimise from."),
+    "seconds": Parameter(number, "SECONDS", "Time bound of each solution."),
+    "refinements": Parameter(whole, "N", "How often the nodes may be refined."),
+}
+"""Parameters of ``plan_whole_trajectory``, but for the baseline, which is a robot."""
+
+PARAMETERS: Mapping[str, Mapping[str, Parameter]] = {
+    "switch-off": SWITCH_OFF,
+    "stepwise": STEPWISE,
+    "whole-trajectory": WHOLE_TRAJECTORY,
+}
+"""Parameters by planner."""
+
+WITH_BASELINE = ("stepwise", "whole-trajectory")
+"""Planners that can aim at a fraction of the efforts of a baseline robot."""
+
+
+def flags_of(planner: str) -> Mapping[str, str]:
+    """Return the flag of each parameter of a planner; of a truth value both, as ``--on/--off``.
+
+    The steps of a stepwise plan have one too, though the command makes them itself.
+    """
+    flags = {name: _flag(name, parameter) for name, parameter in PARAMETERS[planner].items()}
+    others = {make.__name__: f"`plan {name}`" for name, make in PLANNERS.items()}
+    return {**others, **({"dt": "--step"} if planner == "stepwise" else {}), **flags}
+
+
+def _flag(name: str, parameter: Parameter) -> str:
+    return parameter.flag or f"--{name.replace('_', '-')}"
+
+
+def read_parameters(planner: str, given: Mapping[str, object]) -> dict[str, Any]:
+    """Return the parameters of a planner, each as the kind of value it is.
+
+    Args:
+        planner: a key of ``PARAMETERS``.
+        given: values as written; None, or nothing of what may be repeated, for those left out.
+
+    Raises:
+        InputError: an unknown parameter, or a value of the wrong kind.
+    """
+    known = PARAMETERS[planner]
+    require_known(given, tuple(known), f"the planner {planner}")
+    return {name: known[name].read(name, value) for name, value in given.items() if value is not None and value != ()}
+
+
+def planner_options(planner: str) -> Callable[[_Command], _Command]:
+    """Add the flags of a planner's parameters to a command, with the planner's own defaults in the help."""
+
+    def decorate(command: _Command) -> _Command:
+        if planner in WITH_BASELINE:
+            command = click.option(
+                "--baseline",
+                multiple=True,
+                metavar="NAME=VALUE",
+                help="Parameters that make the robot its own baseline: carriers=false.",
+            )(command)
+        for name, parameter in reversed(list(PARAMETERS[planner].items())):
+            command = _option(planner, name, parameter)(command)
+        return command
+
+    return decorate
+
+
+def _option(planner: str, name: str, parameter: Parameter) -> Callable[[_Command], _Command]:
+    default = inspect.signature(PLANNERS[planner]).parameters[name].default
+    written = _flag(name, parameter)
+    if "/" in written:
+        said = written.partition("/")[0 if default else 2]
+        return click.option(written, f"{PREFIX}{name}", default=None, help=f"{parameter.text}  [default: {said}]")
+    said = "" if default is None else f"  [default: {default}]"
+    return click.option(
+        written,
+        f"{PREFIX}{name}",
+        metavar=parameter.metavar,
+        multiple=parameter.multiple,
+        help=f"{parameter.text}{said}",
+    )
+
 
 STEP = 5e-3
 """Length of the steps of the stepwise planner along a trajectory, s, where none is given."""
@@ -96,3 +382,99 @@ def problem(
     if baseline is not None:
         values["baseline"] = make(baseline.load())
     return Problem(planner, make(robot.load()), motion, values)
+
+
+_ROBOT_KEYS = ("robot", "set", "mode", "gravity")
+_KEYS = ("planner", *_ROBOT_KEYS, "backend", "trajectory", "motion", "step", "parameters", "baseline")
+
+
+def read_problem(path: str | Path) -> Problem:
+    """Read a problem file.
+
+    Robots and motions given by path are looked for from the folder of the file.
+
+    Raises:
+        InputError: missing or unreadable file, broken YAML, unknown or missing keys, values of the wrong kind.
+        RedundancyPinError: whatever loading the robot or the motion raises.
+    """
+    place = Path(path).expanduser()
+    data = _read_yaml(place)
+    require_known(data, _KEYS, f"the problem {place.name}")
+    for key in ("planner", "robot"):
+        if key not in data:
+            raise InputError(f"The problem {place.name} lacks the key {key!r}.", remedy=f"Add {key}: ....", key=key)
+    planner = require_choice(data["planner"], tuple(PLANNERS), "the planner")
+    baseline = data.get("baseline")
+    return problem(
+        planner,
+        _robot(data, place.parent),
+        word("backend", data.get("backend", RNEA)),
+        _motion(data, place),
+        _mapping(data.get("parameters", {}), "parameters"),
+        baseline=None if baseline is None else _baseline(_mapping(baseline, "baseline"), data, place.parent),
+        step=None if data.get("step") is None else number("step", data["step"]),
+    )
+
+
+def _read_yaml(path: Path) -> Mapping[str, Any]:
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"The problem {path} cannot be read: {error.strerror}.", remedy="Correct the path.", path=str(path)
+        ) from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{path} is not YAML: {error}", remedy="Repair the file.", path=str(path)) from error
+    if not isinstance(data, Mapping):
+        raise InputError(f"{path} holds no mapping of keys.", remedy=f"Its keys: {', '.join(_KEYS)}.", path=str(path))
+    return data
+
+
+def _motion(data: Mapping[str, Any], path: Path) -> PlatformMotion | Trajectory:
+    if ("trajectory" in data) == ("motion" in data):
+        raise InputError(
+            f"The problem {path.name} needs either a trajectory or a motion.",
+            remedy="Write trajectory: {name: circle, speed: 0.6}, or motion: file.csv.",
+        )
+    if "motion" in data:
+        return from_csv(path.parent / word("motion", data["motion"]))
+    options = dict(_mapping(data["trajectory"], "trajectory"))
+    if "name" not in options:
+        raise InputError("The trajectory lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")
+    return make_trajectory(options.pop("name"), options)
+
+
+def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:
+    """Return the robot options of a mapping, from its typed values."""
+    mode, gravity = data.get("mode"), data.get("gravity")
+    settings = _mapping(data.get("set", {}), "set")
+    for name, value in settings.items():
+        if not isinstance(value, (bool, int, float, str)):
+            raise InputError(f"{name} in `set` is {value!r}.", remedy="Write a number, true, false or text.", key=name)
+    if gravity is not None:
+        vector = numbers("gravity", gravity)
+        gravity = ",".join(repr(float(g)) for g in vector.ravel()) if hasattr(vector, "ravel") else str(vector)
+    return RobotOptions(
+        _source(word("robot", data["robot"]), folder),
+        tuple(f"{name}={value}" for name, value in settings.items()),
+        None if mode is None else word("mode", mode),
+        gravity,
+    )
+
+
+def _baseline(given: Mapping[str, Any], data: Mapping[str, Any], folder: Path) -> RobotOptions:
+    """Return the baseline robot: the robot of the problem, with what ``baseline`` says in place of its own."""
+    require_known(given, _ROBOT_KEYS, "the baseline")
+    own = {} if "robot" in given else {key: data[key] for key in _ROBOT_KEYS if key in data}
+    settings = {**_mapping(own.get("set", {}), "set"), **_mapping(given.get("set", {}), "set")}
+    return _robot({**own, **given, "set": settings}, folder)
+
+
+def _source(text: str, folder: Path) -> str:
+    return text if text in shipped_robots() or Path(text).is_absolute() else str(folder / text)
+
+
+def _mapping(value: object, name: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise InputError(f"{name} is {value!r}, not a mapping.", remedy=f"Write {name}: {{key: value}}.", key=name)
+    return value

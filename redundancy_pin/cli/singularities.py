@@ -8,20 +8,20 @@ from typing import Any
 import click
 from rich.table import Table
 
+from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
 from redundancy_pin.cli.output import console, number, print_json, progress, table_of
-from redundancy_pin.cli.plan_trajectory import parse_trajectory, trajectory_option
-from redundancy_pin.cli.wording import OPTIONS, in_words
+from redundancy_pin.cli.trajectory_options import parse_trajectory, trajectory_option
 from redundancy_pin.errors import InputError
-from redundancy_pin.files import require_writable
-from redundancy_pin.kinematics.singular_crossings import Crossing, find_crossings
-from redundancy_pin.kinematics.singular_locus import singular_locus
-from redundancy_pin.kinematics.singularity import SingularityKind
+from redundancy_pin.io.files import require_writable
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.singularities.classify import SingularityKind
+from redundancy_pin.singularities.crossings import Crossing, find_crossings
+from redundancy_pin.singularities.locus import singular_locus
 from redundancy_pin.trajectory import Trajectory, from_csv
-from redundancy_pin.visualisation.locus import plot_locus
-from redundancy_pin.visualisation.style import picture_format, require_matplotlib
+from redundancy_pin.visualisation.figures.locus import plot_locus
+from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
 
 _DRAWN_STEP = 1e-3
 """Sampling interval of a trajectory in the picture, as a fraction of its duration."""

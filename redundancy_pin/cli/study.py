@@ -14,7 +14,7 @@ from redundancy_pin.cli.output import console, print_json, progress, table_of
 from redundancy_pin.experiments.document import Heading, Paragraph
 from redundancy_pin.experiments.markdown import markdown
 from redundancy_pin.experiments.robustness import DRAWS, Study, robustness_study, study_csv, study_table
-from redundancy_pin.files import write_text
+from redundancy_pin.io.files import write_text
 
 JOURNAL = "journal.jsonl"
 

@@ -7,10 +7,11 @@ from concurrent.futures import as_completed
 from dataclasses import dataclass
 
 from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
-from redundancy_pin.crosscheck.parity import check_parity, check_parity_on_singularities
-from redundancy_pin.crosscheck.physics import (
+from redundancy_pin.crosscheck.checks import (
     check_derivatives,
     check_leg_momentum,
+    check_parity,
+    check_parity_on_singularities,
     check_power,
     check_round_trip,
 )
@@ -20,7 +21,7 @@ from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_robot
-from redundancy_pin.robot.description import shipped_robots
+from redundancy_pin.robot.urdf import shipped_robots
 from redundancy_pin.workers import workers
 
 __all__ = ["CheckRow", "CrossCheckReport", "run"]

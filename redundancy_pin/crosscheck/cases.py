@@ -13,8 +13,8 @@ from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import DeclarationError, RedundancyPinError, UnreachablePoseError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, row_scale
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.modes import all_working_modes
-from redundancy_pin.kinematics.state import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot

@@ -16,10 +16,16 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, frozen, read_only
-from redundancy_pin.dynamics.base import CarrierDerivatives, OnUnreachable, ReducedDynamics
-from redundancy_pin.dynamics.carriers import require_choice, require_matching, require_on_track
+from redundancy_pin.dynamics.base import (
+    CarrierDerivatives,
+    OnUnreachable,
+    ReducedDynamics,
+    require_choice,
+    require_matching,
+    require_on_track,
+)
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
-from redundancy_pin.kinematics.state import TreeMotion, lift
+from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
 
@@ -49,7 +55,7 @@ class RneaDynamics:
 
         Raises:
             InputError: the motion does not have the robot's coordinates.
-            UnreachablePoseError, SingularPoseError, WorkingModeError: see ``kinematics.state.lift``.
+            UnreachablePoseError, SingularPoseError, WorkingModeError: see ``kinematics.lift.lift``.
         """
         require_choice(unreachable)
         return RneaAlongMotion(lift(self._robot, motion, mark_unreachable=unreachable == "mark"), self._threads)

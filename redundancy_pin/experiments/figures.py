@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.experiments.result import Result
-from redundancy_pin.kinematics.state import lift
-from redundancy_pin.visualisation.comparison import plot_comparison
-from redundancy_pin.visualisation.efforts import EffortCurves, plot_efforts
-from redundancy_pin.visualisation.paths import PathCurves, plot_path
-from redundancy_pin.visualisation.sketch import base_hinges, links
+from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.visualisation.figures.efforts import EffortCurves, plot_comparison, plot_efforts
+from redundancy_pin.visualisation.figures.paths import PathCurves, base_hinges, links, plot_path
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

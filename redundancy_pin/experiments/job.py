@@ -37,8 +37,8 @@ from redundancy_pin.experiments.run import run
 from redundancy_pin.experiments.stated import Compared, compare_with_thesis
 from redundancy_pin.experiments.summary import summary
 from redundancy_pin.experiments.thesis import EXPERIMENTS
-from redundancy_pin.files import MANIFEST, replacing_folder, require_replaceable, write_text
-from redundancy_pin.visualisation.style import require_matplotlib, save
+from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
+from redundancy_pin.visualisation.figures.style import require_matplotlib, save
 
 CROSS_CHECK_SAMPLES = 2000
 """Random states of each robot before the job starts; `redundancy-pin validate` takes as many as one likes."""

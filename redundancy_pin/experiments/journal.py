@@ -14,7 +14,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import redundancy_pin
 from redundancy_pin.errors import OutputError
-from redundancy_pin.files import require_writable, write_text
+from redundancy_pin.io.files import require_writable, write_text
 
 DIGITS = 16
 """Hexadecimal digits of a digest."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.status import Distribution, SampleStatus
+from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
 from redundancy_pin.experiments.backends import RNEA, VIRTUAL_WORK
 from redundancy_pin.experiments.experiment import Experiment
 from redundancy_pin.motion import CarrierMotion, PlatformMotion

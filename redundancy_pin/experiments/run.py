@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.experiments.backends import BACKENDS
 from redundancy_pin.experiments.experiment import Experiment
 from redundancy_pin.experiments.result import BackendOutcome, Parity, Result, SingularInstant
-from redundancy_pin.kinematics.singular_crossings import Crossing, find_crossings
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.trajectory import Trajectory
 
 PARITY_TOLERANCE = 1e-10

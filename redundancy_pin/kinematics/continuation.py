@@ -16,9 +16,9 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.kinematics.assembly import Assembly, assemble, configuration_difference, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import difference, moved, row_scale
+from redundancy_pin.kinematics.inverse_kinematics import search
 from redundancy_pin.kinematics.modes import in_working_mode
 from redundancy_pin.kinematics.projection import project
-from redundancy_pin.kinematics.search import search
 
 ANCHOR_SPACING = 0.04
 """Distance of anchors along the path, in characteristic lengths."""

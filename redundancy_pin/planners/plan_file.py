@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError
+from redundancy_pin.io.archive import read_archive
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.archive import read_archive
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.plan import PLAN_FORMAT, PLAN_VERSION, Plan, PlanStatus
 from redundancy_pin.planners.robot_record import load_recorded, read_robot

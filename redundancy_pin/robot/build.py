@@ -11,10 +11,9 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
-from redundancy_pin.robot.arguments import Argument
 from redundancy_pin.robot.declaration import CarrierEntry, Declaration
-from redundancy_pin.robot.description import source_of
 from redundancy_pin.robot.types import CarrierLimits, Robot
+from redundancy_pin.robot.urdf import Argument, source_of
 
 
 def build(

@@ -13,8 +13,8 @@ import simpleeval
 import yaml
 
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
-from redundancy_pin.robot.arguments import Argument
 from redundancy_pin.robot.types import AXES, Closure, Platform, WorkingModes
+from redundancy_pin.robot.urdf import Argument
 
 _KEYS = (
     "name",

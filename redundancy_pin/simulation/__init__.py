@@ -1,14 +1,17 @@
 """Forward dynamics of closed chains: accelerations, simulation, feed-forward of plans, linearisation."""
 
-from redundancy_pin.simulation.control import CarrierLaw, Constant, Controller, Sampling
-from redundancy_pin.simulation.derivatives import DynamicsDerivatives, inverse_derivatives
+from redundancy_pin.simulation.controllers.base import CarrierLaw, Constant, Controller, FeedForward, Sampling
+from redundancy_pin.simulation.derivatives import (
+    DynamicsDerivatives,
+    Linearisation,
+    inverse_derivatives,
+    linearise,
+    state_error,
+)
 from redundancy_pin.simulation.events import KINDS, Event
-from redundancy_pin.simulation.feed_forward import FeedForward
 from redundancy_pin.simulation.forward import ForwardDynamics
-from redundancy_pin.simulation.linearise import Linearisation, linearise, state_error
 from redundancy_pin.simulation.reference import MotionReference, ReferencePoint, motion_reference, plan_reference
-from redundancy_pin.simulation.result import Simulation, SimulationStatus, Statistics
-from redundancy_pin.simulation.result_file import load_simulation
+from redundancy_pin.simulation.result import Simulation, SimulationStatus, Statistics, load_simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 

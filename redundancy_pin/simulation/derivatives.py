@@ -21,10 +21,137 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, read_only
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
-from redundancy_pin.kinematics.coordinates import row_scale, velocity_scale
+from redundancy_pin.kinematics.coordinates import difference, row_scale, velocity_scale
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.chain import ClosedChain
-from redundancy_pin.simulation.row_rates import row_rates
+from redundancy_pin.simulation.chain import ClosedChain, cross, platform_wrenches
+from redundancy_pin.simulation.forward import ForwardDynamics
+from redundancy_pin.simulation.state import State
+
+
+@dataclass(frozen=True, eq=False)
+class RowRates:
+    """K, the closure rows over the platform rows, along a motion (q, v, a).
+
+    Attributes:
+        K: (r + n, nv) rows, K v = (0, ẋ).
+        Kd: (r + n, nv) time derivative.
+        by_q: (r + n, nv) derivative of K v by q, v held.
+        rate_by_q: (r + n, nv) derivative of the row accelerations K a + K̇ v by q, v and a held.
+        rate_by_v: (r + n, nv) the same by v.
+    """
+
+    K: Array
+    Kd: Array
+    by_q: Array
+    rate_by_q: Array
+    rate_by_v: Array
+
+
+def row_rates(chain: ClosedChain, q: Array, v: Array, a: Array) -> RowRates:
+    """Evaluate the rows and what is needed of their derivatives.
+
+    For a row that is the differential of a function φ of q, and joints of one freedom each, variations and time
+    derivatives commute: δφ̇ = J̇ δq + J δv and δφ̈ = J̈ δq + 2 J̇ δv + J δa. World-aligned rotation rows of the platform are
+    no differentials: with δθ = J δq, δω = d(δθ)/dt + δθ × ω.
+
+    Args:
+        chain: evaluator of the robot, whose joints have one freedom each.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        a: (nv,) acceleration.
+    """
+    first, second, third = _world_columns(chain, q, v, a)
+    wrench, wrench_rate, wrench_second = _closure_wrenches(chain, v, a, first, second)
+    mask = chain.mask
+    K = mask * (wrench @ first)
+    Kd = mask * (wrench_rate @ first + wrench @ second)
+    Kdd = mask * (wrench_second @ first + 2.0 * wrench_rate @ second + wrench @ third)
+    parts = [(K, Kd, Kd, Kdd, 2.0 * Kd), _platform_rows(chain, v, a, first, second, third)]
+    return RowRates(*(np.concatenate([top, bottom]) for top, bottom in zip(*parts, strict=True)))
+
+
+def _world_columns(chain: ClosedChain, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+    """Return (6, nv) the joint Jacobian at the world origin, and its first and second time derivative.
+
+    A column is fixed in the body that its joint moves: X' = V × X and X'' = A × X + V × X', spatial cross products with
+    the velocity V and acceleration A of that body.
+    """
+    model, data = chain.model, chain.data
+    pin.forwardKinematics(model, data, q, v, a)
+    chain.update(q, v)
+    J, dJ = chain.J.copy(), chain.dJ.copy()
+    twists, rates = np.empty((6, model.nv)), np.empty((6, model.nv))
+    for j in range(1, model.njoints):
+        joint = model.joints[j]
+        above = np.zeros(model.nv)
+        for parent in model.supports[j]:
+            if parent > 0:
+                above[model.joints[parent].idx_v] = 1.0
+        twists[:, joint.idx_v] = J @ (above * v)
+        rates[:, joint.idx_v] = J @ (above * a) + dJ @ (above * v)
+    return J, dJ, _spatial_cross(rates, J) + _spatial_cross(twists, dJ)
+
+
+def _spatial_cross(motion: Array, columns: Array) -> Array:
+    """Return the motion cross products of (6, c) columns, linear parts first."""
+    linear, angular = motion[:3].T, motion[3:].T
+    moved = cross(angular, columns[:3].T) + cross(linear, columns[3:].T)
+    return np.concatenate([moved.T, cross(angular, columns[3:].T).T])
+
+
+def _closure_wrenches(chain: ClosedChain, v: Array, a: Array, J: Array, dJ: Array) -> tuple[Array, Array, Array]:
+    """Return the wrenches (r, 6) of the closure rows and their first and second time derivative."""
+    twists = (chain.support * v) @ J.T
+    rates = (chain.support * a) @ J.T + (chain.support * v) @ dJ.T
+    of_a, of_b, rate_a, rate_b = twists[chain.first], twists[chain.second], rates[chain.first], rates[chain.second]
+    slides, d, p = chain.slides, chain.direction, chain.point
+    turn_a, turn_b = of_a[:, 3:], of_b[:, 3:]
+    dd = cross(turn_a, d)
+    ddd = cross(rate_a[:, 3:], d) + cross(turn_a, dd)
+    pd = of_b[:, :3] * slides + cross(turn_b, p)
+    # the spatial acceleration at the world origin is the rate of the velocity there
+    pdd = rate_b[:, :3] * slides + cross(rate_b[:, 3:], p) + cross(turn_b, pd)
+    return (
+        np.concatenate([d * slides, cross(p, d)], axis=1),
+        np.concatenate([dd * slides, cross(pd, d) + cross(p, dd)], axis=1),
+        np.concatenate([ddd * slides, cross(pdd, d) + 2.0 * cross(pd, dd) + cross(p, ddd)], axis=1),
+    )
+
+
+def _platform_rows(
+    chain: ClosedChain, v: Array, a: Array, J: Array, dJ: Array, ddJ: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the platform rows' part of ``RowRates``."""
+    robot, index = chain.robot, chain.platform_index
+    rows = chain.platform_jacobian()
+    if robot.platform is None:
+        zero = np.zeros_like(rows)
+        return rows, zero, zero, zero, zero
+    support = chain.support[index]
+    origin = chain.frame_origin(index)
+    twist, rate = J @ (support * v), J @ (support * a) + dJ @ (support * v)
+    velocity = twist[:3] + cross(twist[3:], origin)
+    acceleration = rate[:3] + cross(rate[3:], origin) + cross(twist[3:], velocity)
+    wrench = platform_wrenches(robot, origin)
+    # only the lever of the translation rows changes with time
+    lever = [
+        platform_wrenches(robot, motion) - platform_wrenches(robot, 0.0 * motion) for motion in (velocity, acceleration)
+    ]
+    Kd = (lever[0] @ J + wrench @ dJ) * support
+    Kdd = (lever[1] @ J + 2.0 * lever[0] @ dJ + wrench @ ddJ) * support
+    by_q, rate_by_q, rate_by_v = Kd.copy(), Kdd.copy(), 2.0 * Kd
+    if robot.platform.is_pose:
+        turning = [i for i, axis in enumerate(robot.platform.axes) if axis.startswith("r")]
+        axes = [("rx", "ry", "rz").index(robot.platform.axes[i]) for i in turning]
+        spin, spin_rate = (_skew(part[3:])[np.ix_(axes, axes)] for part in (twist, rate))
+        by_q[turning] -= spin @ rows[turning]
+        rate_by_q[turning] -= spin @ Kd[turning] + spin_rate @ rows[turning]
+        rate_by_v[turning] -= spin @ rows[turning]
+    return rows, Kd, by_q, rate_by_q, rate_by_v
+
+
+def _skew(w: Array) -> Array:
+    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,3 +292,75 @@ def _require_single(robot: Robot) -> None:
                 remedy="Build it from joints of one freedom each.",
                 joint=str(model.names[j]),
             )
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """d(δz)/dt = A δz + B δu about a state, δz = (δx, δs, δẋ, δṡ), δu = (δτ, δF); d = n + k.
+
+    For a platform with all three rotations δx is a translation of its origin and a world-aligned rotation vector; see
+    ``state_error``.
+
+    Attributes:
+        A: (2d, 2d).
+        B: (2d, m + k).
+        acceleration: (d,) (ẍ, s̈) at the state, m/s² and rad/s².
+        a: (nv,) tree acceleration there.
+    """
+
+    A: Array
+    B: Array
+    acceleration: Array
+    a: Array
+
+
+def linearise(robot: Robot, state: State, tau: Array, carrier_force: Array | None = None) -> Linearisation:
+    """Linearise forward dynamics in platform and carrier coordinates, analytically.
+
+    Args:
+        robot: the robot.
+        state: a closed state.
+        tau: (m,) main efforts there, N or N·m.
+        carrier_force: (k,) carrier forces, N; none when left out.
+
+    Raises:
+        SingularPoseError: a type I pose, where platform and carriers are no coordinates.
+        IllPosedModelError: a free motion has no inertia.
+        UnsupportedRobotError: a joint has more than one freedom.
+    """
+    force = np.zeros(robot.model.nv)
+    force[robot.actuated_velocity] = tau
+    loads = np.zeros(robot.k) if carrier_force is None else np.asarray(carrier_force, dtype=float)
+    force[robot.carrier_velocity] = loads
+    dynamics = ForwardDynamics(robot)
+    dynamics.adapt(state.q)
+    a = dynamics.acceleration(state.q, state.v, force)
+    found = inverse_derivatives(robot, state.q, state.v, a, np.asarray(tau, dtype=float), loads)
+    d = robot.n + robot.k
+    solved = np.linalg.solve(found.mass, np.concatenate([-found.force_y, -found.force_z, found.input], axis=1))
+    A = np.zeros((2 * d, 2 * d))
+    A[:d, :d], A[:d, d:] = found.rate_y, np.eye(d)
+    A[d:] = solved[:, : 2 * d]
+    B = np.zeros((2 * d, robot.m + robot.k))
+    B[d:] = solved[:, 2 * d :]
+    dynamics.chain.update(state.q, state.v)
+    chain = dynamics.chain
+    platform = chain.platform_jacobian() @ a + chain.platform_jacobian_rate() @ state.v
+    return Linearisation(
+        read_only(A), read_only(B), read_only(np.concatenate([platform, a[robot.carrier_velocity]])), read_only(a)
+    )
+
+
+def state_error(robot: Robot, state: State, x: Array, xd: Array, s: Array, sd: Array) -> Array:
+    """Return δz (2d,), the state less a reference, in the coordinates of ``Linearisation``.
+
+    Args:
+        robot: the robot.
+        state: where the machine is.
+        x: (n,) reference coordinates, or a pose (4, 4).
+        xd: (n,) their rate.
+        s: (k,) reference positions of the carriers, m.
+        sd: (k,) their speeds, m/s.
+    """
+    away = difference(robot, np.array(state.x)[None], np.array(x)[None])[0]
+    return np.concatenate([away, state.s - s, state.xd - xd, state.sd - sd])

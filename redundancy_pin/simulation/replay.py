@@ -11,18 +11,16 @@ import numpy as np
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import IllPosedModelError, InfeasiblePlanError, InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import difference, moved, row_scale
-from redundancy_pin.planners.continuous_motion import TimedTrajectory
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.control import Controller, Sampling
+from redundancy_pin.simulation.controllers.base import Controller, FeedForward, Sampling, Tracking
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
-from redundancy_pin.simulation.controllers.tracking import Tracking
-from redundancy_pin.simulation.feed_forward import FeedForward
 from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
+from redundancy_pin.trajectory.continuous import TimedTrajectory
 
 Drive = Literal["open loop", "open loop, samples", "carriers by motion", "computed torque", "LQR"]
 

@@ -3,25 +3,20 @@
 The thesis's own trajectories are the functions of ``reference``.
 """
 
+from redundancy_pin.arrays import Side
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.chains import ChainedPath
-from redundancy_pin.trajectory.constant import with_constant
 from redundancy_pin.trajectory.corners import corner_path, rounded_polygon
 from redundancy_pin.trajectory.csv_file import carriers_from_csv, from_csv
-from redundancy_pin.trajectory.domain import Side
-from redundancy_pin.trajectory.paths import Path, PathPoint
+from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, circle_path, with_constant
 from redundancy_pin.trajectory.polynomials import (
     Polynomial,
     boundary_polynomial,
     rest_to_rest_345,
     rest_to_rest_4567,
 )
-from redundancy_pin.trajectory.poses import PoseTrajectory
-from redundancy_pin.trajectory.segments import Arc, Line, circle_path
-from redundancy_pin.trajectory.speed_profile import SpeedProfile
 from redundancy_pin.trajectory.splines import SplinePath, through_points
-from redundancy_pin.trajectory.timing import RestToRest, TimingLaw, TimingPoint
-from redundancy_pin.trajectory.trajectory import Trajectory, TrajectoryPoint
+from redundancy_pin.trajectory.timing import RestToRest, SpeedProfile, TimingLaw, TimingPoint
+from redundancy_pin.trajectory.trajectory import PoseTrajectory, Trajectory, TrajectoryPoint
 
 __all__ = [
     "Arc",

@@ -7,12 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, checked
+from redundancy_pin.arrays import ROUNDING, Array, checked, positive
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory.chains import ChainedPath
-from redundancy_pin.trajectory.domain import ROUNDING, positive
-from redundancy_pin.trajectory.paths import Path
-from redundancy_pin.trajectory.segments import Arc, Line, straight_pieces
+from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, straight_pieces
 
 _STRAIGHT_ANGLE = 1e-9
 """Turns below this angle, rad, are no corner: the polygon runs straight on."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
-from redundancy_pin.trajectory.domain import Side
+from redundancy_pin.arrays import Array, IntArray, Side, checked, frozen, inside, positive, read_only, require_side
+from redundancy_pin.errors import InputError
 
 
 class PathPoint(NamedTuple):
@@ -49,3 +53,324 @@ class Path(Protocol):
         Raises:
             InputError: p outside [0, length].
         """
+
+
+_UNIT_TOLERANCE = 1e-9
+"""How far from orthonormal the axes of an arc may be: a vector typed with nine digits passes."""
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Line:
+    """A straight line in any dimension.
+
+    Attributes:
+        start, end: (n,) its ends, m.
+        length: their distance, m.
+        direction: (n,) unit vector from start to end.
+
+    Raises:
+        InputError: the ends coincide, differ in dimension, or are not finite.
+    """
+
+    start: Array
+    end: Array
+    length: float
+    direction: Array
+
+    def __init__(self, start: ArrayLike, end: ArrayLike) -> None:
+        first = checked(start, "start", ("n",))
+        last = checked(end, "end", (len(first),))
+        length = float(np.linalg.norm(last - first))
+        if length == 0.0:
+            raise InputError(
+                f"The line starts and ends at {first.tolist()}.", remedy="Pass two different points.", start=start
+            )
+        object.__setattr__(self, "start", first)
+        object.__setattr__(self, "end", last)
+        object.__setattr__(self, "length", length)
+        object.__setattr__(self, "direction", frozen((last - first) / length))
+
+    @property
+    def dimension(self) -> int:
+        """Number n of coordinates."""
+        return len(self.start)
+
+    @property
+    def breaks(self) -> Array:
+        """(0,) a line has none."""
+        return frozen([])
+
+    def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
+        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``.
+
+        Raises:
+            InputError: p outside [0, length].
+        """
+        require_side(side)
+        along = inside(p, 0.0, self.length, "p", "m")[..., None]
+        # The convex combination meets both ends exactly, which start + p * direction would not.
+        fraction = along / self.length
+        x = (1.0 - fraction) * self.start + fraction * self.end
+        return PathPoint(x, np.broadcast_to(self.direction, x.shape).copy(), np.zeros(x.shape))
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Arc:
+    """A circular arc in a plane of any dimension: x = c + r (u cos φ + w sin φ), φ = p / r.
+
+    Attributes:
+        centre: (n,) c, m.
+        radius: r, m.
+        radial: (n,) unit vector u from the centre to the start.
+        tangent: (n,) unit vector w of the motion at the start.
+        sweep: angle travelled, rad, positive; the sense of rotation is in ``tangent``.
+
+    Raises:
+        InputError: radius or sweep not positive, axes not orthonormal, wrong shapes.
+    """
+
+    centre: Array
+    radius: float
+    radial: Array
+    tangent: Array
+    sweep: float
+
+    def __init__(self, centre: ArrayLike, radius: float, radial: ArrayLike, tangent: ArrayLike, sweep: float) -> None:
+        middle = checked(centre, "centre", ("n",))
+        axes = np.stack([checked(radial, "radial", middle.shape), checked(tangent, "tangent", middle.shape)])
+        error = float(np.abs(axes @ axes.T - np.eye(2)).max())
+        if error > _UNIT_TOLERANCE:
+            raise InputError(
+                f"radial and tangent miss orthonormality by {error:.2g}.",
+                remedy="Pass two perpendicular unit vectors.",
+                error=error,
+            )
+        object.__setattr__(self, "centre", middle)
+        object.__setattr__(self, "radius", positive(radius, "radius", "m"))
+        object.__setattr__(self, "radial", frozen(axes[0]))
+        object.__setattr__(self, "tangent", frozen(axes[1]))
+        object.__setattr__(self, "sweep", positive(sweep, "sweep", "rad"))
+
+    @property
+    def length(self) -> float:
+        """Arc length r φ, m."""
+        return self.radius * self.sweep
+
+    @property
+    def dimension(self) -> int:
+        """Number n of coordinates."""
+        return len(self.centre)
+
+    @property
+    def breaks(self) -> Array:
+        """(0,) an arc has none."""
+        return frozen([])
+
+    def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
+        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``.
+
+        Raises:
+            InputError: p outside [0, length].
+        """
+        require_side(side)
+        angle = inside(p, 0.0, self.length, "p", "m")[..., None] / self.radius
+        cos, sin = np.cos(angle), np.sin(angle)
+        outward = self.radial * cos + self.tangent * sin
+        forward = self.tangent * cos - self.radial * sin
+        return PathPoint(self.centre + self.radius * outward, forward, -outward / self.radius)
+
+
+def circle_path(centre: ArrayLike, radius: float, start_angle: float = 0.0, sweep: float = 2.0 * np.pi) -> Arc:
+    """Return a circle, or a part of one, in the plane.
+
+    Args:
+        centre: (2,) m.
+        radius: m.
+        start_angle: angle of the start seen from the centre, rad, from the x axis.
+        sweep: signed angle travelled, rad; positive is counter-clockwise, more than 2π is more than one turn.
+
+    Raises:
+        InputError: radius not positive, no sweep, wrong shapes.
+    """
+    middle = checked(centre, "centre", (2,))
+    radial = np.array([np.cos(start_angle), np.sin(start_angle)])
+    tangent = np.sign(sweep) * np.array([-radial[1], radial[0]])
+    if sweep == 0.0:
+        raise InputError("sweep is 0 rad.", remedy="Pass a positive (counter-clockwise) or a negative angle.")
+    return Arc(middle, radius, radial, tangent, abs(sweep))
+
+
+def straight_pieces(points: Array) -> tuple[Array, Array]:
+    """Return the (N − 1,) lengths, m, and (N − 1, n) unit directions between consecutive points (N, n).
+
+    Raises:
+        InputError: two consecutive points coincide; named by index.
+    """
+    step = np.diff(points, axis=0)
+    lengths = np.linalg.norm(step, axis=1)
+    same = np.flatnonzero(lengths == 0.0)
+    if len(same):
+        k = int(same[0])
+        raise InputError(
+            f"Points {k} and {(k + 1)} coincide at {points[k].tolist()}.",
+            remedy="Remove one of them; a closed list does not repeat its first point.",
+            index=k,
+        )
+    return read_only(lengths), read_only(step / lengths[:, None])
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class ConstantAppended:
+    """A path with constant coordinates appended, such as the orientation of a platform that does not turn.
+
+    Attributes:
+        path: the path that moves, n coordinates.
+        values: (c,) the constants, m or rad.
+    """
+
+    path: Path
+    values: Array
+
+    def __init__(self, path: Path, values: ArrayLike) -> None:
+        object.__setattr__(self, "path", path)
+        object.__setattr__(self, "values", checked(np.atleast_1d(np.asarray(values, dtype=float)), "values", ("c",)))
+
+    @property
+    def length(self) -> float:
+        """Arc length of the path that moves, m."""
+        return self.path.length
+
+    @property
+    def dimension(self) -> int:
+        """Number n + c of coordinates."""
+        return self.path.dimension + len(self.values)
+
+    @property
+    def breaks(self) -> Array:
+        """(b,) breaks of the path that moves, m."""
+        return self.path.breaks
+
+    def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
+        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``.
+
+        Raises:
+            InputError: p outside [0, length].
+        """
+        point = self.path.evaluate(p, side)
+        constant = np.broadcast_to(self.values, (*point.x.shape[:-1], len(self.values)))
+        zero = np.zeros(constant.shape)
+        x, tangent, curvature = (
+            np.concatenate(pair, axis=-1) for pair in zip(point, (constant, zero, zero), strict=True)
+        )
+        return PathPoint(x, tangent, curvature)
+
+
+def with_constant(path: Path, values: ArrayLike) -> ConstantAppended:
+    """Return ``path`` with constant coordinates appended: (x, y) and alpha become (x, y, alpha).
+
+    Args:
+        path: a path of n coordinates.
+        values: scalar or (c,) constants, m or rad.
+
+    Raises:
+        InputError: values that are not finite.
+    """
+    return ConstantAppended(path, values)
+
+
+_JOINT_TOLERANCE = 1e-9
+"""Largest gap between segments, relative to the length of the chain (positions) or absolute (unit
+tangents): a nanometre on a metre, a thousand times above the rounding of the constructions here."""
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class ChainedPath:
+    """Segments end to end, continuous in position and tangent; curvature may jump at the joints.
+
+    Attributes:
+        segments: the segments, in order.
+        joints: (len(segments) − 1,) arc lengths where one segment ends and the next starts, m.
+        length: total arc length, m.
+        breaks: (b,) the arc lengths, of joints and inside segments, where x'' jumps, m.
+
+    Raises:
+        InputError: no segment, or two segments that do not meet (position or tangent), with the gap.
+    """
+
+    segments: tuple[Path, ...]
+    joints: Array
+    length: float
+    breaks: Array
+
+    def __init__(self, segments: Sequence[Path]) -> None:
+        if len(segments) == 0:
+            raise InputError("A chain needs at least one segment.")
+        ends = np.cumsum([segment.length for segment in segments])
+        jumps = _jumping_joints(segments, float(ends[-1]))
+        starts = np.concatenate([[0.0], ends[:-1]])
+        inner = [start + np.asarray(segment.breaks) for start, segment in zip(starts, segments, strict=True)]
+        object.__setattr__(self, "segments", tuple(segments))
+        object.__setattr__(self, "joints", frozen(ends[:-1]))
+        object.__setattr__(self, "length", float(ends[-1]))
+        object.__setattr__(self, "breaks", frozen(np.sort(np.concatenate([ends[:-1][jumps], *inner]))))
+
+    @property
+    def dimension(self) -> int:
+        """Number n of coordinates."""
+        return self.segments[0].dimension
+
+    def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
+        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``.
+
+        Raises:
+            InputError: p outside [0, length].
+        """
+        require_side(side)
+        given = inside(p, 0.0, self.length, "p", "m")
+        along = given.ravel()
+        after = np.searchsorted(self.joints, along, side="right")
+        point = self._on_segments(along, after, side)
+        if side == "left":
+            # x and x' stay those of the right segment, so that both sides agree to the last bit.
+            before = np.searchsorted(self.joints, along, side="left")
+            at_joint = np.flatnonzero(before != after)
+            left = self._on_segments(along[at_joint], before[at_joint], side)
+            point.curvature[at_joint] = left.curvature
+        x, tangent, curvature = (part.reshape(*given.shape, self.dimension) for part in point)
+        return PathPoint(x, tangent, curvature)
+
+    def _on_segments(self, along: Array, index: IntArray, side: Side) -> PathPoint:
+        """Evaluate each arc length (N,) on the segment of the given index (N,)."""
+        x, tangent, curvature = (np.empty((len(along), self.dimension)) for _ in range(3))
+        starts = np.concatenate([[0.0], self.joints])
+        for k, segment in enumerate(self.segments):
+            here = np.flatnonzero(index == k)
+            local = np.clip(along[here] - starts[k], 0.0, segment.length)
+            x[here], tangent[here], curvature[here] = segment.evaluate(local, side)
+        return PathPoint(x, tangent, curvature)
+
+
+def _jumping_joints(segments: Sequence[Path], length: float) -> Array:
+    """Return (joints,) whether x'' jumps, after checking that x and x' do not."""
+    jumps = []
+    for k, (first, second) in enumerate(pairwise(segments)):
+        if first.dimension != second.dimension:
+            raise InputError(
+                f"Segments {k} and {k + 1} have {first.dimension} and {second.dimension} coordinates.", segment=k
+            )
+        end, start = first.evaluate(first.length, "left"), second.evaluate(0.0, "right")
+        gap = float(np.linalg.norm(start.x - end.x))
+        kink = float(np.linalg.norm(start.tangent - end.tangent))
+        if gap > _JOINT_TOLERANCE * length or kink > _JOINT_TOLERANCE:
+            raise InputError(
+                f"Segments {k} and {k + 1} do not meet: the positions differ by {gap:.3g} m, "
+                f"the unit tangents by {kink:.3g}.",
+                remedy="A kink cannot be passed at speed: join straights by an arc (see rounded_polygon).",
+                segment=k,
+                gap=gap,
+                kink=kink,
+            )
+        change = np.abs(start.curvature - end.curvature).max()
+        size = max(np.abs(start.curvature).max(), np.abs(end.curvature).max())
+        jumps.append(bool(change > _JOINT_TOLERANCE * size))
+    return np.array(jumps, dtype=bool)

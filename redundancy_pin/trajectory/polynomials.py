@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import Array, checked, read_only
+from redundancy_pin.arrays import Array, checked, inside, read_only
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory.domain import inside
 
 
 @dataclass(frozen=True, eq=False)

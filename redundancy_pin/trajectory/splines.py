@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from redundancy_pin.arrays import Array, checked, frozen
+from redundancy_pin.arrays import Array, Side, checked, frozen, inside, require_side
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory.domain import Side, inside, require_side
-from redundancy_pin.trajectory.paths import PathPoint
-from redundancy_pin.trajectory.segments import straight_pieces
+from redundancy_pin.trajectory.paths import PathPoint, straight_pieces
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LENGTH_TOLERANCE = 1e-14

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import ROUNDING, Array, inside, positive
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory.domain import inside, positive
 from redundancy_pin.trajectory.polynomials import (
     Polynomial,
+    boundary_polynomial,
     rest_to_rest_345,
     rest_to_rest_4567,
     time_of_value,
@@ -106,3 +107,167 @@ class RestToRest:
     def scaled(self, factor: float) -> RestToRest:
         """Return the same law run ``factor`` times as fast."""
         return RestToRest(self.length, self.duration / positive(factor, "factor", "(ratio)"), self.shape)
+
+
+LEAST_RAMP_FRACTION = 0.4
+"""A quintic ramp shorter than this fraction of v T runs backwards; see ``SpeedProfile``."""
+
+
+@dataclass(frozen=True, init=False)
+class SpeedProfile:
+    """Ramp up, cruise, ramp down (Parsa 2014, sections 3.2 and 4.2.2).
+
+    The ramp up is the quintic in arc length from (0, 0, 0) to (ℓ, v, 0) in time T, the ramp down its mirror image.
+    With κ = t/T and λ = ℓ/(v T),
+
+        ṗ / v = κ² [30 λ (1 − κ)² − 12 + 28 κ − 15 κ²]
+
+    is never negative if and only if λ ≥ 0.4 (the bracket at κ = 0). It rises all the way for 0.4 ≤ λ ≤ 0.6; a longer
+    ramp overshoots the cruising speed, see ``peak_speed``. λ = 1/2, the default, leaves ṗ/v = 3κ² − 2κ³, symmetric
+    about half speed at half time.
+
+    Attributes:
+        length: arc length of the whole path, m.
+        speed: cruising speed v, m/s.
+        ramp_time: duration T of the ramp up, s.
+        ramp_length: arc length ℓ of the ramp up, m; v T / 2 when left out.
+        end_ramp_time: duration of the ramp down, s; as the ramp up when left out.
+        end_ramp_length: arc length of the ramp down, m. When left out: as the ramp up if the times are
+            equal, else half of speed times end_ramp_time.
+
+    Raises:
+        InputError: a value that is not positive, a ramp length that would run backwards (with the admissible
+            range), or a path too short for both ramps (with the lengths).
+    """
+
+    length: float
+    speed: float
+    ramp_time: float
+    ramp_length: float
+    end_ramp_time: float
+    end_ramp_length: float
+
+    def __init__(
+        self,
+        length: float,
+        speed: float,
+        ramp_time: float,
+        ramp_length: float | None = None,
+        end_ramp_time: float | None = None,
+        end_ramp_length: float | None = None,
+    ) -> None:
+        total = positive(length, "length", "m")
+        v = positive(speed, "speed", "m/s")
+        time_up = positive(ramp_time, "ramp_time", "s")
+        up = 0.5 * v * time_up if ramp_length is None else positive(ramp_length, "ramp_length", "m")
+        time_down = time_up if end_ramp_time is None else positive(end_ramp_time, "end_ramp_time", "s")
+        if end_ramp_length is not None:
+            down = positive(end_ramp_length, "end_ramp_length", "m")
+        else:
+            down = up if time_down == time_up else 0.5 * v * time_down
+        _require_forward("ramp_length", up, v, time_up, total)
+        _require_forward("end_ramp_length", down, v, time_down, total)
+        if up + down > total * (1.0 + ROUNDING):
+            raise InputError(
+                f"The path is too short: it is {total:.6g} m long, and reaching {v:g} m/s takes {up:.6g} m, "
+                f"stopping {down:.6g} m.",
+                remedy="Lower the speed, shorten the ramps, or lengthen the path.",
+                length=total,
+                ramp_length=up,
+                end_ramp_length=down,
+            )
+        for name, value in (
+            ("length", total),
+            ("speed", v),
+            ("ramp_time", time_up),
+            ("ramp_length", up),
+            ("end_ramp_time", time_down),
+            ("end_ramp_length", down),
+        ):
+            object.__setattr__(self, name, value)
+
+    @property
+    def cruise_time(self) -> float:
+        """Duration at constant speed, s."""
+        return max(self.length - self.ramp_length - self.end_ramp_length, 0.0) / self.speed
+
+    @property
+    def duration(self) -> float:
+        """Time at the end, s."""
+        return self.ramp_time + self.cruise_time + self.end_ramp_time
+
+    @property
+    def peak_speed(self) -> float:
+        """Largest speed, m/s: the cruising speed unless a ramp overshoots it (λ > 0.6).
+
+        p̈ ∝ κ (1 − κ) [(60 λ − 24) − (120 λ − 60) κ], whose last root is the peak.
+        """
+        return (
+            max(
+                _peak(self.ramp_length / (self.speed * self.ramp_time)),
+                _peak(self.end_ramp_length / (self.speed * self.end_ramp_time)),
+            )
+            * self.speed
+        )
+
+    def evaluate(self, t: ArrayLike) -> TimingPoint:
+        """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``."""
+        times = inside(t, 0.0, self.duration, "t", "s")
+        cruise_end = self.ramp_time + self.cruise_time
+        up, down = self._ramps()
+        p = self.ramp_length + self.speed * (times - self.ramp_time)
+        pd = np.full(times.shape, self.speed)
+        pdd = np.zeros(times.shape)
+        for ramp, there in ((up, times < self.ramp_time), (down, times > cruise_end)):
+            clipped = np.clip(times, ramp.t0, ramp.t1)
+            p, pd, pdd = (np.where(there, ramp(clipped, order), cruise) for order, cruise in enumerate((p, pd, pdd)))
+        return TimingPoint(p, pd, pdd)
+
+    def time_at(self, p: float) -> float:
+        """Return the time, s, at which arc length p, m, is reached; see ``TimingLaw.time_at``."""
+        place = float(inside(p, 0.0, self.length, "p", "m"))
+        up, down = self._ramps()
+        if place < self.ramp_length:
+            return time_of_value(up, place)
+        if place > self.length - self.end_ramp_length:
+            return time_of_value(down, place)
+        return self.ramp_time + (place - self.ramp_length) / self.speed
+
+    def scaled(self, factor: float) -> SpeedProfile:
+        """Return the same profile run ``factor`` times as fast; the ramps keep their lengths."""
+        faster = positive(factor, "factor", "(ratio)")
+        return SpeedProfile(
+            self.length,
+            self.speed * faster,
+            self.ramp_time / faster,
+            self.ramp_length,
+            self.end_ramp_time / faster,
+            self.end_ramp_length,
+        )
+
+    def _ramps(self) -> tuple[Polynomial, Polynomial]:
+        up = boundary_polynomial(0.0, self.ramp_time, [0.0, 0.0, 0.0], [self.ramp_length, self.speed, 0.0])
+        cruise_end = self.ramp_time + self.cruise_time
+        braking = [self.length - self.end_ramp_length, self.speed, 0.0]
+        return up, boundary_polynomial(cruise_end, self.duration, braking, [self.length, 0.0, 0.0])
+
+
+def _require_forward(name: str, ramp: float, speed: float, time: float, length: float) -> None:
+    least = LEAST_RAMP_FRACTION * speed * time
+    if ramp < least * (1.0 - ROUNDING):
+        raise InputError(
+            f"{name} = {ramp:.6g} m is too short: the ramp to {speed:g} m/s in {time:g} s would start backwards.",
+            remedy=f"Admissible is {least:.6g} m (0.4 v T) to {length:.6g} m (the path); up to "
+            f"{1.5 * least:.6g} m (0.6 v T) it does not overshoot the speed.",
+            name=name,
+            least=least,
+            most=length,
+        )
+
+
+def _peak(fraction: float) -> float:
+    """Largest ṗ/v of a ramp of length ``fraction`` · v T."""
+    if fraction <= 1.5 * LEAST_RAMP_FRACTION:
+        return 1.0
+    k = (60.0 * fraction - 24.0) / (120.0 * fraction - 60.0)
+    return float(k**2 * (30.0 * fraction * (1.0 - k) ** 2 - 12.0 + 28.0 * k - 15.0 * k**2))

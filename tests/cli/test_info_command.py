@@ -10,7 +10,7 @@ from command_line import call, refused
 
 import redundancy_pin
 from redundancy_pin import load_robot
-from redundancy_pin.robot.description import shipped_robots
+from redundancy_pin.robot.urdf import shipped_robots
 
 COMMANDS = ("reproduce", "inverse-dynamics", "singularities", "validate", "info")
 

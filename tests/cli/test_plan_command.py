@@ -12,11 +12,11 @@ from command_line import call, write_motion
 from plan_cases import CORNER, LINE, same
 
 import redundancy_pin as rp
-from redundancy_pin.cli.plan_values import number, numbers
+from redundancy_pin.cli.plan_problem import number, numbers
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import PlanStatus
-from redundancy_pin.planners.stepwise import plan_stepwise
-from redundancy_pin.planners.switch_off import plan_switch_off
+from redundancy_pin.planners.stepwise.planner import plan_stepwise
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.trajectory import from_csv, reference
 
 

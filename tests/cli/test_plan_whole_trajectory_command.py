@@ -13,10 +13,10 @@ import yaml
 from command_line import call, refused
 
 import redundancy_pin as rp
-from redundancy_pin.cli.plan_values import weights
+from redundancy_pin.cli.plan_problem import weights
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners import whole_trajectory_solver
 from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.whole_trajectory import solver as whole_trajectory_solver
 from redundancy_pin.trajectory import reference
 
 pytest.importorskip("casadi")
@@ -148,7 +148,7 @@ def test_a_plan_that_stopped_early_is_never_an_optimum(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("restless")
 def test_the_picture_of_a_plan_that_stopped_early_says_so() -> None:
     pytest.importorskip("matplotlib")
-    from redundancy_pin.visualisation.plan_figures import plan_title
+    from redundancy_pin.visualisation.figures.plan import plan_title
 
     dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
     plan = rp.plan_whole_trajectory(dynamics, reference.circle(ramp_length=0.05), dt=0.02)
@@ -168,7 +168,7 @@ def test_an_impossible_task_names_the_limit_and_what_would_suffice(tmp_path: Pat
 
 
 def test_efforts_between_the_nodes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    from redundancy_pin.cli import plan_output
+    from redundancy_pin.cli import plan as plan_output
 
     monkeypatch.setattr(plan_output, "ALLOWED", 0.5)  # any plan exceeds it
     result = call(*CIRCLE)

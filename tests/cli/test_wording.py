@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from redundancy_pin.cli.wording import KEYS, OPTIONS, in_words
+from redundancy_pin.cli.errors import KEYS, OPTIONS, in_words
 from redundancy_pin.errors import (
     CarrierLimitError,
     InputError,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from redundancy_pin import crosscheck
-from redundancy_pin.crosscheck import physics
+from redundancy_pin.crosscheck import checks as physics
 from redundancy_pin.crosscheck.cases import Masses, Wave, random_case
 from redundancy_pin.crosscheck.report import CrossCheckReport, Tally, relative
 from redundancy_pin.dynamics.rnea import RneaDynamics

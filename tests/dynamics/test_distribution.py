@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 
 N = 40
 SOLUTION = 1e-12

@@ -9,9 +9,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
-from redundancy_pin.dynamics.bounded import fit_into_bounds
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.allocation import fit_into_bounds
+from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import RedundancyPinError
 
 OPTIMUM = 1e-8

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from prescribed import reduced
 
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InputError
 
 GOOD = reduced(np.ones((4, 2, 3)), np.ones((4, 2)))

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
-from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, distribute
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, SampleStatus, distribute
 
 N = 30
 ROUNDING = 1e-13

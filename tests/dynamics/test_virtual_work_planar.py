@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from point_mass_oracle import derivative
 
-from redundancy_pin.dynamics.virtual_work.planar import LinkFrames, PlanarBodies, base_wrench, energy
+from redundancy_pin.dynamics.virtual_work.mechanism import LinkFrames, PlanarBodies, base_wrench, energy
 
 ORIGIN, TURN = np.array([[0.3, -0.2], [0.7, 1.1], [-0.4, 0.9]]), np.array([0.5, 1.3, -0.8])
 ALONG, ACROSS = np.array([0.6, -0.9, 1.7]), np.array([-0.4, 0.8, 0.5])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.experiments import BACKENDS, EXPERIMENTS

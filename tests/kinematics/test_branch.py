@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from redundancy_pin import load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics.branch import find_on_branch
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, moved
+from redundancy_pin.kinematics.inverse_kinematics import recombined, search
+from redundancy_pin.kinematics.lift import find_on_branch
 from redundancy_pin.kinematics.modes import in_working_mode, working_modes
-from redundancy_pin.kinematics.recombination import recombined
-from redundancy_pin.kinematics.search import search
 from redundancy_pin.robot import Robot
 
 
@@ -61,8 +60,8 @@ def test_each_mode_has_its_own_configuration_of_a_pose() -> None:
 
 def test_only_other_modes_close_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fault injected: the search finds closed configurations, but none that counts as the right mode."""
-    from redundancy_pin.kinematics import branch
-    from redundancy_pin.kinematics import search as search_module
+    from redundancy_pin.kinematics import inverse_kinematics as search_module
+    from redundancy_pin.kinematics import lift as branch
 
     robot = zoo.robot_of("five_bar")
     nowhere = lambda robot, q: np.zeros(len(q), dtype=bool)  # noqa: E731

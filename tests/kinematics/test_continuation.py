@@ -9,9 +9,9 @@ import zoo
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Anchors, continuous, follow, initial_guess, take_up
 from redundancy_pin.kinematics.coordinates import difference, row_scale
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.modes import in_working_mode
 from redundancy_pin.kinematics.projection import project
-from redundancy_pin.kinematics.state import lift
 from redundancy_pin.robot import Robot
 
 

@@ -6,7 +6,7 @@ import yaml
 
 import redundancy_pin as rp
 from redundancy_pin.errors import RedundancyPinError, UnreachablePoseError
-from redundancy_pin.robot.description import models_root
+from redundancy_pin.robot.urdf import models_root
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import zoo
 from redundancy_pin import PlatformMotion, load_robot
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics import state
+from redundancy_pin.kinematics import lift as state
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.modes import mode_indicator
-from redundancy_pin.kinematics.state import lift
 from redundancy_pin.robot import Robot
 
 REACH = np.sqrt(1.0 - 0.25**2)

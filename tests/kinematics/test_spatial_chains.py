@@ -12,7 +12,7 @@ from written import J, urdf_of, write_robot
 from redundancy_pin import PlatformMotion, load_robot
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference
-from redundancy_pin.kinematics.state import lift
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.robot import Robot
 
 CLOSED = 1e-11  # the package's own closure tolerance, here measured by Pinocchio

@@ -15,8 +15,8 @@ from redundancy_pin import PlatformMotion
 from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import configuration_difference
+from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.kinematics.modes import working_modes
-from redundancy_pin.kinematics.state import TreeMotion, lift
 from redundancy_pin.robot import Robot
 
 STEP = 1e-5

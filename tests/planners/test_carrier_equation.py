@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from redundancy_pin.planners.carrier_equation import CarrierEquation, StepGivenUpError
 from redundancy_pin.planners.carrier_model import CarrierModel
+from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, StepGivenUpError
 
 S, S2, SD, SSD, SDD = range(5)
 

@@ -6,8 +6,8 @@ import zoo
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from redundancy_pin.planners.carrier_path import CarrierPath
 from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
+from redundancy_pin.trajectory.piecewise import CarrierPath
 
 ROBOT = zoo.robot_of("2rpr")
 TRACK, SPEED, ACCELERATION = 0.2, 2.5, 10.0

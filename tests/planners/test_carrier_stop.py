@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from redundancy_pin.planners.carrier_stop import braked_speeds, braking_times, stoppable_speed
+from redundancy_pin.planners.carrier_return import braked_speeds, braking_times, stoppable_speed
 
 ROUNDING = 1e-12
 

@@ -18,12 +18,11 @@ from random_plans import PLAIN, difference, plans
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, PlanFileError
-from redundancy_pin.planners.finish import finish_plan
-from redundancy_pin.planners.plain import decode, encode
-from redundancy_pin.planners.plan import PLAN_VERSION, Plan, PlanStatus
+from redundancy_pin.io.archive import decode, encode
+from redundancy_pin.planners.plan import PLAN_VERSION, Plan, PlanStatus, finish_plan
 from redundancy_pin.planners.plan_file import load_plan, load_robot_of, save_plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.description import models_root
+from redundancy_pin.robot.urdf import models_root
 
 # the folder of a test is used anew by every example: each writes its own file whole
 EXAMPLES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -7,12 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from redundancy_pin import PlatformMotion, VirtualWork
-from redundancy_pin.planners.carrier_model import carrier_model
-from redundancy_pin.planners.continuous_motion import continuous_motion
-from redundancy_pin.planners.dips import below_zero, minima
-from redundancy_pin.planners.piecewise_chebyshev import fit
-from redundancy_pin.planners.timed_model import TimedActuation, TimedModel
+from redundancy_pin.planners.carrier_model import TimedActuation, TimedModel, carrier_model
+from redundancy_pin.planners.switch_off.windows import below_zero, minima
 from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory.continuous import continuous_motion
+from redundancy_pin.trajectory.piecewise import fit
 
 
 def test_model_is_that_of_the_backend():

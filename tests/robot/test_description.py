@@ -7,8 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from redundancy_pin.errors import InputError, ModelFileError
-from redundancy_pin.robot.arguments import known_values
-from redundancy_pin.robot.description import declaration_path, models_root, render, shipped_robots
+from redundancy_pin.robot.urdf import declaration_path, known_values, models_root, render, shipped_robots
 
 XACRO = """<?xml version="1.0"?>
 <robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -138,8 +137,8 @@ def test_includes_are_found_beside_the_file_from_any_folder(tmp_path):
     )
     code = (
         "import sys; from pathlib import Path\n"
-        "from redundancy_pin.robot.description import render\n"
-        "from redundancy_pin.robot.arguments import known_values\n"
+        "from redundancy_pin.robot.urdf import render\n"
+        "from redundancy_pin.robot.urdf import known_values\n"
         "path = Path(sys.argv[1]); print(known_values(path, {'inner': 5}))\n"
         "print('link_5' in render(path, {'inner': 5})[0], render(path, {})[1])"
     )

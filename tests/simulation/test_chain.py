@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 import zoo
+from spatial_chains import CHAINS, chain_of
 
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.chain import ClosedChain
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "kinematics"))
-from spatial_chains import CHAINS, chain_of
 
 ROUNDING = 1e-13
 """Sums of a dozen products of order 1."""

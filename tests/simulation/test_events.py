@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.simulation.control import Constant
+from redundancy_pin.simulation.controllers.base import Constant
 from redundancy_pin.simulation.events import Event, Watcher
 from redundancy_pin.simulation.result import Simulation, SimulationStatus
 from redundancy_pin.simulation.state import State, closed_state

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import moving
 import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
+from spatial_chains import CHAINS, chain_of
 
 from redundancy_pin.errors import IllPosedModelError, SingularPoseError
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.simulation.forward import ForwardDynamics
-from redundancy_pin.simulation.partition import Partition, choose
+from redundancy_pin.simulation.forward import ForwardDynamics, Partition, choose
 from redundancy_pin.simulation.state import closed_state
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "kinematics"))
-from spatial_chains import CHAINS, chain_of
 
 BALANCE = 1e-10
 """N, N·m and m/s²: terms of order 10 to 100, systems conditioned no worse than 1e3."""

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import moving
 import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
+from spatial_chains import CHAINS, chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.simulation.forward import ForwardDynamics
-from redundancy_pin.simulation.manifold import GAP, Manifold
-from redundancy_pin.simulation.state import closed_state, tree_state
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "kinematics"))
-from spatial_chains import CHAINS, chain_of
+from redundancy_pin.simulation.state import GAP, Manifold, closed_state, tree_state
 
 PARTING = 1e-12
 """m/s: velocities of order 1 and rounding."""

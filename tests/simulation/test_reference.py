@@ -13,8 +13,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, InputError, PlanFileError
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.planned_carriers import planned_carriers
-from redundancy_pin.simulation.reference import motion_reference, plan_reference
+from redundancy_pin.simulation.reference import motion_reference, plan_reference, planned_carriers
 
 SERIES = 1e-10
 """m, m/s: ten nodes in 5 ms of a smooth motion leave rounding, magnified by differentiation to 1e-11."""

@@ -11,7 +11,7 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.control import Sampling
+from redundancy_pin.simulation.controllers.base import Sampling
 from redundancy_pin.simulation.replay import AWAY, _off_track, replay, replay_table
 from redundancy_pin.trajectory import reference
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
-from redundancy_pin.simulation.control import Constant, Sampling
+from redundancy_pin.simulation.controllers.base import Constant, Sampling
 from redundancy_pin.simulation.state import State, closed_state
 
 SAME = 1e-10

@@ -14,7 +14,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import IllPosedModelError, InputError, UnsupportedRobotError
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.control import Constant, Sampling
+from redundancy_pin.simulation.controllers.base import Constant, Sampling
 from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 

@@ -11,9 +11,8 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, PlanFileError
-from redundancy_pin.simulation.control import Constant
-from redundancy_pin.simulation.result import Simulation, SimulationStatus
-from redundancy_pin.simulation.result_file import load_simulation
+from redundancy_pin.simulation.controllers.base import Constant
+from redundancy_pin.simulation.result import Simulation, SimulationStatus, load_simulation
 from redundancy_pin.simulation.state import closed_state
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.integrate import DOP853
 
-from redundancy_pin.simulation.step import Step, cubic
+from redundancy_pin.simulation.integrator import Step, cubic
 
 
 def test_guesses_are_exact_for_a_cubic_and_meet_both_ends() -> None:

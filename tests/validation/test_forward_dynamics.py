@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import moving
 import numpy as np
 import pinocchio as pin
 import pytest
+import zoo
 from scipy.integrate import solve_ivp
+from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
-from redundancy_pin.simulation.control import Constant
+from redundancy_pin.simulation.controllers.base import Constant
 from redundancy_pin.simulation.forward import ForwardDynamics
-from redundancy_pin.simulation.pinocchio_way import ConstraintDynamics
 from redundancy_pin.simulation.state import closed_state, tree_state
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulation"))
-import moving
-import zoo
-from written import J, urdf_of, write_robot
+from redundancy_pin.simulation.system import ConstraintDynamics
 
 TWO_WAYS = 1e-8
 """Relative to the largest acceleration: required; the proximal iteration stops at 1e-14 times the conditioning."""

@@ -1,16 +1,11 @@
 """Spatial loops closed on the base: what joints and closure bring to the ground is the rate of the whole momentum."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
+from spatial_chains import chain_of
 
 import redundancy_pin as rp
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "kinematics"))
-from spatial_chains import chain_of
 
 FORCE_TOLERANCE = 1e-9
 """N, N·m: forces of order 10 to 100, conditioned no worse than 1e3, leave 1e-11."""
@@ -86,7 +81,7 @@ def test_what_is_bolted_to_the_base_is_not_the_mechanism(tmp_path):
     """A heavy link fixed to the base changes nothing the robot does to it."""
     import yaml
 
-    from redundancy_pin.robot.description import models_root
+    from redundancy_pin.robot.urdf import models_root
 
     source = models_root() / "four_bar"
     text = (source / "four_bar.urdf.xacro").read_text()
@@ -106,7 +101,6 @@ def test_what_is_bolted_to_the_base_is_not_the_mechanism(tmp_path):
 
 def test_a_weld_closed_wrongly_is_not_closed(tmp_path):
     """Turned by a third of a turn about (1, 1, 1) a weld's three rotation rows vanish too: it must not pass."""
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
     from written import J, urdf_of, write_robot
 
     from redundancy_pin.kinematics.assembly import assemble

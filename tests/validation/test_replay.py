@@ -1,17 +1,12 @@
 """Plans driven open loop through forward dynamics: the machine does what the plan says."""
 
-import sys
-from pathlib import Path
-
+import moving
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin.simulation import FeedForward, State, closed_state, motion_reference
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulation"))
-import moving
 
 FOLLOWED = 1e-6
 """m and rad, as required; what is reached is 1e-11."""

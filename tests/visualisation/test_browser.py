@@ -14,7 +14,7 @@ import pytest
 import zoo
 
 from redundancy_pin.view import show
-from redundancy_pin.visualisation.scene_colors import EFFORT_COLORS, MARGIN_COLORS, ROLE_COLORS, rgb
+from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, ROLE_COLORS, rgb
 
 pytest.importorskip("meshcat")
 pytest.importorskip("selenium", reason="selenium drives the browser: pip install 'redundancy_pin[dev]'")

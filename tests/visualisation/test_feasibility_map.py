@@ -19,7 +19,7 @@ from redundancy_pin.experiments.feasibility import (
     write_map,
 )
 from redundancy_pin.experiments.feasibility.pictured import axis_label, draw, tiles
-from redundancy_pin.visualisation.feasibility_map import MapLabels, MapPanel, Tile, border_of, plot_feasibility
+from redundancy_pin.visualisation.figures.feasibility_map import MapLabels, MapPanel, Tile, border_of, plot_feasibility
 
 pytest.importorskip("matplotlib")
 

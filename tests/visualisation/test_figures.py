@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from redundancy_pin.errors import OutputError, RedundancyPinError
-from redundancy_pin.visualisation.comparison import plot_comparison
-from redundancy_pin.visualisation.efforts import EffortCurves, plot_efforts
-from redundancy_pin.visualisation.paths import PathCurves, plot_path
-from redundancy_pin.visualisation.style import CARRIER_STROKES, STROKES, figure, save
+from redundancy_pin.visualisation.figures.efforts import EffortCurves, plot_comparison, plot_efforts
+from redundancy_pin.visualisation.figures.paths import PathCurves, plot_path
+from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES, figure, save
 
 T = np.linspace(0.0, 1.0, 201)
 SINGULAR = 100

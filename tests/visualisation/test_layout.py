@@ -18,11 +18,15 @@ from redundancy_pin.experiments.beyond.cases import SwitchOff
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS, TASKS
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.bars import plot_bars
-from redundancy_pin.visualisation.feasibility_map import MapLabels, MapPanel, Tile, plot_feasibility
-from redundancy_pin.visualisation.side_by_side import plot_side_by_side
-from redundancy_pin.visualisation.speed_border import Attempts, plot_speed_border
-from redundancy_pin.visualisation.trade_off import TradeCurve, plot_trade_off
+from redundancy_pin.visualisation.figures.feasibility_map import MapLabels, MapPanel, Tile, plot_feasibility
+from redundancy_pin.visualisation.figures.side_by_side import plot_side_by_side
+from redundancy_pin.visualisation.figures.summaries import (
+    Attempts,
+    TradeCurve,
+    plot_bars,
+    plot_speed_border,
+    plot_trade_off,
+)
 
 EDGE = 1.5
 """Pixels by which the box of a text may be larger than what is seen of it: ascenders and descenders it has not."""

@@ -12,7 +12,7 @@ import pytest
 
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.view import show
-from redundancy_pin.visualisation import live_view
+from redundancy_pin.visualisation.viewer import page as live_view
 
 pytest.importorskip("meshcat")
 

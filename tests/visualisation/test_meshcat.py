@@ -18,9 +18,9 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.view import show
-from redundancy_pin.visualisation.meshcat_shapes import AROUND, arc, arrow, plate, tube
-from redundancy_pin.visualisation.scene_colors import EFFORT_COLORS, MARGIN_COLORS, code, margin_classes
-from redundancy_pin.visualisation.show import View
+from redundancy_pin.visualisation.viewer.meshcat_scene import AROUND, arc, arrow, plate, tube
+from redundancy_pin.visualisation.viewer.page import View
+from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, code, margin_classes
 
 umsgpack = pytest.importorskip("umsgpack", reason="comes with meshcat")
 

@@ -12,15 +12,14 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
-from redundancy_pin.visualisation.plan_figures import plot_plan
-from redundancy_pin.visualisation.plan_panels import phase_runs
-from redundancy_pin.visualisation.style import STROKES, save
+from redundancy_pin.visualisation.figures.plan import phase_runs, plot_plan
+from redundancy_pin.visualisation.figures.style import STROKES, save
 
 T = np.linspace(0.0, 1.0, 101)
 PHASES = ("parked", "ramp_down", "off", "return")

@@ -14,9 +14,9 @@ from matplotlib.colors import to_hex
 from scipy.optimize import brentq
 
 import redundancy_pin as rp
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError
-from redundancy_pin.visualisation.scene_colors import MARGIN_COLORS, margin_classes
+from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, margin_classes
 
 INSTANT = 1e-9
 """Both roots are found to 1e-12 s or better."""

@@ -16,9 +16,7 @@ from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot import Robot
 from redundancy_pin.view import default_motion, motion_shown
-from redundancy_pin.visualisation.scene import Arrow, Scene
-from redundancy_pin.visualisation.scene_colors import MARGIN_COLORS, ROLE_COLORS, margin_classes, margin_labels
-from redundancy_pin.visualisation.scene_motion import (
+from redundancy_pin.visualisation.viewer.motion import (
     FRAME_RATE,
     LONGEST_FORCE,
     LONGEST_TORQUE,
@@ -29,7 +27,15 @@ from redundancy_pin.visualisation.scene_motion import (
     make_scene,
     path_samples,
 )
-from redundancy_pin.visualisation.scene_parts import body_points
+from redundancy_pin.visualisation.viewer.parts import body_points
+from redundancy_pin.visualisation.viewer.scene import (
+    MARGIN_COLORS,
+    ROLE_COLORS,
+    Arrow,
+    Scene,
+    margin_classes,
+    margin_labels,
+)
 
 ROUNDING = 1e-9
 """Positions of order one from a closure gap of 1e-11 and sines and cosines on either side."""

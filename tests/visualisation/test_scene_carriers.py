@@ -16,9 +16,9 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.view import default_motion, motion_shown, show
-from redundancy_pin.visualisation.scene import Scene, Solid, arc_points, corners_of
-from redundancy_pin.visualisation.scene_carriers import BALANCED_RADIUS
-from redundancy_pin.visualisation.scene_motion import make_scene
+from redundancy_pin.visualisation.viewer.motion import make_scene
+from redundancy_pin.visualisation.viewer.parts import BALANCED_RADIUS
+from redundancy_pin.visualisation.viewer.scene import Scene, Solid, arc_points, corners_of
 
 LEVER = np.array([0.1, 0.02, 0.03])
 """Centre of mass of every link that ``urdf_of`` writes, in the frame of its joint, m."""
@@ -154,7 +154,7 @@ def test_pages_and_snapshots_show_it(tmp_path: Path) -> None:
 def test_corners_hold_what_is_drawn(name: str) -> None:
     """Boxes that hold a solid: every vertex that viewers draw is inside, and each face is touched."""
     pytest.importorskip("meshcat")
-    from redundancy_pin.visualisation.meshcat_scene import _shape
+    from redundancy_pin.visualisation.viewer.meshcat_scene import _shape
 
     scene = turned()[1] if name != "3rrr" else show("3rrr").scene
     seen = set()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from redundancy_pin.visualisation.style import BEYOND, CARRIER_STROKES, STROKES
-from redundancy_pin.visualisation.time_panels import Curve, Panel, plot_time_panels
+from redundancy_pin.visualisation.figures.style import BEYOND, CARRIER_STROKES, STROKES
+from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels
 
 T = np.linspace(0.0, 1.0, 11)
 

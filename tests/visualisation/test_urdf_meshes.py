@@ -16,9 +16,8 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
 from redundancy_pin.view import show
-from redundancy_pin.visualisation.scene import Scene, Solid
-from redundancy_pin.visualisation.scene_colors import ROLE_COLORS
-from redundancy_pin.visualisation.urdf_meshes import find_mesh
+from redundancy_pin.visualisation.viewer.scene import ROLE_COLORS, Scene, Solid
+from redundancy_pin.visualisation.viewer.urdf_shapes import find_mesh
 
 JOINTS = [
     J("left_base", "revolute", "base", "left_1"),
@@ -140,7 +139,7 @@ def test_the_page_holds_every_vertex_of_a_mesh(tmp_path: Path) -> None:
 
 
 def test_the_camera_sees_all_of_a_mesh(tmp_path: Path) -> None:
-    from redundancy_pin.visualisation.scene import corners_of
+    from redundancy_pin.visualisation.viewer.scene import corners_of
 
     wedge().export(tmp_path / "wedge.stl")
     (solid,) = shapes_on(scene_of(robot_with(tmp_path, [visual('<mesh filename="wedge.stl"/>')])), "left_base")

@@ -7,10 +7,21 @@ from typing import cast
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, read_only
-from redundancy_pin.dynamics.base import CarrierDerivatives, OnUnreachable, ReducedDynamics
-from redundancy_pin.dynamics.carriers import require_choice, require_matching, require_on_track
-from redundancy_pin.dynamics.virtual_work.model import Mechanism, MechanismAlongMotion, MechanismLegs
-from redundancy_pin.dynamics.virtual_work.planar import base_wrench, energy
+from redundancy_pin.dynamics.base import (
+    CarrierDerivatives,
+    OnUnreachable,
+    ReducedDynamics,
+    require_choice,
+    require_matching,
+    require_on_track,
+)
+from redundancy_pin.dynamics.virtual_work.mechanism import (
+    Mechanism,
+    MechanismAlongMotion,
+    MechanismLegs,
+    base_wrench,
+    energy,
+)
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrMechanism, ThreeRrrParameters
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprMechanism, TwoRprParameters
 from redundancy_pin.errors import (

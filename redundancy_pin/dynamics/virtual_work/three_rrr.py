@@ -1,6 +1,6 @@
 """Virtual work on the 3-RRR with a carrier on each distal link (Parsa 2014, section 2.2), gravity included.
 
-Notation of ``kinematics.three_rrr``: b and e are the link vectors, v⊥ is v turned by +90°, ω = θ̇ and Ω = β̇. With
+Notation of ``three_rrr_kinematics``: b and e are the link vectors, v⊥ is v turned by +90°, ω = θ̇ and Ω = β̇. With
 the sums m = m2 + m_s, S = m2 r_a + m_s s (first moment about the elbow B) and I = I2 + m2 r_a² + m_s s², an
 acceleration a_B of the elbow less gravity, and u, n along and across the distal link, leg i resists with
 
@@ -25,9 +25,13 @@ from functools import cached_property
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
-from redundancy_pin.dynamics.virtual_work.model import EffortDerivatives
-from redundancy_pin.dynamics.virtual_work.planar import LinkFrames, PlanarBodies
-from redundancy_pin.kinematics.three_rrr import ThreeRrrGeometry, ThreeRrrLegs, inverse_displacement, leg_rates
+from redundancy_pin.dynamics.virtual_work.mechanism import EffortDerivatives, LinkFrames, PlanarBodies
+from redundancy_pin.dynamics.virtual_work.three_rrr_kinematics import (
+    ThreeRrrGeometry,
+    ThreeRrrLegs,
+    inverse_displacement,
+    leg_rates,
+)
 
 LEAST_ELBOW_SINE = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Sine of the elbow below which a pose counts as a type I singularity: a leg that close to straight or folded becomes

@@ -15,9 +15,13 @@ from functools import cached_property
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
-from redundancy_pin.dynamics.virtual_work.model import EffortDerivatives
-from redundancy_pin.dynamics.virtual_work.planar import LinkFrames, PlanarBodies
-from redundancy_pin.kinematics.two_rpr import TwoRprGeometry, TwoRprLegs, inverse_displacement, leg_rates
+from redundancy_pin.dynamics.virtual_work.mechanism import EffortDerivatives, LinkFrames, PlanarBodies
+from redundancy_pin.dynamics.virtual_work.two_rpr_kinematics import (
+    TwoRprGeometry,
+    TwoRprLegs,
+    inverse_displacement,
+    leg_rates,
+)
 
 SIDE = np.array([[1.0], [-1.0]])
 """σ of each leg: the sense across the leg, along n, in which s grows (read off Parsa 2014, eq. 2.13 and 2.15)."""

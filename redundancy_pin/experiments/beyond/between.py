@@ -10,7 +10,7 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.stepwise_report import between_samples
+from redundancy_pin.planners.stepwise.report import between_samples
 from redundancy_pin.trajectory import Trajectory
 
 FINER = 20

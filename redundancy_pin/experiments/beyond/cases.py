@@ -7,9 +7,9 @@ from typing import Protocol
 
 from redundancy_pin.experiments.beyond.tasks import Task
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.switch_off import plan_switch_off
-from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
-from redundancy_pin.planners.whole_trajectory_settings import End, Objective
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
+from redundancy_pin.planners.whole_trajectory.settings import End, Objective
 
 RETURN_TIME = 0.4
 """Duration of the carriers' return after switching off, s, as in the chapter on the thesis."""

@@ -17,7 +17,7 @@ from redundancy_pin.experiments.beyond.settings import BeyondSettings
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import Task
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.whole_trajectory_settings import Objective
+from redundancy_pin.planners.whole_trajectory.settings import Objective
 
 GROWTH = 1.3
 """Factor on the speed until it is too high."""

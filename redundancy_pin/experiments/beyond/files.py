@@ -12,9 +12,9 @@ from redundancy_pin.experiments.beyond.pictures import FIGURES, plan_of
 from redundancy_pin.experiments.beyond.study import Beyond
 from redundancy_pin.experiments.beyond.tasks import TASKS
 from redundancy_pin.experiments.csv_text import csv_text
-from redundancy_pin.files import write_text
+from redundancy_pin.io.files import write_text
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.style import save
+from redundancy_pin.visualisation.figures.style import save
 
 _CLOCK = ("seconds", "solver_seconds")
 """Diagnostics that differ from run to run; without them the same run writes the same bytes."""

@@ -29,11 +29,15 @@ from redundancy_pin.experiments.beyond.ways import (
 from redundancy_pin.experiments.document import Block, Picture
 from redundancy_pin.experiments.planned.cases import mode_text
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.bars import plot_bars
-from redundancy_pin.visualisation.side_by_side import plot_side_by_side
-from redundancy_pin.visualisation.speed_border import Attempts, plot_speed_border
-from redundancy_pin.visualisation.style import words
-from redundancy_pin.visualisation.trade_off import TradeCurve, plot_trade_off
+from redundancy_pin.visualisation.figures.side_by_side import plot_side_by_side
+from redundancy_pin.visualisation.figures.style import words
+from redundancy_pin.visualisation.figures.summaries import (
+    Attempts,
+    TradeCurve,
+    plot_bars,
+    plot_speed_border,
+    plot_trade_off,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

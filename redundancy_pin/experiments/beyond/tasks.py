@@ -12,7 +12,7 @@ from redundancy_pin.experiments.backends import BACKENDS, RNEA, VIRTUAL_WORK
 from redundancy_pin.experiments.planned.cases import Mode
 from redundancy_pin.loading import load_robot
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
-from redundancy_pin.trajectory.segments import Line
+from redundancy_pin.trajectory.paths import Line
 
 PathOf = Literal["circle", "line", "corner", "square", "descent"]
 

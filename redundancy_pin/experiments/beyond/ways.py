@@ -11,7 +11,7 @@ from redundancy_pin.experiments.beyond.rows import Row, dense_peak, row_of, row_
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import Task
 from redundancy_pin.experiments.planned import cases as planned
-from redundancy_pin.planners.whole_trajectory_settings import Objective
+from redundancy_pin.planners.whole_trajectory.settings import Objective
 
 NONE = "no carriers"
 PARKED = "carriers parked"

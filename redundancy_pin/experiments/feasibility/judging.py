@@ -17,7 +17,7 @@ from redundancy_pin.errors import (
 from redundancy_pin.experiments.feasibility.cell import Cell, Verdict
 from redundancy_pin.experiments.feasibility.machine import Machine
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.whole_trajectory_check import ALLOWED
+from redundancy_pin.planners.whole_trajectory.dense_check import ALLOWED
 
 BINDS = 0.999
 """A limit is said to bind where this fraction of it is used: an interior-point solution stays a little inside."""

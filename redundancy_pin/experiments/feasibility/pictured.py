@@ -10,7 +10,7 @@ from redundancy_pin.experiments.feasibility.planning import tries
 from redundancy_pin.experiments.feasibility.problem import LIMITS, SWITCH_OFF, WHOLE, MapProblem
 from redundancy_pin.experiments.feasibility.result import FeasibilityMap, axis_of, place
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.visualisation.feasibility_map import Kind, MapLabels, MapPanel, Tile, plot_feasibility
+from redundancy_pin.visualisation.figures.feasibility_map import Kind, MapLabels, MapPanel, Tile, plot_feasibility
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

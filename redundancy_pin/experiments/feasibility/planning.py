@@ -14,9 +14,9 @@ from redundancy_pin.experiments.feasibility.judging import judge, of_error
 from redundancy_pin.experiments.feasibility.machine import Machine, machine
 from redundancy_pin.experiments.feasibility.problem import STEPWISE, SWITCH_OFF, WHOLE, MapProblem
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.stepwise import plan_stepwise
-from redundancy_pin.planners.switch_off import plan_switch_off
-from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
+from redundancy_pin.planners.stepwise.planner import plan_stepwise
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 
 TRIES: Mapping[str, tuple[Mapping[str, Any], ...]] = {
     SWITCH_OFF: tuple(

@@ -8,8 +8,8 @@ from pathlib import Path
 from redundancy_pin.errors import OutputError
 from redundancy_pin.experiments.feasibility.pictured import draw
 from redundancy_pin.experiments.feasibility.result import FeasibilityMap
-from redundancy_pin.files import replacing_file, write_text
-from redundancy_pin.visualisation.style import save
+from redundancy_pin.io.files import replacing_file, write_text
+from redundancy_pin.visualisation.figures.style import save
 
 FILES = ("map.csv", "map.json", "map.svg", "map.png")
 """What is written beside the journal."""

@@ -9,7 +9,7 @@ import numpy as np
 from redundancy_pin.experiments.backends import VIRTUAL_WORK
 from redundancy_pin.experiments.planned.cases import CORNERS
 from redundancy_pin.experiments.planned.store import PlanStore
-from redundancy_pin.planners.stepwise_report import between_samples
+from redundancy_pin.planners.stepwise.report import between_samples
 
 POINTS = 4
 """Points inside each step."""

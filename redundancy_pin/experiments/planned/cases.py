@@ -12,10 +12,9 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.experiments.experiment import PATHS, PathName
 from redundancy_pin.experiments.planned.robots import dynamics
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.finish import finish_plan
-from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.stepwise import plan_stepwise
-from redundancy_pin.planners.switch_off import Scheme, plan_switch_off
+from redundancy_pin.planners.plan import Plan, finish_plan
+from redundancy_pin.planners.stepwise.planner import plan_stepwise
+from redundancy_pin.planners.switch_off.planner import Scheme, plan_switch_off
 from redundancy_pin.trajectory import Trajectory
 
 Mode = tuple[int, ...]

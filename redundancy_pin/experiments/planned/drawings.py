@@ -11,11 +11,10 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.experiments.planned import measures as m
 from redundancy_pin.experiments.planned.cases import Case, StepwiseCase, SwitchOffCase
 from redundancy_pin.experiments.planned.store import PlanStore
-from redundancy_pin.kinematics.state import lift
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.plane_paths import PlanePath, plot_plane_paths
-from redundancy_pin.visualisation.sketch import base_hinges, links
-from redundancy_pin.visualisation.time_panels import Curve, Panel, plot_time_panels
+from redundancy_pin.visualisation.figures.paths import PlanePath, base_hinges, links, plot_plane_paths
+from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

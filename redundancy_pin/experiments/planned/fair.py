@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from redundancy_pin.dynamics.status import SampleStatus
+from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.experiments.planned import measures as m
 from redundancy_pin.experiments.planned.cases import CORNERS, CROSSINGS, Mode, StepwiseCase, mode_text
 from redundancy_pin.experiments.planned.mode_claims import MODE_CASES

@@ -10,8 +10,8 @@ import numpy as np
 from redundancy_pin.experiments.csv_text import csv_text
 from redundancy_pin.experiments.replay.pictures import FIGURES
 from redundancy_pin.experiments.replay.study import Replays
-from redundancy_pin.files import write_text
-from redundancy_pin.visualisation.style import save
+from redundancy_pin.io.files import write_text
+from redundancy_pin.visualisation.figures.style import save
 
 _COLUMNS = (
     "plan", "drive", "status", "largest", "rms", "last", "carrier_error", "carrier_lag", "off_track", "effort",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from redundancy_pin.experiments.replay.cases import CASES
 from redundancy_pin.experiments.replay.study import Replays
-from redundancy_pin.visualisation.tracking import plot_tracking
+from redundancy_pin.visualisation.figures.summaries import plot_tracking
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,11 +14,10 @@ from redundancy_pin.experiments.journal import DIGITS
 from redundancy_pin.experiments.robustness.draws import Imperfections
 from redundancy_pin.experiments.robustness.scenarios import MASS, PLANNED_TRACK, Scenario
 from redundancy_pin.experiments.robustness.trial import ATOL, RTOL
-from redundancy_pin.robot.description import models_root
+from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
-from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
-from redundancy_pin.simulation.controllers.weights import bryson_weights
-from redundancy_pin.simulation.encoders import Encoders
+from redundancy_pin.simulation.controllers.encoders import Encoders
+from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr, bryson_weights
 
 LIBRARIES = ("casadi", "numpy", "pin", "scipy")
 """Whose versions may change a digit of a plan or a simulation."""

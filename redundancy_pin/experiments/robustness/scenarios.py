@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.loading import load_robot
-from redundancy_pin.planners.switch_off import plan_switch_off
-from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.trajectory import Trajectory, reference

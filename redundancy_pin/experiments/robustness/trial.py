@@ -15,13 +15,11 @@ from redundancy_pin.experiments.robustness.draws import Draw, Imperfections, dra
 from redundancy_pin.experiments.robustness.scenarios import MASS, Drive, Scenario, nominal, planned
 from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.loading import load_robot
-from redundancy_pin.simulation.control import Controller, Sampling
 from redundancy_pin.simulation.controllers.allocation import AllocationStatus
+from redundancy_pin.simulation.controllers.base import Controller, Sampling, Tracking
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
+from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
-from redundancy_pin.simulation.controllers.tracking import Tracking
-from redundancy_pin.simulation.encoders import Encoders
-from redundancy_pin.simulation.friction import JointFriction
 from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state

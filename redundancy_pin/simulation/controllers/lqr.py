@@ -4,23 +4,310 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, block_diag, solve_continuous_are, solve_discrete_are
+from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve, expm, solve_continuous_are, solve_discrete_are
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.errors import InputError
-from redundancy_pin.planners.continuous_motion import TimedTrajectory
+from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.control import CarrierDrive, Sampling, limit
-from redundancy_pin.simulation.controllers.linear_model import LinearModel, linear_model, sampled_model
-from redundancy_pin.simulation.controllers.riccati import NEGATIVE, Riccati, continuous_riccati, discrete_riccati
-from redundancy_pin.simulation.controllers.tracking import Tracking
-from redundancy_pin.simulation.controllers.weights import LqrWeights, bryson_weights
-from redundancy_pin.simulation.linearise import state_error
+from redundancy_pin.simulation.chain import ClosedChain
+from redundancy_pin.simulation.controllers.base import CarrierDrive, Sampling, Tracking, limit
+from redundancy_pin.simulation.derivatives import linearise, state_error
 from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.state import State
+from redundancy_pin.trajectory.continuous import TimedTrajectory
+
+
+@dataclass(frozen=True, eq=False)
+class LqrWeights:
+    """Cost rates of the regulator: ∫ δzᵀ Q δz + δuᵀ R δu dt.
+
+    Attributes:
+        Q: (2d, 2d) of δz = (δx, δs, δẋ, δṡ).
+        R: (m + k, m + k) of δu = (δτ, δF).
+    """
+
+    Q: Array
+    R: Array
+
+
+def bryson_weights(
+    reference: MotionReference,
+    *,
+    position: float = 1e-3,
+    carrier: float = 1e-2,
+    bandwidth: float = 30.0,
+    effort: ArrayLike | None = None,
+    carrier_force: ArrayLike | None = None,
+) -> LqrWeights:
+    """Return diagonal weights 1 / (acceptable deviation)² (Bryson and Ho 1975, section 5.2).
+
+    Args:
+        reference: the motion; its largest efforts are the acceptable deviations of efforts unless given.
+        position: acceptable error of the platform, m; rotations get this over the characteristic length, rad.
+        carrier: acceptable error of the carriers, m.
+        bandwidth: acceptable errors of speeds are this, rad/s, times those of positions.
+        effort: scalar or (m,) acceptable deviation of the main efforts, N or N·m, for example their limit less their
+            planned peak.
+        carrier_force: scalar or (k,) the same for the carriers, N.
+
+    Raises:
+        InputError: a value that is not positive, or of the wrong shape.
+    """
+    for name, value in (("position", position), ("carrier", carrier), ("bandwidth", bandwidth)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{name} is {value}.", remedy="Pass a positive, finite number.", name=name)
+    robot = reference.robot
+    both = _largest_loads(reference)
+    main = _acceptable(effort, both[: robot.m], "effort")
+    carriers = _acceptable(carrier_force, both[robot.m :], "carrier_force")
+    place = np.concatenate([position / row_scale(robot), np.full(robot.k, carrier)])
+    state = np.concatenate([place, bandwidth * place])
+    return LqrWeights(frozen(np.diag(state**-2.0)), frozen(np.diag(np.concatenate([main, carriers]) ** -2.0)))
+
+
+LEAST_SHARE = 0.05
+"""An actuator that a plan hardly uses may still deviate by this share of the largest of its kind."""
+
+
+def _largest_loads(reference: MotionReference) -> Array:
+    middles = 0.5 * (reference.edges[:-1] + reference.edges[1:])
+    largest: Array = np.abs([np.concatenate(reference.loads(float(t))) for t in middles]).max(axis=0)
+    return largest
+
+
+def _acceptable(given: ArrayLike | None, largest: Array, name: str) -> Array:
+    if given is None:
+        top = float(largest.max(initial=0.0))
+        return np.maximum(largest, LEAST_SHARE * top if top > 0.0 else 1.0)
+    values = np.atleast_1d(np.asarray(given, dtype=float))
+    if values.shape not in ((1,), largest.shape) or not (np.isfinite(values) & (values > 0.0)).all():
+        raise InputError(f"{name} is {given!r}.", remedy=f"Pass one positive number, or {len(largest)}.", name=name)
+    return np.broadcast_to(values, largest.shape)
+
+
+NEGATIVE = 1e-9
+"""Share of the largest eigenvalue by which rounding may make the smallest one of P negative."""
+
+
+@dataclass(frozen=True, eq=False)
+class Riccati:
+    """Solution of a finite-horizon Riccati equation.
+
+    Attributes:
+        P: (N + 1, e, e) cost to go: ξᵀ P ξ; symmetric, positive semidefinite.
+        K: (N, p, e) gains: δu = −K ξ.
+        least_eigenvalue: smallest eigenvalue of all P, relative to the largest of the same P.
+    """
+
+    P: Array
+    K: Array
+    least_eigenvalue: float
+
+
+def discrete_riccati(transition: Array, input: Array, Q: Array, R: Array, final: Array) -> Riccati:
+    """Minimise ξ_Nᵀ P_N ξ_N + Σ ξ_iᵀ Q ξ_i + u_iᵀ R u_i along ξ_{i+1} = Φ_i ξ_i + Γ_i u_i.
+
+    Joseph's form (Φ − ΓK)ᵀ P (Φ − ΓK) + Q + Kᵀ R K keeps P symmetric and positive whatever the rounding of K.
+
+    Args:
+        transition: (N, e, e) Φ.
+        input: (N, e, p) Γ.
+        Q: (e, e) cost of the state in each step, symmetric, positive semidefinite.
+        R: (p, p) cost of the input in each step, symmetric, positive definite.
+        final: (e, e) P_N, symmetric, positive semidefinite.
+
+    Raises:
+        InputError: R is not positive definite, or P loses its sign.
+    """
+    count, size, inputs = input.shape
+    P = np.empty((count + 1, size, size))
+    K = np.empty((count, inputs, size))
+    P[-1] = 0.5 * (final + final.T)
+    for i in range(count - 1, -1, -1):
+        phi, gamma, next_cost = transition[i], input[i], P[i + 1]
+        weighted = next_cost @ gamma
+        try:
+            factor = cho_factor(R + gamma.T @ weighted)
+        except LinAlgError as error:
+            raise InputError(
+                "The cost of the inputs is not positive definite.", remedy="Give every effort a positive weight."
+            ) from error
+        K[i] = cho_solve(factor, weighted.T @ phi)
+        closed = phi - gamma @ K[i]
+        found = closed.T @ next_cost @ closed + Q + K[i].T @ R @ K[i]
+        P[i] = 0.5 * (found + found.T)
+    return Riccati(read_only(P), read_only(K), _checked(P))
+
+
+def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, final: Array, step: Array) -> Riccati:
+    """Solve −Ṗ = AᵀP + PA − P B R⁻¹ Bᵀ P + Q backwards, exactly for A and B constant in each interval.
+
+    With the Hamiltonian H = [[A, −B R⁻¹ Bᵀ], [−Q, −Aᵀ]] and [X; Y] = exp(−H h) [I; P(t + h)], P(t) = Y X⁻¹.
+
+    Args:
+        A: (N, e, e) in each interval.
+        B: (N, e, p).
+        Q: (e, e) cost rate of the state.
+        R: (p, p) cost rate of the input.
+        final: (e, e) P at the end.
+        step: (N,) lengths of the intervals, s.
+
+    Returns:
+        P at the N + 1 ends; K (N + 1, p, e) at the same ends, with the B of the interval before (after, at the start).
+
+    Raises:
+        InputError: R is not positive definite, or P loses its sign.
+    """
+    count, size, _ = B.shape
+    try:
+        factor = cho_factor(R)
+    except LinAlgError as error:
+        raise InputError(
+            "The cost of the inputs is not positive definite.", remedy="Give every effort a positive weight."
+        ) from error
+    gain = np.array([cho_solve(factor, b.T) for b in B])
+    hamiltonian = np.empty((count, 2 * size, 2 * size))
+    hamiltonian[:, :size, :size] = A
+    hamiltonian[:, :size, size:] = -B @ gain
+    hamiltonian[:, size:, :size] = -Q
+    hamiltonian[:, size:, size:] = -A.transpose(0, 2, 1)
+    powers = expm(-hamiltonian * step[:, None, None])
+    P = np.empty((count + 1, size, size))
+    P[-1] = 0.5 * (final + final.T)
+    for i in range(count - 1, -1, -1):
+        stacked = powers[i, :, :size] + powers[i, :, size:] @ P[i + 1]
+        found = np.linalg.solve(stacked[:size].T, stacked[size:].T).T
+        P[i] = 0.5 * (found + found.T)
+    K = np.concatenate([gain[:1], gain]) @ P
+    return Riccati(read_only(P), read_only(K), _checked(P))
+
+
+def _checked(P: Array) -> float:
+    """Return the smallest relative eigenvalue.
+
+    Raises:
+        InputError: P is not finite, or not positive semidefinite.
+    """
+    finite = bool(np.isfinite(P).all())
+    least = float("nan")
+    if finite:
+        values = np.linalg.eigvalsh(P)
+        least = float((values[:, 0] / np.maximum(np.abs(values).max(axis=1), np.finfo(float).tiny)).min())
+    if not finite or least < -NEGATIVE:
+        raise InputError(
+            f"The Riccati equation has no positive solution: smallest relative eigenvalue {least:.3g}.",
+            remedy="Pass Q and the final cost without negative eigenvalues, and less extreme weights.",
+            least=least,
+        )
+    return least
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """d(δz)/dt = A(t) δz + B(t) δu along a reference, linear between its nodes.
+
+    δz = (δx, δs, δẋ, δṡ), δu = (δτ, δF); see ``simulation.derivatives``.
+
+    Attributes:
+        t: (T,) nodes, s.
+        A: (T, 2d, 2d).
+        B: (T, 2d, m + k).
+    """
+
+    t: Array
+    A: Array
+    B: Array
+
+    def at(self, times: Array) -> tuple[Array, Array]:
+        """Return A (N, 2d, 2d) and B (N, 2d, m + k) at times (N,); outside the nodes those at the ends."""
+        inside = np.clip(times, self.t[0], self.t[-1])
+        i = np.clip(np.searchsorted(self.t, inside, side="right") - 1, 0, len(self.t) - 2)
+        share = ((inside - self.t[i]) / (self.t[i + 1] - self.t[i]))[:, None, None]
+        return (1.0 - share) * self.A[i] + share * self.A[i + 1], (1.0 - share) * self.B[i] + share * self.B[i + 1]
+
+
+def linear_model(reference: MotionReference, step: float) -> LinearModel:
+    """Return the linearisation along a reference at nodes at most ``step`` apart.
+
+    Args:
+        reference: the motion and its efforts.
+        step: s.
+
+    Raises:
+        SingularPoseError: a type I pose on the way.
+        IllPosedModelError: a free motion of the model has no inertia somewhere on the way.
+    """
+    robot = reference.robot
+    chain = ClosedChain(robot)
+    count = max(2, int(np.ceil((reference.end - reference.start) / step - 1e-9)) + 1)
+    times = np.linspace(reference.start, reference.end, count)
+    found = []
+    for t in times.tolist():
+        q, v, _ = reference.tree(t)
+        found.append(linearise(robot, State(chain, t, q, v), *reference.loads(t)))
+    return LinearModel(
+        read_only(times), read_only(np.array([one.A for one in found])), read_only(np.array([one.B for one in found]))
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SampledModel:
+    """ξ_{i+1} = Φ_i ξ_i + Γ_i δu_i with ξ = (δz, δu of the sample before); the latter acts until the delay is over.
+
+    Attributes:
+        t: (N + 1,) sampling instants, s.
+        transition: (N, e, e) Φ, e = 2d + m + k, or 2d without delay.
+        input: (N, e, m + k) Γ.
+    """
+
+    t: Array
+    transition: Array
+    input: Array
+
+
+def sampled_model(model: LinearModel, start: float, end: float, period: float, delay: float) -> SampledModel:
+    """Return the zero-order hold of a linear model, by matrix exponentials.
+
+    A and B count as constant in each of the two parts of a period: before the new input acts, and after.
+
+    Args:
+        model: the continuous one.
+        start: first sampling instant, s.
+        end: last one at the latest, s.
+        period: sampling period, s.
+        delay: from reading the state to the change of the efforts, s; at most one period.
+    """
+    count = max(1, int(np.ceil((end - start) / period - 1e-9)))
+    times = start + period * np.arange(count + 1.0)
+    transition, old = _hold(model, times[:-1] + 0.5 * delay, delay)
+    after, new = _hold(model, times[:-1] + 0.5 * (delay + period), period - delay)
+    phi, gamma = after @ transition, new
+    if delay == 0.0:
+        return SampledModel(read_only(times), read_only(phi), read_only(gamma))
+    states, inputs = new.shape[1:]
+    large = np.zeros((count, states + inputs, states + inputs))
+    large[:, :states, :states] = phi
+    large[:, :states, states:] = after @ old
+    enters = np.zeros((count, states + inputs, inputs))
+    enters[:, :states] = gamma
+    enters[:, states:] = np.eye(inputs)
+    return SampledModel(read_only(times), read_only(large), read_only(enters))
+
+
+def _hold(model: LinearModel, times: Array, duration: float) -> tuple[Array, Array]:
+    """Return Φ and Γ over intervals of one duration with the A and B of their middles."""
+    A, B = model.at(times)
+    states, inputs = B.shape[1:]
+    block = np.zeros((len(times), states + inputs, states + inputs))
+    block[:, :states, :states], block[:, :states, states:] = A, B
+    power = expm(duration * block)
+    return power[:, :states, :states], power[:, :states, states:]
+
 
 STEP = 5e-3
 """Default distance of the nodes of the linear model, s: planned motions change within 50 ms."""

@@ -18,7 +18,7 @@ from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import CROSSINGS
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.whole_trajectory_solver import Solver
+from redundancy_pin.planners.whole_trajectory.solver import Solver
 
 CIRCLE, LINE = CROSSINGS[0], CROSSINGS[4]
 SETTINGS = replace(QUICK, tolerance=0.01, starts=3)

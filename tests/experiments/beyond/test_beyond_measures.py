@@ -20,7 +20,7 @@ from redundancy_pin.experiments.beyond.tradeoff import trade
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.switch_off import plan_switch_off
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
 
 LINE = CROSSINGS[4]
 T = np.linspace(0.0, 1.0, 1001)

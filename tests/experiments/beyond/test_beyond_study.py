@@ -21,7 +21,7 @@ from redundancy_pin.experiments.beyond.pictures import FIGURES
 from redundancy_pin.experiments.beyond.rows import Row
 from redundancy_pin.experiments.beyond.tasks import TASKS, Task
 from redundancy_pin.experiments.beyond.ways import EFFORT, NONE, PEAK, SWITCH_OFF, SWITCH_OFF_LATE
-from redundancy_pin.visualisation import style
+from redundancy_pin.visualisation.figures import style
 
 ROUNDING = 1e-9
 """The same sums in another order."""

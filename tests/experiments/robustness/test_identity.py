@@ -14,9 +14,9 @@ from redundancy_pin.errors import OutputError
 from redundancy_pin.experiments.robustness import Imperfections, identity, robustness_study, study
 from redundancy_pin.experiments.robustness.scenarios import Scenario
 from redundancy_pin.experiments.robustness.trial import Trial
-from redundancy_pin.robot.description import models_root
+from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
-from redundancy_pin.simulation.controllers.weights import bryson_weights
+from redundancy_pin.simulation.controllers.lqr import bryson_weights
 
 SHORT = Scenario("line", "switch off", 2.48, 2.53)
 

@@ -16,7 +16,7 @@ from redundancy_pin.experiments.robustness.scenarios import Scenario, nominal, p
 from redundancy_pin.experiments.robustness.statistics import mean_interval, wilson
 from redundancy_pin.experiments.robustness.study import scaled
 from redundancy_pin.experiments.robustness.trial import SUCCESS, Amplifier, Trial, run_trial, trial_from
-from redundancy_pin.simulation.encoders import Encoders
+from redundancy_pin.simulation.controllers.encoders import Encoders
 
 SHORT = Scenario("line", "switch off", 2.45, 2.55)
 """s; the singular pose at 2.508 s, and little else."""

@@ -13,7 +13,6 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.simulation.control import Sampling
 from redundancy_pin.simulation.controllers import (
     AllocationStatus,
     ComputedTorque,
@@ -21,6 +20,7 @@ from redundancy_pin.simulation.controllers import (
     TimeVaryingLqr,
     computed_torque,
 )
+from redundancy_pin.simulation.controllers.base import Sampling
 from redundancy_pin.simulation.reference import motion_reference
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 

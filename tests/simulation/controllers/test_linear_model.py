@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from redundancy_pin.simulation.controllers.linear_model import LinearModel, sampled_model
+from redundancy_pin.simulation.controllers.lqr import LinearModel, sampled_model
 
 PERIOD = 0.01
 

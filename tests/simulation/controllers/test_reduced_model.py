@@ -9,7 +9,7 @@ from crossing_case import corner, crossing
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.simulation.controllers.reduced_model import ReducedModel
+from redundancy_pin.simulation.controllers.computed_torque import ReducedModel
 from redundancy_pin.simulation.state import closed_state
 
 

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag, solve_continuous_are, solve_discrete_are
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.simulation.controllers.riccati import continuous_riccati, discrete_riccati
+from redundancy_pin.simulation.controllers.lqr import continuous_riccati, discrete_riccati
 
 STATES, INPUTS, STEPS = 4, 2, 7
 

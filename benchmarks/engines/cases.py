@@ -1,0 +1,123 @@
+"""Motions on which this package is compared with outside engines: ``make engines`` and ``make bench`` run them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from engines.drive import Drive, drive_of_motion, drive_of_plan
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.loading import load_robot
+from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
+from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory import Line, PoseTrajectory, RestToRest, Trajectory, reference
+from redundancy_pin.trajectory.continuous import TimedTrajectory
+
+
+@dataclass(frozen=True)
+class Case:
+    """A robot and a motion.
+
+    Attributes:
+        name: a short name.
+        robot: name of a shipped robot.
+        trajectory: from the robot to the motion of its platform.
+        arguments: arguments of ``load_robot``.
+        planner: settings of ``plan_whole_trajectory``.
+        crossings: number of type II singularities on the way.
+        mujoco: whether MuJoCo takes the robot.
+    """
+
+    name: str
+    robot: str
+    trajectory: Callable[[Robot], TimedTrajectory]
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    planner: Mapping[str, Any] = field(default_factory=dict)
+    crossings: int = 0
+    mujoco: bool = True
+
+
+def prepare(case: Case, backend: Callable[[Robot], Dynamics]) -> Drive:
+    """Plan the carriers of a case, if its robot has any, and return the drive.
+
+    Args:
+        case: the case.
+        backend: makes a dynamics backend of a robot.
+
+    Raises:
+        RedundancyPinError: casadi, which the planner needs, is not installed.
+    """
+    robot = load_robot(case.robot, **case.arguments)
+    dynamics, motion = backend(robot), case.trajectory(robot)
+    if robot.k == 0:
+        return drive_of_motion(dynamics, motion)
+    plan = plan_whole_trajectory(dynamics, motion, **case.planner)
+    return drive_of_plan(dynamics, plan, motion)
+
+
+def straight(start: ArrayLike, end: ArrayLike, duration: float) -> Trajectory:
+    """Return a rest-to-rest motion along a straight line of the independent coordinates.
+
+    Args:
+        start: (n,) coordinates, m and rad.
+        end: (n,) the same at the end.
+        duration: s.
+    """
+    path = Line(start, end)
+    return Trajectory(path, RestToRest(path.length, duration, "4-5-6-7"))
+
+
+def _tilted(robot: Robot) -> PoseTrajectory:
+    """From the reference pose, sideways and up, with a turn about a skew axis."""
+    state = ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None])
+    home = coordinates(robot, state)[0]
+    end = home.copy()
+    end[:3, 3] += [0.05, -0.03, 0.04]
+    end[:3, :3] = Rotation.from_rotvec([0.1, -0.15, 0.2]).as_matrix() @ home[:3, :3]
+    return reference.pose(home, end, 1.0)
+
+
+WITH_MASS = {"end_effector_mass": 0.5, "cylinder_mass": 0.3, "piston_mass": 0.2}
+"""Masses of the 2-RPR that the thesis leaves out: without them its motion through a type II pose is undetermined."""
+
+SHORT = Case("2-RPR short line", "2rpr", lambda _: straight((0.15, 0.1), (0.2, -0.1), 0.6), WITH_MASS, crossings=1)
+"""Quick, and through a type II pose: for the ordinary tests."""
+
+CASES = (
+    SHORT,
+    Case("2-RPR line", "2rpr", lambda _: reference.line(0.4, ramp_time=0.5), WITH_MASS, crossings=1),
+    Case("2-RPR circle", "2rpr", lambda _: reference.circle(), WITH_MASS, crossings=2),
+    Case(
+        "2-RPR circle, massless pistons",
+        "2rpr",
+        lambda _: reference.circle(),
+        {"end_effector_mass": 0.5, "cylinder_mass": 0.3},
+        crossings=2,
+        mujoco=False,
+    ),
+    Case("3-RRR corner, r = 25 mm", "3rrr", lambda _: reference.corner(0.025)),
+    Case("3-RRR corner, r = 13 mm", "3rrr", lambda _: reference.corner(0.013)),
+    Case("3-RRR square", "3rrr", lambda _: reference.square()),
+    Case("3-RRR turn on the spot", "3rrr", lambda _: straight((0.866, 0.5, 0.0), (0.866, 0.5, -1.2), 1.5), crossings=1),
+    Case(
+        "3-RRR turn while moving",
+        "3rrr",
+        lambda _: straight((1.0, 0.4, 0.0), (0.8, 0.6, -1.0), 1.5),
+        planner={"end": "rest"},
+        crossings=1,
+    ),
+    Case("five-bar line", "five_bar", lambda _: straight((0.1, 0.6), (0.35, 0.3), 1.0), crossings=1),
+    Case("four-bar half turn", "four_bar", lambda _: straight((1.0,), (4.0,), 1.0)),
+    Case("Gough, move and tilt", "gough", _tilted),
+)
+"""Everything ``make engines`` runs."""
+
+CORNER = CASES[4]
+"""The 3-RRR with carriers on which speeds are compared."""

@@ -1,0 +1,255 @@
+"""Backend against physics: power, angular momentum, forward dynamics and finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq
+
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray
+from redundancy_pin.crosscheck.cases import Case
+from redundancy_pin.crosscheck.report import Tally, relative
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.virtual_work import VirtualWork
+from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.kinematics.coordinates import row_scale
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
+
+PARITY = 1e-10
+"""Rounding through two different routes: about 1e-14 times the condition of the closures, at most 1e3 here."""
+
+AWAY_FROM_TYPE_ONE = 0.05
+
+
+def check_parity(tally: Tally, case: Case) -> None:
+    """Compare f, W, carrier forces, their derivatives, base wrench and energy of both backends on random states."""
+    motion, carriers = case.motion(case.t), case.carriers(case.t)
+    rnea = RneaDynamics(case.robot).along(motion)
+    manual = VirtualWork(case.robot).along(motion)
+    keep = rnea.tree.serial_margin_bound > AWAY_FROM_TYPE_ONE
+    name = case.robot.name
+    first, second = rnea.reduce(carriers), manual.reduce(carriers)
+    for label, a, b in (
+        ("f", first.f, second.f),
+        ("W", first.W, second.W),
+        ("carrier force", first.carrier_force, second.carrier_force),
+        ("base wrench", rnea.base_wrench(carriers), manual.base_wrench(carriers)),
+        ("energy", rnea.energy(carriers)[:, None], manual.energy(carriers)[:, None]),
+    ):
+        tally.add(name, f"parity: {label}", relative(a[keep], b[keep]), PARITY)
+    derivatives = rnea.carrier_derivatives(carriers), manual.carrier_derivatives(carriers)
+    for block in ("f", "force"):
+        a, b = (
+            np.concatenate([getattr(d, f"{block}_{argument}")[keep] for argument in ("s", "sd", "sdd")], axis=2)
+            for d in derivatives
+        )
+        tally.add(
+            name, f"parity: derivatives of {'carrier ' if block == 'force' else ''}{block}", relative(a, b), PARITY
+        )
+
+
+def check_parity_on_singularities(tally: Tally, case: Case) -> None:
+    """Compare f on poses where W has lost rank, found by root finding along lines between the states of the case."""
+    poses = _singular_poses(case)[: len(case.t)]
+    if len(poses) == 0:
+        return
+    count = len(poses)
+    motion = case.motion(case.t[:count])
+    carriers = case.carriers(case.t[:count])
+    for k in range(count):
+        # one sample each: singular poses of one case do not lie on one path
+        here = PlatformMotion(motion.t[k : k + 1], poses[k : k + 1], motion.xd[k : k + 1], motion.xdd[k : k + 1])
+        try:
+            rnea = RneaDynamics(case.robot).along(here)
+        except RedundancyPinError:
+            continue  # not reached from the reference without crossing type I
+        if rnea.tree.serial_margin_bound[0] < AWAY_FROM_TYPE_ONE:
+            continue
+        first = rnea.reduce(carriers[k : k + 1])
+        second = VirtualWork(case.robot).along(here).reduce(carriers[k : k + 1])
+        singular = np.linalg.svd(first.W[0], compute_uv=False)
+        if singular[-1] < 1e-9 * singular[0]:
+            tally.add(case.robot.name, "parity: f at type II poses", relative(first.f, second.f), PARITY)
+            tally.add(
+                case.robot.name,
+                "parity: carrier force at type II poses",
+                relative(first.carrier_force, second.carrier_force),
+                PARITY,
+            )
+
+
+def _singular_poses(case: Case, wanted: int = 8) -> Array:
+    """Return type II poses (P, n) on chords between states, from the closed form's determinant."""
+    manual: Dynamics = VirtualWork(case.robot)
+    rng = np.random.default_rng(len(case.t))
+    reach = 1.5 * case.robot.characteristic_length / row_scale(case.robot)
+    ends = case.path.mean + rng.uniform(-1.0, 1.0, (200, 2, case.robot.n)) * reach
+
+    def determinant(x: Array) -> Array:
+        zero = np.zeros_like(x)
+        w = manual.along(PlatformMotion(np.arange(len(x), dtype=float), x, zero, zero), unreachable="mark")
+        with np.errstate(invalid="ignore"):  # NaN marks poses out of reach
+            value: Array = np.linalg.det(w.reduce().W)
+        return value
+
+    found = []
+    values = np.stack([determinant(ends[:, 0]), determinant(ends[:, 1])])
+    for start, stop, (a, b) in zip(ends[:, 0], ends[:, 1], values.T, strict=True):
+        if not (np.isfinite(a) and np.isfinite(b) and a * b < 0.0):
+            continue
+
+        def along(u: float, start: Array = start, stop: Array = stop) -> float:
+            return float(determinant((start + u * (stop - start))[None])[0])
+
+        try:
+            u = brentq(along, 0.0, 1.0, xtol=1e-15, rtol=8.9e-16)
+        except (ValueError, RuntimeError):
+            continue  # the chord leaves the workspace, or jumps through a pole
+        if abs(along(u)) < 1e-10 * max(abs(a), abs(b)):
+            found.append(start + u * (stop - start))
+        if len(found) == wanted:
+            break
+    return np.array(found).reshape(len(found), case.robot.n)
+
+
+_STENCIL = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
+_STEP = 5e-4
+"""Sixth-order central differences: rounding is 1e-16 of the value over the step."""
+
+_ENERGY_OFFSETS = np.array([-6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6])
+_ENERGY_WEIGHTS = np.array([1, -9, -128, 1197, -5760, 0, 5760, -1197, 128, 9, -1]) / 7560.0
+"""Eighth-order differences: the sixth-order ones with steps h and 2 h, extrapolated so that h⁶ cancels. One random
+state in 1e5 changes so fast that the sixth-order ones leave 3e-8 at 0.5 ms, and 64 times less at every halving."""
+_ENERGY_STEP = 2e-4
+
+POWER = 1e-8
+MOMENTUM = 1e-8
+ROUND_TRIP = 1e-7
+"""Limited by the damped solver of the forward dynamics (mu 1e-8, 30 iterations) and the conditioning of W."""
+DERIVATIVES = 1e-7
+"""Central differences of a quadratic are exact but for rounding: 1e-16 over the step of 1e-3, and cancellation."""
+
+
+def check_power(tally: Tally, case: Case, dynamics: Dynamics, label: str) -> None:
+    """Power of all actuators equals the rate of the energy: ẋᵀ f + ṡᵀ F = dE/dt (ẋᵀ f = q̇ₐᵀ τ)."""
+    t = _apart(case.t)
+    motion, carriers = case.motion(t), case.carriers(t)
+    along = dynamics.along(motion)
+    reduced = along.reduce(carriers)
+    power = (reduced.f * motion.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
+    spread = (t[:, None] + _ENERGY_STEP * _ENERGY_OFFSETS).ravel()
+    energy = dynamics.along(case.motion(spread)).energy(case.carriers(spread)).reshape(len(t), -1)
+    size = np.maximum(np.abs(reduced.f * motion.xd).sum(axis=1), np.abs(energy).max(axis=1))
+    keep = _away(case, t)
+    deviation = np.abs(energy @ _ENERGY_WEIGHTS / _ENERGY_STEP - power) / np.maximum(size, 1e-3)
+    tally.add(case.robot.name, f"power balance ({label})", deviation[keep], POWER)
+
+
+def check_leg_momentum(tally: Tally, case: Case, dynamics: Dynamics, label: str) -> None:
+    """Massless 2-RPR: f = Σ nᵢ Ḣᵢ / dᵢ, Hᵢ the angular momentum of carrier i about Aᵢ (Parsa 2014, eq. 2.17).
+
+    The momentum comes from the carrier's position alone, differenced: r = L u + σ s n, H = m (r × ṙ).
+    """
+    robot = case.robot
+    t = _apart(case.t)
+    motion, carriers = case.motion(t), case.carriers(t)
+    reduced = dynamics.along(motion).reduce(carriers)
+    expected = np.zeros_like(motion.x)
+    mass, offset = float(robot.parameters["carrier_mass"]), float(robot.parameters["track_offset"])
+    spread = (t[:, None] + _STEP * np.arange(-6, 7)).ravel()
+    wide, tracks = case.motion(spread), case.carriers(spread)
+    for leg, (anchor, side) in enumerate(((0.0, 1.0), (float(robot.parameters["base_distance"]), -1.0))):
+        sign = robot.working_mode[leg]
+
+        def direction(x: Array, anchor: float = anchor, sign: int = sign) -> tuple[Array, Array, Array]:
+            reach = x - np.array([anchor, 0.0])
+            length = sign * np.linalg.norm(reach, axis=1, keepdims=True)
+            u = reach / length
+            return u, np.stack([-u[:, 1], u[:, 0]], axis=1), length
+
+        u, n, _ = direction(wide.x)
+        place = (offset * u + side * tracks.s[:, leg : leg + 1] * n).reshape(len(t), 13, 2)
+        velocity = _differentiate(place)  # (N, 7, 2)
+        inner = place[:, 3:-3]
+        momentum = mass * (inner[..., 0] * velocity[..., 1] - inner[..., 1] * velocity[..., 0])
+        _, normal, length = direction(motion.x)
+        expected += normal * (momentum @ _STENCIL / _STEP)[:, None] / length
+        weight = mass * robot.gravity[:2]
+        moment = place[:, 6, 0] * weight[1] - place[:, 6, 1] * weight[0]
+        expected -= normal * moment[:, None] / length
+    keep = _away(case, t)
+    tally.add(
+        robot.name, f"angular momentum of each leg ({label})", relative(reduced.f[keep], expected[keep]), 100 * MOMENTUM
+    )
+
+
+def check_round_trip(tally: Tally, case: Case, dynamics: Dynamics, label: str) -> None:
+    """Efforts from inverse dynamics, given to Pinocchio's constrained forward dynamics, return the accelerations."""
+    robot = case.robot
+    if not has_point_closures(robot):
+        return  # the solver knows point closures only
+    motion, carriers = case.motion(case.t), case.carriers(case.t)
+    rnea = RneaDynamics(robot).along(motion)
+    reduced = dynamics.along(motion).reduce(carriers)
+    tau, solvable = _efforts(reduced)
+    keep = np.flatnonzero(solvable & (rnea.tree.serial_margin_bound > NEAR_SINGULAR_MARGIN))
+    q, v, a = rnea.tree_motion(carriers)
+    effort = np.zeros_like(v)
+    effort[robot.actuated_velocity] = tau.T
+    effort[robot.carrier_velocity] = reduced.carrier_force.T
+    solve = ConstraintDynamics(case.robot)
+    forward = np.array([solve(q[:, k], v[:, k], effort[:, k]) for k in keep]).reshape(len(keep), len(v))
+    tally.add(robot.name, f"inverse -> forward ({label})", relative(forward, a.T[keep]), ROUND_TRIP)
+
+
+def check_derivatives(tally: Tally, case: Case, along: DynamicsAlongMotion, label: str) -> None:
+    """Derivatives of f and carrier force by s, ṡ, s̈ against central differences (exact for a quadratic)."""
+    carriers = case.carriers(case.t)
+    exact = along.carrier_derivatives(carriers)
+    step = 1e-3
+    for argument in ("s", "sd", "sdd"):
+        for k in range(case.robot.k):
+            shifted = []
+            for sign in (1.0, -1.0):
+                parts = {name: np.array(getattr(carriers, name)) for name in ("s", "sd", "sdd")}
+                parts[argument][:, k] += sign * step
+                shifted.append(along.reduce(CarrierMotion(**parts)))
+            for field, quantity in (("f", "f"), ("force", "carrier_force")):
+                difference = (getattr(shifted[0], quantity) - getattr(shifted[1], quantity)) / (2.0 * step)
+                whole = getattr(exact, f"{field}_{argument}")
+                size = np.maximum(np.abs(whole).max(axis=(1, 2)), np.abs(getattr(shifted[0], quantity)).max(axis=1))
+                deviation = np.abs(whole[:, :, k] - difference).max(axis=1) / np.maximum(size, 1.0)
+                tally.add(case.robot.name, f"derivatives by s, s', s'' ({label})", deviation, DERIVATIVES)
+
+
+def _differentiate(values: Array) -> Array:
+    """Return the sixth-order derivative of (N, p, d) along axis 1, at its p − 6 inner points."""
+    inner = values.shape[1] - 6
+    result: Array = sum(
+        (weight * values[:, j : j + inner] for j, weight in enumerate(_STENCIL)), np.zeros_like(values[:, :inner])
+    )
+    return result / _STEP
+
+
+def _apart(t: Array) -> Array:
+    """Return the times that are far enough apart for stencils around them not to overlap."""
+    spacing = 14.0 * _STEP
+    slots = np.unique(np.round(t / spacing).astype(int))
+    result: Array = slots * spacing
+    return result
+
+
+def _away(case: Case, t: Array) -> BoolArray:
+    tree = RneaDynamics(case.robot).along(case.motion(t)).tree
+    result: BoolArray = tree.serial_margin_bound > NEAR_SINGULAR_MARGIN
+    return result
+
+
+def _efforts(reduced: ReducedDynamics) -> tuple[Array, BoolArray]:
+    """Return minimum-norm efforts where W has full row rank by a margin, and which samples those are."""
+    singular = np.linalg.svd(reduced.W, compute_uv=False)
+    solvable: BoolArray = singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0]
+    safe = np.where(solvable[:, None, None], reduced.W, np.eye(*reduced.W.shape[1:]))
+    tau: Array = (np.linalg.pinv(safe) @ reduced.f[:, :, None])[:, :, 0]
+    return tau, solvable

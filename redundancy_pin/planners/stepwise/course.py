@@ -1,0 +1,256 @@
+"""The carriers' whole course: stretches of the optimiser, returns to the datum, braking."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.carrier_return import (
+    CarrierState,
+    braked_speeds,
+    braking_times,
+    return_polynomial,
+    shortest_return,
+)
+from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, optimise
+from redundancy_pin.planners.stepwise.settings import StepwiseSettings
+from redundancy_pin.robot import Robot
+
+PHASES = ("parked", "optimise", "return", "brake")
+"""What the carriers do: stand, follow the optimiser, follow the degree-seven polynomial, are braked."""
+
+PARKED, OPTIMISE, RETURN, BRAKE = range(4)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """The carriers at J + 1 instants.
+
+    Attributes:
+        t: (J + 1,) instants, s.
+        s, sd, sdd: (J + 1, k) their motion; while they are optimised or braked ṡ and s̈ are the backward differences
+            of s and ṡ, on a return the derivatives of its polynomial.
+        phase: (J + 1,) index into ``PHASES``: what the step that ends there was.
+        stretches: first step and result of each run of the optimiser.
+        returns: start and end of each return, s; the end is that of its polynomial.
+        between: for each return, times densely along it, s, and the motion there: its extremes lie between the steps.
+        brake_from: instant from which the carriers are only braked; the motion is not filled in after it.
+    """
+
+    t: Array
+    s: Array
+    sd: Array
+    sdd: Array
+    phase: IntArray
+    stretches: list[tuple[int, Stretch]] = field(default_factory=list)
+    returns: list[tuple[float, float]] = field(default_factory=list)
+    between: list[tuple[Array, CarrierMotion]] = field(default_factory=list)
+    brake_from: int = -1
+
+
+def run_course(
+    robot: Robot, settings: StepwiseSettings, problems: StepProblems, active: BoolArray, at_rest: BoolArray
+) -> Course:
+    """Plan the carriers from the first instant to the last, but for the braking.
+
+    Args:
+        robot: the robot.
+        settings: of the planner.
+        problems: the prepared steps, J of them.
+        active: (J,) whether the optimiser decides a step.
+        at_rest: (J,) whether the platform rests at the end of a step.
+
+    Raises:
+        InfeasiblePlanError: the box of a step is empty, or no return keeps the limits.
+    """
+    t = problems.t
+    shape = (len(t), robot.k)
+    s, sd, sdd = (np.zeros(shape) for _ in range(3))
+    s[0] = settings.start
+    course = Course(t, s, sd, sdd, np.full(len(t), PARKED, dtype=np.intp))
+    edges = np.flatnonzero(np.diff(active)) + 1
+    runs = list(zip([0, *edges], [*edges, len(active)], strict=True))
+    for first, last in runs:
+        steps = slice(first + 1, last + 1)
+        if active[first]:
+            state = CarrierState(float(t[first]), s[first], sd[first], sdd[first])
+            found = optimise(problems, int(first), int(last), state, settings.limits)
+            s[steps], sd[steps], sdd[steps] = found.s, found.sd, found.sdd
+            course.phase[steps] = OPTIMISE
+            course.stretches.append((int(first), found))
+        elif first == 0:
+            s[steps] = settings.start
+        elif last == len(active) and at_rest[first:last].all():
+            return replace(course, brake_from=int(first))
+        else:
+            _follow_return(robot, settings, course, int(first), int(last))
+    return replace(course, brake_from=len(active))
+
+
+def _follow_return(robot: Robot, settings: StepwiseSettings, course: Course, first: int, last: int) -> None:
+    """Fill in the way back to the datum from instant ``first``, as far as instant ``last``."""
+    state = CarrierState(float(course.t[first]), course.s[first], course.sd[first], course.sdd[first])
+    duration = _return_duration(robot, settings, state, float(course.t[-1]))
+    polynomial = return_polynomial(state, duration, settings.datum)
+    steps = np.arange(first + 1, last + 1)
+    on_way = steps[course.t[steps] < polynomial.t1]
+    for order, part in enumerate((course.s, course.sd, course.sdd)):
+        part[on_way] = polynomial(course.t[on_way], order)
+    arrived = steps[len(on_way) :]
+    course.s[arrived] = settings.datum
+    course.phase[on_way] = RETURN
+    course.returns.append((state.t, polynomial.t1))
+    dense = np.linspace(state.t, min(polynomial.t1, float(course.t[last])), _DENSE)
+    course.between.append((dense, CarrierMotion(*(polynomial(dense, order) for order in range(3)))))
+
+
+_DENSE = 2001
+"""Points along a return at which its limits are judged: a peak of a polynomial of degree seven is missed by 1e-6."""
+
+
+def _return_duration(robot: Robot, settings: StepwiseSettings, state: CarrierState, end: float) -> float:
+    if settings.return_time != "shortest":
+        return settings.return_time
+    limited = replace(robot, carrier_limits=settings.limits.limits)
+
+    def no_force(times: Array, *_: Array) -> Array:
+        return np.zeros((len(times), robot.k))
+
+    duration, use = shortest_return(limited, no_force, state, settings.datum, end - state.t)
+    if duration is None:
+        raise InfeasiblePlanError(
+            f"No return of the carriers from t = {state.t:.6g} s keeps their limits: the best one breaks the "
+            f"{use.quantity} limit {use.limit:g} of {use.carrier} by {use.amount:.4g} at t = {use.t:.6g} s.",
+            remedy="Use a larger lam, higher limits, or a return_time and accept a plan that violates limits.",
+            constraint=use.quantity,
+            carrier=use.carrier,
+            time=use.t,
+            amount=use.amount,
+        )
+    return duration
+
+
+AT_REST = 1e-12
+"""Speed, m/s, that is the rounding of a carrier brought to rest."""
+
+_ON_TRACK = 1e-9
+"""Excess over a track end, as a fraction of the track, that is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Braking:
+    """The end of a course.
+
+    Attributes:
+        t: (E,) instants added after the motion, s; none where the carriers rest by its end.
+        s, sd, sdd: (B, k) motion at the instants after ``Course.brake_from``, the added ones included.
+        phase: (B,) index into ``PHASES``.
+        start, end: s; NaN where no carrier moved.
+    """
+
+    t: Array
+    s: Array
+    sd: Array
+    sdd: Array
+    phase: IntArray
+    start: float
+    end: float
+
+
+def brake(settings: StepwiseSettings, course: Course, step: float, platform_rests: bool) -> Braking:
+    """Brake the carriers from ``course.brake_from`` until all are at rest.
+
+    Each is braked by a constant deceleration within ``brake_time``, sooner where its track is too short for that.
+
+    Args:
+        settings: of the planner.
+        course: the course up to there.
+        step: length of the steps added after the motion, s.
+        platform_rests: whether the platform rests at the end of the motion.
+
+    Raises:
+        InfeasiblePlanError: a carrier cannot be stopped on its track or by the time it must; names it, the time and
+            the amount.
+    """
+    first = course.brake_from
+    s, sd = course.s[first], np.where(np.abs(course.sd[first]) > AT_REST, course.sd[first], 0.0)
+    start, last = float(course.t[first]), float(course.t[-1])
+    stopping = _stopping_times(settings, s, sd, last - start)
+    longest = float(stopping.max())
+    _require_time(settings, course, stopping, last - start, platform_rests)
+    added = max(0, int(np.ceil((longest - (last - start)) / step - 1e-9))) if settings.stop == "after" else 0
+    extra: Array = last + step * np.arange(1, added + 1, dtype=float)
+    times = np.concatenate([course.t[first:], extra])
+    h = np.diff(times)[:, None]
+    speeds = braked_speeds(sd, stopping, times[1:] - start)
+    path = s + np.cumsum(h * speeds, axis=0)
+    before = np.vstack([sd, speeds])[:-1]
+    _require_on_track(settings, times, path, sd)
+    moving = np.abs(before).max(axis=1, initial=0.0) > 0.0
+    none = longest == 0.0
+    return Braking(
+        extra,
+        path,
+        speeds,
+        (speeds - before) / h,
+        np.where(moving, BRAKE, PARKED).astype(np.intp),
+        float("nan") if none else start,
+        float("nan") if none else start + longest,
+    )
+
+
+def _stopping_times(settings: StepwiseSettings, s: Array, sd: Array, left: float) -> Array:
+    limits = settings.limits.limits
+    room = [(b.upper - x) if v > 0.0 else (x - b.lower) for b, x, v in zip(limits, s, sd, strict=True)]
+    deceleration = np.array([limit.acceleration for limit in limits])
+    wanted = settings.brake_time if settings.stop == "after" else min(settings.brake_time, left)
+    return braking_times(sd, np.maximum(room, 0.0), deceleration, wanted)
+
+
+def _require_time(
+    settings: StepwiseSettings, course: Course, stopping: Array, left: float, platform_rests: bool
+) -> None:
+    j = int(np.argmax(stopping))
+    if stopping[j] == 0.0 or (settings.stop == "after" and platform_rests):
+        return
+    late = float(stopping[j] - left)
+    if late <= _ON_TRACK * stopping[j]:
+        return
+    carrier, end = settings.limits.carriers[j], float(course.t[-1])
+    why = (
+        "and the platform moves on, so it cannot be held while they stop"
+        if settings.stop == "after"
+        else f"which takes {late:.3g} s longer than the motion"
+    )
+    raise InfeasiblePlanError(
+        f"{carrier} still has {course.sd[course.brake_from, j]:.6g} m/s at t = {course.t[course.brake_from]:.6g} s and "
+        f"must be stopped, {why}.",
+        remedy='Use a motion that ends at rest, stop="after", or a shorter return_time.',
+        constraint="rest",
+        carrier=carrier,
+        time=end,
+        amount=late,
+    )
+
+
+def _require_on_track(settings: StepwiseSettings, times: Array, path: Array, sd: Array) -> None:
+    for j, limit in enumerate(settings.limits.limits):
+        beyond = np.maximum(path[:, j] - limit.upper, limit.lower - path[:, j])
+        if not len(beyond) or beyond.max() <= _ON_TRACK * (limit.upper - limit.lower):
+            continue
+        worst = int(np.argmax(beyond))
+        carrier = settings.limits.carriers[j]
+        raise InfeasiblePlanError(
+            f"{carrier} cannot be stopped: braked by {limit.acceleration:g} m/s² from {sd[j]:.6g} m/s at "
+            f"t = {times[0]:.6g} s it is {beyond[worst]:.3g} m beyond the end of its track at "
+            f"t = {times[worst + 1]:.6g} s.",
+            remedy="Use anticipate=True, a larger lam, or higher limits.",
+            constraint="track",
+            carrier=carrier,
+            time=float(times[worst + 1]),
+            amount=float(beyond[worst]),
+        )

@@ -1,0 +1,373 @@
+"""Least squares of a slightly curved function over a box: min ‖r(u)‖² with lower ≤ u ≤ upper.
+
+Gauss–Newton on r, which is a quadratic of u with no mixed terms: r(u + d) = r + J d + C (d ∘ d). Each step is a convex
+quadratic programme over the box, solved exactly: without the bounds first, and by pivoting (Júdice and Pires 1992)
+where that leaves the box. What a step misses is known from the sizes of d, r and C, and decides whether one more is
+needed. The problems are tiny and solved by the thousand: plain floats where they are faster than arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import add, mul, sub
+from typing import TypeAlias
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.planners.carrier_model import EffortModel
+from redundancy_pin.planners.carrier_return import CarrierState
+from redundancy_pin.planners.stepwise.settings import StepLimits
+
+Linearised: TypeAlias = Callable[[list[float]], Array]
+"""From u, k numbers, to [J r] (m, k + 1), J = ∂r/∂u."""
+
+MOST_ITERATIONS = 50
+"""One or two are usual. The curvature would have to match the slope for it to take ten."""
+
+_DAMPING = 1e-13
+"""Relative to the squared slope, to which it is added. It changes the rate at which the minimum is reached, not the
+minimum, and makes a component that r does not feel stay where it is."""
+
+_ROUNDING = 1e-13
+"""Relative; below it a bound counts as met and a multiplier as zero when the pivoting decides."""
+
+_PATIENCE = 10
+"""Rounds in which all wrong guesses are changed at once may fail this often before they are changed one by one."""
+
+
+def minimise(
+    linearised: Linearised,
+    lower: list[float],
+    upper: list[float],
+    start: list[float],
+    *,
+    slope: float,
+    curvature: float,
+    damping: Array,
+    tolerance: float,
+) -> tuple[list[float], int]:
+    """Return the minimum of ‖r(u)‖² over lower ≤ u ≤ upper.
+
+    Args:
+        linearised: J and, as its last column, r at a point.
+        lower: k lower bounds; −inf for none.
+        upper: k upper bounds, not below the lower ones.
+        start: k numbers, a guess, inside the box or not.
+        slope: size of J, positive.
+        curvature: size of C.
+        damping: (k, k) added to JᵀJ, see ``damping_of``.
+        tolerance: how far the gradient at the result may be from that of a minimum, divided by the slope; in the unit
+            of r.
+
+    Returns:
+        The minimum, k numbers, and the number of Gauss–Newton steps it took.
+
+    Raises:
+        RedundancyPinError: no convergence (the curvature dominates).
+    """
+    u, k = start, len(start)
+    for iteration in range(1, MOST_ITERATIONS + 1):
+        both = linearised(u)
+        squared = both.T.dot(both)
+        hessian, gradient = squared[:k, :k] + damping, squared[:k, k]
+        step = [-d for d in dposv(hessian, gradient)[1].tolist()]
+        reached = list(map(add, u, step))
+        if _outside(reached, lower, upper):
+            low, high = list(map(sub, lower, u)), list(map(sub, upper, u))
+            step = minimise_quadratic(hessian.tolist(), gradient.tolist(), low, high, step)
+            # a bound is met bit by bit, not up to the rounding of a difference
+            ends = zip(u, step, lower, upper, low, high, strict=True)
+            reached = [a if d == least else b if d == most else x + d for x, d, a, b, least, most in ends]
+        u = reached
+        largest, remains = max(map(abs, step)), math.sqrt(squared.item(k, k))
+        if curvature * largest * (largest + 2.0 * remains / slope) <= tolerance:
+            return u, iteration
+    raise RedundancyPinError(
+        f"The least-squares problem of one step did not converge in {MOST_ITERATIONS} iterations.",
+        remedy="Use a smaller time step: the effort is then closer to affine in the carriers' acceleration.",
+        iterations=MOST_ITERATIONS,
+    )
+
+
+def damping_of(k: int, slope: float) -> Array:
+    """Return the (k, k) damping of ``minimise`` for slopes of a given size."""
+    damping: Array = _DAMPING * slope * slope * np.eye(k)
+    return damping
+
+
+def _outside(values: list[float], lower: list[float], upper: list[float]) -> bool:
+    for value, low, high in zip(values, lower, upper):  # noqa: B905, SIM110 (strict or a generator costs time here)
+        if not low <= value <= high:
+            return True
+    return False
+
+
+def minimise_quadratic(
+    hessian: list[list[float]], gradient: list[float], lower: list[float], upper: list[float], guess: list[float]
+) -> list[float]:
+    """Return the minimum of ½ dᵀ H d + gᵀ d over lower ≤ d ≤ upper, H positive definite.
+
+    Every component is free or at one of its bounds. A choice is solved; components outside their bounds are moved to
+    them, those whose multiplier has the wrong sign are freed. Changing all at once is fast, changing the last one only
+    is certain to end (Murty's rule).
+
+    Args:
+        hessian: (k, k) H, symmetric positive definite.
+        gradient: (k,) g.
+        lower: (k,) lower bounds.
+        upper: (k,) upper bounds.
+        guess: (k,) where it lies outside the box a component starts at its bound: the minimum without bounds.
+    """
+    H, g, low, high = hessian, gradient, lower, upper
+    every = range(len(g))
+    side = [(x > b) - (x < a) for x, a, b in zip(guess, low, high, strict=True)]
+    fewest, patience = len(g) + 1, _PATIENCE
+    for _ in range(MOST_ITERATIONS * 3 ** len(g)):
+        d = [low[i] if side[i] < 0 else high[i] if side[i] > 0 else 0.0 for i in every]
+        free = [i for i in every if side[i] == 0]
+        right = [-g[i] - sum(map(mul, H[i], d)) for i in free]
+        for i, x in zip(free, _solved([[H[i][j] for j in free] for i in free], right), strict=True):
+            d[i] = x
+        wanted = [_side(H[i], g[i], d, d[i], low[i], high[i], side[i]) for i in every]
+        wrong = [i for i in every if wanted[i] != side[i]]
+        if not wrong:
+            return [min(max(x, a), b) for x, a, b in zip(d, low, high, strict=True)]
+        if len(wrong) < fewest:
+            fewest, patience = len(wrong), _PATIENCE
+        else:
+            patience -= 1
+        for i in wrong if patience > 0 else wrong[-1:]:
+            side[i] = wanted[i]
+    raise RedundancyPinError(
+        "The pivoting of a box-constrained quadratic programme did not end.",
+        remedy="Check the efforts along the motion: they must not be NaN.",
+    )
+
+
+def _side(row: list[float], g: float, d: list[float], x: float, low: float, high: float, side: int) -> int:
+    """Return where a component belongs: −1 at its lower bound, 0 free, 1 at its upper bound."""
+    if side == 0:
+        room = _ROUNDING * abs(x)
+        return (x > high + room) - (x < low - room)
+    terms = list(map(mul, row, d))
+    slope, size = sum(terms) + g, _ROUNDING * (sum(map(abs, terms)) + abs(g))
+    return 0 if side * slope > size else side
+
+
+def _solved(matrix: list[list[float]], right: list[float]) -> list[float]:
+    """Return the solution of a small positive definite system, by elimination."""
+    n = len(right)
+    for i in range(n):
+        for j in range(i + 1, n):
+            factor = matrix[j][i] / matrix[i][i]
+            for q in range(i + 1, n):
+                matrix[j][q] -= factor * matrix[i][q]
+            right[j] -= factor * right[i]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            right[i] -= matrix[i][j] * right[j]
+        right[i] /= matrix[i][i]
+    return right
+
+
+def optimality(residual: Array, jacobian: Array, lower: Array, upper: Array, u: Array) -> Array:
+    """Return (P,) how far P points are from satisfying the conditions of a minimum.
+
+    The largest component of the gradient that a move inside the box could follow downhill, divided by the size of J;
+    zero at a minimum. In the unit of r.
+
+    Args:
+        residual: (P, m) r at the points.
+        jacobian: (P, m, k) J there.
+        lower: (P, k) lower bounds.
+        upper: (P, k) upper bounds.
+        u: (P, k) the points.
+    """
+    gradient = np.einsum("pm,pmk->pk", residual, jacobian)
+    gradient = np.where((u <= lower) & (gradient > 0.0), 0.0, gradient)
+    gradient = np.where((u >= upper) & (gradient < 0.0), 0.0, gradient)
+    size = np.maximum(np.abs(jacobian).max(axis=(1, 2), initial=0.0), np.finfo(float).tiny)
+    value: Array = np.abs(gradient).max(axis=1, initial=0.0) / size
+    return value
+
+
+def definiteness(residual: Array, jacobian: Array, curvatures: Array) -> Array:
+    """Return (P,) the smallest eigenvalue of the Hessian at P points, relative to the largest.
+
+    The Hessian of ½ ‖r‖² is JᵀJ + 2 diag(Cᵀ r). Where it is positive everywhere in the box the minimum is the only one.
+
+    Args:
+        residual: (P, m) r at the points.
+        jacobian: (P, m, k) J there.
+        curvatures: (P, m, k) C.
+    """
+    hessian = np.einsum("pmk,pml->pkl", jacobian, jacobian)
+    each = np.arange(hessian.shape[1])
+    hessian[:, each, each] += 2.0 * np.einsum("pmk,pm->pk", curvatures, residual)
+    eigenvalues = np.linalg.eigvalsh(hessian)
+    ratio: Array = eigenvalues[:, 0] / np.abs(eigenvalues).max(axis=1)
+    return ratio
+
+
+_TOLERANCE = 1e-9
+"""Of the gradient at a minimum, as a fraction of the efforts along the motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepProblems:
+    """The least-squares problem of every step.
+
+    A step of length h from (s, ṡ) with the acceleration u ends at ṡ' = ṡ + h u, s' = s + h ṡ'. The efforts there less
+    their target are r, and J = ∂r/∂u; both are linear in φ = (1, s', s'², ṡ', s' ṡ', u), so one product gives both. The
+    second derivatives do not depend on the state: r(u + d) = r + J d + C (d ∘ d).
+
+    J steps; step j ends at instant j + 1.
+
+    Attributes:
+        t: (J + 1,) instants, s.
+        h: (J,) lengths of the steps, s.
+        maps: (J, m (k + 1), 1 + 5 k) from φ to [J r], row by row.
+        C: (J, m, k) curvatures.
+        slope: (J,) size of J.
+        curvature: (J,) size of C.
+        tolerance: of the gradient, divided by the slope, N or N·m.
+    """
+
+    t: Array
+    h: Array
+    maps: Array
+    C: Array
+    slope: Array
+    curvature: Array
+    tolerance: float
+
+    def linearised(self, first: int, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
+        """Return r (P, m) and J (P, m, k) at the ends (P, k) of the steps from ``first`` on."""
+        features = np.concatenate([np.ones((len(s), 1)), s, s * s, sd, s * sd, sdd], axis=1)
+        steps, m, k = self.C[first : first + len(s)].shape
+        values = np.einsum("jvf,jf->jv", self.maps[first : first + steps], features)
+        both = values.reshape(steps, m, k + 1)
+        return both[:, :, k], both[:, :, :k]
+
+
+def step_problems(model: EffortModel, target: Array, at: IntArray) -> StepProblems:
+    """Prepare the steps between chosen samples of a model.
+
+    Args:
+        model: coefficients of the efforts, N samples.
+        target: (N, m) efforts to aim at, λ τ̂, N or N·m.
+        at: (J + 1,) samples between which the steps lie; their times increase.
+    """
+    t = model.t[at]
+    h = np.diff(t)
+    ends = at[1:]
+    by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(model.tau_terms[ends], -1, 0)
+    steps, m, k = by_s.shape
+    H = h[:, None, None]
+    maps = np.zeros((steps, m, k + 1, 1 + 5 * k))
+    maps[:, :, k, 0] = model.tau0[ends] - target[ends]
+    maps[:, :, k, 1:] = np.concatenate([by_s, by_s2, by_sd, by_ssd, by_sdd], axis=2)
+    each = np.arange(k)
+    slope = H * H * by_s + H * by_sd + by_sdd
+    maps[:, :, each, 0] = slope
+    maps[:, :, each, 1 + each] = 2.0 * H * H * by_s2 + H * by_ssd
+    maps[:, :, each, 1 + 2 * k + each] = H * H * by_ssd
+    C = H**4 * by_s2 + H**3 * by_ssd
+    size = np.abs(slope).max(axis=(1, 2), initial=np.finfo(float).tiny)
+    efforts = np.abs(maps[:, :, k, 0]).max(initial=0.0)
+    return StepProblems(
+        t,
+        h,
+        maps.reshape(steps, m * (k + 1), -1),
+        C,
+        size,
+        np.abs(C).max(axis=(1, 2), initial=0.0),
+        float(_TOLERANCE * (efforts or size.max(initial=0.0))),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Consecutive steps of the optimiser.
+
+    Attributes:
+        s: (P, k) positions at the end of each step, m.
+        sd: (P, k) speeds there, m/s.
+        sdd: (P, k) accelerations, m/s².
+        lower: (P, k) smallest accelerations the limits allow.
+        upper: (P, k) largest.
+        iterations: (P,) iterations of each step.
+    """
+
+    s: Array
+    sd: Array
+    sdd: Array
+    lower: Array
+    upper: Array
+    iterations: IntArray
+
+
+def optimise(problems: StepProblems, first: int, last: int, start: CarrierState, limits: StepLimits) -> Stretch:
+    """Solve steps first ... last − 1, each from where the one before it ended.
+
+    Args:
+        problems: the prepared steps.
+        first: index of the first step.
+        last: one past the last.
+        start: the carriers before the first step; their accelerations are the first guess.
+        limits: what to keep to.
+
+    Raises:
+        InfeasiblePlanError: the box of a step is empty; names carrier, time and amount.
+    """
+    m, k = problems.C.shape[1:]
+
+    def linearised(u: list[float]) -> Array:
+        rate = [v + h * a for v, a in zip(sd, u)]  # noqa: B905 (strict costs time here)
+        place = [x + h * v for x, v in zip(s, rate)]  # noqa: B905
+        features = [1.0, *place, *map(mul, place, place), *rate, *map(mul, place, rate), *u]
+        both: Array = step_map.dot(features).reshape(m, k + 1)
+        return both
+
+    damping = damping_of(k, float(problems.slope.max()))
+    lengths, times = problems.h.tolist(), problems.t.tolist()
+    slopes, curvatures = problems.slope.tolist(), problems.curvature.tolist()
+    positions: list[float] = []
+    speeds: list[float] = []
+    accelerations: list[float] = []
+    lower: list[float] = []
+    upper: list[float] = []
+    iterations: list[int] = []
+    s, sd, u = start.s.tolist(), start.sd.tolist(), start.sdd.tolist()
+    guess = u
+    for j in range(first, last):
+        h, step_map, before = lengths[j], problems.maps[j], u
+        low, high = limits.box(times[j + 1], h, s, sd)
+        u, count = minimise(
+            linearised,
+            low,
+            high,
+            guess,
+            slope=slopes[j],
+            curvature=curvatures[j],
+            damping=damping,
+            tolerance=problems.tolerance,
+        )
+        guess = [2.0 * now - then for now, then in zip(u, before)]  # noqa: B905
+        sd = [v + h * a for v, a in zip(sd, u)]  # noqa: B905
+        s = [x + h * v for x, v in zip(s, sd)]  # noqa: B905
+        positions += s
+        speeds += sd
+        accelerations += u
+        lower += low
+        upper += high
+        iterations.append(count)
+    s, sd, sdd, low_box, high_box = (
+        np.array(part).reshape(-1, k) for part in (positions, speeds, accelerations, lower, upper)
+    )
+    return Stretch(s, sd, sdd, low_box, high_box, np.array(iterations, dtype=np.intp))

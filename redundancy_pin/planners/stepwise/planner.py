@@ -1,0 +1,227 @@
+"""Least effort one time step at a time (Parsa 2014, chapter 4)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InputError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.carrier_model import effort_model
+from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics, require_motion
+from redundancy_pin.planners.stepwise.course import PHASES, RETURN, Braking, Course, brake, run_course
+from redundancy_pin.planners.stepwise.optimiser import StepProblems, step_problems
+from redundancy_pin.planners.stepwise.report import between_samples, diagnostics
+from redundancy_pin.planners.stepwise.settings import Active, Stop, checked_settings, is_dynamics, target_effort
+
+LEAST_MARGIN = 1e-3
+"""Smallest margin of W that is accepted: efforts grow with its inverse."""
+
+ACCELERATING = 1e-9
+"""Of the largest reference acceleration; what is below counts as zero. The straights of a path leave rounding."""
+
+
+_FEWEST_SAMPLES = 10
+"""Differences of second order over fewer steps than this have nothing to do with a motion."""
+
+
+def _baseline_name(baseline: Dynamics | ArrayLike | None) -> str | None:
+    """Return what the baseline was, for the plan's record."""
+    if baseline is None:
+        return None
+    return repr(baseline.robot) if is_dynamics(baseline) else "efforts"
+
+
+class SampledOnDemand(Protocol):
+    """A trajectory that can be sampled at a time step."""
+
+    def sample(self, dt: float) -> PlatformMotion:
+        """Return samples ``dt`` seconds apart, with both sides of each jump of the acceleration."""
+
+
+def plan_stepwise(
+    dynamics: Dynamics,
+    motion: PlatformMotion | SampledOnDemand,
+    *,
+    dt: float = 5e-3,
+    lam: float = 0.0,
+    baseline: Dynamics | ArrayLike | None = None,
+    active: Active = "always",
+    start: ArrayLike = 0.0,
+    datum: ArrayLike = 0.0,
+    return_time: float | Literal["shortest"] = 0.5,
+    stop: Stop = "after",
+    brake_time: float = 0.5,
+    anticipate: bool = True,
+    speed: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    track: ArrayLike | None = None,
+    least_margin: float = LEAST_MARGIN,
+    between: int = 0,
+) -> Plan:
+    """Plan the carriers so that each time step has the least main effort (Parsa 2014, section 4.1).
+
+    At each sample s minimises Σ (τ_i − λ τ̂_i)², τ = W⁻¹ f(s, ṡ, s̈), with ṡ and s̈ the backward differences of s and ṡ
+    over the steps of ``motion`` (eq. 4.1). Track, speed and acceleration limits are one box a step (eqs. 4.2 to 4.4),
+    and each minimum is the true one over the box. τ is quadratic in s with a tiny curvature, so it is also the only
+    one; the diagnostics state how nearly the conditions of a minimum hold and the least curvature of the sum.
+
+    Any time grid will do. A sample on a jump of the reference acceleration is optimised for the acceleration it
+    states; on a grid of single samples that is the one after the jump. The carriers then accelerate up to one step
+    before the platform does, and during that step the efforts are those of the jump in full, although no sample shows
+    it (``between`` does). A two-sided sample removes this: the step into it sees the acceleration before the jump,
+    its second half has the s̈ of the step that follows.
+
+    ``active="accelerating"`` is the thesis's square: the optimiser works while ẍ is not zero; after it the carriers
+    return to ``datum`` by a polynomial of degree seven; the next stretch takes over from the state it finds. After the
+    last one, with the platform at rest, they are only braked.
+
+    The plan ends with the carriers at rest. ``stop="after"`` (the thesis's order) brakes them once the motion is over:
+    samples with the platform held are added until they rest. ``stop="within"`` bounds the speeds so that they rest by
+    the last sample.
+
+    ``anticipate`` keeps every carrier able to stop before its track ends. Without it (the thesis's version) a carrier
+    can run towards the end of its track until no admissible acceleration is left, which is an error. It is on by
+    default: it changes nothing before that point, and the box is then never empty.
+
+    Args:
+        dynamics: either backend.
+        motion: N samples of the platform motion, whose steps need not be equal; or a trajectory, which is sampled.
+        dt: the time step of a trajectory, s. Jumps of its acceleration are sampled from both sides.
+        lam: λ, fraction of the baseline effort to aim at, 0 to 1.
+        baseline: backend of the baseline robot, or its efforts τ̂ (N, m), N or N·m. Needed where λ > 0.
+        active: "always", or "accelerating": while the reference acceleration is not zero.
+        start: scalar or (k,) positions at the start, at rest, m.
+        datum: scalar or (k,) positions to return to, m.
+        return_time: duration of a return, s, or "shortest": the least that keeps the limits of track, speed and
+            acceleration.
+        stop: "after" or "within".
+        brake_time: time in which the carriers are braked at the end, s; sooner where the track is too short.
+        anticipate: see above.
+        speed: scalar or (k,) speed limits in place of the robot's own, m/s.
+        acceleration: the same for the acceleration, m/s².
+        track: (2,) or (k, 2) track ends in place of the robot's own, m.
+        least_margin: smallest margin of W along the motion.
+        between: number of points inside each step at which the efforts of the continuous motion are checked as well
+            (``diagnostics["between_samples"]``, see ``between_samples``); 0 for none.
+
+    Returns:
+        A plan with the phases "parked", "optimise", "return", "brake". ṡ and s̈ are backward differences but for
+        returns, where they are the derivatives of the polynomial.
+
+    Raises:
+        InputError: a setting out of its domain, or a baseline that does not fit.
+        UnsupportedRobotError: no carriers, curved tracks, or too few main actuators.
+        InfeasiblePlanError: the box of a step is empty; a carrier cannot stop; no return keeps the limits; the motion
+            comes too close to a type II singularity. Carries constraint, carrier, time and amount.
+        UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
+    """
+    require_dynamics(dynamics)
+    require_motion(motion, "sample")
+    robot = dynamics.robot
+    if not isinstance(motion, PlatformMotion):
+        motion = motion.sample(dt=dt)
+    if 1 < len(motion) < _FEWEST_SAMPLES:
+        raise InputError(
+            f"The motion has {len(motion)} samples, too few to plan step by step.",
+            remedy=f"Sample it more finely: at least {_FEWEST_SAMPLES} samples.",
+            samples=len(motion),
+        )
+    settings = checked_settings(
+        robot,
+        motion,
+        lam=lam,
+        active=active,
+        start=start,
+        datum=datum,
+        return_time=return_time,
+        stop=stop,
+        brake_time=brake_time,
+        anticipate=anticipate,
+        speed=speed,
+        acceleration=acceleration,
+        track=track,
+        least_margin=least_margin,
+        between=between,
+    )
+    along = dynamics.along(motion)
+    model = effort_model(along, settings.least_margin)
+    target, reference = target_effort(robot, motion, settings.lam, baseline)
+    at = np.flatnonzero(~motion.jumps)
+    problems = step_problems(model, target, at)
+    moving, accelerating = _moving(motion, problems)
+    decides = accelerating[at[1:]] if active == "accelerating" else np.ones(len(at) - 1, dtype=bool)
+    course = run_course(robot, settings, problems, decides, ~moving[at[1:]])
+    ending = brake(settings, course, float(np.median(problems.h)), not moving[-1])
+    carriers, phase = _samples(motion, course, ending)
+    held = _held(motion, ending.t)
+    if len(ending.t):
+        along = dynamics.along(held)
+    found = diagnostics(problems, course, ending, settings.limits)
+    if reference is not None:
+        found["baseline_peak"] = tuple(np.abs(reference).max(axis=0).tolist())
+    plan = finish_plan(
+        along,
+        carriers,
+        planner="stepwise",
+        phase=phase,
+        phases=PHASES,
+        parameters={**settings.parameters, "baseline": _baseline_name(baseline)},
+        diagnostics=found,
+        carrier_limits=settings.limits.limits,
+        between=course.between,
+    )
+    if settings.between:
+        found["between_samples"] = between_samples(dynamics, plan, settings.between)
+    peaks = {name: plan.tau[plan.phase == i] for i, name in enumerate(PHASES) if (plan.phase == i).any()}
+    found["peak_effort"] = {name: tuple(np.abs(tau).max(axis=0).tolist()) for name, tau in peaks.items()}
+    return replace(plan, diagnostics=found)
+
+
+def _moving(motion: PlatformMotion, problems: StepProblems) -> tuple[BoolArray, BoolArray]:
+    """Return (N,) whether the platform moves, and whether it accelerates."""
+    acceleration = np.abs(motion.xdd).max(axis=1)
+    largest = float(acceleration.max())
+    travelled = largest * float(problems.t[-1] - problems.t[0])
+    speed = np.abs(motion.xd).max(axis=1)
+    size = max(float(speed.max()), travelled)
+    return speed > ACCELERATING * size, acceleration > ACCELERATING * largest
+
+
+def _samples(motion: PlatformMotion, course: Course, ending: Braking) -> tuple[CarrierMotion, IntArray]:
+    """Return the carriers at the samples of the plan: those of the motion, two-sided ones included, and those added."""
+    cut = course.brake_from + 1
+    s, sd, sdd = (
+        np.vstack([part[:cut], rest])
+        for part, rest in ((course.s, ending.s), (course.sd, ending.sd), (course.sdd, ending.sdd))
+    )
+    phase = np.concatenate([course.phase[:cut], ending.phase])
+    if len(phase) > 1:
+        phase[0] = phase[1]
+    follows = np.minimum(np.arange(len(phase)) + 1, len(phase) - 1)
+    after = np.where((phase[follows] == RETURN)[:, None], sdd, sdd[follows])
+    instant = np.cumsum(~motion.jumps) - 1
+    added = np.arange(len(course.t), len(course.t) + len(ending.t))
+    which = np.concatenate([instant, added])
+    second = np.concatenate([motion.jumps, np.zeros(len(added), dtype=bool)])
+    acceleration: Array = np.where(second[:, None], after[which], sdd[which])
+    return CarrierMotion(s[which], sd[which], acceleration), np.where(second, phase[follows][which], phase[which])
+
+
+def _held(motion: PlatformMotion, added: Array) -> PlatformMotion:
+    """Return the motion with the platform held at its end for the added times."""
+    if not len(added):
+        return motion
+    hold = np.repeat(motion.x[-1:], len(added), axis=0)
+    rest = np.zeros((len(added), motion.xd.shape[1]))
+    return PlatformMotion(
+        np.concatenate([motion.t, added]),
+        np.concatenate([motion.x, hold]),
+        np.concatenate([motion.xd, rest]),
+        np.concatenate([motion.xdd, rest]),
+    )

@@ -1,0 +1,257 @@
+"""Where the carriers cannot act in some direction, and whether anything has to be carried there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, frozen
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.kinematics.spectrum import null_directions, spectrum_of
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.carrier_model import TimedModel
+from redundancy_pin.planners.carrier_return import CarrierState
+from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, RampDown, StepGivenUpError, ramp_down
+from redundancy_pin.planners.switch_off.windows import Interval, minima, sampling
+from redundancy_pin.trajectory import Side
+from redundancy_pin.trajectory.continuous import ContinuousMotion
+from redundancy_pin.trajectory.piecewise import CarrierPath
+
+RANK_LOSS = 1e-8
+"""Smallest singular value of F, as a fraction of its largest, that counts as zero at a minimum found by search."""
+
+BALANCED = 1e-7
+"""Fraction of f that may be left along the direction in which the carriers cannot act: at such an instant, known to
+1e-8 of the motion where it only touches the singularity, f is still off by a multiple of that."""
+
+
+ACTUATED = 1e-6
+"""Fraction of W along a direction below which the main actuators have no effect in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class LostDirection:
+    """An instant at which the accelerations of the carriers have no effect in one direction.
+
+    Attributes:
+        t: time, s.
+        direction: (n,) unit vector u, scaled coordinates, with uᵀ F = 0.
+        parked: uᵀ(f − W τ_ref) with the carriers at rest at s = 0, N.
+        by_motion: largest coefficient of uᵀ f by s, s², ṡ or s ṡ of a carrier; where it is zero the carriers cannot
+            change what is left, whatever they do.
+        by_main: whether the main actuators, were they on, would have an effect along u. They have on the 2-RPR, whose
+            legs push where its carriers cannot; not where carriers and actuators act through the same joints.
+    """
+
+    t: float
+    direction: Array
+    parked: float
+    by_motion: float
+    by_main: bool
+
+    def left(self, equation: CarrierEquation, s: Array, sd: Array) -> float:
+        """Return uᵀ(f − W τ_ref), N, for carriers at s with speed ṡ, (k,) each."""
+        model = equation.model.at(np.array([self.t]))
+        load = np.einsum("nij,nj->ni", model.W, equation.effort(model.t))
+        force = (model.f(s[None], sd[None], np.zeros((1, model.k))) - load) / equation.row_scale
+        return float(force[0] @ self.direction)
+
+
+def lost_directions(equation: CarrierEquation, start: float, end: float) -> list[LostDirection]:
+    """Return the instants between two times at which F lacks rank.
+
+    Raises:
+        InfeasiblePlanError: F lacks rank all along.
+    """
+    model = equation.model
+    times = sampling(model.interpolant.edges, start, end)
+    n = len(equation.row_scale)
+
+    def forces(t: Array) -> Array:
+        matrices: Array = model.at(t).f_terms[..., 4] / equation.row_scale[:, None]
+        return matrices
+
+    largest = float(spectrum_of(forces(times)).singular_values.max())
+
+    def smallest(t: Array) -> Array:
+        value: Array = spectrum_of(forces(t)).singular_values[:, n - 1] / largest
+        return value
+
+    if largest == 0.0 or np.median(smallest(times)) < RANK_LOSS:
+        raise InfeasiblePlanError(
+            f"From t = {start:.6g} s to {end:.6g} s there is a direction in which accelerating the carriers has no "
+            "effect.",
+            remedy="Their tracks have to be laid so that the carriers act in every coordinate (on the 2-RPR: away "
+            "from the base hinge), or the motion must leave the singularity.",
+            constraint="carrier_effect",
+            time=start,
+            amount=end - start,
+        )
+    found = []
+    for t, value in minima(smallest, times, RANK_LOSS):
+        if value >= RANK_LOSS:
+            continue
+        u = null_directions(forces(np.array([t])))[0][0]
+        here = model.at(np.array([t]))
+        parked = (here.f0 - np.einsum("nij,nj->ni", here.W, equation.effort(here.t)))[0] / equation.row_scale
+        by_motion = np.einsum("i,ikj->kj", u / equation.row_scale, here.f_terms[0, :, :, :4])
+        W = here.W[0] / equation.row_scale[:, None]
+        by_main = bool(np.abs(u @ W).max() > ACTUATED * np.abs(W).max())
+        found.append(LostDirection(t, frozen(u), float(u @ parked), float(np.abs(by_motion).max()), by_main))
+    return found
+
+
+def require_balanced(equation: CarrierEquation, lost: Sequence[LostDirection]) -> None:
+    """Check that where the carriers cannot act, and cannot change what is left, nothing is left.
+
+    Raises:
+        InfeasiblePlanError: something is; carries the force, its direction and the time.
+    """
+    for instant in lost:
+        helpless = instant.by_motion <= BALANCED * equation.size
+        if helpless and abs(instant.parked) > BALANCED * equation.size:
+            raise nothing_carries(instant, instant.parked, "whatever the carriers do")
+
+
+def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> InfeasiblePlanError:
+    """Return the error that says which force nothing can carry.
+
+    Args:
+        instant: where and in which direction.
+        force: uᵀ(f − W τ_ref), N.
+        circumstance: for which motion of the carriers.
+    """
+    direction = np.round(np.sign(force) * instant.direction, 12) + 0.0  # no negative zeros
+    along = ", ".join(f"{component:.6f}" for component in direction)
+    return InfeasiblePlanError(
+        f"At the singular pose, t = {instant.t:.6g} s, nothing can carry the inertial force: the motion needs "
+        f"{abs(force):.6g} N along ({along}), but the main actuators are off there and no acceleration of the carriers "
+        f"has an effect in this direction ({circumstance}).",
+        remedy="Pass the singularity without acceleration along this direction or without the masses that need it"
+        + (", or leave the main actuators on: they could carry it." if instant.by_main else "."),
+        constraint="singular_pose",
+        time=instant.t,
+        amount=abs(force),
+        main_actuators_could=instant.by_main,
+        direction=tuple(float(component) for component in direction),
+    )
+
+
+class CarriersOverTime(Protocol):
+    """Carrier motion from a start to an end, at any time or at the samples it has."""
+
+    @property
+    def start(self) -> float:
+        """First time, s."""
+
+    @property
+    def end(self) -> float:
+        """Last time, s."""
+
+    def __call__(self, times: Array, side: Side = "right") -> CarrierMotion:
+        """Return the motion at (N,) times."""
+
+    def peaks(self) -> Array:
+        """Return the inner times, s, at which some s, ṡ or s̈ is largest or smallest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """Carriers and efforts from the start of a ramp-down to the switch-on.
+
+    Attributes:
+        window: when the actuators are off.
+        ramp: the main efforts.
+        path: the carriers, continuous in time or as samples.
+        lost: instants at which the carriers cannot act in some direction.
+    """
+
+    window: Interval
+    ramp: RampDown
+    path: CarriersOverTime
+    lost: tuple[LostDirection, ...]
+
+    @property
+    def exit(self) -> CarrierState:
+        """The carriers at switch-on."""
+        end = self.path.end
+        motion = self.path(np.array([end]))
+        return CarrierState(end, *(np.array(part[0]) for part in (motion.s, motion.sd, motion.sdd)))
+
+
+def cross(
+    dynamics: Dynamics, motion: ContinuousMotion, window: Interval, ramp_time: float, datum: Array, row_scale: Array
+) -> Crossing:
+    """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6).
+
+    Raises:
+        InfeasiblePlanError: a force that nothing can carry at the singular pose.
+    """
+    equation, lost = crossing_equation(dynamics, motion, window, window.start - ramp_time, datum, row_scale)
+    start = equation.model.start
+    zero = np.zeros_like(datum)
+    try:
+        down = equation.solve(start, window.start, datum, zero)
+        at_entry = down(np.array([window.start]), "left")
+        off = equation.solve(window.start, window.end, np.array(at_entry.s[0]), np.array(at_entry.sd[0]))
+    except StepGivenUpError as stuck:
+        raise _unbounded(equation, lost, stuck) from stuck
+    path = CarrierPath(np.append(down.edges, off.edges[1:]), np.concatenate([down.series, off.series]))
+    return Crossing(window, equation.effort, path, lost)
+
+
+def crossing_equation(
+    dynamics: Dynamics, motion: ContinuousMotion, window: Interval, start: float, datum: Array, row_scale: Array
+) -> tuple[CarrierEquation, tuple[LostDirection, ...]]:
+    """Return what the carriers have to satisfy from the start of the ramp-down to switch-on, and where they cannot act.
+
+    Raises:
+        InfeasiblePlanError: where they cannot act a force is left that no motion of the carriers changes.
+    """
+    ramp = ramp_down(dynamics, motion, start, window.start, datum)
+    model = TimedModel.of(dynamics, motion, start, window.end)
+    times = np.unique(np.concatenate([model.interpolant.edges, np.linspace(start, window.end, 201)]))
+    here = model.at(times)
+    load = np.einsum("nij,nj->ni", here.W, ramp(times))
+    size = float(max(np.abs(here.f0 / row_scale).max(), np.abs(load / row_scale).max(), 1e-12))
+    equation = CarrierEquation(model, ramp, row_scale, size)
+    lost = tuple(lost_directions(equation, start, window.end))
+    require_balanced(equation, lost)
+    return equation, lost
+
+
+_RUNAWAY = 100.0
+"""Distance, m, beyond which a carrier has left every machine."""
+
+
+def _unbounded(
+    equation: CarrierEquation, lost: tuple[LostDirection, ...], stuck: StepGivenUpError
+) -> InfeasiblePlanError:
+    near = [instant for instant in lost if instant.t >= stuck.t]
+    farthest = int(np.argmax(np.abs(stuck.s)))
+    if abs(stuck.s[farthest]) > _RUNAWAY:
+        # what is left of the equation there is rounding of huge terms, and says nothing
+        return InfeasiblePlanError(
+            f"Carrier {farthest + 1} runs away with the main actuators off: at t = {stuck.t:.6g} s it would be at "
+            f"{stuck.s[farthest]:.3g} m with {stuck.sd[farthest]:.3g} m/s.",
+            remedy="Shorten the window (a threshold nearer to the singularity), or park the carriers elsewhere.",
+            constraint="carrier_motion",
+            time=stuck.t,
+            amount=float(abs(stuck.s[farthest])),
+        )
+    if near:
+        ahead = near[0].t - stuck.t
+        force = near[0].left(equation, stuck.s + ahead * stuck.sd, stuck.sd)
+        return nothing_carries(near[0], force, f"brought there at s = {np.round(stuck.s, 4).tolist()} m")
+    return InfeasiblePlanError(
+        f"Past t = {stuck.t:.6g} s no bounded motion of the carriers balances the prescribed efforts: "
+        f"{stuck.defect:.3g} N are left.",
+        remedy="Shorten the window (a threshold nearer to the singularity) or slow down.",
+        constraint="carrier_motion",
+        time=stuck.t,
+        amount=stuck.defect,
+    )

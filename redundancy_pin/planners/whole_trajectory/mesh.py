@@ -1,0 +1,178 @@
+"""The nodes of a whole-trajectory plan: exactly on jumps, kinks and singular instants, denser beside the latter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.carrier_model import TimedActuation
+from redundancy_pin.planners.switch_off.windows import Measured
+from redundancy_pin.trajectory.continuous import ContinuousMotion
+
+LEAST_STEPS = 2
+"""Steps between two events; fewer would tie the carriers' jerk to the distance of the events."""
+
+_NO_THRESHOLD = 5.0
+"""``Measured`` wants a threshold of its windows, which are not asked for here."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Nodes in time.
+
+    Attributes:
+        t: (M,) times, s; a time at which the reference acceleration jumps occurs twice.
+        singular: (q,) indices of the nodes on type II singularities.
+        smooth: (M,) nodes across which the jerk of the carriers is continuous: the singular ones, and the middles of
+            steps in which the efforts would otherwise differ from those at both ends.
+    """
+
+    t: Array
+    singular: IntArray
+    smooth: BoolArray
+
+    @property
+    def h(self) -> Array:
+        """(M − 1,) lengths of the steps, s; zero across a jump."""
+        return read_only(np.diff(self.t))
+
+    @property
+    def weights(self) -> Array:
+        """(M,) weights of the trapezoidal rule, s; they add up to the duration."""
+        half = 0.5 * np.diff(self.t)
+        return read_only(np.append(half, 0.0) + np.append(0.0, half))
+
+
+def singular_instants(dynamics: Dynamics, source: ContinuousMotion) -> list[float]:
+    """Return the times, s, at which the motion crosses or touches a type II singularity."""
+    actuation = TimedActuation.of(dynamics, source)
+    sample = dynamics.along(source.sample_at(np.array([source.start]))).reduce()
+    return Measured(actuation, sample, "condition", _NO_THRESHOLD).singular_instants()
+
+
+def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
+    """Return nodes at most ``dt`` apart, with every event on a node.
+
+    Args:
+        source: the platform motion.
+        singular: times on a type II singularity, s.
+        dt: largest step, s.
+    """
+    least = 1e-9 * (source.end - source.start)
+    # one that rounding keeps from a jump is on it, or the jump would have no node of its own
+    on = [_snapped(t, source.breaks, least) for t in singular if source.start <= t <= source.end]
+    kinks = source.knots if source.exact else np.empty(0)
+    others = [float(t) for t in [source.start, *source.breaks, *kinks, source.end] if _apart(t, on, least)]
+    events = np.unique(np.array([*on, *others]))
+    pieces = [
+        np.linspace(a, b, max(int(np.ceil((b - a) / dt - 1e-9)), LEAST_STEPS) + 1)[:-1] for a, b in pairwise(events)
+    ]
+    times = np.concatenate([*pieces, events[-1:]])
+    t = np.repeat(times, 1 + np.isin(times, source.breaks))
+    return _grid(t, np.isin(t, on), np.zeros(len(t), dtype=bool))
+
+
+def with_middles(grid: Grid, steps: BoolArray) -> Grid:
+    """Return a grid with a node in the middle of each marked step, across which the jerk is continuous.
+
+    The efforts are then seen inside these steps, while the carriers have no more freedom than before.
+
+    Args:
+        grid: the grid.
+        steps: (M − 1,) which steps; those of length zero are left alone.
+    """
+    marked = np.flatnonzero(np.asarray(steps) & (np.diff(grid.t) > 0.0))
+    middle = 0.5 * (grid.t[marked] + grid.t[marked + 1])
+    singular = np.zeros(len(grid.t), dtype=bool)
+    singular[grid.singular] = True
+    t = np.insert(grid.t, marked + 1, middle)
+    return _grid(t, np.insert(singular, marked + 1, False), np.insert(grid.smooth, marked + 1, True))
+
+
+def _grid(t: Array, singular: BoolArray, smooth: BoolArray) -> Grid:
+    h = np.diff(t)
+    inner = np.zeros(len(t), dtype=bool)
+    inner[1:-1] = (h[:-1] > 0.0) & (h[1:] > 0.0)
+    return Grid(read_only(t), read_only(np.flatnonzero(singular)), read_only((smooth | singular) & inner))
+
+
+def _snapped(t: float, breaks: Array, least: float) -> float:
+    near = breaks[np.abs(breaks - t) <= least]
+    return float(near[0]) if len(near) else t
+
+
+def _apart(t: float, others: list[float], least: float) -> bool:
+    return all(abs(t - other) > least for other in others)
+
+
+@dataclass(frozen=True, eq=False)
+class CarrierCourse:
+    """Motion of the carriers over M nodes, s̈ linear between two of them.
+
+    Attributes:
+        t: (M,) times, s; a time that occurs twice has two accelerations.
+        s, sd, sdd: (M, k) position, m, and its rates.
+    """
+
+    t: Array
+    s: Array
+    sd: Array
+    sdd: Array
+
+    def at_nodes(self) -> CarrierMotion:
+        """Return the motion at the nodes."""
+        return CarrierMotion(self.s, self.sd, self.sdd)
+
+    def inside(self, parts: int) -> tuple[Array, CarrierMotion]:
+        """Return times and motion on a grid ``parts`` times as fine, jumps twice."""
+        fraction = np.arange(parts) / parts
+        left = np.flatnonzero(np.diff(self.t) > 0.0)
+        step = np.repeat(left, parts)
+        own = np.tile(fraction, len(left))
+        # the last node, and the first of the two at each jump, are not the start of a step
+        ends = np.flatnonzero(np.append(np.diff(self.t) == 0.0, True))
+        at = np.concatenate([step, np.maximum(ends - 1, 0)])
+        share = np.concatenate([own, np.ones(len(ends))])
+        order = np.lexsort((share, at))
+        times = np.where(share == 1.0, self.t[at + 1], self.t[at] + share * np.diff(self.t)[at])
+        return times[order], self._inside(at[order], share[order])
+
+    def _inside(self, step: IntArray, fraction: Array) -> CarrierMotion:
+        h = np.diff(self.t)[step, None]
+        x = fraction[:, None] * h
+        jerk = np.diff(self.sdd, axis=0)[step] / h
+        s, sd, sdd = self.s[step], self.sd[step], self.sdd[step]
+        return CarrierMotion(
+            s + x * (sd + x * (sdd / 2.0 + x * jerk / 6.0)), sd + x * (sdd + x * jerk / 2.0), sdd + x * jerk
+        )
+
+    def ranges(self) -> tuple[Array, Array, Array, Array]:
+        """Return the exact least and largest s and ṡ in every step, (M − 1, k) each: least s, largest s, then ṡ."""
+        h = np.diff(self.t)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            jerk = np.where(h > 0.0, np.diff(self.sdd, axis=0) / h, 0.0)
+            sd, sdd = self.sd[:-1], self.sdd[:-1]
+            stationary = -sdd / jerk
+            # ṡ = 0, from the root that does not cancel
+            q = -0.5 * (sdd + np.copysign(np.sqrt(sdd**2 - 2.0 * jerk * sd), sdd))
+            turns = [2.0 * q / jerk, sd / q]
+        ends = [np.zeros_like(jerk), np.broadcast_to(h, jerk.shape)]
+        found = []
+        for name, inner in (("s", turns), ("sd", [stationary])):
+            at = np.stack([*ends, *(np.clip(np.nan_to_num(x, nan=0.0), 0.0, h) for x in inner)])
+            speeds = sd + at * (sdd + at * jerk / 2.0)
+            values = self.s[:-1] + at * (sd + at * (sdd / 2.0 + at * jerk / 6.0)) if name == "s" else speeds
+            found += [values.min(axis=0), values.max(axis=0)]
+        return found[0], found[1], found[2], found[3]
+
+    def at(self, times: Array) -> CarrierMotion:
+        """Return the motion at (N,) times, after the jump where one falls on a jump."""
+        step = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
+        while (zero := self.t[step + 1] == self.t[step]).any():
+            step = step - zero
+        return self._inside(step, (times - self.t[step]) / (self.t[step + 1] - self.t[step]))

@@ -1,0 +1,257 @@
+"""The right-hand side that is integrated: state, controller, forces, accelerations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import (
+    IllPosedModelError,
+    InputError,
+    RedundancyPinError,
+    SingularPoseError,
+    UnsupportedRobotError,
+)
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.controllers.base import CarrierLaw, Drive
+from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
+from redundancy_pin.simulation.state import Manifold, State
+
+Rate = Callable[[Array, Array], Array]
+
+
+def configuration_rate(model: pin.Model) -> Rate:
+    """Return the function from q (nq,) and v (nv,) to q̇ (nq,).
+
+    It is linear in q and defined off the unit circle and the unit sphere too, so that an integrator may call it at its
+    inner stages.
+    """
+    if model.nq == model.nv:
+        return lambda q, v: v
+    joints = [(str(joint.shortname()), joint.idx_q, joint.nq, joint.idx_v) for joint in list(model.joints)[1:]]
+
+    def rate(q: Array, v: Array) -> Array:
+        result = np.empty(model.nq)
+        for kind, iq, nq, iv in joints:
+            result[iq : iq + nq] = _joint_rate(kind, q[iq : iq + nq], v[iv : iv + 6])
+        return result
+
+    return rate
+
+
+def _joint_rate(kind: str, q: Array, v: Array) -> Array:
+    if kind == "JointModelFreeFlyer":  # its linear velocity is in the frame of the body
+        turned = q[3:] / np.linalg.norm(q[3:])
+        linear = pin.Quaternion(turned.copy()).toRotationMatrix() @ v[:3]
+        return np.concatenate([linear, _quaternion_rate(q[3:], v[3:6])])
+    if kind == "JointModelSpherical":
+        return _quaternion_rate(q, v[:3])
+    if kind == "JointModelPlanar":
+        c, s = q[2], q[3]
+        return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], -s * v[2], c * v[2]])
+    if len(q) == 2:
+        return np.array([-q[1] * v[0], q[0] * v[0]])
+    return v[: len(q)]
+
+
+def _quaternion_rate(q: Array, omega: Array) -> Array:
+    """Return half the product of a quaternion (x, y, z, w) and an angular velocity in the body's frame."""
+    vector, scalar = q[:3], q[3]
+    return 0.5 * np.append(scalar * omega + np.cross(vector, omega), -vector @ omega)
+
+
+DAMPING = 1e-8
+"""Proximal damping μ. The out-of-plane row of a planar closure is empty, and μ = 0 gives NaN there."""
+
+ACCURACY = 1e-14
+"""Absolute and relative accuracy asked of the proximal iteration."""
+
+MOST_ITERATIONS = 30
+
+
+def has_point_closures(robot: Robot) -> bool:
+    """Return whether all closures are points in a plane or in space, which is what ``ConstraintDynamics`` covers."""
+    return all(set(closure.axes) in ({"x", "y"}, {"x", "y", "z"}) for closure in robot.closures)
+
+
+class ConstraintDynamics:
+    """Pinocchio's constrained forward dynamics of one robot, its point closures as 3D constraints.
+
+    It shares nothing with ``ForwardDynamics`` but the model. Bodies without mass make its factorisation singular.
+
+    Args:
+        robot: the robot.
+
+    Raises:
+        UnsupportedRobotError: a closure is not a point.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        if not has_point_closures(robot):
+            other = next(c for c in robot.closures if set(c.axes) not in ({"x", "y"}, {"x", "y", "z"}))
+            raise UnsupportedRobotError(
+                f"Pinocchio's constraintDynamics cannot take closure {other.name!r} along {', '.join(other.axes)}.",
+                remedy="Use the projected equations, which take every closure.",
+                closure=other.name,
+            )
+        self._model = model = robot.model
+        self._constraints = pin.StdVec_RigidConstraintModel()
+        self._constraint_data = pin.StdVec_RigidConstraintData()
+        for closure in robot.closures:
+            frame_a, frame_b = (
+                model.frames[model.getFrameId(f, pin.FrameType.BODY)] for f in (closure.frame_a, closure.frame_b)
+            )
+            constraint = pin.RigidConstraintModel(
+                pin.ContactType.CONTACT_3D,
+                model,
+                frame_a.parentJoint,
+                frame_a.placement,
+                frame_b.parentJoint,
+                frame_b.placement,
+                pin.ReferenceFrame.LOCAL,
+            )
+            self._constraints.append(constraint)
+            self._constraint_data.append(constraint.createData())
+        self._data = model.createData()
+        pin.initConstraintDynamics(model, self._data, self._constraints, self._constraint_data)
+        self._settings = pin.ProximalSettings(ACCURACY, DAMPING, MOST_ITERATIONS)
+
+    def __call__(self, q: Array, v: Array, force: Array) -> Array:
+        """Return the accelerations (nv,) at q (nq,), v (nv,) under generalised forces (nv,)."""
+        acceleration = pin.constraintDynamics(
+            self._model, self._data, q, v, force, self._constraints, self._constraint_data, self._settings
+        )
+        return np.array(acceleration)
+
+
+Way = Literal["projected", "constraint_dynamics"]
+External = Callable[[State], Array]
+"""From a state to further generalised forces (nv,), N or N·m: friction, disturbances."""
+
+Command = tuple[Array, Array]
+
+
+class Machine:
+    """A robot with what drives it, as a differential equation in y = (q, v).
+
+    Args:
+        robot: the robot.
+        drive: controller and amplifiers.
+        carrier_law: prescribed motion of the carriers, or None where forces drive them.
+        external: further generalised forces.
+        way: how accelerations are computed.
+
+    Raises:
+        InputError: ``way`` is unknown, or cannot take prescribed carriers.
+        UnsupportedRobotError: ``way`` does not cover the robot.
+    """
+
+    def __init__(
+        self, robot: Robot, drive: Drive, carrier_law: CarrierLaw | None, external: External | None, way: Way
+    ) -> None:
+        self.robot = robot
+        self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None)
+        self.chain = self.dynamics.chain
+        self.manifold = Manifold(self.chain)
+        self._law, self._external, self._drive = carrier_law, external, drive
+        self._rate = configuration_rate(robot.model)
+        self._other = _second_way(robot, way, carrier_law is not None)
+        self._split = robot.model.nq
+        self.held: Command | None = None
+        """Efforts that a sampled controller holds; None where the controller is asked at every instant."""
+        self.until = np.inf
+        """End of the present stretch, s: efforts that jump there are asked for just before it."""
+        self.evaluations = 0
+        self.trouble: RedundancyPinError | None = None
+        """Why the last evaluation had no answer."""
+
+    def state(self, t: float, y: Array) -> State:
+        """Return the state of y = (q, v) at time t, carriers where the law wants them."""
+        if self._law is None:
+            return State(self.chain, t, y[: self._split], y[self._split :])
+        q, v = y[: self._split].copy(), y[self._split :].copy()
+        q[self.robot.carrier_position], v[self.robot.carrier_velocity], _ = self._law(t)
+        return State(self.chain, t, q, v)
+
+    def command(self, state: State) -> Command:
+        """Return the efforts at a state: held, or asked for.
+
+        Raises:
+            InputError: see ``Drive.command``.
+        """
+        return self.held if self.held is not None else self.asked(state)
+
+    def asked(self, state: State) -> Command:
+        """Return what the controller wants at a state.
+
+        Raises:
+            InputError: see ``Drive.command``.
+        """
+        return self._drive.command(state.t, state)
+
+    def __call__(self, t: float, y: Array) -> Array:
+        """Return ẏ; NaN where there is none, with ``trouble`` saying why: the integrator then tries a shorter step."""
+        self.evaluations += 1
+        if y[0] != y[0]:  # a stage after one that had no answer
+            return np.full(len(y), np.nan)
+        state = self.state(t if t < self.until else float(np.nextafter(self.until, -np.inf)), y)
+        try:
+            acceleration = self._acceleration(state, self._force(state, self.command(state)))
+        except (IllPosedModelError, SingularPoseError, InputError) as error:
+            # a controller may have no answer to the state of a trial step that is too long
+            self.trouble = error
+            return np.full(len(y), np.nan)
+        return np.concatenate([self._rate(state.q, state.v), acceleration])
+
+    def loads(self, state: State) -> tuple[Command, Acceleration]:
+        """Return efforts, accelerations and forces at a closed state.
+
+        Raises:
+            IllPosedModelError, SingularPoseError: there are none.
+            InputError: see ``command``.
+        """
+        command = self.command(state)
+        force = self._force(state, command)
+        acceleration = self._acceleration(state, force)
+        found = self.dynamics.forces(state.q, state.v, force, acceleration)
+        if self._law is None:  # what the actuators give, without friction and other external forces on the carriers
+            found = replace(found, carrier_force=command[1])
+        return command, found
+
+    def project(self, t: float, y: Array) -> tuple[Array, float, float]:
+        """Return the closed state nearest to y, the gap that y had, and the gap left, m."""
+        state = self.state(t, y)
+        q, v, found, left = self.manifold.project(state.q, state.v)
+        return np.concatenate([q, v]), found, left
+
+    def _force(self, state: State, command: Command) -> Array:
+        robot = self.robot
+        force = np.zeros(len(state.v))
+        force[robot.actuated_velocity] = command[0]
+        if self._law is None:
+            force[robot.carrier_velocity] = command[1]
+        return force if self._external is None else force + self._external(state)
+
+    def _acceleration(self, state: State, force: Array) -> Array:
+        if self._other is not None:
+            return self._other(state.q, state.v, force)
+        given = None if self._law is None else self._law(state.t)[2]
+        return self.dynamics.acceleration(state.q, state.v, force, given)
+
+
+def _second_way(robot: Robot, way: str, prescribed: bool) -> ConstraintDynamics | None:
+    if way == "projected":
+        return None
+    if way != "constraint_dynamics":
+        raise InputError(f"way is {way!r}.", remedy='Pass "projected" or "constraint_dynamics".')
+    if prescribed:
+        raise InputError(
+            "Pinocchio's constraintDynamics cannot drive carriers by motion.",
+            remedy='Use way="projected", or drive the carriers by force.',
+        )
+    return ConstraintDynamics(robot)

@@ -1,0 +1,1 @@
+"""Singularities: kinds and margins of configurations, instants along a motion, curves over the workspace."""

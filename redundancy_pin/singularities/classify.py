@@ -1,0 +1,348 @@
+"""Singularities of a closed chain at given configurations: type I, type II and combined, by rank, with margins.
+
+Type I (serial): the platform velocity does not determine the joint velocities; K loses rank, and there is a platform
+twist that cannot be produced. Type II (parallel): with locked actuators a motion remains; T loses rank, and so does W.
+See ``singular_matrices`` for K, T, W and for how lengths are made comparable.
+
+Robots with m ≠ n. With fewer actuators than freedoms (m < n) n − m independent platform motions are uncontrolled
+everywhere; with more (m > n) internal forces exist everywhere. Type II means the rank *below* that: rank W < min(n, m).
+
+The matrices whose rank decides on singularities, without units.
+
+With J_c the constraint Jacobian, J_x the rows of the independent velocities and S the selection of the main actuators,
+all without the carrier columns:
+
+- K = [J_c; J_x] maps joint velocities to platform velocities and loses rank at a type I singularity;
+- T = [J_c; S] is what is left to move with locked actuators and loses rank at a type II singularity;
+- W = Γᵀ Sᵀ maps actuator efforts to platform forces. Where K is regular T K⁻¹ = [I 0; * Wᵀ]: W lacks as much rank as T.
+
+Lengths are made comparable by one number, the robot's characteristic length L: every rotation (of a joint, of the
+platform, in a closure row) counts as the motion, in metres, of a point at distance L from its axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from redundancy_pin.arrays import (
+    CLOSURE_TOLERANCE,
+    NEAR_SINGULAR_MARGIN,
+    RANK_TOLERANCE,
+    Array,
+    BoolArray,
+    checked,
+    read_only,
+)
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
+from redundancy_pin.kinematics.lift import TreeMotion
+from redundancy_pin.kinematics.spectrum import SIGN_TIE, spectrum_of
+from redundancy_pin.robot import Robot
+
+
+def serial_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
+    """Return (N, p, p) the matrix K in scaled units, D_r K D_v⁻¹; its last n rows are the platform's."""
+    stacked = np.concatenate([state.Jc, state.Jx], axis=1)
+    return _scaled(system, stacked, np.concatenate([_closure_scale(system), row_scale(system.robot)]))
+
+
+def locked_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
+    """Return (N, r + m, p) the matrix T in scaled units, D_r T D_v⁻¹; its last m rows are the actuators'."""
+    robot = system.robot
+    selection = np.zeros((robot.m, robot.model.nv))
+    selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
+    stacked = np.concatenate([state.Jc, np.broadcast_to(selection, (len(state.q), *selection.shape))], axis=1)
+    return _scaled(system, stacked, np.concatenate([_closure_scale(system), column_scale(robot)]))
+
+
+def actuation_matrix(system: ConstraintSystem, serial: Array) -> Array:
+    """Return (N, n, m) the scaled actuation matrix D_x⁻¹ W D_a; NaN where K is exactly singular.
+
+    Args:
+        system: closures and platform rows.
+        serial: (N, p, p) from ``serial_matrix``.
+    """
+    robot = system.robot
+    columns = np.searchsorted(system.pose_columns, robot.actuated_velocity)
+    right = np.zeros((serial.shape[1], robot.n))
+    right[len(system.rows) :] = np.eye(robot.n)
+    try:
+        gamma = np.asarray(np.linalg.solve(serial, np.broadcast_to(right, (len(serial), *right.shape))), dtype=float)
+    except np.linalg.LinAlgError:
+        # LAPACK gives up on the whole stack for one exactly singular sample
+        singular = np.linalg.matrix_rank(serial) < serial.shape[1]
+        safe = np.where(singular[:, None, None], np.eye(serial.shape[1]), serial)
+        gamma = np.asarray(np.linalg.solve(safe, np.broadcast_to(right, (len(safe), *right.shape))), dtype=float)
+        gamma[singular] = np.nan
+    by_row: Array = gamma[:, columns].transpose(0, 2, 1)
+    return by_row
+
+
+def signed_margin(W: Array) -> Array:
+    """Return (N,) the smallest singular value of W with the sign of its determinant.
+
+    Unlike the margin itself it changes sign where a type II singularity is crossed, and smoothly. Where W is not
+    square (m ≠ n) there is no determinant and the sign is +1.
+
+    Args:
+        W: (N, n, m) scaled actuation matrices; NaN gives NaN.
+    """
+    finite = np.isfinite(W).all(axis=(1, 2))
+    result = np.full(len(W), np.nan)
+    result[finite] = np.linalg.svd(W[finite], compute_uv=False)[:, -1]
+    if W.shape[1] == W.shape[2]:
+        result[finite] *= np.where(np.linalg.det(W[finite]) < 0.0, -1.0, 1.0)
+    return result
+
+
+def oriented(vectors: Array) -> Array:
+    """Return (N, n) vectors with the sign that makes the largest component positive (the first of those that tie)."""
+    size = np.abs(vectors)
+    leading = (size >= (1.0 - SIGN_TIE) * size.max(axis=1, keepdims=True)).argmax(axis=1)
+    flipped = np.take_along_axis(vectors, leading[:, np.newaxis], axis=1) < 0.0
+    return read_only(np.where(flipped, -vectors, vectors) + 0.0)  # no negative zeros
+
+
+def _closure_scale(system: ConstraintSystem) -> Array:
+    return np.array([system.robot.characteristic_length if row.rotation else 1.0 for _, row in system.rows])
+
+
+def _scaled(system: ConstraintSystem, stacked: Array, rows: Array) -> Array:
+    columns = velocity_scale(system.robot)[system.pose_columns]
+    result: Array = stacked[:, :, system.pose_columns] * (rows[:, None] / columns)
+    return result
+
+
+class SingularityKind(IntEnum):
+    """What a configuration is; a combined singularity is of type I and of type II."""
+
+    UNREACHABLE = -1
+    REGULAR = 0
+    TYPE_I = 1
+    TYPE_II = 2
+    COMBINED = 3
+
+    @property
+    def label(self) -> str:
+        """The name in lower case, as tables and files show it: ``type_ii``."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, eq=False)
+class Singularities:
+    """The singularities of N configurations; made by ``classify`` and ``classify_motion``.
+
+    A direction is a twist ẋ (m/s, rad/s, base frame) of length 1 m/s in the scaled metric, in which a rotation counts
+    with the characteristic length; its largest scaled component is positive. Everything is NaN where ``kind`` is
+    ``UNREACHABLE``.
+
+    Attributes:
+        kind: (N,) values of ``SingularityKind``.
+        serial_margin: (N,) smallest singular value of the scaled K: the distance to type I.
+        parallel_margin: (N,) smallest singular value of the scaled W: the distance to type II as ``distribute`` reports
+            it; NaN at type I, where W is infinite.
+        locked_margin: (N,) smallest singular value of the scaled T: the distance to type II, finite everywhere.
+        condition: (N,) condition number of the scaled J = Wᵀ (ẋ to actuator rates); infinite at a singularity.
+        condition_unscaled: (N,) the same of the plain J, the thesis's measure (Parsa 2014, section 3.1). It equals
+            ``condition`` where no units are mixed (2-RPR: cot(γ/2), γ the angle between the legs); where they
+            are (3-RRR), it depends on the unit of length, and ``condition`` does not.
+        uncontrolled_twist: (N, n) the platform motion that locked actuators leave free; NaN where not type II, and at a
+            combined singularity whose free motion leaves the platform at rest.
+        lost_direction: (N, n) the platform motion that no joint velocity produces: every twist that is possible is
+            normal to it in the scaled metric. NaN where not type I, and where the closure rows depend on each other
+            without the platform's.
+        least_controlled: (N, n) the platform motion that the actuators resist least, at every configuration; for m < n
+            the least controlled of those that are controlled at all.
+        least_producible: (N, n) the platform motion that asks most of the joints, at every configuration.
+        passive_motion: (N,) true where joints can move with actuators and platform at rest (then both K and T lose
+            rank).
+    """
+
+    kind: NDArray[np.int8]
+    serial_margin: Array
+    parallel_margin: Array
+    locked_margin: Array
+    condition: Array
+    condition_unscaled: Array
+    uncontrolled_twist: Array
+    lost_direction: Array
+    least_controlled: Array
+    least_producible: Array
+    passive_motion: BoolArray
+
+    def __len__(self) -> int:
+        """Return the number of configurations."""
+        return len(self.kind)
+
+    @property
+    def type_i(self) -> BoolArray:
+        """(N,) whether each is a type I singularity (combined ones included)."""
+        return read_only((self.kind == SingularityKind.TYPE_I) | (self.kind == SingularityKind.COMBINED))
+
+    @property
+    def type_ii(self) -> BoolArray:
+        """(N,) whether each is a type II singularity (combined ones included)."""
+        return read_only((self.kind == SingularityKind.TYPE_II) | (self.kind == SingularityKind.COMBINED))
+
+    @property
+    def near_type_ii(self) -> BoolArray:
+        """(N,) whether the parallel margin is below ``NEAR_SINGULAR_MARGIN`` (type II itself included)."""
+        return read_only(self.type_ii | (self.parallel_margin < NEAR_SINGULAR_MARGIN))
+
+
+def classify(robot: Robot, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
+    """Classify closed configurations, exact type I singularities included (where ``lift`` has to refuse).
+
+    Args:
+        robot: the robot.
+        q: (N, nq) or (nq,) configurations of the tree, closed; carriers do not matter.
+        tolerance: singular values below this fraction of the largest (of W also below this) count as zero. A type I
+            configuration that comes from a position (rather than from a joint angle) is only exact to the square root
+            of rounding: ask for 1e-7 there.
+
+    Raises:
+        InputError: wrong shape, values that are not finite, a configuration that is not closed, or a tolerance
+            outside (0, 1).
+    """
+    _require_fraction(tolerance)
+    configurations = checked(np.atleast_2d(np.asarray(q, dtype=float)), "q", ("N", robot.model.nq))
+    system = ConstraintSystem(robot)
+    state = system.evaluate(configurations)
+    gap = np.abs(state.phi).max(axis=1, initial=0.0)
+    bad = np.flatnonzero(gap > CLOSURE_TOLERANCE)
+    if len(bad):
+        k = int(bad[0])
+        raise InputError(
+            f"Configuration {k} is not closed: its largest closure row is {gap[k]:.3g} ({len(bad)} of {len(gap)} are "
+            "open).",
+            remedy="Close the chains first, with lift or assemble.",
+            sample=k,
+            gap=float(gap[k]),
+        )
+    return _classified(system, state, tolerance)
+
+
+def classify_motion(motion: TreeMotion, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
+    """Classify the samples of a lifted motion; unreachable ones are marked.
+
+    Args:
+        motion: N samples, from ``lift``.
+        tolerance: see ``classify``.
+
+    Raises:
+        InputError: a tolerance outside (0, 1).
+    """
+    _require_fraction(tolerance)
+    good = motion.reachable
+    part = classify(motion.robot, motion.q[good], tolerance=tolerance) if good.any() else _nowhere(motion.robot, 0)
+    if good.all():
+        return part
+    spread = {name: values.copy() for name, values in vars(_nowhere(motion.robot, len(good))).items()}
+    for name, values in spread.items():
+        values[good] = getattr(part, name)
+        read_only(values)
+    return Singularities(**spread)
+
+
+def _require_fraction(tolerance: float) -> None:
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
+
+
+def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: float) -> Singularities:
+    rows = row_scale(system.robot)
+    K, T = serial_matrix(system, state), locked_matrix(system, state)
+    serial, locked = np.linalg.svd(K), np.linalg.svd(T)
+    type_i = _lacks_rank(serial.S, tolerance)
+    W = actuation_matrix(system, K)
+    W[type_i] = np.nan
+    spectrum = spectrum_of(W)
+    plain = spectrum_of(W * (rows[:, None] / column_scale(system.robot)))
+    type_ii = np.where(type_i, _lacks_rank(locked.S, tolerance), spectrum.rank(tolerance) < min(W.shape[1:]))
+
+    twists = K[:, len(system.rows) :] @ locked.Vh.transpose(0, 2, 1)
+    least_controlled = _least_controlled(W, twists[:, :, locked.S.shape[1] - 1], type_i)
+    uncontrolled = np.where(type_i[:, None], _widest(twists, locked.S, tolerance), least_controlled)
+    uncontrolled[~type_ii] = np.nan
+    covectors = serial.U[:, len(system.rows) :]
+    lost = _widest(covectors, serial.S, tolerance)
+    lost[~type_i] = np.nan
+    return Singularities(
+        kind=read_only((type_i * SingularityKind.TYPE_I + type_ii * SingularityKind.TYPE_II).astype(np.int8)),
+        serial_margin=read_only(serial.S[:, -1].copy()),
+        parallel_margin=spectrum.margin,
+        locked_margin=read_only(locked.S[:, -1].copy()),
+        condition=_condition(spectrum.condition, type_i | type_ii),
+        condition_unscaled=_condition(plain.condition, type_i | type_ii),
+        uncontrolled_twist=read_only(oriented(uncontrolled) / rows),
+        lost_direction=read_only(oriented(lost) / rows),
+        least_controlled=read_only(oriented(least_controlled) / rows),
+        least_producible=read_only(oriented(_unit(covectors[:, :, -1])) / rows),
+        passive_motion=_passive(np.concatenate([K, T[:, len(system.rows) :]], axis=1), type_i & type_ii, tolerance),
+    )
+
+
+def _lacks_rank(values: Array, tolerance: float) -> BoolArray:
+    """Return (N,) whether the smallest singular value counts as zero; values (N, c), largest first, NaN gives no."""
+    result: BoolArray = values[:, -1] <= tolerance * values[:, 0]
+    return result
+
+
+def _least_controlled(W: Array, locked: Array, type_i: BoolArray) -> Array:
+    """Return (N, n) the left singular vector of W's smallest singular value; at type I the twist (N, n) from T."""
+    result = _unit(locked)
+    finite = ~type_i & np.isfinite(W).all(axis=(1, 2))
+    result[finite] = np.linalg.svd(W[finite]).U[:, :, min(W.shape[1:]) - 1]
+    return result
+
+
+def _widest(vectors: Array, values: Array, tolerance: float) -> Array:
+    """Return (N, n) the unit vector along which the vectors of a null space reach farthest, NaN where all are zero.
+
+    Args:
+        vectors: (N, n, p) the platform's part of each singular vector.
+        values: (N, c) its singular value, c ≤ p; vectors without one belong to no loss of rank.
+        tolerance: singular values below this fraction of the largest count as zero.
+    """
+    null = values <= tolerance * values[:, :1]
+    u, size, _ = np.linalg.svd(vectors[:, :, : values.shape[1]] * null[:, None, :], full_matrices=False)
+    # null vectors are exact to about the tolerance; a platform part below its root is none
+    result: Array = np.where(size[:, :1] > np.sqrt(tolerance), u[:, :, 0], np.nan)
+    return result
+
+
+def _passive(everything: Array, candidates: BoolArray, tolerance: float) -> BoolArray:
+    """Return (N,) whether a joint motion exists that neither closures nor platform nor actuators see."""
+    result = np.zeros(len(everything), dtype=bool)
+    if candidates.any():
+        result[candidates] = _lacks_rank(spectrum_of(everything[candidates]).singular_values, tolerance)
+    return read_only(result)
+
+
+def _condition(condition: Array, singular: BoolArray) -> Array:
+    # what rounding makes of an infinite condition number is any large number
+    return read_only(np.where(singular, np.inf, condition))
+
+
+def _unit(vectors: Array) -> Array:
+    """Return unit vectors (N, n), NaN where the length is rounding."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        result: Array = np.where(length > RANK_TOLERANCE, vectors / length, np.nan)
+    return result
+
+
+def _nowhere(robot: Robot, samples: int) -> Singularities:
+    """Return a result in which every sample is unreachable."""
+    number = np.full(samples, np.nan)
+    vector = np.full((samples, robot.n), np.nan)
+    kind = np.full(samples, SingularityKind.UNREACHABLE, dtype=np.int8)
+    passive = np.zeros(samples, dtype=bool)
+    for array in (number, vector, kind, passive):
+        read_only(array)
+    return Singularities(kind, *(number,) * 5, *(vector,) * 4, passive)

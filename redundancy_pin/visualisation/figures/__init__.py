@@ -1,0 +1,1 @@
+"""Figures on paper, by matplotlib, which is imported when one is drawn."""

@@ -1,0 +1,257 @@
+"""A feasibility map: what can be done coloured by effort, what cannot hatched and lettered, the border between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.visualisation.figures.style import figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+
+Kind = Literal["feasible", "stopped_early", "infeasible", "failed"]
+
+_COLORS = "cividis"
+"""Lightness rises evenly, so that it reads in grey too."""
+
+_DECADES = 30.0
+"""Largest over smallest effort from which on colours are logarithmic."""
+
+_HATCHES: Mapping[str, tuple[str, str]] = {"infeasible": ("////", "#BDBDBD"), "failed": ("....", "#8C8C8C")}
+_LARGEST, _SMALLEST = 9.0, 4.5
+"""Size of the letters, points: as the tiles allow; below the smallest there is none."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A rectangle of the map around one cell.
+
+    Attributes:
+        x0, x1, y0, y1: its edges.
+        kind: what is known of it.
+        value: peak effort, for the colour; None without a plan.
+        mark: letter of the limit that is in the way; empty where none is.
+    """
+
+    x0: float
+    x1: float
+    y0: float
+    y1: float
+    kind: Kind
+    value: float | None = None
+    mark: str = ""
+
+    @property
+    def possible(self) -> bool:
+        """Whether there is a plan that keeps every limit."""
+        return self.kind in ("feasible", "stopped_early")
+
+
+@dataclass(frozen=True)
+class MapPanel:
+    """The map of one planner."""
+
+    title: str
+    tiles: tuple[Tile, ...]
+
+
+@dataclass(frozen=True)
+class MapLabels:
+    """Text and scales of a map.
+
+    Attributes:
+        title: of the figure.
+        x, y, value: of the axes and the colours, with units.
+        marks: what each letter stands for.
+        x_scale, y_scale: "linear" or "log".
+    """
+
+    title: str
+    x: str
+    y: str
+    value: str
+    marks: Mapping[str, str]
+    x_scale: Literal["linear", "log"] = "linear"
+    y_scale: Literal["linear", "log"] = "linear"
+
+
+def plot_feasibility(panels: Sequence[MapPanel], labels: MapLabels) -> Figure:
+    """Draw the maps of several planners side by side, readable without colour.
+
+    Feasible tiles are coloured by effort; a ring says that the optimiser stopped early. Infeasible ones are hatched and
+    carry the letter of the limit in the way, failed ones are dotted with a question mark. A thick line is the border
+    between possible and infeasible, a dashed one that of the other planner (only with two of them).
+
+    Args:
+        panels: one for each planner.
+        labels: text and scales.
+
+    Raises:
+        RedundancyPinError: matplotlib is not installed.
+    """
+    borders = [border_of(panel.tiles) for panel in panels]
+    with figure(1.4 + 4.3 * len(panels), 5.4) as drawn:
+        from matplotlib.cm import ScalarMappable
+
+        drawn.suptitle(labels.title, fontsize=10.5)
+        axes = list(drawn.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0])
+        norm = _norm([tile.value for panel in panels for tile in panel.tiles if tile.possible])
+        for i, (panel, on) in enumerate(zip(panels, axes, strict=True)):
+            on.set(title=panel.title, xlabel=labels.x, xscale=labels.x_scale, yscale=labels.y_scale)
+            _fit(on, panel.tiles)
+            _draw_tiles(on, panel.tiles, norm)
+            if len(panels) == 2:
+                _draw_border(on, borders[1 - i], own=False)
+            _draw_border(on, borders[i], own=True)
+        axes[0].set_ylabel(labels.y)
+        if norm is not None:
+            drawn.colorbar(ScalarMappable(norm, _COLORS), ax=axes, label=labels.value, fraction=0.04, pad=0.02)
+        # letters need to know how large the tiles have become
+        drawn.draw_without_rendering()
+        for panel, on in zip(panels, axes, strict=True):
+            _draw_marks(on, panel.tiles)
+        _legend(drawn, panels, labels, any(len(segments) for segments in borders))
+        return drawn
+
+
+def border_of(tiles: Sequence[Tile]) -> Array:
+    """Return (S, 2, 2) segments, start and end (x, y), where possible and infeasible tiles meet.
+
+    Args:
+        tiles: that do not overlap; neighbours share their edges exactly.
+    """
+    one = [tile for tile in tiles if tile.possible]
+    other = [tile for tile in tiles if tile.kind == "infeasible"]
+    if not (one and other):
+        return np.empty((0, 2, 2))
+    ax0, ax1, ay0, ay1 = (np.array([getattr(tile, name) for tile in one])[:, None] for name in ("x0", "x1", "y0", "y1"))
+    bx0, bx1, by0, by1 = (np.array([getattr(tile, name) for tile in other])[None] for name in ("x0", "x1", "y0", "y1"))
+    left, right = np.maximum(ax0, bx0), np.minimum(ax1, bx1)
+    low, high = np.maximum(ay0, by0), np.minimum(ay1, by1)
+    segments = []
+    for first, second in ((ax1, bx0), (ax0, bx1)):
+        i, j = np.nonzero((first == second) & (low < high))
+        x = np.broadcast_to(first, low.shape)[i, j]
+        segments.append(np.stack([np.stack([x, low[i, j]], -1), np.stack([x, high[i, j]], -1)], 1))
+    for first, second in ((ay1, by0), (ay0, by1)):
+        i, j = np.nonzero((first == second) & (left < right))
+        y = np.broadcast_to(first, left.shape)[i, j]
+        segments.append(np.stack([np.stack([left[i, j], y], -1), np.stack([right[i, j], y], -1)], 1))
+    return np.concatenate(segments)
+
+
+def _norm(values: Sequence[float | None]) -> Normalize | None:
+    from matplotlib.colors import LogNorm, Normalize
+
+    known = [value for value in values if value is not None and value > 0.0]
+    if not known:
+        return None
+    least, most = min(known), max(known)
+    if most > _DECADES * least:
+        return LogNorm(least, most)
+    return Normalize(0.0, most)
+
+
+def _fit(axes: Axes, tiles: Sequence[Tile]) -> None:
+    axes.set_xlim(min(tile.x0 for tile in tiles), max(tile.x1 for tile in tiles))
+    axes.set_ylim(min(tile.y0 for tile in tiles), max(tile.y1 for tile in tiles))
+    axes.grid(False)
+
+
+def _draw_tiles(axes: Axes, tiles: Sequence[Tile], norm: Normalize | None) -> None:
+    import matplotlib
+
+    colors = matplotlib.colormaps[_COLORS]
+    for kind in ("feasible", "stopped_early", "infeasible", "failed"):
+        chosen = [tile for tile in tiles if tile.kind == kind]
+        if not chosen:
+            continue
+        corners = [[(t.x0, t.y0), (t.x1, t.y0), (t.x1, t.y1), (t.x0, t.y1)] for t in chosen]
+        if kind in _HATCHES:
+            hatch, grey = _HATCHES[kind]
+            axes.add_collection(_polygons(corners, facecolor="#FFFFFF", edgecolor=grey, hatch=hatch, linewidth=0.3))
+        else:
+            fill = [colors(norm(t.value)) if norm is not None and t.value else "#FFFFFF" for t in chosen]
+            axes.add_collection(_polygons(corners, facecolor=fill, edgecolor="none", linewidth=0.0))
+        if kind == "stopped_early":
+            centres = np.array([_centre(axes, tile) for tile in chosen])
+            axes.plot(*centres.T, linestyle="none", marker="o", markersize=5, markerfacecolor="#FFFFFF",
+                      markeredgecolor="#000000", zorder=3.0)  # fmt: skip
+
+
+def _polygons(corners: Sequence[Any], **style: Any) -> Any:
+    from matplotlib.collections import PolyCollection
+
+    return PolyCollection(corners, zorder=1.0, **style)
+
+
+def _draw_border(axes: Axes, segments: Array, *, own: bool) -> None:
+    from matplotlib.collections import LineCollection
+
+    if not len(segments):
+        return
+    for color, width in (("#FFFFFF", 4.2), ("#000000", 2.4)) if own else (("#FFFFFF", 2.2), ("#000000", 1.1)):
+        dashed = not own and color == "#000000"
+        lines = LineCollection(list(segments), colors=color, linewidths=width, zorder=2.2 if own else 2.0)
+        lines.set(linestyle=(0, (4, 2)) if dashed else "solid", capstyle="butt" if dashed else "projecting")
+        axes.add_collection(lines)
+
+
+def _draw_marks(axes: Axes, tiles: Sequence[Tile]) -> None:
+    for tile in tiles:
+        text = "?" if tile.kind == "failed" else tile.mark if tile.kind == "infeasible" else ""
+        corners = axes.transData.transform([(tile.x0, tile.y0), (tile.x1, tile.y1)])
+        size = min(0.62 * float(np.abs(corners[1] - corners[0]).min()) * 72.0 / axes.figure.dpi, _LARGEST)
+        if text and size >= _SMALLEST:
+            x, y = _centre(axes, tile)
+            box = {"facecolor": "#FFFFFF", "edgecolor": "none", "pad": 0.4}
+            axes.text(x, y, text, ha="center", va="center", fontsize=size, zorder=2.5, bbox=box)
+
+
+def _centre(axes: Axes, tile: Tile) -> tuple[float, float]:
+    x = np.sqrt(tile.x0 * tile.x1) if axes.get_xscale() == "log" else 0.5 * (tile.x0 + tile.x1)
+    y = np.sqrt(tile.y0 * tile.y1) if axes.get_yscale() == "log" else 0.5 * (tile.y0 + tile.y1)
+    return float(x), float(y)
+
+
+def _legend(drawn: Figure, panels: Sequence[MapPanel], labels: MapLabels, bordered: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    tiles = [tile for panel in panels for tile in panel.tiles]
+    present = {tile.kind for tile in tiles}
+    handles: list[Any] = []
+    if bordered:
+        handles.append(Line2D([], [], color="#000000", linewidth=2.4, label="border"))
+    if bordered and len(panels) == 2:
+        handles.append(
+            Line2D([], [], color="#000000", linewidth=1.1, linestyle=(0, (4, 2)), label="border, other panel")
+        )
+    if "infeasible" in present:
+        used = sorted({tile.mark for tile in tiles if tile.kind == "infeasible"})
+        said = ", ".join(f"{mark} {labels.marks[mark]}" for mark in used)
+        hatch, grey = _HATCHES["infeasible"]
+        handles.append(
+            Patch(facecolor="#FFFFFF", edgecolor=grey, hatch=hatch, label=f"not possible; in the way: {said}")
+        )
+    if "stopped_early" in present:
+        ring: dict[str, Any] = {
+            "marker": "o",
+            "markerfacecolor": "#FFFFFF",
+            "markeredgecolor": "#000000",
+            "linestyle": "none",
+        }
+        handles.append(Line2D([], [], label="possible, optimiser stopped early", **ring))
+    if "failed" in present:
+        hatch, grey = _HATCHES["failed"]
+        handles.append(Patch(facecolor="#FFFFFF", edgecolor=grey, hatch=hatch, label="? not known (numerical failure)"))
+    if handles:
+        drawn.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False)

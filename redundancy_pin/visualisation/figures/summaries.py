@@ -1,0 +1,187 @@
+"""Trade-off curves: two quantities of which neither can be lowered without raising the other."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, plain_log
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+_HATCHES = ("", "///", "...", "xxx", "---", "\\\\\\")
+"""So that bars can be told apart without colour."""
+
+
+def plot_bars(
+    title: str, groups: Sequence[str], groups_label: str, label: str, series: Mapping[str, Array]
+) -> Figure:  # fmt: skip
+    """Draw one group of bars a case, one bar a method, on a logarithmic axis.
+
+    Args:
+        title: of the figure.
+        groups: names of the G cases.
+        groups_label: of their axis.
+        label: of the values' axis, with its unit.
+        series: (G,) positive values by method; NaN leaves a gap that is marked "none".
+
+    Raises:
+        RedundancyPinError: matplotlib is not installed.
+    """
+    with figure(max(8.0, 1.6 + 0.9 * len(groups)), 3.6) as drawn:
+        axes = drawn.subplots()
+        drawn.suptitle(title, fontsize=10.5)
+        width = 0.8 / len(series)
+        places = np.arange(len(groups))
+        smallest = min(float(np.nanmin(values)) for values in series.values())
+        for i, (name, values) in enumerate(series.items()):
+            at = places + (i - 0.5 * (len(series) - 1)) * width
+            axes.bar(
+                at,
+                np.nan_to_num(values),
+                width,
+                color=STROKES[i % len(STROKES)].color,
+                hatch=_HATCHES[i % len(_HATCHES)],
+                edgecolor="white",
+                linewidth=0.4,
+                label=name,
+            )
+            for x in at[np.isnan(values)]:
+                axes.text(x, smallest, "none", rotation=90, ha="center", va="bottom", fontsize=7)
+        plain_log(axes)
+        axes.set_ylim(bottom=0.7 * smallest)
+        axes.set_xticks(places, groups)
+        axes.set_xlabel(groups_label)
+        axes.set_ylabel(label)
+        legend_above(axes, len(series))
+        return drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Attempts:
+    """Speeds tried for one motion.
+
+    Attributes:
+        label: in the legend.
+        found: (P, 2) speed, m/s, ascending, and largest effort, N, of those with a plan.
+        without: (Q,) speeds without one, m/s.
+    """
+
+    label: str
+    found: Array
+    without: Array
+
+
+def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
+    """Draw effort over speed, logarithmic, with crosses on the lower edge where there is no plan.
+
+    Args:
+        title: of the figure.
+        attempts: one curve each.
+
+    Raises:
+        RedundancyPinError: matplotlib is not installed.
+    """
+    with figure(7.0, 4.6) as drawn:
+        axes = drawn.subplots()
+        drawn.suptitle(title, fontsize=10.5)
+        for stroke, tried in zip(STROKES, attempts, strict=False):
+            axes.plot(
+                tried.found[:, 0], tried.found[:, 1], color=stroke.color, linestyle=stroke.dash, marker=stroke.marker,
+                markersize=4, label=tried.label,
+            )  # fmt: skip
+            axes.plot(
+                tried.without, [0.02] * len(tried.without), linestyle="none", marker="x", color=stroke.color,
+                transform=axes.get_xaxis_transform(), clip_on=False,
+            )  # fmt: skip
+        plain_log(axes)
+        axes.set_xlabel("cruising speed [m/s] (crosses: no plan found)")
+        axes.set_ylabel("largest main force [N]")
+        legend_above(axes, 1)
+        return drawn
+
+
+_LETTERS = 42
+"""Of a line of a panel's title."""
+
+
+@dataclass(frozen=True, eq=False)
+class TradeCurve:
+    """One motion.
+
+    Attributes:
+        title: of its panel.
+        unit: of the effort.
+        points: (P, 2) root mean squares of acceleration, m/s², and effort, along the curve.
+        marks: the same of other plans, by name.
+    """
+
+    title: str
+    unit: str
+    points: Array
+    marks: Mapping[str, tuple[float, float]]
+
+
+def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
+    """Draw each curve in a panel of its own, with other plans as marks.
+
+    Args:
+        title: of the figure.
+        curves: one panel each.
+
+    Raises:
+        RedundancyPinError: matplotlib is not installed.
+    """
+    with figure(3.8 * len(curves), 3.8) as drawn:
+        panels = drawn.subplots(1, len(curves), squeeze=False)[0]
+        drawn.suptitle(title, fontsize=10.5)
+        names = list(dict.fromkeys(name for curve in curves for name in curve.marks))
+        for panel, curve in zip(panels, curves, strict=True):
+            panel.plot(curve.points[:, 0], curve.points[:, 1], color=STROKES[0].color, marker="o", markersize=4,
+                       label="whole trajectory, one point a weight")  # fmt: skip
+            for name, (acceleration, effort) in curve.marks.items():
+                stroke = STROKES[1 + names.index(name)]
+                panel.plot([acceleration], [effort], linestyle="none", marker=stroke.marker, color=stroke.color,
+                           markersize=7, label=name)  # fmt: skip
+            plain_log(panel)
+            panel.set_title(textwrap.fill(curve.title, _LETTERS), fontsize=9)
+            panel.set_xlabel("rms of s̈ [m/s²]")
+            panel.set_ylabel(f"rms of |τ| [{curve.unit}]")
+        named = {}
+        for panel in panels:
+            named.update({label: handle for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)})
+        drawn.legend(named.values(), named.keys(), loc="outside lower center", ncols=len(named), frameon=False)
+        return drawn
+
+
+LEAST = 1e-16
+"""m; what is smaller is drawn there."""
+
+
+def plot_tracking(title: str, curves: Mapping[str, tuple[Array, Array]]) -> Figure:
+    """Draw distances from a planned motion over time.
+
+    Args:
+        title: of the figure.
+        curves: by label, (N,) times, s, and (N,) distances, m.
+
+    Raises:
+        RedundancyPinError: matplotlib is not installed.
+    """
+    with figure(7.0, 4.2) as drawn:
+        axes = drawn.subplots()
+        drawn.suptitle(title, fontsize=10.5)
+        for stroke, (label, (t, error)) in zip(STROKES, curves.items(), strict=False):
+            axes.plot(t, np.maximum(error, LEAST), color=stroke.color, linestyle=stroke.dash, label=label)
+        axes.set_yscale("log")
+        axes.set_xlabel("time t [s]")
+        axes.set_ylabel("distance from the plan [m]")
+        legend_above(axes, 2)
+        return drawn

@@ -1,0 +1,188 @@
+"""Least squares over a box, against every choice of active bounds, scipy's solvers, and the conditions of a minimum."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear, minimize
+
+from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.planners.stepwise.optimiser import (
+    damping_of,
+    definiteness,
+    minimise,
+    minimise_quadratic,
+    optimality,
+)
+
+# scipy of Python 3.10 rounds out of its own bounds on the way, says so, and steps back inside
+pytestmark = pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")
+
+SAME = 1e-9
+"""Of minima of problems with entries of order one and condition numbers up to 1e3: conditioning times rounding."""
+
+
+def solve(c, B, C, lower, upper, start=None, tolerance=1e-13):
+    def linearised(u):
+        u = np.array(u)
+        return np.column_stack([B + 2.0 * C * u, c + B @ u + C @ (u * u)])
+
+    slope = np.abs(B).max()
+    return minimise(
+        linearised,
+        np.asarray(lower, dtype=float).tolist(),
+        np.asarray(upper, dtype=float).tolist(),
+        [0.0] * len(lower) if start is None else start,
+        slope=slope,
+        curvature=np.abs(C).max(),
+        damping=damping_of(len(lower), slope),
+        tolerance=tolerance,
+    )
+
+
+def best_of_all_faces(H, g, lower, upper):
+    """The minimum of ½ dᵀ H d + gᵀ d in the box: the best feasible stationary point of all 3^k faces."""
+    best, at = np.inf, None
+    for sides in itertools.product((-1, 0, 1), repeat=len(g)):
+        sides = np.array(sides)
+        d = np.where(sides < 0, lower, np.where(sides > 0, upper, 0.0))
+        if not np.isfinite(d).all():
+            continue
+        free = sides == 0
+        if free.any():
+            d[free] = np.linalg.solve(H[np.ix_(free, free)], -(g + H @ d)[free])
+        if (d < lower - 1e-12).any() or (d > upper + 1e-12).any():
+            continue
+        value = 0.5 * d @ H @ d + g @ d
+        if value < best:
+            best, at = value, d
+    return at
+
+
+def random_problem(seed, k, extra, stiffness):
+    rng = np.random.default_rng(seed)
+    m = k + extra
+    B = rng.normal(size=(m, k)) * np.geomspace(1.0, stiffness, k)
+    while np.linalg.cond(B) > 1e3:
+        B = rng.normal(size=(m, k))
+    ends = np.sort(rng.normal(size=(2, k)), axis=0)
+    return rng.normal(size=m) * 2.0, B, ends[0], ends[1], rng
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    k=st.integers(1, 4),
+    extra=st.integers(0, 2),
+    stiffness=st.sampled_from([1.0, 0.1, 0.01]),
+    half=st.booleans(),
+)
+def test_quadratic_programme_against_all_faces(seed, k, extra, stiffness, half):
+    c, B, lower, upper, rng = random_problem(seed, k, extra, stiffness)
+    if half:  # bounds on one side only
+        upper[rng.integers(k)] = np.inf
+    H, g = B.T @ B, B.T @ c
+    expected = best_of_all_faces(H, g, lower, upper)
+    guess = np.linalg.solve(H, -g)
+    got = minimise_quadratic(H.tolist(), g.tolist(), lower.tolist(), upper.tolist(), guess.tolist())
+    np.testing.assert_allclose(got, expected, atol=SAME * np.linalg.cond(H), rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("A", "g", "lower", "upper"),
+    [
+        ([[3, 1, 1], [-3, -1, 0], [3, 3, 2]], [4, -6, -3], [0, -1, -2], [2, 1, 0]),
+        ([[-2, -1, 3], [-1, 1, 3], [2, 0, -3]], [9, -7, -6], [0, 0, 0], [2, 1, 2]),
+        (
+            [[0, 1, 0, -2], [-1, -2, -2, 2], [-1, -3, 0, 2], [0, 2, 0, 3]],
+            [-7, -3, 4, 4],
+            [-1, -2, 0, 0],
+            [1, -1, 2, 1],
+        ),
+    ],
+)
+def test_programmes_on_which_changing_all_wrong_guesses_at_once_never_ends(A, g, lower, upper):
+    # found by random search
+    H, g, lower, upper = (
+        np.array(A) @ np.transpose(A) * 1.0,
+        *(np.array(part, dtype=float) for part in (g, lower, upper)),
+    )
+    expected = best_of_all_faces(H, g, lower, upper)
+    guess = np.linalg.solve(H, -g)
+    got = minimise_quadratic(H.tolist(), g.tolist(), lower.tolist(), upper.tolist(), guess.tolist())
+    np.testing.assert_allclose(got, expected, atol=SAME * np.linalg.cond(H), rtol=0)
+
+
+@settings(max_examples=80, deadline=None)
+@given(seed=st.integers(0, 10**6), k=st.integers(1, 4), extra=st.integers(0, 2))
+def test_affine_problem_against_lsq_linear(seed, k, extra):
+    c, B, lower, upper, _ = random_problem(seed, k, extra, 1.0)
+    expected = lsq_linear(B, -c, (lower, upper), method="bvls", tol=1e-15).x
+    u, iterations = solve(c, B, np.zeros_like(B), lower, upper)
+    assert iterations == 1
+    value, least = np.linalg.norm(c + B @ u), np.linalg.norm(c + B @ expected)
+    assert value <= least * (1.0 + 1e-12) + 1e-14
+    np.testing.assert_allclose(u, expected, atol=1e-7, rtol=0)  # bvls stops by the cost: half the digits
+
+
+@settings(max_examples=80, deadline=None)
+@given(seed=st.integers(0, 10**6), k=st.integers(1, 3), extra=st.integers(0, 1), bend=st.floats(1e-6, 0.03))
+def test_curved_problem_against_slsqp(seed, k, extra, bend):
+    c, B, lower, upper, rng = random_problem(seed, k, extra, 1.0)
+    least_slope = np.linalg.svd(B, compute_uv=False)[-1]
+    C = bend * rng.uniform(-1.0, 1.0, B.shape) * min(least_slope, least_slope**2 / np.linalg.norm(c))
+    u, _ = solve(c, B, C, lower, upper)
+    r = c + B @ u + C @ np.square(u)
+    J = B + 2.0 * C * np.array(u)
+
+    def cost(x):
+        residual = c + B @ x + C @ (x * x)
+        return residual @ residual, 2.0 * residual @ (B + 2.0 * C * x)
+
+    least = min(
+        minimize(cost, start, jac=True, bounds=list(zip(lower, upper, strict=True)), method="SLSQP", tol=1e-15).fun
+        for start in (lower, upper, 0.5 * (lower + upper))
+    )
+    assert r @ r <= least * (1.0 + 1e-8) + 1e-14
+    gradient = optimality(r[None], J[None], lower[None], upper[None], np.array(u)[None])
+    assert gradient[0] <= 1e-11
+    assert definiteness(r[None], J[None], C[None])[0] > 0.0
+    assert (np.array(u) >= lower).all()
+    assert (np.array(u) <= upper).all()
+
+
+def test_bounds_are_met_bit_by_bit():
+    lower, upper = np.array([0.1, -0.3]), np.array([0.7, 1.0 / 3.0])
+    u, _ = solve(np.array([1.0, -1.0]) / 3.0 * 7.0, np.eye(2), np.zeros((2, 2)), lower, upper)
+    assert u == [0.1, 1.0 / 3.0]
+
+
+def test_a_component_that_is_not_felt_stays_at_the_guess():
+    B = np.array([[2.0, 0.0], [1.0, 0.0]])
+    u, _ = solve(np.array([1.0, 0.0]), B, np.zeros((2, 2)), [-9.0, -9.0], [9.0, 9.0], start=[0.0, 0.25])
+    assert u[0] == pytest.approx(-0.4, abs=1e-12)
+    assert u[1] == 0.25
+
+
+def test_optimality_sees_a_wrong_point_and_ignores_the_bound_direction():
+    J, r = np.eye(2)[None], np.array([[1.0, 0.0]])
+    lower, upper = np.array([[0.0, 0.0]]), np.array([[1.0, 1.0]])
+    assert optimality(r, J, lower, upper, np.array([[0.0, 0.5]]))[0] == 0.0
+    assert optimality(r, J, lower, upper, np.array([[0.5, 0.5]]))[0] == 1.0
+    assert optimality(r, J, lower, upper, np.array([[1.0, 0.5]]))[0] == 1.0
+    assert optimality(-r, J, lower, upper, np.array([[0.0, 0.5]]))[0] == 1.0
+
+
+def test_definiteness_sees_a_maximum():
+    # r = 1 - u² at u = 0 : half its square has the second derivative -2
+    assert definiteness(np.array([[1.0]]), np.zeros((1, 1, 1)), np.array([[[-1.0]]]))[0] == -1.0
+
+
+def test_a_problem_whose_curvature_dominates_is_refused():
+    # u² + 1 has no zero: Gauss–Newton jumps about
+    with pytest.raises(RedundancyPinError, match="did not converge"):
+        solve(np.array([1.0]), np.array([[1e-3]]), np.array([[1.0]]), [-10.0], [10.0], start=[0.3])

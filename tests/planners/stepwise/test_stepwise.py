@@ -1,0 +1,243 @@
+"""The stepwise planner against solvers and dynamics that are not its own."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import zoo
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear, minimize
+
+from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot
+from redundancy_pin.kinematics.modes import all_working_modes
+from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.planners.stepwise.planner import plan_stepwise
+from redundancy_pin.trajectory import reference
+
+# scipy of Python 3.10 rounds out of its own bounds on the way, says so, and steps back inside
+pytestmark = pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")
+
+MODES = all_working_modes(zoo.robot_of("3rrr"))
+
+VALUE = 1e-8
+"""Relative, of the sum of squares of a step."""
+
+PLACE = 1e-7
+"""m, of a carrier after one step."""
+
+TORQUE_FREE = 3e-8
+"""N·m: the steps are solved to 1e-9 of the largest effort, up to 30 N·m."""
+
+LIMIT = 1e-9
+"""Relative excess over a limit that is rounding."""
+
+
+@functools.cache
+def dynamics_of(mode=(1, 1, 1), *, carriers=True, backend=VirtualWork, **arguments):
+    return backend(load_robot("3rrr", working_mode=mode, carriers=carriers, **arguments))
+
+
+def corner(dt=0.01, **settings):
+    return reference.corner(**settings).sample(dt, two_sided=False)
+
+
+def steps_of(plan, phase="optimise"):
+    """Samples at the ends of steps of a phase, two-sided duplicates left out."""
+    at = np.flatnonzero((plan.phase == plan.phases.index(phase)) & ~np.asarray(plan.motion.jumps))
+    return at[at > 0]
+
+
+def box_of(plan, j, limits):
+    """The three limits of a step as bounds of the position at its end (eqs. 4.2 to 4.4), and h, s, ṡ before."""
+    h = plan.t[j] - plan.t[j - 1]
+    s, sd = plan.carriers.s[j - 1], plan.carriers.sd[j - 1]
+    lower, upper, speed, acceleration = np.array([(b.lower, b.upper, b.speed, b.acceleration) for b in limits]).T
+    low = np.max([lower, s - speed * h, s + sd * h - acceleration * h**2], axis=0)
+    high = np.min([upper, s + speed * h, s + sd * h + acceleration * h**2], axis=0)
+    return h, s, sd, low, high
+
+
+def efforts_by_position(dynamics, motion, j, h, s, sd):
+    """τ as a function of the position at the end of a step, from the backend alone."""
+    along = dynamics.along(motion[j : j + 1])
+
+    def tau(place):
+        rate = (place - s) / h
+        return distribute(along.reduce(CarrierMotion(place[None], rate[None], ((rate - sd) / h)[None]))).tau[0]
+
+    return tau
+
+
+def require_true_minimum(plan, dynamics, motion, limits, target, at):
+    """Repeat single steps of a plan by other solvers on the efforts of a backend."""
+    for j in at:
+        h, s, sd, low, high = box_of(plan, j, limits)
+        tau = efforts_by_position(dynamics, motion, j, h, s, sd)
+        unit = 7.0 * h * h  # m in a step at 7 m/s²: makes the problem one of order one
+        a, b = (low - s - h * sd) / unit, (high - s - h * sd) / unit
+
+        def residual(x, tau=tau, s=s, sd=sd, h=h, unit=unit, j=j):
+            return tau(s + h * sd + unit * x) - target[j]
+
+        # exact for a quadratic without mixed terms; that it is one is checked at another point
+        base = residual(np.zeros(len(s)))
+        ahead, back = (np.column_stack([residual(sign * e) - base for e in np.eye(len(s))]) for sign in (1.0, -1.0))
+        J, C = 0.5 * (ahead - back), 0.5 * (ahead + back)
+        probe = np.linspace(-0.7, 0.8, len(s))
+        np.testing.assert_allclose(base + J @ probe + C @ probe**2, residual(probe), atol=1e-10)
+
+        def cost(x, base=base, J=J, C=C):
+            r = base + J @ x + C @ (x * x)
+            return r @ r, 2.0 * r @ (J + 2.0 * C * x)
+
+        def value(place, residual=residual, s=s, sd=sd, h=h, unit=unit):
+            return float(np.sum(residual((place - s - h * sd) / unit) ** 2))
+
+        affine = lsq_linear(J, -base, (a - 1e-12, b + 1e-12), method="bvls", tol=1e-15).x
+        places = [affine]
+        for start in (a, b, affine):
+            bounds = list(zip(a, b, strict=True))
+            places.append(minimize(cost, start, jac=True, bounds=bounds, method="SLSQP", tol=1e-15).x)
+        others = [s + h * sd + unit * np.clip(x, a, b) for x in places]
+        best = min(value(place) for place in others)
+        assert value(plan.carriers.s[j]) <= best + VALUE * best + TORQUE_FREE**2, j
+        nearest = min(others, key=value)
+        np.testing.assert_allclose(plan.carriers.s[j], nearest, atol=PLACE, rtol=0)
+
+
+@pytest.mark.parametrize(("lam", "radius"), [(0.0, 0.025), (0.5, 0.025), (0.0, 0.013), (1.0, 0.013)])
+def test_each_step_is_the_true_minimum(lam, radius):
+    dynamics = dynamics_of(backend=RneaDynamics)  # the plan from one backend, the check from the other
+    motion = corner(radius=radius)
+    baseline = distribute(dynamics_of(carriers=False).reduce(motion)).tau
+    # long tracks: on the thesis's own one of the carriers cannot be stopped in one of these cases (see the errors)
+    plan = plan_stepwise(dynamics, motion, lam=lam, baseline=baseline, anticipate=False, track=(-1.5, 1.5))
+    limits = [replace(limit, lower=-1.5, upper=1.5) for limit in dynamics.robot.carrier_limits]
+    require_true_minimum(plan, dynamics_of(), motion, limits, lam * baseline, steps_of(plan)[::4])
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    lam=st.floats(0.0, 1.0),
+    mode=st.sampled_from(MODES),
+    mass=st.floats(0.5, 6.0),
+    radius=st.floats(0.012, 0.06),
+    speed=st.floats(0.1, 0.3),
+    dt=st.sampled_from([0.02, 0.01, 0.005]),
+)
+def test_random_plans_are_minimal_within_limits_and_end_at_rest(lam, mode, mass, radius, speed, dt):
+    dynamics = dynamics_of(mode, carrier_mass=mass)
+    motion = corner(dt, radius=radius, speed=speed)
+    baseline = distribute(dynamics_of(mode, carriers=False).reduce(motion)).tau
+    plan = plan_stepwise(dynamics, motion, lam=lam, baseline=baseline)
+    limits = dynamics.robot.carrier_limits
+    require_limits(plan, limits)
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert (plan.carriers.sd[-1] == 0.0).all()
+    assert plan.diagnostics["largest_gradient"] < 1e-6
+    assert plan.diagnostics["least_curvature"] > 0.0
+    narrowed = {event["carrier"] for event in plan.diagnostics["bounds"] if event["bound"] == "stop"}
+    if not narrowed:
+        require_true_minimum(plan, dynamics, motion, limits, lam * baseline, steps_of(plan)[7::40])
+
+
+def require_limits(plan, limits):
+    """Track, speed and acceleration at every sample, and that ṡ, s̈ are the backward differences of s, ṡ."""
+    s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
+    lower, upper, speed, acceleration = np.array([(b.lower, b.upper, b.speed, b.acceleration) for b in limits]).T
+    assert (s >= lower - LIMIT).all()
+    assert (s <= upper + LIMIT).all()
+    assert (np.abs(sd) <= speed * (1.0 + LIMIT)).all()
+    assert (np.abs(sdd) <= acceleration * (1.0 + LIMIT)).all()
+    stepped = np.concatenate([steps_of(plan), steps_of(plan, "brake")])
+    h = (plan.t[stepped] - plan.t[stepped - 1])[:, None]
+    np.testing.assert_allclose(s[stepped], s[stepped - 1] + h * sd[stepped], atol=1e-14)
+    np.testing.assert_allclose(sd[stepped], sd[stepped - 1] + h * sdd[stepped], atol=1e-13)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_no_torque_until_a_limit_binds(mode):
+    dynamics = dynamics_of(mode)
+    plan = plan_stepwise(dynamics, corner(), lam=0.0)
+    first = min((event["start"] for event in plan.diagnostics["bounds"]), default=np.inf)
+    free = steps_of(plan)
+    free = free[plan.t[free] < first - 1e-9]
+    assert len(free) > 10
+    assert np.abs(plan.tau[free]).max() < TORQUE_FREE
+    bound = steps_of(plan)[plan.t[steps_of(plan)] >= first]
+    if len(bound):
+        assert np.abs(plan.tau[bound]).max() > 1e-3
+
+
+def test_a_fraction_of_the_baseline_is_met_until_a_limit_binds():
+    motion = corner()
+    base = dynamics_of(carriers=False)
+    baseline = distribute(base.reduce(motion)).tau
+    plan = plan_stepwise(dynamics_of(), motion, lam=0.5, baseline=base)
+    first = min(event["start"] for event in plan.diagnostics["bounds"])
+    free = steps_of(plan)
+    free = free[plan.t[free] < first - 1e-9]
+    np.testing.assert_allclose(plan.tau[free], 0.5 * baseline[free], atol=TORQUE_FREE, rtol=0)
+    assert plan.diagnostics["baseline_peak"] == tuple(np.abs(baseline).max(axis=0))
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"lam": 0.5}, {"active": "accelerating", "lam": 0.5}, {"stop": "within"}, {"two_sided": True}]
+)
+def test_both_backends_give_the_same_plan(settings):
+    settings = dict(settings)
+    motion = reference.corner(radius=0.013).sample(0.01, two_sided=settings.pop("two_sided", False))
+    plans = [
+        plan_stepwise(
+            dynamics_of(backend=backend), motion, baseline=dynamics_of(carriers=False, backend=backend), **settings
+        )
+        for backend in (RneaDynamics, VirtualWork)
+    ]
+    for part in ("s", "sd", "sdd"):
+        a, b = (np.asarray(getattr(plan.carriers, part)) for plan in plans)
+        np.testing.assert_allclose(a, b, atol=1e-8, rtol=0)
+    np.testing.assert_allclose(plans[0].tau, plans[1].tau, atol=1e-7, rtol=0)  # s̈ to 1e-8, times 2 N·m/(m/s²)
+
+
+@settings(max_examples=6, deadline=None)
+@given(factor=st.floats(0.3, 3.0), lam=st.sampled_from([0.0, 0.4]))
+def test_time_scaling(factor, lam):
+    """Twice as fast with twice the speed limit and four times the acceleration: same places, four times the efforts."""
+    dynamics, base = dynamics_of(), dynamics_of(carriers=False)
+    plans = []
+    for f in (1.0, factor):
+        motion = reference.corner(speed=0.2 * f, ramp_time=0.4 / f).sample(0.01 / f, two_sided=True)
+        plans.append(
+            plan_stepwise(
+                dynamics, motion, lam=lam, baseline=base, speed=f, acceleration=7.0 * f**2, brake_time=0.5 / f
+            )
+        )
+    slow, fast = plans
+    np.testing.assert_allclose(fast.t * factor, slow.t, atol=1e-12)
+    np.testing.assert_allclose(fast.carriers.s, slow.carriers.s, atol=1e-8)
+    np.testing.assert_allclose(fast.carriers.sd, slow.carriers.sd * factor, atol=1e-7 * factor)
+    np.testing.assert_allclose(fast.tau, slow.tau * factor**2, atol=1e-6 * max(1.0, factor**2))
+
+
+def test_lower_limits_bind_more_and_higher_ones_cure():
+    motion = corner(radius=0.013)
+    tight, own, wide = (
+        plan_stepwise(dynamics_of((1, -1, 1)), motion, acceleration=a, speed=v)
+        for a, v in ((3.0, 0.3), (None, None), (12.0, 1.2))
+    )
+    assert tight.peak_effort.max() > own.peak_effort.max() > wide.peak_effort.max()
+    assert {event["bound"] for event in wide.diagnostics["bounds"]} == set()
+    assert own.parameters["acceleration"] == (7.0, 7.0, 7.0)
+    assert tight.status is PlanStatus.WITHIN_LIMITS  # judged by the limits it was given
+
+
+def test_the_thesis_corner_in_its_mode():
+    """Mode (+,+,+), r = 0.025, 5 ms: carrier 2 meets its speed, then its acceleration limit (Parsa 2014, fig. 4.9)."""
+    plan = plan_stepwise(dynamics_of(), corner(0.005))
+    bounds = {(event["carrier"], event["bound"]) for event in plan.diagnostics["bounds"]}
+    assert bounds == {("carrier_2", "speed"), ("carrier_2", "acceleration")}
+    assert plan.status is PlanStatus.WITHIN_LIMITS

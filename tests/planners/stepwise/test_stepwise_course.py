@@ -1,0 +1,306 @@
+"""Returns, take-overs, braking, two-sided samples, and what happens between the samples of a stepwise plan."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from redundancy_pin import CarrierMotion, PlatformMotion, VirtualWork, distribute, load_robot
+from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.planners.stepwise.planner import plan_stepwise
+from redundancy_pin.planners.stepwise.report import between_samples
+from redundancy_pin.trajectory import boundary_polynomial, reference
+
+
+@functools.cache
+def dynamics_of(mode=(1, 1, 1), carriers=True):
+    return VirtualWork(load_robot("3rrr", working_mode=mode, carriers=carriers))
+
+
+def phase_names(plan):
+    return np.array(plan.phases)[plan.phase]
+
+
+@functools.cache
+def square_plan(**settings):
+    motion = reference.square().sample(0.01, two_sided=False)
+    base = dynamics_of((1, -1, 1), carriers=False)
+    return plan_stepwise(dynamics_of((1, -1, 1)), motion, lam=0.5, baseline=base, active="accelerating", **settings)
+
+
+def test_the_optimiser_works_exactly_while_the_platform_accelerates():
+    plan = square_plan()
+    moves = np.abs(plan.motion.xdd).max(axis=1) > 1e-9
+    np.testing.assert_array_equal(phase_names(plan)[1:] == "optimise", moves[1:])
+
+
+def test_rounding_in_the_reference_is_no_acceleration():
+    motion = reference.square().sample(0.01, two_sided=False)
+    noise = 1e-13 * np.sin(1000.0 * motion.t)[:, None] * [1.0, -1.0, 0.0]
+    plans = [
+        plan_stepwise(dynamics_of(), PlatformMotion(motion.t, motion.x, motion.xd, xdd), active="accelerating")
+        for xdd in (motion.xdd, motion.xdd + noise)
+    ]
+    np.testing.assert_array_equal(plans[0].phase, plans[1].phase)
+
+
+def test_returns_are_the_septic_from_the_last_optimised_state():
+    plan = square_plan(return_time=0.4)
+    names = phase_names(plan)
+    starts = np.flatnonzero((names[1:] == "return") & (names[:-1] == "optimise"))
+    assert len(starts) == len(plan.diagnostics["returns"]) == 4  # after the ramp and three corners
+    for start, (begun, ended) in zip(starts, plan.diagnostics["returns"], strict=True):
+        assert begun == plan.t[start]
+        assert ended == pytest.approx(begun + 0.4)
+        zero = np.zeros(3)
+        state = [getattr(plan.carriers, part)[start] for part in ("s", "sd", "sdd")]
+        septic = boundary_polynomial(begun, ended, [*state, zero], [zero] * 4)
+        inside = np.arange(start + 1, len(plan.t))
+        inside = inside[(plan.t[inside] < ended) & (np.cumsum(names[inside] != "return") == 0)]
+        for order, part in enumerate(("s", "sd", "sdd")):
+            np.testing.assert_allclose(getattr(plan.carriers, part)[inside], septic(plan.t[inside], order), atol=1e-9)
+
+
+def test_parked_at_the_datum_between_return_and_next_corner():
+    datum = (0.05, -0.1, 0.0)
+    plan = square_plan(return_time=0.3, datum=datum)
+    parked = np.flatnonzero(phase_names(plan) == "parked")
+    parked = parked[plan.t[parked] > 0.1]
+    assert len(parked) > 50
+    np.testing.assert_array_equal(plan.carriers.s[parked], np.tile(datum, (len(parked), 1)))
+    assert not plan.carriers.sd[parked].any()
+
+
+def test_the_optimiser_takes_over_an_unfinished_return():
+    plan = square_plan(return_time=2.0)
+    names = phase_names(plan)
+    over = np.flatnonzero((names[1:] == "optimise") & (names[:-1] == "return")) + 1
+    assert len(over) == 4
+    assert np.abs(plan.carriers.sd[over - 1]).max() > 0.01
+    h = (plan.t[over] - plan.t[over - 1])[:, None]
+    np.testing.assert_allclose(
+        plan.carriers.s[over], plan.carriers.s[over - 1] + h * plan.carriers.sd[over], atol=1e-14
+    )
+    np.testing.assert_allclose(
+        plan.carriers.sd[over], plan.carriers.sd[over - 1] + h * plan.carriers.sdd[over], atol=1e-14
+    )
+
+
+def test_the_shortest_return_uses_a_limit_up_and_a_shorter_one_breaks_it():
+    limits = {"speed": 1.5, "acceleration": 12.0}
+    plan = square_plan(return_time="shortest", **limits)
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    begun, ended = plan.diagnostics["returns"][1]
+    start = int(np.searchsorted(plan.t, begun))
+    state = [getattr(plan.carriers, part)[start] for part in ("s", "sd", "sdd")]
+    zero = np.zeros(3)
+    uses = []
+    for duration in (ended - begun, 0.99 * (ended - begun)):
+        septic = boundary_polynomial(0.0, duration, [*state, zero], [zero] * 4)
+        t = np.linspace(0.0, duration, 20001)
+        uses.append(max(np.abs(septic(t, 1)).max() / 1.5, np.abs(septic(t, 2)).max() / 12.0, np.abs(septic(t)).max()))
+    assert uses[0] == pytest.approx(1.0, abs=1e-6)
+    assert uses[1] > 1.0
+
+
+def test_a_return_that_breaks_a_limit_is_said_to():
+    plan = square_plan(return_time=0.1)
+    assert plan.status is PlanStatus.VIOLATES_LIMITS
+    assert {event.quantity for event in plan.limits.violated} <= {"acceleration", "speed"}
+
+
+def test_braking_after_the_motion_holds_the_platform():
+    motion = reference.corner().sample(0.005, two_sided=False)
+    plan = plan_stepwise(dynamics_of(), motion, brake_time=0.25)
+    added = plan.t > motion.t[-1]
+    assert plan.t[-1] == pytest.approx(motion.t[-1] + 0.25)
+    assert (phase_names(plan)[added] == "brake").all()
+    np.testing.assert_array_equal(plan.motion.x[added], np.tile(motion.x[-1], (added.sum(), 1)))
+    last = len(motion) - 1
+    np.testing.assert_allclose(plan.carriers.sdd[added], np.tile(-plan.carriers.sd[last] / 0.25, (added.sum(), 1)))
+    assert not plan.carriers.sd[-1].any()
+    assert plan.diagnostics["braking"] == pytest.approx((motion.t[-1], motion.t[-1] + 0.25))
+
+
+def test_stopping_within_the_motion_keeps_its_samples():
+    motion = reference.corner().sample(0.005, two_sided=False)
+    plan = plan_stepwise(dynamics_of(), motion, stop="within")
+    np.testing.assert_array_equal(plan.t, motion.t)
+    assert np.abs(plan.carriers.sd[-1]).max() < 1e-12
+    assert np.abs(plan.carriers.sdd).max() <= 7.0 * (1.0 + 1e-9)
+    free = plan_stepwise(dynamics_of(), motion)
+    untouched = plan.t < motion.t[-1] - 1.0 / 7.0  # from 1 m/s a carrier stops in 1/7 s
+    np.testing.assert_allclose(plan.carriers.s[untouched], free.carriers.s[: len(motion)][untouched], atol=1e-12)
+
+
+@pytest.mark.parametrize(("stop", "brake_time"), [("after", 0.2), ("after", 0.5), ("within", 0.5)])
+def test_braking_begins_when_the_platform_comes_to_rest(stop, brake_time):
+    """A motion that stands still for its last 0.3 s: the carriers are braked there, on time for ``within``."""
+    motion = reference.corner().sample(0.01, two_sided=False)
+    tail = np.arange(1, 31) * 0.01
+    still = PlatformMotion(
+        np.concatenate([motion.t, motion.t[-1] + tail]),
+        np.vstack([motion.x, np.repeat(motion.x[-1:], 30, axis=0)]),
+        np.vstack([motion.xd, np.zeros((30, 3))]),
+        np.vstack([motion.xdd, np.zeros((30, 3))]),
+    )
+    settings = {"active": "accelerating", "lam": 0.5, "baseline": dynamics_of((1, -1, 1), carriers=False)}
+    plan = plan_stepwise(dynamics_of((1, -1, 1)), still, stop=stop, brake_time=brake_time, **settings)
+    begun, ended = plan.diagnostics["braking"]
+    assert begun == pytest.approx(motion.t[-2])  # the last sample at which the platform decelerates
+    duration = min(brake_time, still.t[-1] - begun) if stop == "within" else brake_time
+    assert ended == pytest.approx(begun + duration)
+    assert plan.t[-1] == pytest.approx(
+        max(still.t[-1], np.ceil((ended - still.t[-1]) / 0.01 - 1e-6) * 0.01 + still.t[-1])
+    )
+    assert not plan.carriers.sd[plan.t > ended - 1e-9].any()
+    begins = int(np.searchsorted(plan.t, begun))
+    first = (plan.t > begun) & (plan.t < ended - 0.01)
+    expected = np.tile(-plan.carriers.sd[begins] / duration, (first.sum(), 1))
+    np.testing.assert_allclose(plan.carriers.sdd[first], expected, atol=1e-9)
+
+
+def test_anticipation_changes_nothing_until_a_carrier_must_stop():
+    motion = reference.corner().sample(0.005, two_sided=False)
+    with_it, without = (plan_stepwise(dynamics_of(), motion, anticipate=choice) for choice in (True, False))
+    np.testing.assert_array_equal(with_it.carriers.s, without.carriers.s)
+
+
+def test_anticipation_keeps_a_short_track():
+    motion = reference.corner().sample(0.005, two_sided=False)
+    plan = plan_stepwise(dynamics_of(), motion, track=(-0.3, 0.2))
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.carriers.s.min() >= -0.3
+    assert plan.carriers.s.max() <= 0.2
+    assert "stop" in {event["bound"] for event in plan.diagnostics["bounds"]}
+    assert plan.carriers.s.min() < -0.28  # it uses the track
+
+
+def test_a_start_off_the_middle_is_kept_until_the_platform_accelerates():
+    motion = reference.square().sample(0.01, two_sided=False)
+    still = PlatformMotion(
+        np.concatenate([[-0.2, -0.1], motion.t]),
+        np.vstack([motion.x[:1], motion.x[:1], motion.x]),
+        np.vstack([0 * motion.xd[:2], motion.xd]),
+        np.vstack([0 * motion.xdd[:2], motion.xdd]),
+    )
+    plan = plan_stepwise(dynamics_of((1, -1, 1)), still, active="accelerating", start=0.2, datum=0.1)
+    assert (plan.carriers.s[:3] == 0.2).all()
+    assert (phase_names(plan)[:3] == "parked").all()
+
+
+# ------------------------------------------------------------------------------------------------ between the samples
+
+
+def dense_efforts(plan, trajectory, dynamics, points):
+    """Efforts of the quadratic spline with the plan's positions as control points (uniform steps from rest)."""
+    h = plan.t[1] - plan.t[0]
+    # ghost points: the carriers rested before
+    control = np.vstack([plan.carriers.s[:1], plan.carriers.s])
+    knots = plan.t[0] + h * np.arange(-2, len(control) + 1)
+    spline = BSpline(knots, control, 2)
+    left = np.arange(len(plan.t) - 1)
+    left = left[plan.t[left + 1] <= trajectory.duration]
+    t = (plan.t[left, None] + h * np.arange(1, points + 1) / (points + 1)).ravel()
+    carriers = CarrierMotion(spline(t), spline.derivative()(t), spline.derivative(2)(t))
+    return distribute(dynamics.reduce(trajectory.sample_at(t), carriers, check_track=False)).tau
+
+
+def test_between_samples_is_the_quadratic_spline_of_the_positions():
+    trajectory = reference.corner(straight=0.12)
+    steps = 300
+    motion = trajectory.sample(times=np.linspace(0.0, trajectory.duration, steps + 1), two_sided=False)
+    plan = plan_stepwise(dynamics_of(), motion)
+    found = between_samples(dynamics_of(), plan, 3, trajectory)
+    inside = plan.t <= trajectory.duration
+    assert inside.sum() == steps + 1
+    expected = np.abs(dense_efforts(plan, trajectory, dynamics_of(), 3))
+    np.testing.assert_allclose(found["peak_effort"], expected.max(axis=0), rtol=1e-6)
+    h = trajectory.duration / steps
+    assert found["largest_lag"] == pytest.approx(0.5 * h * np.abs(plan.carriers.sd).max(), rel=1e-9)
+
+
+def test_single_samples_flatter_and_two_sided_ones_do_not():
+    """One-sided, the carriers start a step early and the efforts there are those of the jump; no sample shows them."""
+    trajectory = reference.corner()
+    mode = (1, -1, 1)  # no limit binds: the efforts at the samples are zero
+    one, two = (
+        plan_stepwise(dynamics_of(mode), trajectory.sample(0.005, two_sided=sides), between=4)
+        for sides in (False, True)
+    )
+    between = [np.max(between_samples(dynamics_of(mode), plan, 4, trajectory)["optimised_peak"]) for plan in (one, two)]
+    parked = plan_stepwise(dynamics_of(mode), trajectory.sample(0.005), speed=1e-9, anticipate=False).peak_effort.max()
+    assert between[0] > 0.7 * parked
+    assert between[1] < 0.1 * parked
+    assert one.diagnostics["between_samples"]["points"] == 4
+
+
+def test_a_two_sided_sample_has_one_state_and_two_accelerations():
+    trajectory = reference.corner()
+    plan = plan_stepwise(dynamics_of((1, -1, 1)), trajectory.sample(0.005))
+    jumps = np.flatnonzero(plan.motion.jumps)
+    assert len(jumps) == 2
+    for j in jumps:
+        np.testing.assert_array_equal(plan.carriers.s[j], plan.carriers.s[j - 1])
+        np.testing.assert_array_equal(plan.carriers.sd[j], plan.carriers.sd[j - 1])
+        np.testing.assert_array_equal(plan.carriers.sdd[j], plan.carriers.sdd[j + 1])
+        assert np.abs(plan.carriers.sdd[j] - plan.carriers.sdd[j - 1]).max() > 1.0
+    # out of the corner into a return, which begins with the acceleration the optimiser left
+    plan = plan_stepwise(dynamics_of((1, -1, 1)), trajectory.sample(0.005), active="accelerating")
+    out = np.flatnonzero(plan.motion.jumps)[1]
+    assert phase_names(plan)[out - 1 : out + 1].tolist() == ["optimise", "return"]
+    np.testing.assert_array_equal(plan.carriers.sdd[out], plan.carriers.sdd[out - 1])
+
+
+def test_halving_the_step_converges_at_first_order():
+    """Backward differences: the distance to a fine plan halves with the step."""
+    trajectory = reference.corner()
+    mode = (1, -1, 1)
+    end = 0.72  # before the corner the motion is smooth
+    places = []
+    for dt in (0.02, 0.01, 0.005, 0.0005):
+        motion = trajectory.sample(times=np.linspace(0.0, end, round(end / dt) + 1))
+        plan = plan_stepwise(dynamics_of(mode), motion, stop="within", acceleration=1e3, speed=1e3, brake_time=1e-3)
+        places.append(plan.carriers.s[np.searchsorted(plan.t, 0.6 - 1e-9)])
+    errors = [np.abs(place - places[-1]).max() for place in places[:-1]]
+    rates = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (rates > 0.8).all()
+    assert (rates < 1.3).all()  # the fine plan has a tenth of the last error of its own
+
+
+def test_between_samples_follows_the_polynomials_of_the_returns():
+    trajectory, dynamics = reference.square(), dynamics_of((1, -1, 1))
+    plan = square_plan(return_time=0.4)
+    expected = []
+    for begun, ended in plan.diagnostics["returns"]:
+        start = int(np.searchsorted(plan.t, begun))
+        inside = np.flatnonzero((plan.t >= begun - 1e-9) & (plan.t < ended - 0.0101))
+        t = (plan.t[inside][:, None] + 0.01 * np.array([0.25, 0.5, 0.75])).ravel()
+        zero = np.zeros(3)
+        state = [getattr(plan.carriers, part)[start] for part in ("s", "sd", "sdd")]
+        septic = boundary_polynomial(begun, ended, [*state, zero], [zero] * 4)
+        carriers = CarrierMotion(septic(t), septic(t, 1), septic(t, 2))
+        expected.append(np.abs(distribute(dynamics.reduce(trajectory.sample_at(t), carriers)).tau).max(axis=0))
+    found = between_samples(dynamics, plan, 3, trajectory)
+    # quintics through s, ṡ, s̈ of the septic every 10 ms
+    np.testing.assert_allclose(found["peak_effort"], np.max(expected, axis=0), rtol=1e-5)
+
+
+def test_a_limit_broken_between_samples_of_a_return_is_said():
+    """A return whose samples stay within 7 m/s² while its polynomial does not (coarse steps of 20 ms)."""
+    import redundancy_pin as rp
+    from redundancy_pin.planners.plan import PlanStatus
+    from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory
+
+    path = Line([0.6, 0.5, 0.0], [1.1, 0.5, 0.0])
+    motion = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
+    dynamics = rp.VirtualWork(rp.load_robot("3rrr"))
+    plan = rp.plan_stepwise(dynamics, motion, dt=0.02, active="accelerating", return_time=0.8542364)
+    assert np.abs(plan.carriers.sdd).max() <= 7.0 * (1 + 1e-9)
+    assert plan.status is PlanStatus.VIOLATES_LIMITS
+    event = max(plan.limits.violated, key=lambda event: event.amount)
+    assert event.quantity == "acceleration"
+    assert 0.0 < event.amount < 0.02

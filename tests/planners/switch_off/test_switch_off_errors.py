@@ -1,0 +1,229 @@
+"""What the switch-off planner refuses, and the numbers it refuses it with."""
+
+import numpy as np
+import pytest
+import zoo
+
+from redundancy_pin import RneaDynamics, VirtualWork
+from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
+from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.trajectory import Line, SpeedProfile, Trajectory, circle_path, reference
+
+
+def two_rpr(**arguments):
+    return VirtualWork(zoo.robot_of("2rpr", **arguments))
+
+
+def along(start, end, speed=0.3):
+    path = Line(start, end)
+    return Trajectory(path, SpeedProfile(path.length, speed, 0.2))
+
+
+def first_crossing(trajectory):
+    """Time at which the circle passes y = 0, by bisection of its own height."""
+    low, high = 0.4, 0.6
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if trajectory.evaluate(middle).x[1] > 0.0 else (low, middle)
+    return high
+
+
+@pytest.mark.parametrize("mass", [1e-3, 0.3])
+def test_end_effector_mass_needs_a_force_along_the_legs(mass):
+    """m a·u, by hand: a the acceleration of the end-effector, u = (1, 0) the line of both legs."""
+    trajectory = reference.circle()
+    t = first_crossing(trajectory)
+    needed = mass * abs(trajectory.evaluate(t).xdd[0])
+    for backend in (VirtualWork, RneaDynamics):
+        with pytest.raises(InfeasiblePlanError, match="nothing can carry the inertial force") as caught:
+            plan_switch_off(backend(zoo.robot_of("2rpr", end_effector_mass=mass)), trajectory)
+        details = caught.value.details
+        assert details["constraint"] == "singular_pose"
+        assert details["amount"] == pytest.approx(needed, rel=1e-8)
+        assert details["time"] == pytest.approx(t, abs=1e-10)
+        sign = np.sign(trajectory.evaluate(t).xdd[0])  # the force that has to act on the mass
+        np.testing.assert_allclose(details["direction"], [sign, 0.0], atol=1e-9)
+        assert details["main_actuators_could"] is True  # a leg pushes along itself; it is off, not powerless
+        assert f"{needed:.6g} N" in caught.value.message
+
+
+def test_force_the_other_way():
+    """Clockwise from the right the circle crosses with an acceleration to the left."""
+    path = circle_path((0.25, 0.185), 0.2, sweep=-2.0 * np.pi)
+    with pytest.raises(InfeasiblePlanError) as caught:
+        plan_switch_off(two_rpr(end_effector_mass=0.3), Trajectory(path, SpeedProfile(path.length, 0.5, 0.2)))
+    np.testing.assert_allclose(caught.value.details["direction"], [-1.0, 0.0], atol=1e-9)
+
+
+def test_piston_mass_needs_the_force_of_both_pistons():
+    """Each piston is a rod that moves along its leg: m (d̈ − ρ θ̇²) along u, its centre at ρ = d − length / 2."""
+    mass, length, trajectory = 0.2, 0.3, reference.circle()
+    t = first_crossing(trajectory)
+    x, xd, xdd = (np.asarray(part) for part in trajectory.evaluate(t))
+    force = 0.0
+    for hinge in (0.0, 0.5):
+        along_leg = x - [hinge, 0.0]
+        d = np.linalg.norm(along_leg)
+        u = along_leg / d
+        rate = (u[0] * xd[1] - u[1] * xd[0]) / d
+        stretch = xdd @ u + d * rate**2
+        force += mass * (stretch - (d - 0.5 * length) * rate**2) * u[0]
+    with pytest.raises(InfeasiblePlanError) as caught:
+        plan_switch_off(two_rpr(piston_mass=mass), trajectory)
+    assert caught.value.details["amount"] == pytest.approx(abs(force), rel=1e-7)
+
+
+def test_cylinder_mass_stays_solvable():
+    """Cylinders turn about the hinges: they add to the angular momentum of the leg, which still is constant."""
+    mass, length = 0.1, 0.3
+    plan = plan_switch_off(two_rpr(cylinder_mass=mass), reference.circle(), threshold=10.0)
+    legs = plan.motion.x[:, None, :] - np.array([[0.0, 0.0], [0.5, 0.0]])
+    square = (legs**2).sum(axis=2)
+    rate = (legs[..., 0] * plan.motion.xd[:, None, 1] - legs[..., 1] * plan.motion.xd[:, None, 0]) / square
+    c = plan.carriers
+    H = (0.01 + c.s**2) * rate + np.array([1.0, -1.0]) * 0.1 * c.sd + mass * length**2 / 3.0 * rate
+    (window,) = plan.diagnostics["windows"]
+    off = (plan.t >= window["entry"]) & (plan.t <= window["exit"])
+    assert np.abs(H[off] - H[off][0]).max() < 1e-9 * np.abs(H[off][0]).max()
+    assert np.isfinite(plan.tau).all()
+    assert plan.status is not PlanStatus.UNBOUNDED_EFFORT
+
+
+@pytest.mark.parametrize("speed", [0.2, 0.5])
+@pytest.mark.parametrize(("start", "end"), [((0.25, 0.65), (0.25, 0.25)), ((0.3, 0.25), (0.3, 0.65))])
+def test_five_bar_has_no_bounded_crossing(start, end, speed):
+    """Its distal links and end-effector have mass: a force across them is left that the carriers cannot cancel."""
+    with pytest.raises(InfeasiblePlanError, match="nothing can carry") as caught:
+        plan_switch_off(RneaDynamics(zoo.robot_of("five_bar")), along(start, end, speed), threshold=10.0)
+    assert caught.value.details["constraint"] == "singular_pose"
+    assert caught.value.details["amount"] > 1e-3
+    assert "brought there" in caught.value.message  # it depends on what the carriers have done until then
+    t, direction = caught.value.details["time"], np.array(caught.value.details["direction"])
+    motion = along(start, end, speed).sample_at([t])
+    elbows = elbows_of(motion.x[0])
+    line = elbows[1] - elbows[0]
+    assert abs(direction @ line) < 1e-9  # across the distal links, which are one line there
+    assert caught.value.details["main_actuators_could"] is False  # their torques act through the same links
+    np.testing.assert_allclose(np.linalg.norm(line), 1.0, rtol=1e-9)  # both distal links, of 0.5 m, stretched out
+
+
+def elbows_of(x):
+    """Outward elbows of the five-bar: circles of 0.5 m about the hinges and about the end-effector meet there."""
+    found = []
+    for hinge, side in ((np.zeros(2), 1.0), (np.array([0.5, 0.0]), -1.0)):
+        chord = x - hinge
+        half, normal = 0.5 * np.linalg.norm(chord), np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
+        found.append(hinge + 0.5 * chord + side * np.sqrt(0.25 - half**2) * normal)
+    return np.array(found)
+
+
+def test_carriers_through_the_hinge_act_in_no_direction():
+    """A track through the hinge: the force of the carrier has no moment about it."""
+    with pytest.raises(InfeasiblePlanError, match="has no effect") as caught:
+        plan_switch_off(two_rpr(track_offset=0.0), reference.circle())
+    assert caught.value.details["constraint"] == "carrier_effect"
+
+
+def test_no_window():
+    plan = plan_switch_off(two_rpr(), along((0.1, 0.3), (0.4, 0.3)), datum=0.05)
+    assert plan.diagnostics["windows"] == []
+    assert plan.diagnostics["no_window"] is True
+    assert plan.diagnostics["worst_measure"] < 5.0
+    assert (plan.phase == 0).all()
+    assert (plan.carriers.s == 0.05).all()
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+
+
+def test_window_at_the_start_and_at_the_end():
+    with pytest.raises(InfeasiblePlanError, match="motion begins") as caught:
+        plan_switch_off(two_rpr(), along((0.2, 0.02), (0.2, 0.4)))
+    assert caught.value.details["constraint"] == "ramp_down"
+    assert caught.value.details["amount"] == pytest.approx(0.03)
+    with pytest.raises(InfeasiblePlanError, match="ends") as caught:
+        plan_switch_off(two_rpr(), along((0.2, 0.4), (0.2, 0.02)))
+    assert caught.value.details["constraint"] == "window_end"
+    assert caught.value.details["time"] == pytest.approx(along((0.2, 0.4), (0.2, 0.02)).duration)
+
+
+def test_ramp_down_that_does_not_fit():
+    free = plan_switch_off(two_rpr(), reference.circle())
+    entry = free.diagnostics["windows"][0]["entry"]
+    plan_switch_off(two_rpr(), reference.circle(), ramp_down=entry - 1e-6)
+    plan_switch_off(two_rpr(), reference.circle(), ramp_down=entry)
+    with pytest.raises(InfeasiblePlanError, match="ramp down") as caught:
+        plan_switch_off(two_rpr(), reference.circle(), ramp_down=entry + 1e-3)
+    assert caught.value.details["amount"] == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_return_that_does_not_fit():
+    trajectory = reference.circle()
+    exit_time = plan_switch_off(two_rpr(), trajectory).diagnostics["windows"][0]["exit"]
+    room = trajectory.duration - exit_time
+    plan_switch_off(two_rpr(), trajectory, return_time=room - 1e-6)
+    with pytest.raises(InfeasiblePlanError, match="return") as caught:
+        plan_switch_off(two_rpr(), trajectory, return_time=room + 0.01)
+    assert caught.value.details["amount"] == pytest.approx(0.01, rel=1e-6)
+
+
+def test_no_return_within_the_limits():
+    """The carrier is off its track when the efforts come back, so no return can keep it on."""
+    with pytest.raises(InfeasiblePlanError, match="track") as caught:
+        plan_switch_off(two_rpr(), reference.circle(), return_time="shortest")
+    assert caught.value.details["carrier"] == "carrier_1"
+    assert caught.value.details["amount"] > 0.047
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"threshold": 1.0},
+        {"threshold": -3.0},
+        {"threshold": 1e7},
+        {"threshold": np.nan},
+        {"measure": "angle"},
+        {"measure": "margin", "threshold": 0.0},
+        {"ramp_down": 0.0},
+        {"return_time": -0.1},
+        {"return_time": "soon"},
+        {"datum": [0.0, 0.0, 0.0]},
+        {"datum": np.nan},
+        {"dt": 0.0},
+        {"scheme": "euler"},
+    ],
+)
+def test_settings_out_of_their_domain(setting):
+    with pytest.raises(InputError):
+        plan_switch_off(two_rpr(), reference.circle(), **setting)
+
+
+def test_robot_without_carriers():
+    with pytest.raises(UnsupportedRobotError, match="carrier"):
+        plan_switch_off(two_rpr(carriers=False), reference.circle())
+
+
+def test_single_instant():
+    with pytest.raises(InputError, match="single instant"):
+        plan_switch_off(two_rpr(), reference.circle().sample(1e-2)[:1])
+
+
+@pytest.mark.parametrize("datum", [0.3, [0.0, -0.25]])
+def test_carriers_do_not_park_off_their_tracks(datum):
+    with pytest.raises(InfeasiblePlanError, match=r"parks carrier_[12] at .* off its track") as caught:
+        plan_switch_off(two_rpr(), reference.circle(), datum=datum)
+    assert caught.value.details["amount"] == pytest.approx(np.abs(datum).max() - 0.2)
+
+
+@pytest.mark.parametrize("datum", ["x", 1j, [[0.0], [0.0, 1.0]]])
+def test_a_datum_that_is_no_number(datum):
+    with pytest.raises(InputError, match="datum"):
+        plan_switch_off(two_rpr(), reference.circle(), datum=datum)
+
+
+@pytest.mark.parametrize("backend", [VirtualWork, RneaDynamics])
+def test_a_carrier_that_runs_away_is_named(backend):
+    """Gravity in the plane: with the actuators off the carriers are driven off within the window."""
+    with pytest.raises(InfeasiblePlanError, match=r"Carrier [12] runs away") as caught:
+        plan_switch_off(backend(zoo.robot_of("2rpr", gravity=(0.0, -9.81, 0.0))), reference.circle())
+    assert caught.value.details["constraint"] == "carrier_motion"
+    assert caught.value.details["amount"] > 100.0

@@ -1,0 +1,164 @@
+"""Carriers on curved tracks: the 2-RPR with a mass on a turning arm on each leg, and what its plan must satisfy."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import symbolic_mechanisms
+import symbolic_plans
+import yaml
+
+import redundancy_pin.planners.whole_trajectory.curved_tracks as curved
+import redundancy_pin.planners.whole_trajectory.planner as planner
+from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.planners.whole_trajectory.curved_tracks import BALANCED
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
+from redundancy_pin.trajectory.paths import Line
+
+ARM = 0.15
+REACH = 1.2
+MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
+LIMITS = {"speed": 8.0, "track": REACH, "acceleration": 60.0}
+SAME = 1e-3
+"""Relative difference of the objectives, as for straight tracks; found are 1e-6 or less."""
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """The shipped 2-RPR, its carrier joints made revolute and the masses put on arms."""
+    shipped = Path(__file__).parents[3] / "models" / "2rpr"
+    urdf = (shipped / "2rpr.urdf.xacro").read_text()
+    for old, new in (
+        ('<joint name="carrier_${i}" type="prismatic">', '<joint name="carrier_${i}" type="revolute">'),
+        ('<axis xyz="0 ${side} 0"/>', '<axis xyz="0 0 ${side}"/>'),
+        (
+            '<limit lower="${-track_half_length}" upper="${track_half_length}" velocity="2.5" effort="1000"/>',
+            f'<limit lower="-{REACH}" upper="{REACH}" velocity="{LIMITS["speed"]}" effort="1000"/>',
+        ),
+        (
+            '<origin xyz="0 0 0"/>\n          <mass value="${carrier_mass}"/>',
+            f'<origin xyz="0 {ARM} 0"/>\n          <mass value="${{carrier_mass}}"/>',
+        ),
+    ):
+        assert urdf.count(old) == 1, old
+        urdf = urdf.replace(old, new)
+    folder = tmp_path_factory.mktemp("arms")
+    (folder / "arms.urdf.xacro").write_text(urdf)
+    declaration = yaml.safe_load((shipped / "robot.yaml").read_text())
+    declaration.pop("closed_form")
+    declaration |= {"name": "arms", "urdf": "arms.urdf.xacro"}
+    for carrier in declaration["carriers"]:
+        carrier["acceleration"] = LIMITS["acceleration"]
+    (folder / "robot.yaml").write_text(yaml.safe_dump(declaration))
+    return load_robot(folder / "robot.yaml", **MASSES)
+
+
+def plan_of(robot, trajectory, objective, **settings):
+    return plan_whole_trajectory(RneaDynamics(robot), trajectory, objective=objective, dt=0.03, **settings)
+
+
+def short_line():
+    path = Line((0.1, 0.45), (0.4, 0.25))
+    return Trajectory(path, SpeedProfile(path.length, 0.5, 0.2))
+
+
+TRAJECTORIES = {"line": short_line(), "circle": reference.circle(0.5, 0.2, 0.05)}
+
+
+@pytest.mark.parametrize("objective", ["effort", "peak"])
+@pytest.mark.parametrize("name", ["line", "circle"])
+def test_optimum_is_that_of_the_full_model(robot, name, objective):
+    trajectory = TRAJECTORIES[name]
+    plan = plan_of(robot, trajectory, objective, refinements=0)
+    assert plan.diagnostics["optimal"]
+    assert plan.diagnostics["violation"] <= BALANCED
+    assert plan.diagnostics["fits"][0] <= 10
+    assert len(plan.diagnostics["singular_nodes"]) == (2 if name == "circle" else 0)
+    machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
+    theirs, _ = symbolic_plans.solve(machine, trajectory, plan, objective, LIMITS)
+    np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)
+
+
+def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(robot):
+    plan = plan_of(robot, TRAJECTORIES["circle"], "effort")
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.diagnostics["dense_check"]["passed"]
+    reduced = RneaDynamics(robot).reduce(plan.motion, plan.carriers)
+    left = np.einsum("nim,nm->ni", reduced.W, plan.tau) - reduced.f
+    assert np.abs(left).max() <= 1e-6 * np.abs(reduced.f).max()
+    # the arms do turn, by much more than a straight track would pass for
+    assert np.abs(plan.carriers.s).max() > 0.2
+
+
+def test_small_changes_of_the_course_do_not_help(robot):
+    """To first order around the plan: efforts of the backend itself, along random changes that keep both ends."""
+    plan = plan_of(robot, TRAJECTORIES["line"], "effort", refinements=0)
+    dynamics, t, c = RneaDynamics(robot), plan.t, plan.carriers
+    rng = np.random.default_rng(0)
+    half = 0.5 * np.diff(t)
+    w = (np.append(half, 0.0) + np.append(0.0, half))[:, None]
+
+    def effort(s, sd, sdd):
+        return float((w * distribute(dynamics.reduce(plan.motion, type(c)(s, sd, sdd))).tau ** 2).sum())
+
+    assert (np.abs(c.sdd) < 0.99 * LIMITS["acceleration"]).all()
+    best = effort(c.s, c.sd, c.sdd)
+    for _ in range(8):
+        bump = rng.normal(size=(len(t), 2))
+        # s̈ linear in a step, with the two conditions that s and ṡ end at zero
+        sd, s = _integrated(t, bump)
+        ones, ramp = np.ones_like(bump), np.broadcast_to(t[:, None] - t[0], bump.shape)
+        basis = [_integrated(t, ones), _integrated(t, ramp)]
+        ends = np.array([[basis[0][0][-1, 0], basis[1][0][-1, 0]], [basis[0][1][-1, 0], basis[1][1][-1, 0]]])
+        a, b = np.linalg.solve(ends, -np.array([sd[-1], s[-1]]))
+        bump = bump + a * ones + b * ramp
+        sd, s = _integrated(t, bump)
+        e = 1e-4 / np.abs(bump).max()
+        change = effort(c.s + e * s, c.sd + e * sd, c.sdd + e * bump) - effort(
+            c.s - e * s, c.sd - e * sd, c.sdd - e * bump
+        )
+        # the regularisation, 1e-6 of the objective's size, tilts the optimum by as much
+        assert abs(change) / 2.0 <= 1e-5 * best * e * np.abs(bump).max() + 1e-9 * best
+
+
+def _integrated(t, sdd):
+    h = np.diff(t)[:, None]
+    sd = np.vstack([np.zeros((1, 2)), np.cumsum(h * (sdd[:-1] + sdd[1:]) / 2, axis=0)])
+    s = np.vstack([np.zeros((1, 2)), np.cumsum(h * sd[:-1] + h**2 * (2 * sdd[:-1] + sdd[1:]) / 6, axis=0)])
+    return sd, s
+
+
+def test_several_first_guesses(robot):
+    plan = plan_of(robot, TRAJECTORIES["line"], "effort", refinements=0, starts=3)
+    assert plan.diagnostics["starts"]["converged"] == 3
+    assert len(plan.diagnostics["fits"]) == 3
+    assert plan.diagnostics["cost"] == min(plan.diagnostics["costs"])
+
+
+def test_limits_of_curved_tracks_that_no_course_keeps_are_named(robot):
+    free = plan_of(robot, TRAJECTORIES["line"], "peak", refinements=0)
+    with pytest.raises(InfeasiblePlanError) as caught:
+        plan_of(robot, TRAJECTORIES["line"], "effort", refinements=0, effort=0.5 * free.peak_effort.max())
+    assert "effort" in {event["constraint"] for event in caught.value.details["relaxations"]}
+
+
+@pytest.mark.parametrize(
+    ("name", "status"), [("line", PlanStatus.STOPPED_EARLY), ("circle", PlanStatus.UNBOUNDED_EFFORT)]
+)
+def test_a_plan_that_did_not_settle_says_so(robot, monkeypatch, name, status):
+    """Beside a singularity what is left unbalanced has no finite efforts, and the status says that too."""
+    monkeypatch.setattr(curved, "FITS", 2)
+    plan = plan_of(robot, TRAJECTORIES[name], "effort", refinements=0)
+    assert not plan.diagnostics["optimal"]
+    assert plan.status is status
+
+
+def test_straight_tracks_are_not_fitted(monkeypatch):
+    def never(*arguments, **settings):
+        raise AssertionError("carriers on straight tracks were fitted")
+
+    monkeypatch.setattr(planner, "search_curved", never)
+    dynamics = VirtualWork(load_robot("2rpr"))
+    assert plan_whole_trajectory(dynamics, reference.circle(), dt=0.05, refinements=0).diagnostics["optimal"]

@@ -1,0 +1,197 @@
+"""Rare coincidences: starts on a limit, jumps on a singularity, one freedom, more actuators than freedoms."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+import zoo
+
+from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
+from redundancy_pin.errors import InputError
+from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse
+from redundancy_pin.planners.whole_trajectory.singular import singular_node
+from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
+from redundancy_pin.trajectory.continuous import continuous_motion
+from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line
+
+HEAVY = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
+MODELS = Path(__file__).parents[3] / "models"
+
+
+def course_of(plan):
+    return CarrierCourse(plan.t, plan.carriers.s, plan.carriers.sd, plan.carriers.sdd)
+
+
+def efforts_at(dynamics, trajectory, plan, times):
+    times = np.asarray(times)
+    carriers = course_of(plan).at(times)
+    return distribute(dynamics.reduce(trajectory.sample_at(times), carriers, check_track=False)).tau
+
+
+@pytest.mark.parametrize(
+    ("settings", "near"),
+    [
+        ({"track": (0.0, 0.2)}, {"track": (-1e-5, 0.2)}),
+        (
+            {"track": (-0.1, 0.1), "start": -0.1, "end": "free"},
+            {"track": (-0.1, 0.1), "start": -0.09999, "end": "free"},
+        ),
+        ({"speed": 0.5, "start_speed": [0.5, -0.5]}, {"speed": 0.5, "start_speed": [0.49999, -0.49999]}),
+    ],
+    ids=["datum", "start", "speed"],
+)
+def test_a_start_on_a_limit_has_a_plan(settings, near):
+    """It is on the track, so it is allowed; the plan is that of a start just inside."""
+    dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
+    on, inside = (plan_whole_trajectory(dynamics, trajectory, dt=0.03, refinements=0, **s) for s in (settings, near))
+    assert on.status is PlanStatus.WITHIN_LIMITS
+    assert on.diagnostics["objective"]["effort"] == pytest.approx(inside.diagnostics["objective"]["effort"], rel=1e-2)
+
+
+def through_a_jump(y):
+    """Straight down to height y and on along an arc: ẍ jumps where the line of the base hinges, y = 0, is crossed."""
+    path = ChainedPath([Line((0.2, 0.3), (0.2, y)), Arc((0.4, y), 0.2, (-1.0, 0.0), (0.0, -1.0), 1.2)])
+    return Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
+
+
+@pytest.mark.parametrize("y", [0.0, 1e-12])
+def test_a_jump_on_a_singular_instant_has_two_limits(y):
+    """The efforts at both nodes are what W⁻¹ f tends to on their side; ``y`` keeps both apart by less than rounding."""
+    dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), through_a_jump(y)
+    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.02)
+    before, after = plan.diagnostics["singular_nodes"]
+    assert after == before + 1
+    assert plan.t[before] == plan.t[after]
+    for node, side in ((before, -1.0), (after, 1.0)):
+        beside = efforts_at(dynamics, trajectory, plan, [plan.t[node] + side * 1e-5])[0]
+        # over 10 µs the efforts change by 1e-3 of their size
+        np.testing.assert_allclose(plan.tau[node], beside, atol=1e-3 * np.abs(plan.tau).max())
+    apart = plan_whole_trajectory(dynamics, through_a_jump(1e-6), dt=0.02)
+    assert plan.diagnostics["objective"]["effort"] == pytest.approx(apart.diagnostics["objective"]["effort"], rel=1e-3)
+
+
+def test_carrier_forces_are_looked_at_between_the_nodes():
+    """On few nodes a force exceeds its limit by half of it between them; that was a plan within limits."""
+    dynamics, trajectory, limit = VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.0207), 0.35
+    for refinements in (0, 3):
+        plan = plan_whole_trajectory(
+            dynamics,
+            trajectory,
+            objective="carrier_force",
+            end="rest",
+            dt=trajectory.duration / 13,
+            start_speed=[-0.08, -0.02, -0.016],
+            speed=0.68,
+            carrier_force=limit,
+            refinements=refinements,
+        )
+        times = np.setdiff1d(np.linspace(plan.t[0], plan.t[-1], 5000), plan.t)
+        reduced = dynamics.reduce(trajectory.sample_at(times), course_of(plan).at(times))
+        most = float(np.abs(reduced.carrier_force).max())
+        if refinements:
+            assert plan.status is PlanStatus.WITHIN_LIMITS
+            assert most <= 1.05 * limit
+        else:
+            assert plan.status is PlanStatus.VIOLATES_LIMITS
+            worst = max(event.amount for event in plan.limits.violated if event.quantity == "force")
+            # by samples 0.4 ms apart on both sides
+            assert worst == pytest.approx(most - limit, rel=1e-2)
+
+
+def test_an_actuator_with_a_low_limit_is_looked_at_between_the_nodes():
+    """Of two actuators one has a limit below the peak of the other, which hid it: it was exceeded by 36 %."""
+    dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), reference.circle(0.5, 0.2, 0.05)
+    settings = {"objective": "carrier_acceleration", "effort": [50.0, 1.9], "dt": 0.1}
+    rough = plan_whole_trajectory(dynamics, trajectory, refinements=0, **settings)
+    assert rough.status is PlanStatus.VIOLATES_LIMITS
+    (event,) = rough.limits.violated
+    assert (event.quantity, event.carrier) == ("effort", rough.robot.actuated[1])
+    assert event.amount > 0.05 * 1.9
+    assert abs(efforts_at(dynamics, trajectory, rough, [event.worst])[0, 1]) == pytest.approx(1.9 + event.amount)
+    fine = plan_whole_trajectory(dynamics, trajectory, **settings)
+    assert fine.status is PlanStatus.WITHIN_LIMITS
+    inside = np.linspace(fine.t[0], fine.t[-1], 20000)[1:-1]
+    assert np.abs(efforts_at(dynamics, trajectory, fine, inside)[:, 1]).max() <= 1.05 * 1.9
+
+
+SLIDER = """
+  <joint name="slider" type="prismatic">
+    <parent link="crank_link"/><child link="slider_link"/>
+    <origin xyz="0.1 0 0"/><axis xyz="1 0 0"/>
+    <limit lower="-0.3" upper="0.3" velocity="2" effort="1000"/>
+  </joint>
+  <link name="slider_link">
+    <inertial><mass value="1"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>
+  </link>
+</robot>"""
+
+
+def declared(folder, source, name, **changes):
+    text = (MODELS / source / f"{source}.urdf.xacro").read_text()
+    if source == "four_bar":
+        text = text.replace("</robot>", SLIDER)
+    (folder / f"{source}.urdf.xacro").write_text(text)
+    declaration = yaml.safe_load((MODELS / source / "robot.yaml").read_text()) | {"name": name} | changes
+    (folder / "robot.yaml").write_text(yaml.safe_dump(declaration))
+    return load_robot(folder / "robot.yaml")
+
+
+def test_one_freedom_crosses_its_singularity(tmp_path):
+    """The rocker drives the crank through a dead point, where the only singular value of W vanishes."""
+    robot = declared(
+        tmp_path, "four_bar", "bar", actuated=["rocker"], carriers=[{"joint": "slider", "acceleration": 20.0}]
+    )
+    dynamics, path = RneaDynamics(robot), Line((1.0,), (5.0,))
+    trajectory = Trajectory(path, SpeedProfile(path.length, 2.0, 0.2))
+    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.02)
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    (node,) = plan.diagnostics["singular_nodes"]
+    for side in (-1e-5, 1e-5):
+        beside = efforts_at(dynamics, trajectory, plan, [plan.t[node] + side])[0]
+        np.testing.assert_allclose(plan.tau[node], beside, atol=1e-5 * np.abs(plan.tau).max())
+
+
+def test_more_actuators_than_freedoms_are_judged_by_their_own_efforts(tmp_path):
+    """The least peak is not of least norm; between the nodes the plan's own distribution is judged."""
+    robot = declared(tmp_path, "five_bar", "over", actuated=["base_1", "base_2", "elbow_1"])
+    path = Line((0.25, 0.6), (0.32, 0.3))
+    trajectory = Trajectory(path, SpeedProfile(path.length, 0.3, 0.2))
+    dynamics = RneaDynamics(robot)
+    plan = plan_whole_trajectory(dynamics, trajectory, objective="peak", dt=0.02)
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert plan.diagnostics["dense_check"]["passed"]
+    reduced = dynamics.reduce(plan.motion, plan.carriers)
+    assert np.abs(distribute(reduced).tau).max() > 1.05 * np.abs(plan.tau).max()
+    np.testing.assert_allclose(np.einsum("nim,nm->ni", reduced.W, plan.tau), reduced.f, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"starts": np.nan},
+        {"starts": "a"},
+        {"refinements": np.inf},
+        {"objective": None},
+        {"objective": ["effort", "peak"]},
+        {"objective": {"effort": "a"}},
+        {"lam": "a"},
+    ],
+)
+def test_settings_of_the_wrong_kind_are_named(setting):
+    with pytest.raises(InputError):
+        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(), **setting)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_rates_of_a_fit_beside_a_jump_are_one_sided(side):
+    """For curved tracks they come from differences, which must not reach across; for straight ones from elsewhere."""
+    dynamics, source = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), continuous_motion(through_a_jump(0.0))
+    (t,) = source.breaks
+    parked = CarrierMotion.parked(1, 2)
+    exact, fitted = (singular_node(dynamics, source, 0, t, 0.01, around, side).rate for around in (None, parked))
+    for name in ("W", "f0"):
+        expected = getattr(exact, name)
+        # differences of order four over a millisecond
+        np.testing.assert_allclose(getattr(fitted, name), expected, atol=1e-5 * np.abs(expected).max())

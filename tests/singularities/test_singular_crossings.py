@@ -1,0 +1,216 @@
+"""Crossing times against the analytic times of lines, circles and turns, and against what was built to touch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import zoo
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.singularities.classify import SingularityKind
+from redundancy_pin.singularities.crossings import Crossing, find_crossings
+from redundancy_pin.trajectory import (
+    PoseTrajectory,
+    RestToRest,
+    Trajectory,
+    circle_path,
+    reference,
+    through_points,
+    with_constant,
+)
+
+TIME = 1e-11
+"""Brent's method stops at 1e-13 of the duration (seconds here), the margin is exact to 1e-15."""
+
+TOUCH_TIME = 1e-6
+"""A minimum is known to the square root of rounding, 1e-8, and some of the time scale."""
+
+ARM = 0.25 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
+"""From corner 1 of the 3-RRR's platform to its centre, at α = 0."""
+
+
+def along(path, duration: float = 2.0) -> Trajectory:
+    return Trajectory(path, RestToRest(path.length, duration))
+
+
+def time_at_arc(trajectory: Trajectory, p: float) -> float:
+    """Return when arc length p is reached, by root finding on the timing law alone."""
+    return float(brentq(lambda t: float(trajectory.timing.evaluate(t).p) - p, 0.0, trajectory.duration, xtol=1e-15))
+
+
+def test_circle_of_the_thesis_crosses_the_base_line_twice() -> None:
+    robot, trajectory = zoo.robot_of("2rpr"), reference.circle()
+    found = find_crossings(robot, trajectory)
+    angle = np.arcsin(0.185 / 0.2)
+    arcs = [0.2 * angle, 0.2 * (np.pi - angle)]  # from the leftmost point, counter-clockwise
+    assert [crossing.t for crossing in found] == pytest.approx([time_at_arc(trajectory, p) for p in arcs], abs=TIME)
+    assert [crossing.x[0] for crossing in found] == pytest.approx(
+        [0.25 - 0.2 * np.cos(angle), 0.25 + 0.2 * np.cos(angle)]
+    )
+    for crossing in found:
+        assert crossing.kind == SingularityKind.TYPE_II
+        assert crossing.crosses
+        assert not crossing.tangential
+        assert crossing.until == crossing.t
+        assert crossing.leg is None
+        assert abs(crossing.x[1]) < 1e-11
+        np.testing.assert_allclose(np.abs(crossing.uncontrolled_twist), [0.0, 1.0], atol=1e-9)
+        assert np.isnan(crossing.lost_direction).all()
+    assert found[0].slope < 0.0 < found[1].slope
+
+
+def test_line_of_the_thesis_crosses_once() -> None:
+    found = find_crossings(zoo.robot_of("2rpr"), reference.line())
+    assert len(found) == 1
+    assert found[0].x == pytest.approx([0.15 + 0.1 * 0.4 / 1.1, 0.0], abs=1e-11)
+
+
+def test_samples_are_interpolated_and_two_sided_ones_understood() -> None:
+    """A corner sampled with its jumps, and a circle sampled at 10 ms, cross where the exact motions do."""
+    robot = zoo.robot_of("2rpr")
+    exact = reference.circle()
+    sampled = find_crossings(robot, exact.sample(0.01))
+    assert [c.t for c in sampled] == pytest.approx([c.t for c in find_crossings(robot, exact)], abs=1e-9)
+    half = PlatformMotion(
+        [0.0, 1.0, 1.0, 2.0],  # x = 0.2, y falls at 0.2 m/s, then is braked from t = 1 at 0.1 m/s²
+        [[0.2, 0.25], [0.2, 0.05], [0.2, 0.05], [0.2, -0.1]],
+        [[0.0, -0.2], [0.0, -0.2], [0.0, -0.2], [0.0, -0.1]],
+        [[0.0, 0.0], [0.0, 0.0], [0.0, 0.1], [0.0, 0.1]],
+    )
+    (crossing,) = find_crossings(robot, half)
+    assert crossing.t == pytest.approx(1.0 + (0.2 - np.sqrt(0.04 - 4 * 0.05 * 0.05)) / 0.1, abs=TIME)
+
+
+@pytest.mark.parametrize("depth", [1e-3, 1e-5, 1e-7])
+def test_a_pair_of_crossings_inside_one_step_is_not_missed(depth: float) -> None:
+    trajectory = along(circle_path((0.25, 0.2 - depth), 0.2, start_angle=np.pi))
+    found = find_crossings(zoo.robot_of("2rpr"), trajectory)
+    angle = np.arcsin((0.2 - depth) / 0.2)
+    assert [c.t for c in found] == pytest.approx(
+        [time_at_arc(trajectory, 0.2 * angle), time_at_arc(trajectory, 0.2 * (np.pi - angle))],
+        abs=TIME + 1e-16 / depth,
+    )
+    assert all(c.crosses for c in found)
+
+
+def test_touching_from_one_side_is_reported_and_missing_is_not() -> None:
+    robot = zoo.robot_of("2rpr")
+    (touch,) = find_crossings(robot, along(circle_path((0.25, 0.2), 0.2, start_angle=np.pi)))
+    assert not touch.crosses
+    assert touch.tangential
+    assert touch.x == pytest.approx([0.25, 0.0], abs=1e-6)
+    assert find_crossings(robot, along(circle_path((0.25, 0.2 + 1e-5), 0.2, start_angle=np.pi))) == ()
+
+
+def test_a_motion_along_the_locus_is_one_stay() -> None:
+    (stay,) = find_crossings(zoo.robot_of("2rpr"), along(through_points([[0.1, 0.0], [0.4, 0.0]])))
+    assert (stay.t, stay.until) == (0.0, 2.0)
+    assert not stay.crosses
+    assert stay.tangential
+
+
+@pytest.mark.parametrize("points", [[[0.1, 0.3], [0.1, 0.0]], [[0.1, 0.0], [0.1, 0.3]]])
+def test_a_motion_that_ends_or_starts_on_the_locus(points: list[list[float]]) -> None:
+    (end,) = find_crossings(zoo.robot_of("2rpr"), along(through_points(points)))
+    assert end.t == (2.0 if points[1][1] == 0.0 else 0.0)
+    assert end.kind == SingularityKind.TYPE_II
+    assert not end.crosses
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0.05, 0.45), st.floats(-0.4, 0.4), st.floats(0.05, 0.5), st.floats(0.05, 0.5))
+def test_any_line_through_the_base_line_is_crossed_where_it_meets_it(x, lean, above, below) -> None:
+    start, end = np.array([x + lean * above, above]), np.array([x - lean * below, -below])
+    if np.abs(x + lean * np.linspace(-below, above, 50)).min() < 0.0:
+        return
+    trajectory = along(through_points([start, end]))
+    (crossing,) = find_crossings(zoo.robot_of("2rpr"), trajectory)
+    assert crossing.t == pytest.approx(time_at_arc(trajectory, np.hypot(1.0, lean) * above), abs=1e-10)
+
+
+@pytest.mark.parametrize("direction", [20.0, 30.0, 40.0])
+def test_three_rrr_touches_full_stretch_of_its_first_leg(direction: float) -> None:
+    """A circle inside the reach of leg 1 touches its border (radius 2 about the base hinge) half way round."""
+    u = np.array([np.cos(np.radians(direction)), np.sin(np.radians(direction))])
+    centre = ARM + (2.0 - 0.3) * u
+    trajectory = along(with_constant(circle_path(centre, 0.3, start_angle=np.radians(direction) + np.pi), [0.0]))
+    touches = [c for c in find_crossings(zoo.robot_of("3rrr"), trajectory) if c.kind != SingularityKind.TYPE_II]
+    assert len(touches) == 1
+    assert touches[0].kind == SingularityKind.TYPE_I
+    assert touches[0].t == pytest.approx(1.0, abs=TOUCH_TIME)
+    assert touches[0].leg == 1
+    assert not touches[0].crosses
+    lost = touches[0].lost_direction
+    np.testing.assert_allclose(lost[:2] / np.hypot(*lost[:2]), u, atol=1e-5)
+    assert np.isnan(touches[0].uncontrolled_twist).all()
+
+
+def test_a_motion_that_ends_at_full_stretch() -> None:
+    end = ARM + 2.0 * np.array([np.cos(0.5), np.sin(0.5)])
+    trajectory = along(with_constant(through_points([[0.9, 0.5], end]), [0.0]))
+    touches = [c for c in find_crossings(zoo.robot_of("3rrr"), trajectory) if c.kind == SingularityKind.TYPE_I]
+    assert [c.t for c in touches] == [2.0]
+
+
+def test_leaving_the_workspace_names_the_time() -> None:
+    u = np.array([np.cos(0.5), np.sin(0.5)])
+    start, end = ARM + 1.5 * u, ARM + 2.1 * u
+    trajectory = along(with_constant(through_points([start, end]), [0.0]))
+    with pytest.raises(UnreachablePoseError, match="leaves the workspace at t = ") as caught:
+        find_crossings(zoo.robot_of("3rrr"), trajectory)
+    assert caught.value.details["time"] == pytest.approx(time_at_arc(trajectory, 0.5), abs=1e-8)
+
+
+def test_a_path_through_a_base_hinge_is_refused() -> None:
+    with pytest.raises(WorkingModeError):
+        find_crossings(zoo.robot_of("2rpr"), along(through_points([[-0.1, 0.1], [0.1, -0.1]])))
+
+
+def test_five_bar_crosses_where_its_distal_links_align() -> None:
+    """On the axis of symmetry with elbows outward: both distal links horizontal, elbows at ±0.5 m from the axis."""
+    trajectory = along(through_points([[0.25, 0.7], [0.25, 0.2]]))
+    (crossing,) = find_crossings(zoo.robot_of("five_bar"), trajectory)
+    height = np.sqrt(0.5**2 - 0.25**2)  # elbow at (−0.25, h): proximal link 0.5 m from (0, 0)
+    assert crossing.x == pytest.approx([0.25, height], abs=1e-10)
+    assert crossing.t == pytest.approx(time_at_arc(trajectory, 0.7 - height), abs=TIME)
+    np.testing.assert_allclose(np.abs(crossing.uncontrolled_twist), [0.0, 1.0], atol=1e-9)
+
+
+def test_gough_platform_is_singular_a_quarter_turn_from_home() -> None:
+    """Fichter 1986: two similar hexagons with six legs are singular after a turn of 90° about their common axis."""
+    robot = zoo.robot_of("gough")
+    home = zoo.home_of(robot)
+
+    def turned(angle: float):
+        pose = home.copy()
+        cosine, sine = np.cos(angle), np.sin(angle)
+        pose[:3, :3] = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ home[:3, :3]
+        return pose
+
+    trajectory = PoseTrajectory(turned(0.0), turned(np.radians(100.0)), RestToRest(1.0, 2.0))
+    (crossing,) = find_crossings(robot, trajectory)
+    assert crossing.kind == SingularityKind.TYPE_II
+    assert crossing.t == pytest.approx(time_at_arc(trajectory, 0.9), abs=1e-9)
+    (sampled,) = find_crossings(robot, trajectory.sample(0.02))
+    assert sampled.t == pytest.approx(crossing.t, abs=1e-5)  # cubic rotation vectors between samples 20 ms apart
+
+
+def test_one_instant_and_silly_numbers_are_refused() -> None:
+    robot = zoo.robot_of("2rpr")
+    still = PlatformMotion([0.0], [[0.2, 0.2]], [[0.0, 0.0]], [[0.0, 0.0]])
+    with pytest.raises(InputError, match="single instant"):
+        find_crossings(robot, still)
+    with pytest.raises(InputError, match="spacing"):
+        find_crossings(robot, reference.circle(), spacing=0.0)
+    with pytest.raises(InputError, match="moves in"):
+        find_crossings(zoo.robot_of("3rrr"), reference.circle())
+
+
+def test_a_regular_motion_has_none(shipped) -> None:
+    motion = zoo.smooth_motion(shipped, seed=2).at(np.linspace(0.0, 1.0, 60))
+    found: tuple[Crossing, ...] = find_crossings(shipped, motion)
+    assert found == ()

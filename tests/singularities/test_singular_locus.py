@@ -1,0 +1,194 @@
+"""The locus against geometry: collinear and concurrent links, stretched legs, motions that locked actuators allow."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+import zoo
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.virtual_work.three_rrr_kinematics import ThreeRrrGeometry, inverse_displacement
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.coordinates import row_scale
+from redundancy_pin.robot import Robot
+from redundancy_pin.singularities.classify import SingularityKind, classify
+from redundancy_pin.singularities.locus import SingularLocus, singular_locus
+
+EXACT = 1e-9
+"""What is promised of a point: the scaled singular value that is left. Newton leaves 1e-15."""
+
+GRID = 60
+"""Coarse grids are enough: every point is refined."""
+
+
+@functools.cache
+def locus_of(name: str, mode: tuple[int, ...] | None = None, orientation: float | None = None) -> SingularLocus:
+    robot = zoo.robot_of(name, working_mode=mode) if mode else zoo.robot_of(name)
+    return singular_locus(robot, orientation=orientation, resolution=GRID)
+
+
+def legs_of(robot: Robot, x: Array):
+    return inverse_displacement(ThreeRrrGeometry.from_parameters(robot.parameters), x, robot.working_mode)
+
+
+def points_of(locus: SingularLocus, kind: SingularityKind) -> tuple[Array, Array]:
+    curves = locus.of_kind(kind)
+    return np.concatenate([c.points for c in curves]), np.concatenate([c.q for c in curves])
+
+
+@pytest.mark.parametrize(
+    ("name", "mode", "orientation"),
+    [
+        ("2rpr", None, None),
+        ("3rrr", None, None),
+        ("3rrr", (1, -1, 1), 0.3),
+        ("five_bar", None, None),
+        ("five_bar", (1, 1), None),
+    ],
+)
+def test_every_point_is_a_singularity_of_its_kind(name: str, mode, orientation) -> None:
+    locus = locus_of(name, mode, orientation)
+    assert locus.unresolved == 0
+    assert len(locus.points) == len(locus.kind) == len(locus.residual) >= GRID
+    assert locus.residual.max() < EXACT
+    for kind in (SingularityKind.TYPE_I, SingularityKind.TYPE_II):
+        if not locus.of_kind(kind):
+            assert (name, kind) == ("2rpr", SingularityKind.TYPE_I)
+            continue
+        x, q = points_of(locus, kind)
+        found = classify(locus.robot, q, tolerance=EXACT)
+        assert (found.type_i if kind == SingularityKind.TYPE_I else found.type_ii).all()
+        if orientation is not None:
+            np.testing.assert_allclose(x[:, 2], orientation, atol=1e-11)
+
+
+def test_two_rpr_is_singular_on_its_base_line() -> None:
+    locus = locus_of("2rpr")
+    (curve,) = locus.curves
+    assert curve.kind == SingularityKind.TYPE_II
+    np.testing.assert_allclose(curve.points[:, 1], 0.0, atol=1e-11)
+    assert np.ptp(curve.points[:, 0]) == pytest.approx(np.ptp(locus.axes[0]))
+
+
+@pytest.mark.parametrize(("mode", "orientation"), [(None, None), ((1, -1, 1), 0.3)])
+def test_three_rrr_is_type_ii_where_its_distal_lines_meet_in_a_point(mode, orientation) -> None:
+    """Lines (e, A × e) are concurrent or parallel when their determinant vanishes; elsewhere it does not."""
+    locus = locus_of("3rrr", mode, orientation)
+    on, _ = points_of(locus, SingularityKind.TYPE_II)
+    assert np.abs(line_determinant(locus.robot, on)).max() < 1e-10
+    shape = locus.margin.shape
+    nodes = np.zeros((shape[0] * shape[1], 3))
+    nodes[:, :2] = np.stack(np.meshgrid(*locus.axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    nodes[:, 2] = orientation or 0.0
+    away = np.abs(locus.margin.ravel()) > 0.01
+    determinant = line_determinant(locus.robot, nodes[away])
+    # det W has the sign of det of the lines over the product of c, and c keeps its sign in a working mode
+    sign = np.sign(determinant) * np.sign(locus.margin.ravel()[away])
+    assert (sign == sign[0]).all()
+
+
+def line_determinant(robot: Robot, x: Array) -> Array:
+    legs = legs_of(robot, x)
+    corner_x, corner_y = x[:, 0] + legs.arm_x, x[:, 1] + legs.arm_y
+    rows = np.stack([legs.ex, legs.ey, corner_x * legs.ey - corner_y * legs.ex], axis=-1)
+    return np.linalg.det(rows.transpose(1, 0, 2))
+
+
+def test_three_rrr_is_type_i_where_a_leg_is_stretched() -> None:
+    locus = locus_of("3rrr")
+    x, _ = points_of(locus, SingularityKind.TYPE_I)
+    legs = legs_of(locus.robot, x)
+    base = ThreeRrrGeometry.from_parameters(locus.robot.parameters).base_points
+    reach = np.hypot(x[:, 0] + legs.arm_x - base[:, :1], x[:, 1] + legs.arm_y - base[:, 1:])
+    np.testing.assert_allclose(reach.max(axis=0), 2.0, atol=1e-11)  # l1 + l2, for the longest of the three legs
+    (curve,) = locus.of_kind(SingularityKind.TYPE_I)
+    np.testing.assert_array_equal(curve.points[0], curve.points[-1])
+
+
+def test_five_bar_is_type_ii_where_its_distal_links_are_in_line() -> None:
+    locus = locus_of("five_bar")
+    x, q = points_of(locus, SingularityKind.TYPE_II)
+    robot = locus.robot
+    base = [q[:, robot.model.joints[robot.model.getJointId(f"base_{leg}")].idx_q] for leg in (1, 2)]
+    elbows = [
+        np.stack([0.5 * np.cos(a) + shift, 0.5 * np.sin(a)], axis=1) for a, shift in zip(base, (0.0, 0.5), strict=True)
+    ]
+    one, other = (x - elbow for elbow in elbows)
+    np.testing.assert_allclose(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0], 0.0, atol=1e-10)
+    assert np.abs(x - [0.25, np.sqrt(3) / 4]).max(axis=1).min() < 0.05  # and the point that is known in closed form
+
+
+@pytest.mark.parametrize(("mode", "orientation"), [(None, None), ((1, -1, 1), 0.3)])
+def test_locked_actuators_let_the_platform_move_along_the_uncontrolled_twist(mode, orientation) -> None:
+    """Along it actuators turn with the square of the distance only; across it they turn with the distance."""
+    locus = locus_of("3rrr", mode, orientation)
+    x, q = points_of(locus, SingularityKind.TYPE_II)
+    inner = np.abs(legs_of(locus.robot, x).c).min(axis=0) > 0.1  # where the closed form is well conditioned
+    x, found = x[inner], classify(locus.robot, q[inner])
+    here = legs_of(locus.robot, x).theta
+
+    def turned(twist: Array, step: float) -> Array:
+        change = legs_of(locus.robot, x + step * twist).theta - here
+        return np.abs((change + np.pi) % (2 * np.pi) - np.pi).max(axis=0)
+
+    small, large = (turned(found.uncontrolled_twist, step) for step in (1e-4, 2e-4))
+    assert small.max() < 1e-4 * 1e-2
+    ratio = large / small
+    assert np.median(np.abs(ratio - 4.0)) < 0.01
+    across = np.roll(found.uncontrolled_twist, 1, axis=1) / np.roll(row_scale(locus.robot), 1) * row_scale(locus.robot)
+    assert np.median(turned(across, 2e-4) / turned(across, 1e-4)) == pytest.approx(2.0, abs=0.01)
+
+
+def test_four_bar_lists_the_crank_angles_at_which_coupler_and_rocker_are_in_line() -> None:
+    robot = zoo.robot_of("four_bar", ground_length=0.4, crank_length=0.3, coupler_length=0.35, rocker_length=0.2)
+    locus = singular_locus(robot, resolution=GRID)
+    reach = np.array([0.35 - 0.2, 0.35 + 0.2])
+    expected = np.arccos((0.4**2 + 0.3**2 - reach**2) / (2 * 0.4 * 0.3))
+    np.testing.assert_allclose(locus.points[:, 0], expected, atol=1e-10)
+    assert (locus.kind == SingularityKind.COMBINED).all()
+    assert locus.names == ("crank",)
+    assert locus.units == ("rad",)
+
+
+def test_a_crank_that_turns_fully_has_no_singularity() -> None:
+    locus = locus_of("four_bar")
+    assert locus.curves == ()
+    assert locus.points.shape == (0, 1)
+    assert locus.reachable.all()
+
+
+def test_reachable_nodes_are_those_of_the_closed_form() -> None:
+    locus = locus_of("3rrr")
+    nodes = np.zeros((locus.margin.size, 3))
+    nodes[:, :2] = np.stack(np.meshgrid(*locus.axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    np.testing.assert_array_equal(locus.reachable.ravel(), legs_of(locus.robot, nodes).reachable.all(axis=0))
+
+
+def test_bounds_and_orientation_are_taken() -> None:
+    robot = zoo.robot_of("3rrr")
+    locus = singular_locus(robot, bounds=[(0.5, 1.2), (0.2, 0.8)], orientation=0.1, resolution=21)
+    assert [(axis[0], axis[-1]) for axis in locus.axes] == [(0.5, 1.2), (0.2, 0.8)]
+    assert locus.fixed == {"rz": 0.1}
+    assert locus.reference[2] == 0.1
+
+
+def test_what_cannot_be_drawn_is_refused() -> None:
+    with pytest.raises(UnsupportedRobotError, match="gough"):
+        singular_locus(zoo.robot_of("gough"))
+    with pytest.raises(InputError, match="orientation"):
+        singular_locus(zoo.robot_of("2rpr"), orientation=0.2)
+    with pytest.raises(InputError, match="resolution"):
+        singular_locus(zoo.robot_of("2rpr"), resolution=2)
+    with pytest.raises(InputError, match="bounds"):
+        singular_locus(zoo.robot_of("2rpr"), bounds=[(1.0, 0.0), (0.0, 1.0)])
+    with pytest.raises(InputError, match="bounds"):
+        singular_locus(zoo.robot_of("2rpr"), bounds=[(0.0, 1.0)])
+
+
+def test_results_are_read_only() -> None:
+    locus = locus_of("2rpr")
+    for array in (locus.margin, locus.serial_margin, locus.points, locus.axes[0], locus.curves[0].points):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0

@@ -1,0 +1,265 @@
+"""Singularities against geometry: collinear legs, stretched legs, limit positions, robots with m ≠ n."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+from hypothesis import given
+from hypothesis import strategies as st
+
+from redundancy_pin import load_robot
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
+from redundancy_pin.dynamics.virtual_work.three_rrr_kinematics import ThreeRrrGeometry, inverse_displacement
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.coordinates import column_scale, row_scale
+from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.spectrum import margin_of
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot.urdf import declaration_path
+from redundancy_pin.singularities.classify import SingularityKind, classify, classify_motion
+
+ROUNDING = 1e-12
+"""Singular values and directions of well-scaled 7 x 7 matrices, with three digits of room."""
+
+BASE = np.array([[0.0, 0.0], [0.5, 0.0]])
+"""Base hinges of the 2-RPR."""
+
+
+def two_rpr_at(points: Array) -> Array:
+    """Return (N, nq) configurations of the 2-RPR with the end-effector at points (N, 2)."""
+    robot = zoo.robot_of("2rpr")
+    q = np.zeros((len(points), robot.model.nq))
+    for leg, base in enumerate(BASE, start=1):
+        span = points - base
+        q[:, index(robot, f"swivel_{leg}")] = np.arctan2(span[:, 1], span[:, 0])
+        q[:, index(robot, f"slide_{leg}")] = np.hypot(span[:, 0], span[:, 1])
+    return q
+
+
+def three_rrr_from(x: Array, theta: Array, beta: Array) -> Array:
+    """Return (N, nq) configurations of the 3-RRR from pose (N, 3) and link angles (3, N)."""
+    robot = zoo.robot_of("3rrr")
+    q = np.zeros((len(x), robot.model.nq))
+    for leg in range(3):
+        q[:, index(robot, f"base_{leg + 1}")] = theta[leg]
+        q[:, index(robot, f"elbow_{leg + 1}")] = beta[leg] - theta[leg]
+    q[:, index(robot, "wrist_1")] = x[:, 2] - beta[0]
+    return q
+
+
+def index(robot, joint: str) -> int:
+    return robot.model.joints[robot.model.getJointId(joint)].idx_q
+
+
+@given(st.floats(-1.0, 1.5), st.floats(0.01, 1.0), st.sampled_from([-1, 1]))
+def test_two_rpr_condition_number_is_the_cotangent_of_half_the_angle_between_the_legs(x, y, side) -> None:
+    found = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[x, side * y]])))
+    one, other = (np.array([x, side * y]) - base for base in BASE)
+    cosine = abs(one @ other) / np.linalg.norm(one) / np.linalg.norm(other)
+    gamma = np.arctan2(np.sqrt(1 - min(cosine, 1.0) ** 2), cosine)
+    assert found.kind[0] == SingularityKind.REGULAR
+    # the angle loses digits as the legs align, with the square of their alignment
+    assert found.condition[0] == pytest.approx(1.0 / np.tan(gamma / 2), rel=1e-14 / gamma**2)
+    assert found.condition_unscaled[0] == pytest.approx(found.condition[0], rel=ROUNDING)
+    assert found.parallel_margin[0] == pytest.approx(np.sqrt(max(1.0 - cosine, 0.0)), abs=1e-14 / gamma)
+    assert np.isnan(found.uncontrolled_twist).all()
+    assert np.isnan(found.lost_direction).all()
+
+
+@given(st.floats(-1.0, 1.5).filter(lambda x: min(abs(x), abs(x - 0.5)) > 1e-3))
+def test_two_rpr_is_type_ii_on_the_base_line(x) -> None:
+    found = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[x, 0.0]])))
+    assert SingularityKind(found.kind[0]).label == "type_ii"
+    np.testing.assert_allclose(found.uncontrolled_twist, [[0.0, 1.0]], atol=ROUNDING)
+    assert found.condition[0] == np.inf
+    assert found.parallel_margin[0] < ROUNDING
+    assert found.locked_margin[0] < ROUNDING
+    assert found.near_type_ii[0]
+    assert not found.passive_motion[0]
+
+
+def test_two_rpr_with_a_leg_of_no_length_spins_it_freely() -> None:
+    found = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[0.0, 0.0], [0.25, 0.3]])))
+    assert found.kind.tolist() == [SingularityKind.COMBINED, SingularityKind.REGULAR]
+    assert found.passive_motion.tolist() == [True, False]
+    assert found.type_i.tolist() == found.type_ii.tolist() == [True, False]
+    np.testing.assert_allclose(found.lost_direction[0], [0.0, 1.0], atol=ROUNDING)  # across the leg
+    assert np.isnan(found.uncontrolled_twist[0]).all()  # the swivel turns, the platform does not
+    assert np.isnan(found.parallel_margin[0])
+    assert found.condition[0] == np.inf
+
+
+@given(st.floats(-0.6, 0.4), st.floats(0.0, 0.3))
+def test_three_rrr_with_a_stretched_leg_loses_the_direction_along_it(turn, alpha) -> None:
+    """A stretched leg keeps its corner from moving along the leg: u·v + ((A − P) × u) ω = 0 for every motion."""
+    robot = zoo.robot_of("3rrr")
+    geometry = ThreeRrrGeometry.from_parameters(robot.parameters)
+    theta = np.pi / 6 + turn
+    direction = np.array([np.cos(theta), np.sin(theta)])
+    arm = -0.25 * np.array([np.cos(alpha + np.pi / 6), np.sin(alpha + np.pi / 6)])  # from P to corner 1
+    pose = np.array([[*(2.0 * direction - arm), alpha]])
+    legs = inverse_displacement(geometry, pose)
+    thetas, betas = np.array(legs.theta), np.array(legs.beta)
+    if not legs.reachable.all() or np.abs(legs.elbow_sine[1:]).min() < 0.05:
+        return
+    thetas[0] = betas[0] = theta  # exactly stretched: from the position the elbow is only known to 1e-8
+    found = classify(robot, three_rrr_from(pose, thetas, betas))
+    assert found.kind[0] == SingularityKind.TYPE_I
+    row = np.array([*direction, arm[0] * direction[1] - arm[1] * direction[0]])
+    lost = row / row_scale(robot) ** 2
+    lost /= np.linalg.norm(lost * row_scale(robot))
+    assert abs(np.dot(found.lost_direction[0] * row_scale(robot), lost * row_scale(robot))) == pytest.approx(1.0)
+    np.testing.assert_allclose(found.lost_direction, found.least_producible, atol=ROUNDING)
+    assert not found.passive_motion[0]
+    assert found.serial_margin[0] < ROUNDING
+    # neighbours on either side are regular, at a margin that grows with the elbow angle
+    near = classify(robot, three_rrr_from(pose, np.array(legs.theta), np.array(legs.beta)), tolerance=1e-7)
+    assert near.kind[0] == SingularityKind.TYPE_I
+
+
+def test_four_bar_at_the_end_of_its_crank_is_combined() -> None:
+    """Coupler and rocker in line: the crank can go no further, and both rotate with the crank at rest."""
+    lengths = {"ground_length": 0.4, "crank_length": 0.3, "coupler_length": 0.35, "rocker_length": 0.2}
+    robot = zoo.robot_of("four_bar", **lengths)
+    reach = lengths["coupler_length"] + lengths["rocker_length"]
+    cosine = (0.4**2 + 0.3**2 - reach**2) / (2 * 0.4 * 0.3)
+    crank = np.arccos(cosine)
+    tip = 0.3 * np.array([np.cos(crank), np.sin(crank)])
+    rocker = np.arctan2(tip[1], tip[0] - 0.4)
+    q = np.zeros(3)
+    q[index(robot, "crank")], q[index(robot, "rocker")] = crank, rocker
+    coupler = [angle for angle in (0.0, np.pi) if closes(robot, q, angle)]
+    assert len(coupler) == 1
+    q[index(robot, "coupler")] = coupler[0]
+    found = classify(robot, q)
+    assert found.kind[0] == SingularityKind.COMBINED
+    assert found.passive_motion[0]
+    assert np.isfinite(found.lost_direction[0, 0])
+    assert np.isnan(found.uncontrolled_twist[0, 0])
+
+
+def closes(robot, q: Array, coupler: float) -> bool:
+    trial = q.copy()
+    trial[index(robot, "coupler")] = coupler
+    return bool(np.abs(zoo.system_of(robot).evaluate(trial[None]).phi).max() < 1e-9)
+
+
+def test_margins_agree_with_the_lift_and_are_lower_bounds_of_distance(shipped) -> None:
+    motion = zoo.smooth_motion(shipped, seed=3).at(np.linspace(0.0, 1.0, 30))
+    tree = lift(shipped, motion)
+    found = classify_motion(tree)
+    assert (found.kind == SingularityKind.REGULAR).all()
+    np.testing.assert_allclose(
+        found.parallel_margin, margin_of(tree.W, row_scale(shipped), column_scale(shipped)), rtol=1e-9
+    )
+    # the lift's bound is within a factor √p of the serial margin
+    p = shipped.model.nv - shipped.k
+    assert (tree.serial_margin_bound <= found.serial_margin * (1 + 1e-9)).all()
+    assert (tree.serial_margin_bound * np.sqrt(p) >= found.serial_margin * (1 - 1e-9)).all()
+    assert (found.locked_margin > 0.0).all()
+
+
+def test_directions_are_unit_vectors_of_the_scaled_metric(shipped) -> None:
+    found = classify(shipped, zoo.random_closed(shipped, seed=5, count=20))
+    for twist in (found.least_controlled, found.least_producible):
+        np.testing.assert_allclose(np.linalg.norm(twist * row_scale(shipped), axis=1), 1.0, rtol=ROUNDING)
+        scaled = twist * row_scale(shipped)
+        largest = np.take_along_axis(scaled, np.abs(scaled).argmax(axis=1)[:, None], axis=1)
+        assert (largest > -1e-6).all()
+
+
+def test_least_controlled_twist_moves_the_actuators_by_the_margin(shipped) -> None:
+    """|D_a Wᵀ ẋ| of the least controlled unit twist is the margin: what makes it the least controlled."""
+    motion = zoo.smooth_motion(shipped, seed=4).at(np.linspace(0.0, 1.0, 20))
+    tree = lift(shipped, motion)
+    found = classify_motion(tree)
+    rates = np.einsum("nij,ni->nj", tree.W, found.least_controlled) * column_scale(shipped)
+    np.testing.assert_allclose(np.linalg.norm(rates, axis=1), found.parallel_margin, rtol=1e-9)
+
+
+def test_unreachable_samples_are_marked() -> None:
+    robot = zoo.robot_of("3rrr")
+    x = np.array([[0.866, 0.5, 0.0], [5.0, 0.5, 0.0], [0.9, 0.5, 0.0]])
+    tree = lift(robot, PlatformMotion([0.0, 1.0, 2.0], x, 0 * x, 0 * x), mark_unreachable=True)
+    found = classify_motion(tree)
+    assert found.kind.tolist() == [SingularityKind.REGULAR, SingularityKind.UNREACHABLE, SingularityKind.REGULAR]
+    assert np.isnan(found.parallel_margin[1])
+    assert np.isnan(found.least_controlled[1]).all()
+    assert len(found) == 3
+
+
+def test_one_actuator_too_few_is_no_singularity(tmp_path: Path) -> None:
+    robot = load_robot(variant(tmp_path, "actuated: [slide_1, slide_2]", "actuated: [slide_1]"))
+    found = classify(robot, two_rpr_at(np.array([[0.25, 0.3], [0.2, 0.0]])))
+    assert (found.kind == SingularityKind.REGULAR).all()
+    np.testing.assert_allclose(found.parallel_margin, 1.0, rtol=ROUNDING)  # W is the unit vector of leg 1
+    leg = np.array([0.25, 0.3]) / np.hypot(0.25, 0.3)
+    np.testing.assert_allclose(found.least_controlled[0], leg, atol=ROUNDING)
+
+
+def test_one_actuator_too_many_removes_the_singularity(tmp_path: Path) -> None:
+    robot = load_robot(variant(tmp_path, "actuated: [slide_1, slide_2]", "actuated: [slide_1, slide_2, swivel_1]"))
+    found = classify(robot, two_rpr_at(np.array([[0.2, 0.0], [0.0, 0.0]])))
+    # Wᵀ has the rows u1, u2 and n1/d1; on the base line u1 = −u2, and n1 L/d1 alone controls y
+    assert found.kind[0] == SingularityKind.REGULAR
+    assert found.parallel_margin[0] == pytest.approx(min(np.sqrt(2.0), robot.characteristic_length / 0.2))
+    assert found.kind[1] == SingularityKind.TYPE_I  # with the swivel locked nothing is left to move
+
+
+def test_one_freedom_driven_where_its_motor_stands_still(tmp_path: Path) -> None:
+    # crank and coupler in line, 0.1 + 0.35 m: the rocker turns round, and W, its rate over the crank's, is rounding
+    robot = load_robot(variant(tmp_path, "actuated: [crank]", "actuated: [rocker]", name="four_bar"))
+    theta = np.arccos((0.45**2 + 0.4**2 - 0.25**2) / (2.0 * 0.45 * 0.4))
+    psi = np.arctan2(0.45 * np.sin(theta), 0.45 * np.cos(theta) - 0.4)
+    q = np.zeros((1, robot.model.nq))
+    for name, angle in {"crank": theta, "rocker": psi, "coupler": theta + np.pi - psi}.items():
+        q[0, index(robot, name)] = angle
+    found = classify(robot, q)
+    assert found.kind[0] == SingularityKind.TYPE_II
+    assert found.parallel_margin[0] == pytest.approx(0.0, abs=ROUNDING)
+    assert np.isinf(found.condition[0])
+
+
+def variant(folder: Path, old: str, new: str, name: str = "2rpr") -> Path:
+    """Copy a shipped robot with one line of its declaration changed."""
+    target = folder / "variant"
+    shutil.copytree(declaration_path(name).parent, target)
+    declaration = target / "robot.yaml"
+    text = declaration.read_text(encoding="utf-8")
+    assert old in text
+    declaration.write_text(text.replace(old, new), encoding="utf-8")
+    return declaration
+
+
+def test_scaling_makes_the_condition_number_independent_of_the_unit_of_length() -> None:
+    """The 3-RRR in decimetres: the plain condition number changes, the scaled one does not."""
+    names = ("base_radius", "platform_radius", "proximal_length", "distal_length", "tail_length")
+    metres = zoo.robot_of("3rrr")
+    decimetres = zoo.robot_of("3rrr", **{name: 10.0 * float(metres.parameters[name]) for name in names})
+    one, ten = (classify(robot, robot.q_reference) for robot in (metres, decimetres))
+    assert ten.condition[0] == pytest.approx(one.condition[0], rel=1e-9)
+    assert ten.parallel_margin[0] == pytest.approx(one.parallel_margin[0], rel=1e-9)
+    assert ten.condition_unscaled[0] != pytest.approx(one.condition_unscaled[0], rel=0.05)
+
+
+def test_near_singular_is_told_from_singular() -> None:
+    y = 0.5 * NEAR_SINGULAR_MARGIN / np.sqrt(2.0) * 0.25
+    found = classify(zoo.robot_of("2rpr"), two_rpr_at(np.array([[0.25, y], [0.25, 0.25]])))
+    assert found.near_type_ii.tolist() == [True, False]
+    assert not found.type_ii.any()
+
+
+def test_bad_arguments_are_refused() -> None:
+    robot = zoo.robot_of("2rpr")
+    open_chain = np.array(robot.q_reference)
+    open_chain[0] += 0.1
+    with pytest.raises(InputError, match="Configuration 0 is not closed"):
+        classify(robot, open_chain)
+    with pytest.raises(InputError, match="tolerance is 0"):
+        classify(robot, robot.q_reference, tolerance=0.0)
+    with pytest.raises(InputError, match="shape"):
+        classify(robot, np.zeros((2, 3)))
