@@ -23,7 +23,7 @@ import click
 import doc_blocks
 import pytest
 import yaml
-from cli.command_line import call
+from command_line import call
 from doc_blocks import Block, blocks_of
 
 import redundancy_pin as rp

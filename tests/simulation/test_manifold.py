@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import moving
 import numpy as np
 import pinocchio as pin
