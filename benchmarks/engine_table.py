@@ -6,7 +6,7 @@
 Wall times are those of the integration alone: no building of models, no judging. Each number of a speed is the median
 of five runs, all contestants in turn, so that a machine whose pace drifts moves all of them. Every contestant has its
 cheapest setting that reaches the tolerance: an engine the longest step of a ladder, with steps that end at every node
-of the plan or reach across; ``simulate`` the quickest combination of integrator, tolerance, restarts and way.
+of the plan or reach across; ``simulate`` the quickest combination of integrator, tolerance, restarts and method.
 """
 
 import argparse
@@ -179,11 +179,17 @@ def longest_steps(drive, run, tolerance):
 def cheapest(drive, tolerance):
     """Return the setting of ``simulate`` that takes least time to be within the tolerance."""
     found = []
-    for integrator, restart_at, way in itertools.product(
+    for integrator, restart_at, method in itertools.product(
         ("RK45", "DOP853"), ("jumps", "breaks"), ("constraint_dynamics", "projected")
     ):
         for rtol in RTOLS:
-            setting = {"integrator": integrator, "restart_at": restart_at, "way": way, "rtol": rtol, "atol": rtol / 10}
+            setting = {
+                "integrator": integrator,
+                "restart_at": restart_at,
+                "method": method,
+                "rtol": rtol,
+                "atol": rtol / 10,
+            }
             run = run_own(drive.task, dt=SAMPLES, **setting)
             if within(drive, run, tolerance):
                 found.append((run.seconds, len(found), setting))

@@ -82,7 +82,7 @@ def rows():
     return [
         evaluation(robot),
         whole(robot, "projected equations", nothing),
-        whole(robot, "Pinocchio's constraintDynamics", nothing, way="constraint_dynamics"),
+        whole(robot, "Pinocchio's constraintDynamics", nothing, method="constraint_dynamics"),
         whole(robot, "1 kHz controller, one sample of delay", nothing, sampling=Sampling(1e-3, 1e-3)),
         whole(
             robot,

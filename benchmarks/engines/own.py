@@ -14,7 +14,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.simulate import ATOL, RTOL, simulate
 from redundancy_pin.simulation.state import State, tree_state
-from redundancy_pin.simulation.system import Way
+from redundancy_pin.simulation.system import Method
 from redundancy_pin.trajectory.piecewise import PiecewiseChebyshev, Series, fit
 
 RESOLVED = 1e-12
@@ -58,7 +58,7 @@ def run_own(
     atol: float = ATOL,
     integrator: Literal["DOP853", "RK45"] = "DOP853",
     restart_at: Literal["breaks", "jumps"] = "breaks",
-    way: Way = "projected",
+    method: Method = "projected",
     dt: float = 0.01,
 ) -> EngineRun:
     """Integrate a task with ``simulate``; nothing ends it before its time, carriers off their tracks included.
@@ -69,18 +69,18 @@ def run_own(
         atol: absolute tolerance of a step, m, rad, m/s and rad/s.
         integrator: "DOP853" or "RK45".
         restart_at: "breaks" or "jumps", see ``simulate``.
-        way: "projected" or "constraint_dynamics", see ``simulate``.
+        method: "projected" or "constraint_dynamics", see ``simulate``.
         dt: interval between the instants of the result, s.
 
     Returns:
         The motion; ``steps`` are those of the integrator. Where it failed the status is ``STOPPED``.
 
     Raises:
-        UnsupportedRobotError: see ``way``.
+        UnsupportedRobotError: see ``method``.
         InputError: a setting out of its domain.
         IllPosedModelError, SingularPoseError: at the start, forces do not determine the acceleration.
     """
-    options = {"rtol": rtol, "atol": atol, "integrator": integrator, "restart_at": restart_at, "way": way}
+    options = {"rtol": rtol, "atol": atol, "integrator": integrator, "restart_at": restart_at, "method": method}
     found = simulate(task.robot, TaskEfforts(task), stop_at=(), dt=dt, **options)  # type: ignore[arg-type]
     return EngineRun(
         engine="redundancy_pin",

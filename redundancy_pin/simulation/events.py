@@ -1,10 +1,21 @@
-"""What is watched for while a machine moves: ends of tracks and joints, stretched legs, lost control."""
+"""Event detection: ends of tracks and joints, stretched legs, lost control, found where they are within a step.
+
+An event is a zero of a scalar function of the configuration. Each step is looked at on the cubic through its ends, which
+takes no evaluation of the dynamics; where a function changes sign there, its root is found on the integrator's own
+interpolant. A sign that changes twice between two looks does not show; for the stops, which must not be missed, the
+turning points of the joints are looked at too.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+from scipy.integrate import OdeSolver
+from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
@@ -19,6 +30,21 @@ velocity does not determine the joints; actuators that do not hold the platform.
 
 ONE_SIDED = ("track", "joint_limit")
 """Kinds that stand for a stop: only leaving the allowed side counts."""
+
+_ROUNDING = 1e-12
+"""A carrier that starts at the very end of its track may overshoot it by rounding, m."""
+
+_UNLIMITED = 1e6
+"""rad or m; URDF writers put large numbers where there is no limit."""
+
+_LOOKS = (0.25, 0.5, 0.75, 1.0)
+"""Where in a step the functions are looked at."""
+
+_BRIEF = 2e-3
+"""s; in a step shorter than this only the end is looked at, and where joints turn back."""
+
+_TURN = 1e-6
+"""Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it."""
 
 
 @dataclass(frozen=True)
@@ -39,25 +65,26 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Watch:
-    """One scalar function whose sign is watched.
-
-    Attributes:
-        kind, name: see ``Event``.
-        terminal: whether the simulation stops at it.
-    """
+class _Stop:
+    """A finite limit of a joint of one number: its indices in q and v, the side and the bound."""
 
     kind: str
     name: str
-    terminal: bool
+    q: int
+    v: int
+    side: float
+    bound: float
 
 
-class Watcher:
-    """The watched functions of a robot, positive or negative but zero at an event.
+class EventFunctions:
+    """The scalar functions of a robot whose zeros are events; the stops come first.
 
     Args:
         chain: evaluator of the robot.
         stop_at: kinds at which the simulation stops.
+
+    Attributes:
+        kinds, names: see ``Event``, one each.
 
     Raises:
         InputError: an unknown kind.
@@ -67,39 +94,31 @@ class Watcher:
         unknown = [kind for kind in stop_at if kind not in KINDS]
         if unknown:
             raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
-        self.chain = chain
-        self._limits = _limits(chain.robot)
-        self._index = np.array([index for _, _, index, _, _, _ in self._limits], dtype=np.intp)
-        self._rate_index = chain.model.nq + np.array([index for _, _, _, index, _, _ in self._limits], dtype=np.intp)
-        self._side = np.array([side for _, _, _, _, side, _ in self._limits])
-        self._bound = np.array([bound for _, _, _, _, _, bound in self._limits])
         robot = chain.robot
+        self.nq = robot.model.nq
+        stops = _stops(robot)
+        self._position = np.array([stop.q for stop in stops], dtype=np.intp)
+        self._rate = self.nq + np.array([stop.v for stop in stops], dtype=np.intp)
+        self._side = np.array([stop.side for stop in stops])
+        self._bound = np.array([stop.bound for stop in stops])
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
         self._indicator = ModeIndicator(robot)
         self._square = robot.m == robot.n
-        type_one = [f"leg {i + 1}" for i in range(legs)] if legs else ["type_I"]
-        kinds = [(kind, name) for kind, name, *_ in self._limits] + [("type_I", name) for name in type_one]
-        kinds += [("type_II", "type_II")] if self._square else []
-        self.watches = tuple(Watch(kind, name, kind in stop_at) for kind, name in kinds)
-        self._one_sided = np.array([watch.kind in ONE_SIDED for watch in self.watches])
-        self._scale = 1.0 / velocity_scale(robot)[chain.pose_columns]
-        actuated = np.zeros((robot.m, robot.model.nv))
-        actuated[np.arange(robot.m), robot.actuated_velocity] = 1.0
-        self._actuated = actuated[:, chain.pose_columns]
-        self._still = np.zeros(robot.model.nv)
+        labels = [(stop.kind, stop.name) for stop in stops]
+        labels += [("type_I", f"leg {i + 1}") for i in range(legs)] or [("type_I", "type_I")]
+        labels += [("type_II", "type_II")] if self._square else []
+        self.kinds, self.names = (tuple(part) for part in zip(*labels, strict=True))
+        self._terminal = np.array([kind in stop_at for kind in self.kinds])
+        self._one_sided = np.array([kind in ONE_SIDED for kind in self.kinds])
+        self._chain, self._columns = chain, chain.pose_columns
+        self._scale = 1.0 / velocity_scale(robot)[self._columns]
+        self._actuated = np.eye(robot.model.nv)[robot.actuated_velocity][:, self._columns]
 
-    def values(self, q: Array) -> Array:
-        """Return (w,) the watched functions at a configuration (nq,)."""
-        found: Array = self.values_at(q[None])[0]
-        return found
-
-    def values_at(self, q: Array) -> Array:
-        """Return (N, w) the watched functions at (N, nq) configurations, which takes less time than one by one."""
-        chain = self.chain
-        columns = chain.pose_columns
-        closures = chain.jacobians(q).take(columns, 2)
-        parts = [self._side * (self._bound - q.take(self._index, 1))]
+    def __call__(self, q: Array) -> Array:
+        """Return (N, w) the functions at (N, nq) configurations, which takes less time than one by one."""
+        closures = self._chain.jacobians(q).take(self._columns, 2)
+        parts = [self._side * (self._bound - q.take(self._position, 1))]
         if self._by_legs:
             parts.append(self._indicator(q))
         else:
@@ -109,98 +128,201 @@ class Watcher:
         return np.concatenate(parts, axis=1)
 
     def _platform_rows(self, q: Array) -> Array:
-        self.chain.update(q, self._still)
-        return self.chain.platform_jacobian()[:, self.chain.pose_columns]
+        self._chain.update(q, np.zeros(self._chain.model.nv))
+        return self._chain.platform_jacobian()[:, self._columns]
 
     def _determinants(self, closures: Array, rows: Array) -> Array:
         """Return (N, 1) the determinants of closure rows (N, r, p) over p − r further rows, N times or once for all."""
-        count, held, width = closures.shape
+        count, r, width = closures.shape
         stacked = np.empty((count, width, width))
-        stacked[:, :held], stacked[:, held:] = closures, rows
+        stacked[:, :r], stacked[:, r:] = closures, rows
         stacked *= self._scale
-        found: Array = np.linalg.det(stacked)[:, None]
-        return found
+        determinants: Array = np.linalg.det(stacked)[:, None]
+        return determinants
 
     def at_start(self, q: Array) -> Array:
-        """Return ``values`` at the start, rounding taken for zero.
+        """Return (w,) the functions at the start (nq,), rounding taken for zero.
 
         A machine that starts at a stop, as a run that stopped there leaves it, then stops again if it goes on outward,
         whichever way its position was rounded; and one that starts at a singular pose has not come to it.
+
+        Raises:
+            InputError: a stop at which the simulation ends has been passed already.
         """
-        values = self.values(q)
+        values: Array = self(q[None])[0]
+        for i in np.flatnonzero(self._one_sided & self._terminal & (values < -_ROUNDING)):
+            raise InputError(
+                f"The simulation starts {-values[i]:.3g} beyond the limit {self.names[i]!r}.",
+                remedy="Start within the limits, or leave the kind out of stop_at.",
+                event=self.names[i],
+                amount=float(-values[i]),
+            )
         values[np.abs(values) <= _ROUNDING] = 0.0
         return values
 
-    def stops(self, y: Array) -> tuple[Array, Array]:
-        """Return the distances (N, l) that are left to the stops, the first l of ``values``, and their rates.
-
-        Args:
-            y: (N, nq + nv) configurations and velocities.
-        """
-        rates: Array = -self._side * y.take(self._rate_index, 1)
-        return self._side * (self._bound - y.take(self._index, 1)), rates
-
-    def crossed(self, before: Array, after: Array) -> list[int]:
-        """Return the indices of the functions that changed sign, or came to zero, between two points of time.
+    def sign_changes(self, before: Array, after: Array) -> BoolArray:
+        """Return (..., w) which functions changed sign, or came to zero, between two points of time.
 
         A stop is passed where its function turns negative; leaving zero is an event for stops only.
         """
-        return [int(i) for i in np.flatnonzero(self._crossing(before, after))]
-
-    def any_crossed(self, before: Array, after: Array) -> bool:
-        """Return whether ``crossed`` finds any in N pairs of points of time, (N, w) each."""
-        if (before * after > 0.0).all():  # nearly always, and quickly said
-            return False
-        return bool(self._crossing(before, after).any())
-
-    def _crossing(self, before: Array, after: Array) -> BoolArray:
         leaves = (before >= 0.0) & (after < 0.0)
         swaps = ((before > 0.0) & (after <= 0.0)) | ((before < 0.0) & (after >= 0.0))
         return np.where(self._one_sided, leaves, swaps)
 
-    def require_allowed(self, q: Array) -> None:
-        """Check that no stop at which the simulation ends has been passed at its start.
+    def approach(self, y: Array) -> Array:
+        """Return (N, l) the rates at which joints move away from their stops, for states y (N, nq + nv)."""
+        rates: Array = -self._side * y.take(self._rate, 1)
+        return rates
 
-        Raises:
-            InputError: a carrier off its track, or a joint beyond its limit.
+    def turns(self, y: Array, length: Array) -> BoolArray:
+        """Return (N, l) which joints turn back, near enough to a stop to pass it, in which of N parts of a step.
+
+        Args:
+            y: (N + 1, nq + nv) states at the start of the step and at the ends of the parts.
+            length: (N,) of the parts, s.
         """
-        values = self.values(q)
-        for watch, value in zip(self.watches, values, strict=True):
-            if watch.kind in ONE_SIDED and watch.terminal and value < -_ROUNDING:
-                raise InputError(
-                    f"The simulation starts {-value:.3g} beyond the limit {watch.name!r}.",
-                    remedy="Start within the limits, or leave the kind out of stop_at.",
-                    event=watch.name,
-                    amount=float(-value),
-                )
+        away, rate = self._side * (self._bound - y.take(self._position, 1)), self.approach(y)
+        reach = length[:, None] * np.maximum(np.abs(rate[:-1]), np.abs(rate[1:]))
+        turning: BoolArray = (rate[:-1] < 0.0) & (rate[1:] > 0.0) & (np.minimum(away[:-1], away[1:]) < reach)
+        return turning
+
+    def event(self, index: int, t: float) -> Event:
+        """Return the event of one of the functions."""
+        return Event(self.kinds[index], self.names[index], t, bool(self._terminal[index]))
 
 
-_ROUNDING = 1e-12
-"""A carrier that starts at the very end of its track may overshoot it by rounding, m."""
-
-
-def _limits(robot: Robot) -> list[tuple[str, str, int, int, float, float]]:
-    """Return kind, name, indices in q and v, side and bound of every finite limit of a joint of one number."""
-    found = []
+def _stops(robot: Robot) -> list[_Stop]:
     tracks = {
         int(position): (name, limits.lower, limits.upper)
         for position, name, limits in zip(robot.carrier_position, robot.carriers, robot.carrier_limits, strict=True)
     }
     model = robot.model
-    for j in range(1, model.njoints):
-        joint = model.joints[j]
+    stops = []
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
         if joint.nq != 1:
             continue
         i = int(joint.idx_q)
-        lower, upper = float(model.lowerPositionLimit[i]), float(model.upperPositionLimit[i])
-        kind, name = "joint_limit", str(model.names[j])
+        kind, lower, upper = "joint_limit", float(model.lowerPositionLimit[i]), float(model.upperPositionLimit[i])
         if i in tracks:
             kind, (name, lower, upper) = "track", tracks[i]
         for side, bound, which in ((-1.0, lower, "lower"), (1.0, upper, "upper")):
-            if np.isfinite(bound) and abs(bound) < _UNLIMITED:
-                found.append((kind, f"{name} {which}", i, int(joint.idx_v), side, bound))
-    return found
+            if abs(bound) < _UNLIMITED:
+                stops.append(_Stop(kind, f"{name} {which}", i, int(joint.idx_v), side, bound))
+    return stops
 
 
-_UNLIMITED = 1e6
-"""rad or m; URDF writers put large numbers where there is no limit."""
+def cubic_weights(fractions: Sequence[float]) -> Array:
+    """Return (N, 4) weights of y, h ẏ at the start and h ẏ, y at the end of a step of length h in Hermite's cubic."""
+    x = np.array(fractions)
+    late = x * x * (3.0 - 2.0 * x)
+    return np.stack([1.0 - late, x * (1.0 - x) ** 2, -x * x * (1.0 - x), late], axis=1)
+
+
+_WEIGHTS = cubic_weights((0.0, *_LOOKS))
+_WEIGHTS_OF_ENDS = cubic_weights((0.0, 1.0))
+
+
+class Step:
+    """An accepted step of an integrator, as a function of time; good until the integrator is changed or goes on.
+
+    Args:
+        solver: the integrator, after the step.
+        before: y and ẏ at the start of the step.
+    """
+
+    def __init__(self, solver: OdeSolver, before: tuple[Array, Array]) -> None:
+        self.start, self.end = float(solver.t_old), float(solver.t)
+        self._solver, self._before = solver, before
+        self._after: tuple[Array, Array] = (solver.y, solver.f)
+
+    @cached_property
+    def _dense(self) -> Callable[[float], Array]:
+        # three more evaluations: made only where something needs it
+        interpolant: Callable[[float], Array] = self._solver.dense_output()
+        return interpolant
+
+    def __call__(self, t: float) -> Array:
+        """Return y at a time in the step, to the accuracy of the integrator."""
+        if t <= self.start:
+            return self._before[0]
+        return self._after[0] if t >= self.end else self._dense(t)
+
+    def time(self, fraction: float) -> float:
+        """Return the time at a fraction of the step, s."""
+        return self.end if fraction == 1.0 else self.start + fraction * (self.end - self.start)
+
+    def at(self, fraction: float) -> Array:
+        """Return y at a fraction of the step, to the accuracy of the integrator."""
+        return self(self.time(fraction))
+
+    def estimates(self, weights: Array) -> Array:
+        """Return (N, nq + nv) y at fractions of the step on the cubic through y and ẏ at both ends.
+
+        Args:
+            weights: (N, 4) ``cubic_weights`` of the fractions.
+        """
+        (y0, f0), (y1, f1) = self._before, self._after
+        h = self.end - self.start
+        states: Array = weights.dot(np.array([y0, h * f0, h * f1, y1]))
+        return states
+
+
+def find_events(functions: EventFunctions, before: Array, step: Step) -> tuple[list[Event], Array]:
+    """Return the events in a step in order of time, up to the first terminal one, and the functions (w,) at its end.
+
+    Args:
+        functions: whose zeros are events.
+        before: (w,) their values at the start of the step.
+        step: the step.
+    """
+    looks, weights = (_LOOKS, _WEIGHTS) if step.end - step.start > _BRIEF else (_LOOKS[-1:], _WEIGHTS_OF_ENDS)
+    states = step.estimates(weights)
+    after = functions(states[1:, : functions.nq])
+    previous = np.concatenate([before[None], after[:-1]])
+    same_signs = bool((previous * after > 0.0).all())  # nearly always, and quickly seen
+    if (same_signs or not functions.sign_changes(previous, after).any()) and not _turns(
+        functions, step, states, looks
+    ).any():
+        return [], after[-1]
+    return _find_exactly(functions, before, step, looks)
+
+
+def _turns(functions: EventFunctions, step: Step, states: Array, looks: Sequence[float]) -> BoolArray:
+    return functions.turns(states, np.diff(looks, prepend=0.0) * (step.end - step.start))
+
+
+def _find_exactly(
+    functions: EventFunctions, before: Array, step: Step, looks: Sequence[float]
+) -> tuple[list[Event], Array]:
+    """Find events on the integrator's own interpolant, which costs more."""
+    ends = [0.0, *looks]
+    turning = _turns(functions, step, np.array([step.at(x) for x in ends]), looks)
+    turns = [
+        brentq(lambda x, i=i: functions.approach(step.at(x)[None])[0, i], ends[part], ends[part + 1], xtol=_TURN)
+        for part, i in np.argwhere(turning)
+    ]
+    ends = sorted([*ends, *turns])
+    after = functions(np.array([step.at(x) for x in ends[1:]])[:, : functions.nq])
+    values = np.concatenate([before[None], after])
+    events = [
+        functions.event(i, _root(functions, step, i, ends[part], ends[part + 1]))
+        for part, (earlier, later) in enumerate(pairwise(values))
+        for i in np.flatnonzero(functions.sign_changes(earlier, later)).tolist()
+    ]
+    events.sort(key=lambda event: event.t)
+    last = next((i for i, event in enumerate(events) if event.terminal), len(events))
+    return events[: last + 1], after[-1]
+
+
+def _root(functions: EventFunctions, step: Step, index: int, left: float, right: float) -> float:
+    """Return the time at which a function changes sign between two fractions of a step."""
+
+    def value(fraction: float) -> float:
+        return float(functions(step.at(fraction)[None, : functions.nq])[0, index])
+
+    at_left, at_right = value(left), value(right)
+    if at_left * at_right < 0.0:
+        fraction = float(brentq(value, left, right, xtol=1e-14, rtol=1e-14))
+    else:  # zero to rounding at one end: it starts or ends there
+        fraction = left if abs(at_left) <= abs(at_right) else right
+    return step.time(fraction)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Literal
 
@@ -17,101 +18,24 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import (
+    Amplifiers,
     CarrierDrive,
     CarrierLaw,
     Constant,
     Controller,
-    Drive,
+    EffortLaw,
     FeedForward,
     Sampling,
+    as_controller,
     limit,
+    positive,
 )
-from redundancy_pin.simulation.events import Watcher
-from redundancy_pin.simulation.integrator import INTEGRATORS, Outcome, Run, Settings
+from redundancy_pin.simulation.events import EventFunctions
+from redundancy_pin.simulation.integrator import INTEGRATORS, Outcome, Problem, Settings, integrate
 from redundancy_pin.simulation.reference import plan_reference
 from redundancy_pin.simulation.result import Simulation, SimulationStatus
-from redundancy_pin.simulation.state import State, closed_state
-from redundancy_pin.simulation.system import External, Machine, Way
-
-
-def collect(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -> Simulation:
-    """Evaluate forces, accelerations and energies at the samples and put everything together.
-
-    Args:
-        machine: what was integrated.
-        outcome: what the run left.
-        parameters: how it was run, in plain data.
-
-    Raises:
-        InputError: the controller returns something else than finite efforts at a sample.
-    """
-    robot, record = machine.robot, outcome.record
-    model, data = robot.model, machine.chain.data
-    count = len(record.t)
-    q, v = (np.array(part) for part in zip(*((y[: model.nq], y[model.nq :]) for y in record.y), strict=True))
-    a, energy = np.full((count, model.nv), np.nan), np.empty(count)
-    tau, carrier_force = np.full((count, robot.m), np.nan), np.full((count, robot.k), np.nan)
-    closure_force = np.full((count, machine.chain.rows), np.nan)
-    for i, (t, y, held) in enumerate(zip(record.t, record.y, record.held, strict=True)):
-        machine.held = held
-        energy[i] = pin.computeKineticEnergy(model, data, q[i], v[i]) + pin.computePotentialEnergy(model, data, q[i])
-        try:
-            (tau[i], _), loads = machine.loads(machine.state(t, y))
-        except (IllPosedModelError, SingularPoseError):
-            continue  # a failed simulation ends there: the efforts have no accelerations
-        except InputError:
-            if outcome.status is not SimulationStatus.FAILED:
-                raise
-            continue  # what blows up may leave a controller without an answer
-        a[i], closure_force[i], carrier_force[i] = loads.a, loads.closure_force, loads.carrier_force
-    system = ConstraintSystem(robot)
-    evaluated = system.evaluate(q)
-    columns = robot.carrier_velocity
-    xd = np.einsum("nij,nj->ni", evaluated.Jx, v)
-    return Simulation(
-        t=frozen(record.t),
-        q=read_only(q),
-        v=read_only(v),
-        a=read_only(a),
-        x=read_only(_running_on(robot, frozen(record.t), coordinates(robot, evaluated), xd)),
-        xd=read_only(xd),
-        s=frozen(q[:, robot.carrier_position]),
-        sd=frozen(v[:, columns]),
-        sdd=frozen(a[:, columns]),
-        tau=read_only(tau),
-        carrier_force=read_only(carrier_force),
-        actuated_rate=frozen(v[:, robot.actuated_velocity]),
-        closure_force=read_only(closure_force),
-        gap=frozen(np.abs(evaluated.phi).max(axis=1, initial=0.0)),
-        energy=read_only(energy),
-        events=outcome.events,
-        status=outcome.status,
-        reason=outcome.reason,
-        statistics=outcome.statistics,
-        robot=robot_record(robot),
-        parameters=parameters,
-    )
-
-
-def _running_on(robot: Robot, t: Array, x: Array, xd: Array) -> Array:
-    """Let angles of the platform and of continuous joints run on past π.
-
-    Turns are counted by how far the rates carry the angles from sample to sample: those may be many turns apart.
-    """
-    if x.ndim == 3:
-        return x
-    if robot.platform is not None:
-        turning = [axis.startswith("r") for axis in robot.platform.axes]
-    else:
-        model = robot.model
-        turning = [model.joints[model.getJointId(name)].nq == 2 for name in robot.independent_joints]
-    x = x.copy()
-    carried = np.zeros_like(x)
-    carried[1:] = np.cumsum(0.5 * (xd[1:] + xd[:-1]) * np.diff(t)[:, None], axis=0)
-    turns = np.round((carried + np.unwrap(x - carried, axis=0) - x) / (2.0 * np.pi))
-    x[:, turning] += 2.0 * np.pi * turns[:, turning]
-    return x
-
+from redundancy_pin.simulation.state import State
+from redundancy_pin.simulation.system import External, Machine, Method
 
 RTOL = 1e-11
 """Default relative tolerance of a step. Energy then drifts by some 1e-10 of itself in ten seconds."""
@@ -128,7 +52,7 @@ START_GAP = 1e-6
 
 def simulate(
     robot: Robot,
-    drive: Plan | Controller | None = None,
+    drive: Plan | Controller | EffortLaw | None = None,
     *,
     start: State | None = None,
     duration: float | None = None,
@@ -145,7 +69,8 @@ def simulate(
     max_steps: int = 200_000,
     integrator: Literal["DOP853", "RK45"] = "DOP853",
     restart_at: Literal["breaks", "jumps"] = "breaks",
-    way: Way = "projected",
+    method: Method = "projected",
+    way: Method | None = None,
 ) -> Simulation:
     """Simulate a closed-chain robot under given efforts.
 
@@ -155,8 +80,8 @@ def simulate(
 
     Args:
         robot: the robot; it may differ from the one that a plan was made for or a controller knows.
-        drive: a plan, whose efforts are fed forward (``FeedForward``); a controller (``control.Controller``); or
-            nothing: no efforts.
+        drive: a plan, whose efforts are fed forward (``FeedForward``); a ``Controller``, or any object with its
+            ``effort``; or nothing: no efforts.
         start: state to start from, closed to within 1e-6 m; that of the plan or controller, else the reference
             configuration at rest, when left out.
         duration: s; to the end of the plan or controller when left out.
@@ -176,7 +101,8 @@ def simulate(
         restart_at: where integration starts anew: at all breaks of the controller, where its efforts jump or kink, so
             that the integrator keeps its order; or at the jumps only, so that steps may be longer than those of a plan,
             which pays where tolerances are loose. At tight ones the step control grinds at the kinks.
-        way: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
+        method: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
+        way: the name of ``method`` in version 0.1.0; deprecated.
 
     Returns:
         A ``Simulation``. What goes wrong on the way is said by its status: an event at which it stopped, or a failure
@@ -184,14 +110,17 @@ def simulate(
 
     Raises:
         InputError: a setting out of its domain, a start that is not closed or beyond a stop, a controller that returns
-            something else than finite efforts at any time or was made for another sampling or way to drive carriers, no
+            something else than finite efforts at any time or was made for another sampling or drive of the carriers, no
             duration.
         IllPosedModelError: at the start, forces do not determine the acceleration: a free motion has no inertia.
         SingularPoseError: at the start, the closures have lost rank.
-        UnsupportedRobotError: see ``way`` and ``FeedForward``.
+        UnsupportedRobotError: see ``method`` and ``FeedForward``.
     """
     if not isinstance(robot, Robot):
         raise InputError(f"simulate was given {type(robot).__name__} for the robot.", remedy="Pass load_robot(...).")
+    if way is not None:
+        warnings.warn("simulate(way=...) is now simulate(method=...).", DeprecationWarning, stacklevel=2)
+        method = way
     controller = _controller(robot, drive)
     _require_same_sampling(controller, sampling)
     settings = _settings(rtol, atol, max_step, max_steps, integrator)
@@ -204,18 +133,19 @@ def simulate(
             remedy='Leave it out, or pass carriers="force".',
         )
     limits = limit(effort_limit, robot.m, "effort_limit"), limit(carrier_force_limit, robot.k, "carrier_force_limit")
-    machine = Machine(robot, Drive(robot, controller, *limits), law, external, way)
-    watcher = Watcher(machine.chain, tuple(stop_at))
+    machine = Machine(robot, Amplifiers(controller, *limits), law, external, method)
+    functions = EventFunctions(machine.chain, tuple(stop_at))
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     _require_closed(machine, first)
-    watcher.require_allowed(first.q)
-    command = machine.held = machine.asked(first)
+    y, _, _ = machine.project(first.t, np.concatenate([first.q, first.v]))
+    values = functions.at_start(y[: robot.model.nq])
+    command = machine.command(first)
+    # an ill-posed start is an error, a pose that becomes ill-posed on the way a failure with samples before it
     machine.dynamics.adapt(first.q)
-    machine.loads(first)
-    machine.held = None
-    outcome = Run(machine, watcher, settings, grid, breaks, sampling, command)(np.concatenate([first.q, first.v]))
+    machine.loads(first, command)
+    outcome = integrate(Problem(machine, functions, settings, grid, breaks, sampling), y, values, command)
     parameters = {
-        "drive": drive.planner if isinstance(drive, Plan) else type(controller).__name__,
+        "drive": drive.planner if isinstance(drive, Plan) else controller.class_name(),
         "carriers": carriers,
         "sampling": None if sampling is None else (sampling.period, sampling.delay),
         "effort_limit": limits[0].tolist(),
@@ -227,41 +157,35 @@ def simulate(
         "max_step": max_step,
         "integrator": integrator,
         "restart_at": restart_at,
-        "way": way,
+        "method": method,
         "dt": dt,
     }
-    return collect(machine, outcome, parameters)
+    return _simulation(machine, outcome, parameters)
 
 
-def _controller(robot: Robot, drive: Plan | Controller | None) -> Controller:
+def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None) -> Controller:
     if drive is None:
         return Constant(np.zeros(robot.m), np.zeros(robot.k))
     if isinstance(drive, Plan):
         own = robot if robot_record(robot) == drive.robot else None
         return FeedForward(plan_reference(drive, robot=own))
-    if not callable(getattr(drive, "effort", None)):
-        raise InputError(
-            f"simulate was given {type(drive).__name__} for the drive.",
-            remedy="Pass a plan, or a controller with effort(t, state) -> (tau, carrier_force).",
-        )
-    return drive
+    return as_controller(drive)
 
 
 def _require_same_sampling(controller: Controller, sampling: Sampling | None) -> None:
-    made_for = getattr(controller, "sampling", None)
+    made_for = controller.sampling
     if isinstance(made_for, Sampling) and made_for != sampling:
         raise InputError(
-            f"{type(controller).__name__} was made for {made_for}, and the simulation has {sampling}.",
+            f"{controller.class_name()} was made for {made_for}, and the simulation has {sampling}.",
             remedy=f"Pass sampling={made_for} to simulate, or make the controller for what it has.",
         )
 
 
 def _settings(rtol: float, atol: float, max_step: float, max_steps: int, integrator: str) -> Settings:
-    for name, value, least in (("rtol", rtol, LEAST_RTOL), ("atol", atol, 0.0), ("max_step", max_step, 0.0)):
-        if not value >= least or value == 0.0:
-            raise InputError(
-                f"{name} is {value}.", remedy=f"Pass a positive number{f', at least {least}' if least else ''}."
-            )
+    positive("rtol", rtol, LEAST_RTOL)
+    positive("atol", atol)
+    if not max_step > 0.0:
+        raise InputError(f"max_step is {max_step}.", remedy="Pass a positive number.")
     if integrator not in INTEGRATORS:
         raise InputError(f"integrator is {integrator!r}.", remedy=f"Pass one of {', '.join(INTEGRATORS)}.")
     if max_steps < 1:
@@ -278,8 +202,7 @@ def _start(robot: Robot, controller: Controller, start: State | None) -> State:
                 remedy="Make it with closed_state(robot, ...).",
             )
         return start
-    own = getattr(controller, "start_state", None)
-    return own(robot) if own is not None else closed_state(robot)
+    return controller.start_state(robot)
 
 
 def _times(
@@ -288,24 +211,17 @@ def _times(
     """Return the times to record and the times at which the integration starts anew."""
     if restart_at not in ("breaks", "jumps"):
         raise InputError(f"restart_at is {restart_at!r}.", remedy='Pass "breaks" or "jumps".')
-    end = getattr(controller, "end", None)
-    if duration is None and end is None:
+    if duration is None and controller.end is None:
         raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
-    last = float(end) if duration is None and end is not None else start + float(duration or 0.0)
+    last = float(controller.end) if duration is None and controller.end is not None else start + float(duration or 0.0)
     if not (np.isfinite(last) and last > start):
         raise InputError(
             f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."
         )
-    if not (np.isfinite(dt) and dt > 0.0):
-        raise InputError(f"dt is {dt} s.", remedy="Pass a positive number.")
-    steps = int(np.ceil((last - start) / dt - 1e-9))
-    given = getattr(controller, "breaks", ())
-    if restart_at == "jumps":
-        given = getattr(controller, "jumps", given)
+    steps = int(np.ceil((last - start) / positive("dt", dt) - 1e-9))
+    given = controller.breaks if restart_at == "breaks" or controller.jumps is None else controller.jumps
     breaks = np.unique(np.asarray(given, dtype=float))
-    breaks = breaks[(breaks > start) & (breaks < last)]
-    grid = start + dt * np.arange(steps)
-    return np.append(grid, last), breaks
+    return np.append(start + dt * np.arange(steps), last), breaks[(breaks > start) & (breaks < last)]
 
 
 def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> CarrierLaw | None:
@@ -313,22 +229,14 @@ def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> Carrier
         raise InputError(f"carriers is {carriers!r}.", remedy='Pass "force" or "motion".')
     if robot.k == 0:
         return None
-    made_for = getattr(controller, "carrier_drive", None)
+    made_for = controller.carrier_drive
     if made_for in ("force", "motion") and made_for != carriers:
         raise InputError(
-            f"{type(controller).__name__} drives carriers by {made_for}, and this simulation does by {carriers}: "
+            f"{controller.class_name()} drives carriers by {made_for}, and this simulation does by {carriers}: "
             "its hold on them would be lost.",
             remedy=f'Pass carriers="{made_for}", or feed the efforts of the plan forward with FeedForward.',
         )
-    if carriers == "force":
-        return None
-    law: CarrierLaw | None = getattr(controller, "carrier_motion", None)
-    if law is None:
-        raise InputError(
-            f"{type(controller).__name__} does not say how the carriers move.",
-            remedy="Give it carrier_motion(t) -> (s, sd, sdd), or drive the carriers by force.",
-        )
-    return law
+    return None if carriers == "force" else controller.carrier_motion
 
 
 def _require_closed(machine: Machine, state: State) -> None:
@@ -343,3 +251,77 @@ def _require_closed(machine: Machine, state: State) -> None:
             gap=gap,
             rate=rate,
         )
+
+
+def _simulation(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -> Simulation:
+    """Evaluate forces, accelerations and energies at the samples and put everything together.
+
+    Raises:
+        InputError: the controller returns something else than finite efforts at a sample.
+    """
+    robot, model, data, samples = machine.robot, machine.robot.model, machine.chain.data, outcome.samples
+    count, t = len(samples), frozen([sample.t for sample in samples])
+    q, v = (np.array([sample.y[part] for sample in samples]) for part in np.s_[: model.nq, model.nq :])
+    a, energy = np.full((count, model.nv), np.nan), np.empty(count)
+    tau, carrier_force = np.full((count, robot.m), np.nan), np.full((count, robot.k), np.nan)
+    closure_force = np.full((count, machine.chain.rows), np.nan)
+    for i, sample in enumerate(samples):
+        energy[i] = pin.computeKineticEnergy(model, data, q[i], v[i]) + pin.computePotentialEnergy(model, data, q[i])
+        state = machine.state(sample.t, sample.y)
+        try:
+            command = machine.command(state) if sample.hold is None else sample.hold
+            tau[i] = command[0]
+            loads = machine.loads(state, command)
+        except (IllPosedModelError, SingularPoseError):
+            continue  # a failed simulation ends there: the efforts have no accelerations
+        except InputError:
+            if outcome.status is not SimulationStatus.FAILED:
+                raise
+            continue  # what blows up may leave a controller without an answer
+        a[i], closure_force[i], carrier_force[i] = loads.a, loads.closure_force, loads.carrier_force
+    evaluated = ConstraintSystem(robot).evaluate(q)
+    columns = robot.carrier_velocity
+    xd = np.einsum("nij,nj->ni", evaluated.Jx, v)
+    return Simulation(
+        t=t,
+        q=read_only(q),
+        v=read_only(v),
+        a=read_only(a),
+        x=read_only(_unwrapped(robot, t, coordinates(robot, evaluated), xd)),
+        xd=read_only(xd),
+        s=frozen(q[:, robot.carrier_position]),
+        sd=frozen(v[:, columns]),
+        sdd=frozen(a[:, columns]),
+        tau=read_only(tau),
+        carrier_force=read_only(carrier_force),
+        actuated_rate=frozen(v[:, robot.actuated_velocity]),
+        closure_force=read_only(closure_force),
+        gap=frozen(np.abs(evaluated.phi).max(axis=1, initial=0.0)),
+        energy=read_only(energy),
+        events=outcome.events,
+        status=outcome.status,
+        reason=outcome.reason,
+        statistics=outcome.statistics,
+        robot=robot_record(robot),
+        parameters=parameters,
+    )
+
+
+def _unwrapped(robot: Robot, t: Array, x: Array, xd: Array) -> Array:
+    """Let angles of the platform and of continuous joints run on past π.
+
+    Turns are counted by how far the rates carry the angles from sample to sample: those may be many turns apart.
+    """
+    if x.ndim == 3:
+        return x
+    if robot.platform is not None:
+        turning = [axis.startswith("r") for axis in robot.platform.axes]
+    else:
+        model = robot.model
+        turning = [model.joints[model.getJointId(name)].nq == 2 for name in robot.independent_joints]
+    x = x.copy()
+    carried = np.zeros_like(x)
+    carried[1:] = np.cumsum(0.5 * (xd[1:] + xd[:-1]) * np.diff(t)[:, None], axis=0)
+    turns = np.round((carried + np.unwrap(x - carried, axis=0) - x) / (2.0 * np.pi))
+    x[:, turning] += 2.0 * np.pi * turns[:, turning]
+    return x

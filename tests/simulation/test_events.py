@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.simulation.controllers.base import Constant
-from redundancy_pin.simulation.events import Event, Watcher
+from redundancy_pin.simulation.events import Event, EventFunctions
 from redundancy_pin.simulation.result import Simulation, SimulationStatus
 from redundancy_pin.simulation.state import State, closed_state
 
@@ -139,13 +139,14 @@ def test_a_start_at_an_end_stops_whichever_way_it_was_rounded(beyond: float) -> 
 
 def test_a_function_that_comes_to_zero_exactly_is_seen_once_from_either_side() -> None:
     robot = moving.massive("2rpr")
-    watcher = Watcher(closed_state(robot).chain, ())
-    i = [watch.kind for watch in watcher.watches].index("type_II")
+    functions = EventFunctions(closed_state(robot).chain, ())
+    i = functions.kinds.index("type_II")
     for sign in (1.0, -1.0):
-        values = np.ones((4, len(watcher.watches)))
+        values = np.ones((4, len(functions.kinds)))
         values[:, i] = sign * np.array([1.0, 0.0, -1.0, -2.0])
-        seen = [i in watcher.crossed(before, after) for before, after in itertools.pairwise(values)]
-        assert seen == [True, False, False]
+        seen = [functions.sign_changes(before, after) for before, after in itertools.pairwise(values)]
+        assert np.flatnonzero(np.any(seen, axis=0)).tolist() == [i]
+        assert [changes[i] for changes in seen] == [True, False, False]
 
 
 def test_a_start_at_a_type_two_pose_is_no_event_whichever_way_it_leaves() -> None:

@@ -14,7 +14,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import IllPosedModelError, InputError, UnsupportedRobotError
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.controllers.base import Constant, Sampling
+from redundancy_pin.simulation.controllers.base import Constant, Controller, Sampling
 from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 
@@ -101,12 +101,12 @@ def test_resampled_platform_motion_is_that_of_a_finer_run() -> None:
         coarse.at([0.6])
 
 
-def test_both_ways_and_both_integrators_give_the_same_motion() -> None:
+def test_both_methods_and_both_integrators_give_the_same_motion() -> None:
     robot = moving.massive("3rrr")
     start = closed_state(robot, xd=[0.2, -0.3, 0.4], sd=0.2)
     runs = [
         rp.simulate(robot, Spring(home(robot)), start=start, duration=0.5, **options)
-        for options in ({}, {"way": "constraint_dynamics"}, {"integrator": "RK45", "rtol": 1e-12})
+        for options in ({}, {"method": "constraint_dynamics"}, {"integrator": "RK45", "rtol": 1e-12})
     ]
     for other in runs[1:]:
         np.testing.assert_allclose(other.q, runs[0].q, atol=SAME)
@@ -238,7 +238,7 @@ REFUSED = {
     "integrator": ({"duration": 1.0, "integrator": "Euler"}, "DOP853, RK45"),
     "max_steps": ({"duration": 1.0, "max_steps": 0}, "max_steps is 0"),
     "max_step": ({"duration": 1.0, "max_step": np.nan}, "max_step is nan"),
-    "way": ({"duration": 1.0, "way": "sideways"}, "constraint_dynamics"),
+    "method": ({"duration": 1.0, "method": "sideways"}, "constraint_dynamics"),
     "carriers": ({"duration": 1.0, "carriers": "glued"}, '"force" or "motion"'),
     "no law": ({"duration": 1.0, "carriers": "motion"}, "carrier_motion"),
     "stop_at": ({"duration": 1.0, "stop_at": ["lunch"]}, "joint_limit"),
@@ -275,14 +275,46 @@ def test_bad_starts_are_refused_by_name() -> None:
     assert rp.simulate(robot, start=closed_state(robot, s=[0.0, 1.5, 0.0]), duration=0.01, stop_at=()).s[0, 1] == 1.5
 
 
-def test_what_a_way_cannot_do_is_refused() -> None:
+def test_what_a_method_cannot_do_is_refused() -> None:
     robot = zoo.robot_of("3rrr")
-    drive = Constant(np.zeros(3), np.zeros(3))
-    object.__setattr__(drive, "carrier_motion", lambda t: (np.zeros(3),) * 3)
+
+    class Parked(Controller):
+        def effort(self, t: float, state: State) -> tuple[Array, Array]:
+            return np.zeros(3), np.zeros(3)
+
+        def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
+            return np.zeros(3), np.zeros(3), np.zeros(3)
+
     with pytest.raises(InputError, match="cannot drive carriers by motion"):
-        rp.simulate(robot, drive, duration=1.0, carriers="motion", way="constraint_dynamics")
+        rp.simulate(robot, Parked(), duration=1.0, carriers="motion", method="constraint_dynamics")
     with pytest.raises(UnsupportedRobotError, match="cannot take closure"):
-        rp.simulate(chain_of("hinge"), duration=1.0, way="constraint_dynamics")
+        rp.simulate(chain_of("hinge"), duration=1.0, method="constraint_dynamics")
+
+
+def test_the_name_of_the_method_in_version_0_1_0_is_taken_with_a_warning() -> None:
+    robot = moving.massive("3rrr")
+    start = closed_state(robot, xd=[0.2, -0.3, 0.4])
+    with pytest.warns(DeprecationWarning, match="method"):
+        old = rp.simulate(robot, start=start, duration=0.05, way="constraint_dynamics")
+    new = rp.simulate(robot, start=start, duration=0.05, method="constraint_dynamics")
+    np.testing.assert_array_equal(old.q, new.q)
+
+
+def test_an_object_with_the_attributes_of_a_controller_is_one() -> None:
+    robot = moving.massive("3rrr")
+
+    def jolt(self: object, t: float, state: State) -> tuple[Array, Array]:
+        return np.full(3, 0.2 if t < 0.02 else -0.1), np.zeros(3)
+
+    def pushed(self: object, machine: Robot) -> State:
+        return closed_state(machine, xd=[0.2, -0.3, 0.4])
+
+    members = {"effort": jolt, "start_state": pushed, "breaks": [0.02], "end": 0.05}
+    runs = [rp.simulate(robot, type("Jolt", bases, members)()) for bases in ((), (Controller,))]
+    np.testing.assert_array_equal(runs[0].v, runs[1].v)
+    assert [run.parameters["drive"] for run in runs] == ["Jolt", "Jolt"]
+    assert [run.statistics.restarts for run in runs] == [2, 2]
+    assert runs[0].t[-1] == 0.05
 
 
 def test_an_ill_posed_start_is_an_error_and_an_ill_posed_pose_on_the_way_a_failure() -> None:
@@ -351,7 +383,7 @@ def test_efforts_are_checked_whenever_they_are_asked_for(answer: object, samplin
         rp.simulate(
             robot, From(0.07, answer), duration=0.2, sampling=sampling, effort_limit=5.0, carrier_force_limit=5.0
         )
-    assert caught.value.details["t"] == pytest.approx(0.07, abs=1e-9)
+    assert caught.value.details["time"] == pytest.approx(0.07, abs=1e-9)
 
 
 def test_a_controller_without_an_answer_to_a_trial_step_alone_does_no_harm() -> None:

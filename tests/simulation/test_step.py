@@ -8,10 +8,10 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.integrate import DOP853
 
-from redundancy_pin.simulation.integrator import Step, cubic
+from redundancy_pin.simulation.events import Step, cubic_weights
 
 
-def test_guesses_are_exact_for_a_cubic_and_meet_both_ends() -> None:
+def test_estimates_are_exact_for_a_cubic_and_meet_both_ends() -> None:
     courses = [Polynomial([0.3, -1.0, 4.0, -7.0]), Polynomial([0.0, 2.0, 0.0, 5.0])]
 
     def at(t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -21,14 +21,14 @@ def test_guesses_are_exact_for_a_cubic_and_meet_both_ends() -> None:
     (y, f), fractions = at(end), (0.0, 0.2, 0.75, 1.0)
     step = Step(SimpleNamespace(t_old=start, t=end, y=y, f=f), at(start))
     expected = [at(start + x * (end - start))[0] for x in fractions]
-    np.testing.assert_allclose(step.guesses(cubic(fractions)), expected, atol=1e-14)
-    np.testing.assert_array_equal(step.guesses(cubic((0.0, 1.0))), [at(start)[0], y])
+    np.testing.assert_allclose(step.estimates(cubic_weights(fractions)), expected, atol=1e-14)
+    np.testing.assert_array_equal(step.estimates(cubic_weights((0.0, 1.0))), [at(start)[0], y])
 
 
-def test_exactly_is_the_interpolant_of_the_integrator() -> None:
+def test_at_is_the_interpolant_of_the_integrator() -> None:
     solver = DOP853(lambda t, y: -y, 0.0, np.ones(1), 1.0, rtol=1e-11, atol=1e-12)
     before = solver.y, solver.f
     solver.step()
     step = Step(solver, before)
     for fraction in (0.0, 0.3, 1.0):
-        np.testing.assert_allclose(step.exactly(fraction), np.exp(-step.time(fraction)), atol=1e-12)
+        np.testing.assert_allclose(step.at(fraction), np.exp(-step.time(fraction)), atol=1e-12)

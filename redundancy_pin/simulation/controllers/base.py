@@ -1,21 +1,22 @@
-"""What drives a machine: the protocol of controllers, and how a digital controller is sampled."""
+"""What drives a machine: the base class of controllers, how a digital one is sampled, and the amplifiers behind it."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, frozen
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.reference import MotionReference, plan_reference
-from redundancy_pin.simulation.state import State, tree_state
+from redundancy_pin.simulation.state import State, closed_state, tree_state
 from redundancy_pin.trajectory.continuous import TimedTrajectory
 
 CarrierLaw = Callable[[float], tuple[Array, Array, Array]]
@@ -24,39 +25,8 @@ CarrierLaw = Callable[[float], tuple[Array, Array, Array]]
 CarrierDrive = Literal["force", "motion"]
 """Whether forces drive the carriers, or they follow a given motion exactly."""
 
-
-class Controller(Protocol):
-    """What ``simulate`` needs of a controller.
-
-    Optional attributes, used where present:
-
-    - ``breaks``: times, s, at which the efforts jump or kink; the integration starts anew there.
-    - ``jumps``: those of them at which the efforts jump.
-    - ``carrier_motion``: a ``CarrierLaw``, for carriers driven by motion.
-    - ``sampling``: the ``Sampling`` it was made for; the simulation must have the same.
-    - ``carrier_drive``: the ``CarrierDrive`` it was made for, the same; either where it is missing.
-    - ``start_state(robot)``: the ``State`` to start from, and ``end``: the time at which the motion is over, s.
-    """
-
-    def effort(self, t: float, state: State) -> tuple[Array, Array]:
-        """Return main efforts (m,), N or N·m, and carrier forces (k,), N, at time t, s."""
-
-
-@dataclass(frozen=True, eq=False)
-class Constant:
-    """Constant efforts: zero unless given.
-
-    Attributes:
-        tau: (m,) main efforts, N or N·m.
-        carrier_force: (k,) carrier forces, N.
-    """
-
-    tau: Array
-    carrier_force: Array
-
-    def effort(self, t: float, state: State) -> tuple[Array, Array]:
-        """Return the efforts."""
-        return self.tau, self.carrier_force
+Command = tuple[Array, Array]
+"""Main efforts (m,), N or N·m, and carrier forces (k,), N."""
 
 
 @dataclass(frozen=True)
@@ -82,62 +52,200 @@ class Sampling:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class Drive:
-    """A controller behind its amplifiers: saturation, and the split into generalised forces.
+class EffortLaw(Protocol):
+    """The least that ``simulate`` needs of what drives a machine; see ``Controller`` for what else it may have."""
+
+    def effort(self, t: float, state: State) -> Command:
+        """Return main efforts (m,), N or N·m, and carrier forces (k,), N, at time t, s."""
+
+
+class Controller(ABC):
+    """What drives a machine. Derive from it, or give any object an ``effort`` and those of the others that apply.
 
     Attributes:
-        robot: the robot.
+        breaks: times, s, at which the efforts jump or kink; the integration starts anew there.
+        jumps: those of them at which the efforts jump; all of them where it is None.
+        end: time at which the motion is over, s, or None.
+        sampling: the ``Sampling`` it was made for, which the simulation must have; None where any will do.
+        carrier_drive: the ``CarrierDrive`` it was made for, the same.
+    """
+
+    breaks: ArrayLike = frozen(())
+    jumps: ArrayLike | None = None
+    end: float | None = None
+    sampling: Sampling | None = None
+    carrier_drive: CarrierDrive | None = None
+
+    def class_name(self) -> str:
+        """Return what errors and results call it."""
+        return type(self).__name__
+
+    @abstractmethod
+    def effort(self, t: float, state: State) -> Command:
+        """Return main efforts (m,), N or N·m, and carrier forces (k,), N, at time t, s."""
+
+    def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
+        """Return s, ṡ, s̈ (k,) at time t, for carriers driven by motion.
+
+        Raises:
+            InputError: nothing says how the carriers move.
+        """
+        raise InputError(
+            f"{self.class_name()} does not say how the carriers move.",
+            remedy="Give it carrier_motion(t) -> (s, sd, sdd), or drive the carriers by force.",
+        )
+
+    def start_state(self, robot: Robot) -> State:
+        """Return the state to start from: the reference configuration at rest."""
+        return closed_state(robot)
+
+
+def as_controller(law: Controller | EffortLaw) -> Controller:
+    """Return a controller that does what an object with ``effort`` does, with the defaults for what it lacks.
+
+    Raises:
+        InputError: it has no ``effort``.
+    """
+    if isinstance(law, Controller):
+        return law
+    if not callable(getattr(law, "effort", None)):
+        raise InputError(
+            f"simulate was given {type(law).__name__} for the drive.",
+            remedy="Pass a plan, or a controller with effort(t, state) -> (tau, carrier_force).",
+        )
+    return _Adapted(law)
+
+
+class _Adapted(Controller):
+    """An object of the user's behind the interface of a controller: what it has replaces the defaults."""
+
+    def __init__(self, law: EffortLaw) -> None:
+        self._law = law
+        for name in ("breaks", "jumps", "end", "sampling", "carrier_drive", "carrier_motion", "start_state"):
+            if getattr(law, name, None) is not None:
+                setattr(self, name, getattr(law, name))
+
+    def effort(self, t: float, state: State) -> Command:
+        return self._law.effort(t, state)
+
+    def class_name(self) -> str:
+        return type(self._law).__name__
+
+
+@dataclass(frozen=True, eq=False)
+class Constant(Controller):
+    """Constant efforts: zero unless given.
+
+    Attributes:
+        tau: (m,) main efforts, N or N·m.
+        carrier_force: (k,) carrier forces, N.
+    """
+
+    tau: Array
+    carrier_force: Array
+
+    def effort(self, t: float, state: State) -> Command:
+        """Return the efforts."""
+        return self.tau, self.carrier_force
+
+
+class Tracking(Controller):
+    """A controller's view of the motion it holds.
+
+    Args:
+        plan: a plan, or a reference made by ``plan_reference`` or ``motion_reference``.
+        motion: the trajectory that was planned for, for exact values between the samples of a plan.
+        sampling: how it will be sampled, if it will be.
+
+    Raises:
+        InfeasiblePlanError, PlanFileError: see ``plan_reference``.
+    """
+
+    def __init__(
+        self,
+        plan: Plan | MotionReference,
+        motion: TimedTrajectory | None = None,
+        sampling: Sampling | None = None,
+    ) -> None:
+        self.reference = plan if isinstance(plan, MotionReference) else plan_reference(plan, motion=motion)
+        self.robot = self.reference.robot
+        self.sampling = sampling
+        # efforts kink at the edges of the reference; those of a sampled controller are constant between samples
+        self.breaks = self.reference.edges[1:-1] if sampling is None else self.reference.edges[:0]
+        self.end = self.reference.end
+        self.lead = 0.0 if sampling is None else sampling.delay + 0.5 * sampling.period
+        """From reading the state to the middle of the interval in which the answer acts, s."""
+
+    def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
+        """Return the planned s, ṡ, s̈ (k,) at time t."""
+        return self.reference.carriers(t)
+
+    def start_state(self, robot: Robot) -> State:
+        """Return the planned state at the start."""
+        q, v, _ = self.reference.tree(self.reference.start)
+        return tree_state(robot, q, v, t=self.reference.start)
+
+
+class FeedForward(Tracking):
+    """The efforts of a plan or reference, open loop.
+
+    Args:
+        plan: a plan, or a reference made by ``plan_reference`` or ``motion_reference``.
+        motion: the trajectory that was planned for, for exact values between the samples of a plan.
+
+    Raises:
+        InfeasiblePlanError, PlanFileError: see ``plan_reference``.
+    """
+
+    def __init__(self, plan: Plan | MotionReference, *, motion: TimedTrajectory | None = None) -> None:
+        super().__init__(plan, motion)
+        self.jumps = self.reference.jumps
+
+    def effort(self, t: float, state: State) -> Command:
+        """Return main efforts (m,) and carrier forces (k,) at time t."""
+        return self.reference.loads(t)
+
+
+class Amplifiers:
+    """A controller behind its amplifiers: what it answers is checked, and saturates.
+
+    Args:
         controller: what commands the efforts.
         tau_limit: (m,) largest |τ|, N or N·m; infinite where there is none.
         force_limit: (k,) largest |carrier force|, N.
     """
 
-    robot: Robot
-    controller: Controller
-    tau_limit: Array
-    force_limit: Array
-    _limited: bool = field(init=False)
-    _shapes: tuple[tuple[int], tuple[int]] = field(init=False)
+    def __init__(self, controller: Controller, tau_limit: Array, force_limit: Array) -> None:
+        self._controller, self._limits = controller, (tau_limit, force_limit)
+        self._shapes = (tau_limit.shape, force_limit.shape)
+        self._saturates = bool(np.isfinite(tau_limit).any() or np.isfinite(force_limit).any())
 
-    def __post_init__(self) -> None:
-        """Note what efforts look like, and whether anything saturates."""
-        object.__setattr__(self, "_shapes", ((self.robot.m,), (self.robot.k,)))
-        object.__setattr__(
-            self, "_limited", bool(np.isfinite(self.tau_limit).any() or np.isfinite(self.force_limit).any())
-        )
-
-    def command(self, t: float, state: State) -> tuple[Array, Array]:
-        """Return the efforts that act: τ (m,) and carrier forces (k,).
+    def command(self, t: float, state: State) -> Command:
+        """Return the efforts that act.
 
         Raises:
             InputError: the controller returns something else than a tuple of (m,) and (k,) finite numbers.
         """
-        answer = self.controller.effort(t, state)
+        answer = self._controller.effort(t, state)
         try:
             tau, force = (np.array(part, dtype=float) for part in answer)
         except (TypeError, ValueError):
-            raise self._wrong(answer, t) from None
+            raise self._refused(answer, t) from None
         # a sum is finite only where its parts are, and takes a tenth of the time of np.isfinite on a few numbers
         finite = isfinite(sum(tau.ravel().tolist()) + sum(force.ravel().tolist()))
         if (tau.shape, force.shape) != self._shapes or not finite:
-            raise self._wrong(answer, t)
-        return self._saturated(tau, force)
-
-    def _wrong(self, answer: object, t: float) -> InputError:
-        m, k, said = self.robot.m, self.robot.k, " ".join(repr(answer).split())
-        return InputError(
-            f"{type(self.controller).__name__}.effort returned {said} at t = {t:.6g} s.",
-            remedy=f"Return main efforts ({m},) and carrier forces ({k},), finite numbers.",
-            t=t,
-        )
-
-    def _saturated(self, tau: Array, force: Array) -> tuple[Array, Array]:
-        if not self._limited:
+            raise self._refused(answer, t)
+        if not self._saturates:
             return tau, force
-        return (
-            np.clip(tau, -self.tau_limit, self.tau_limit),
-            np.clip(force, -self.force_limit, self.force_limit),
+        tau_limit, force_limit = self._limits
+        return np.clip(tau, -tau_limit, tau_limit), np.clip(force, -force_limit, force_limit)
+
+    def _refused(self, answer: object, t: float) -> InputError:
+        (m,), (k,) = self._shapes
+        return InputError(
+            f"{self._controller.class_name()}.effort returned {' '.join(repr(answer).split())} at t = {t:.6g} s.",
+            remedy=f"Return main efforts ({m},) and carrier forces ({k},), finite numbers.",
+            time=t,
         )
 
 
@@ -155,61 +263,34 @@ def limit(values: ArrayLike | None, count: int, name: str) -> Array:
     return np.broadcast_to(given, (count,))
 
 
-class Tracking:
-    """A controller's view of the motion it holds.
-
-    Args:
-        plan: a plan, or a reference made by ``plan_reference`` or ``motion_reference``.
-        motion: the trajectory that was planned for, for exact values between the samples of a plan.
-        sampling: how it will be sampled, if it will be.
-    """
-
-    def __init__(self, plan: Plan | MotionReference, motion: TimedTrajectory | None, sampling: Sampling | None) -> None:
-        self.reference = plan if isinstance(plan, MotionReference) else plan_reference(plan, motion=motion)
-        self.robot = self.reference.robot
-        self.sampling = sampling
-        self.breaks = self.reference.edges[1:-1] if sampling is None else self.reference.edges[:0]
-        """Efforts kink at the edges of the reference; those of a sampled controller are constant between samples."""
-        self.end = self.reference.end
-        self.lead = 0.0 if sampling is None else sampling.delay + 0.5 * sampling.period
-        """From reading the state to the middle of the interval in which the answer acts, s."""
-
-    def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
-        """Return the planned s, ṡ, s̈ (k,) at time t."""
-        return self.reference.carriers(t)
-
-    def start_state(self, robot: Robot) -> State:
-        """Return the planned state at the start."""
-        q, v, _ = self.reference.tree(self.reference.start)
-        return tree_state(robot, q.copy(), v.copy(), t=self.reference.start)
-
-
-class FeedForward:
-    """The efforts of a plan or reference, open loop.
-
-    Args:
-        plan: a plan, or a reference made by ``plan_reference`` or ``motion_reference``.
-        motion: the trajectory that was planned for, for exact values between the samples of a plan.
+def positive(name: str, value: float, least: float = 0.0) -> float:
+    """Return a positive, finite number, at least ``least``.
 
     Raises:
-        InfeasiblePlanError, PlanFileError: see ``plan_reference``.
+        InputError: it is not.
     """
+    if not (isfinite(value) and value > 0.0 and value >= least):
+        wanted = f", at least {least}" if least else ", finite number"
+        raise InputError(f"{name} is {value}.", remedy=f"Pass a positive{wanted}.", name=name)
+    return float(value)
 
-    def __init__(self, plan: Plan | MotionReference, *, motion: TimedTrajectory | None = None) -> None:
-        self.reference = plan if isinstance(plan, MotionReference) else plan_reference(plan, motion=motion)
-        self.breaks = self.reference.edges[1:-1]
-        self.jumps = self.reference.jumps
-        self.end = self.reference.end
 
-    def effort(self, t: float, state: State) -> tuple[Array, Array]:
-        """Return main efforts (m,) and carrier forces (k,) at time t."""
-        return self.reference.loads(t)
+def positive_each(values: ArrayLike | None, default: Array, floor: float, name: str) -> Array:
+    """Return positive values, one each: those given, or the defaults raised to a share of the largest of them.
 
-    def carrier_motion(self, t: float) -> tuple[Array, Array, Array]:
-        """Return the planned s, ṡ, s̈ (k,) at time t."""
-        return self.reference.carriers(t)
+    Args:
+        values: one positive number, or one each; the defaults when None.
+        default: (count,) not negative.
+        floor: share of the largest default that every default is at least; 1 where all are zero.
+        name: of the argument, for the error.
 
-    def start_state(self, robot: Robot) -> State:
-        """Return the planned state at the start."""
-        q, v, _ = self.reference.tree(self.reference.start)
-        return tree_state(robot, np.array(q), np.array(v), t=self.reference.start)
+    Raises:
+        InputError: wrong number of values, or one that is not positive.
+    """
+    if values is None:
+        largest = float(default.max(initial=0.0))
+        return np.maximum(default, floor * largest if largest > 0.0 else 1.0)
+    given = np.atleast_1d(np.asarray(values, dtype=float))
+    if given.shape not in ((1,), default.shape) or not (np.isfinite(given) & (given > 0.0)).all():
+        raise InputError(f"{name} is {values!r}.", remedy=f"Pass one positive number, or {len(default)}.", name=name)
+    return np.broadcast_to(given, default.shape)
