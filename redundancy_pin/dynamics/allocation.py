@@ -1,19 +1,38 @@
-"""The arguments of a distribution, checked and freed of units: A u = g, a cost, and bounds."""
+"""Control allocation: efforts that bring up a generalised force, the shortest ones, within bounds.
+
+A u = g is to be met by the u of least Σ cost_j (u_j − u⁰_j)², within bounds l ≤ C u ≤ h. Without bounds that is a
+pseudoinverse in scaled unknowns, with a decision about rank. With y the scaled unknowns, y₀ the shortest solution and
+N a basis of the null space, what bounds ask for is the shortest z with l − C y₀ ≤ C N z ≤ h − C y₀: a least-distance
+problem, which non-negative least squares solves (Lawson and Hanson 1974, chapter 23). Where no z does, there is still
+the u within the bounds that misses g least: least squares over a box.
+
+``distribute`` (``dynamics.distribution``) allots the main efforts of whole motions, with a status for what planning asks:
+does a solution exist? ``allocate`` does it at one state for a controller, whose carriers are actuators too.
+
+Platform accelerations ẍ are wanted. With M (ẍ, s̈) + h = (W τ, F) and s̈ = s̈_c + δ they take
+
+    W τ − M_xs δ = M_xx ẍ + M_xs s̈_c + h_x,
+
+n equations in m + k unknowns. Near a type II pose W loses rank and the main actuators alone would take efforts without
+bound. Of all exact solutions the one with the least
+
+    Σ (τ_i − τ_i,plan)² / τ̂_i² + Σ δ_j² / â_j²
+
+is taken: where W is regular and τ̂ is generous against |M_xs| â, δ is small and τ does the work; towards the singularity
+the carriers take over, continuously, and δ stays finite as long as [W, −M_xs] has full row rank. Where it has not,
+nothing can be done in some direction, and the answer says so. Limits are |τ| ≤ τ_max, and |F| ≤ F_max for the carrier
+forces F = F_0 + M_ss δ, F_0 that of δ = 0. What one kind of actuator cannot give is left to the other.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.optimize import lsq_linear
+from scipy.optimize import lsq_linear, nnls
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, checked, frozen, read_only
-from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.errors import InputError, RedundancyPinError
-from redundancy_pin.kinematics.spectrum import scaled
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray
 
 
 def minimum_norm(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> tuple[Array, Array]:
@@ -38,17 +57,10 @@ def minimum_norm(matrices: Array, forces: Array, rank: IntArray, cost: Array) ->
     square = (rank == n) & (n == m)
     if square.any():
         efforts[square] = np.linalg.solve(matrices[square], forces[square, :, np.newaxis])[:, :, 0]
-    if square.all():
-        return efforts, outside
     other = ~square
-    efforts[other], outside[other] = _by_singular_vectors(matrices[other], forces[other], rank[other], cost)
+    if other.any():
+        efforts[other], outside[other] = _by_singular_vectors(matrices[other], forces[other], rank[other], cost)
     return efforts, outside
-
-
-def null_basis(matrix: Array, rank: int) -> Array:
-    """Return (m, m − rank) an orthonormal basis of the null space of one matrix (n, m) of known rank."""
-    basis: Array = np.linalg.svd(matrix, full_matrices=True)[2][rank:].T
-    return basis
 
 
 def _by_singular_vectors(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> tuple[Array, Array]:
@@ -63,7 +75,8 @@ def _by_singular_vectors(matrices: Array, forces: Array, rank: IntArray, cost: A
     left_out = np.where(np.arange(n) < rank[:, np.newaxis], 0.0, components)
     outside: Array = np.linalg.norm(left_out, axis=1)
     if np.ptp(cost) > 0.0 and (rank < m).any():
-        # move along the null space (other columns zeroed) to the least ‖√cost u‖
+        # move along the null space (other columns zeroed) to the least ‖√cost u‖; weighting A beforehand would be
+        # shorter, but the rank is that of A, and the range of its first directions must not depend on the weights
         null = vt.transpose(0, 2, 1) * (np.arange(m) >= rank[:, np.newaxis])[:, np.newaxis, :]
         root = np.sqrt(cost)
         step = np.linalg.pinv(root[:, np.newaxis] * null) @ (root * efforts)[:, :, np.newaxis]
@@ -71,126 +84,102 @@ def _by_singular_vectors(matrices: Array, forces: Array, rank: IntArray, cost: A
     return efforts, outside
 
 
-LARGEST_WEIGHT_RATIO = 1e12
-"""Weights (on force-equivalent efforts) further apart than this would lose the optimum to rounding."""
+_NOTHING_LEFT = 1e-9
+"""Residual of the non-negative least squares below which bounds contradict one another; it is 1 / √(1 + ‖z‖²)."""
 
 
-@dataclass(frozen=True, eq=False)
-class ScaledProblem:
-    """Minimise Σ cost_j u_j² over A u = g, lower ≤ u ≤ upper, with u = D_a⁻¹ τ: moments and torques as forces.
-
-    Attributes:
-        A: (N, n, m) D_x⁻¹ W D_a; NaN where not solvable.
-        g: (N, n) D_x⁻¹ f, N; NaN where not solvable.
-        cost: (m,) positive, the largest is 1.
-        lower, upper: (N, m) bounds of u, N, infinite where there is none.
-        solvable: (N,) the sample is reachable, and its W and f are finite.
-    """
-
-    A: Array
-    g: Array
-    cost: Array
-    lower: Array
-    upper: Array
-    solvable: BoolArray
-
-
-def scaled_problem(
-    reduced: ReducedDynamics, weights: ArrayLike | None, lower: ArrayLike | None, upper: ArrayLike | None
-) -> ScaledProblem:
-    """Check the arguments of ``distribute`` and return them without units.
+def within_bounds(start: Array, null: Array, bounded: Array, lower: Array, upper: Array) -> Array | None:
+    """Return the shortest z with l ≤ C (y₀ + N z) ≤ h, or None where there is none.
 
     Args:
-        reduced: f (N, n), W (N, n, m) and their scales.
-        weights: (m,) on τ, or None for 1/column_scale².
-        lower: (m,) or (N, m), N or N·m by joint, or None.
-        upper: (m,) or (N, m), N or N·m by joint, or None.
-
-    Raises:
-        InputError: shapes do not fit, weights or bounds out of their domain.
+        start: (p,) y₀.
+        null: (p, d) N, orthonormal.
+        bounded: (b, p) C.
+        lower: (b,) l, −inf where there is none.
+        upper: (b,) h, inf where there is none.
     """
-    _check_shapes(reduced)
-    samples, n, m = reduced.W.shape
-    row_scale = _positive(reduced.row_scale, "row_scale", n)
-    column_scale = _positive(reduced.column_scale, "column_scale", m)
-    A = scaled(reduced.W, row_scale, column_scale)
-    g: Array = reduced.f / row_scale
-    solvable: BoolArray = reduced.reachable & np.isfinite(A).all(axis=(1, 2)) & np.isfinite(g).all(axis=1)
-    A[~solvable] = np.nan
-    g[~solvable] = np.nan
-    low = _bound(lower, "lower", -math.inf, samples, m)
-    high = _bound(upper, "upper", math.inf, samples, m)
-    _check_order(low, high)
-    return ScaledProblem(
-        A=read_only(A),
-        g=read_only(g),
-        cost=_cost(weights, column_scale),
-        lower=read_only(low / column_scale),
-        upper=read_only(high / column_scale),
-        solvable=read_only(solvable),
-    )
-
-
-def _check_shapes(reduced: ReducedDynamics) -> None:
-    W, f, reachable = np.shape(reduced.W), np.shape(reduced.f), np.shape(reduced.reachable)
-    if len(W) != 3 or 0 in W[1:] or f != W[:2] or reachable != W[:1]:
-        raise InputError(
-            f"W, f and reachable have shapes {W}, {f} and {reachable}, expected (N, n, m), (N, n) and (N,).",
-            remedy="Pass the result of a backend's reduce, or arrays of those shapes with n and m at least 1.",
-            W=W,
-            f=f,
-            reachable=reachable,
-        )
-
-
-def _positive(values: ArrayLike, name: str, length: int) -> Array:
-    array = checked(values, name, (length,))
-    if not (array > 0.0).all():
-        j = int(np.argmin(array))
-        raise InputError(
-            f"{name}[{j}] is {array[j]:g}, but must be positive.", remedy=f"Make all of {name} positive.", index=j
-        )
-    return array
-
-
-def _cost(weights: ArrayLike | None, column_scale: Array) -> Array:
-    if weights is None:
-        return read_only(np.ones(len(column_scale)))
-    cost = _positive(weights, "weights", len(column_scale)) * column_scale**2
-    ratio = float(cost.max() / cost.min())
-    if not ratio <= LARGEST_WEIGHT_RATIO:
-        raise InputError(
-            f"The weights, times column_scale², differ by a factor of {ratio:.3g}, more than {LARGEST_WEIGHT_RATIO:g}.",
-            remedy="To keep an actuator from contributing, bound it to zero instead of making it expensive.",
-            ratio=ratio,
-        )
-    return read_only(cost / cost.max())
-
-
-def _bound(values: ArrayLike | None, name: str, absent: float, samples: int, m: int) -> Array:
-    if values is None:
-        return np.broadcast_to(np.float64(absent), (samples, m))
+    rows = np.concatenate([bounded[np.isfinite(lower)], -bounded[np.isfinite(upper)]])
+    G = rows @ null
+    h = np.concatenate([lower[np.isfinite(lower)], -upper[np.isfinite(upper)]]) - rows @ start
+    size = np.linalg.norm(G, axis=1)
+    # what a null direction moves by rounding only, it cannot move: a huge step along it would be no answer
+    fixed = size <= RANK_TOLERANCE * np.linalg.norm(rows, axis=1)
+    if (h[fixed] > RANK_TOLERANCE * (1.0 + np.abs(h[fixed]))).any():
+        return None  # bounds that z does not move, and that are broken
+    G, h = G[~fixed] / size[~fixed, None], h[~fixed] / size[~fixed]
+    scale = float(h.max(initial=0.0))  # every z is at least that long: one of length 1 or more is sought
+    if scale <= 0.0:
+        return np.zeros(null.shape[1])
+    system = np.concatenate([G.T, h[None] / scale])
+    goal = np.zeros(len(system))
+    goal[-1] = 1.0
     try:
-        given = frozen(values)
-    except (TypeError, ValueError):
-        return checked(values, name, (m,))  # raises, and says why
-    # finite stand-ins make checked() refuse everything but the infinity that means "no bound"
-    is_absent = given == absent
-    shape = (m,) if given.ndim == 1 else (samples, m)
-    array = np.where(is_absent, absent, checked(np.where(is_absent, 0.0, given), name, shape))
-    return np.broadcast_to(array, (samples, m))
+        multipliers, left = nnls(system, goal)
+    except RuntimeError:  # it did not converge: the answer that misses least is the safe one
+        return None
+    if left < _NOTHING_LEFT:
+        return None
+    residual = system @ multipliers - goal
+    z: Array = -scale * residual[:-1] / residual[-1]
+    return z
 
 
-def _check_order(lower: Array, upper: Array) -> None:
-    wrong = lower > upper
-    if wrong.any():
-        k, j = (int(i) for i in np.argwhere(wrong)[0])
-        raise InputError(
-            f"lower is above upper for actuator {j} (first at sample {k}): {lower[k, j]:g} > {upper[k, j]:g}.",
-            remedy="Swap or widen the bounds.",
-            sample=k,
-            actuator=j,
-        )
+_ROUNDING = 1e-14
+"""Relative change of the squares at which they count as least."""
+
+
+def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
+    """Return the u (m,) with l ≤ u ≤ h that makes ‖A u − g‖ least.
+
+    Args:
+        matrix: (n, m) A.
+        goal: (n,) g.
+        lower, upper: (m,) bounds, infinite where there is none; a value may be fixed by two that are equal.
+    """
+    free = lower < upper  # lsq_linear takes no empty interiors
+    u = np.array(lower)
+    if free.any():
+        rest, box = goal - matrix[:, ~free] @ u[~free], (lower[free], upper[free])
+        found = lsq_linear(matrix[:, free], rest, box, method="bvls", tol=_ROUNDING, max_iter=1000)
+        u[free] = np.clip(found.x, *box)
+    return u
+
+
+_WEIGHT = 1e-6
+"""Weight of the length, relative to the largest singular value, where the equations cannot be met: directions in which
+they hardly change are left alone."""
+
+
+def shortest(matrix: Array, wanted: Array, bounded: Array, lower: Array, upper: Array) -> tuple[Array, bool]:
+    """Return the shortest y with A y = w and l ≤ C y ≤ u.
+
+    Where nothing within the bounds meets the equations, it is the y within them that makes ‖A y − w‖² + ε² ‖y‖² least,
+    ε small. Both are continuous in w, so an integrator can follow them.
+
+    Args:
+        matrix: (n, p) A.
+        wanted: (n,) w, in the range of A.
+        bounded: (p, p) C.
+        lower: (p,) l, −inf where there is none; below u.
+        upper: (p,) u, inf where there is none.
+
+    Returns:
+        y (p,), and whether it is within the bounds; it is not where C is singular and they forbid what is needed.
+    """
+    u, values, vt = np.linalg.svd(matrix)
+    rank = int((values > RANK_TOLERANCE * values[0]).sum())
+    start = vt[:rank].T @ ((u[:, :rank].T @ wanted) / values[:rank])
+    null = vt[rank:].T
+    z = within_bounds(start, null, bounded, lower, upper)
+    if z is not None:
+        return start + null @ z, True
+    if np.linalg.cond(bounded) > 1.0 / RANK_TOLERANCE:
+        return start, False
+    unit = np.linalg.norm(bounded, axis=1)
+    inverse = np.linalg.inv(bounded / unit[:, None])
+    size = matrix.shape[1]
+    system = np.concatenate([matrix, _WEIGHT * values[0] * np.eye(size)]) @ inverse
+    return inverse @ least_miss(system, np.concatenate([wanted, np.zeros(size)]), lower / unit, upper / unit), True
 
 
 BOUND_TOLERANCE = 1e-9
@@ -215,73 +204,150 @@ def fit_into_bounds(matrices: Array, efforts: Array, rank: IntArray, cost: Array
         cost: (m,) positive weights.
         lower: (N, m) bounds, −∞ allowed, scaled.
         upper: (N, m) bounds, ∞ allowed, scaled.
-
-    Raises:
-        RedundancyPinError: a quadratic programme is to be solved and quadprog is not installed.
     """
     fitted = np.full_like(efforts, np.nan)
+    root = np.sqrt(cost)
+    directions = np.linalg.svd(matrices, full_matrices=True)[2]
     for k in np.flatnonzero(rank < matrices.shape[2]):
-        null = null_basis(matrices[k], int(rank[k]))
-        fitted[k] = _move_along(null, efforts[k], cost, lower[k], upper[k])
+        u, low, high = efforts[k], lower[k], upper[k]
+        # y = √cost u / size: the cost is then a length, and tolerances are relative to the largest effort at stake
+        size = max(np.abs(u).max(), np.abs(np.clip(u, low, high)).max())
+        basis = root[:, np.newaxis] * directions[k, rank[k] :].T
+        null = np.linalg.qr(basis)[0]
+        start = root * u / size
+        start -= null @ (null.T @ start)  # the shortest of all solutions
+        slack = (low / size - BOUND_TOLERANCE, high / size + BOUND_TOLERANCE)
+        z = within_bounds(start, null, np.diag(1.0 / root), *slack)
+        if z is not None:
+            fitted[k] = np.clip(size * (start + null @ z) / root, low, high)
     return fitted
 
 
 def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array) -> Array:
-    """Return (N,) min ‖A u − g‖ over lower ≤ u ≤ upper: how much force the bounds leave unbalanced, N, scaled.
+    """Return (N,) min ‖A u − g‖ over l ≤ u ≤ h: how much force the bounds leave unbalanced, N, scaled.
 
     Args:
         matrices: (N, n, m) A, scaled.
         forces: (N, n) g, scaled.
-        lower: (N, m) bounds, scaled.
-        upper: (N, m) bounds, scaled.
+        lower, upper: (N, m) bounds, scaled.
     """
-    residual = np.empty(len(forces))
-    for k, (A, g, low, high) in enumerate(zip(matrices, forces, lower, upper, strict=True)):
-        fixed = low == high  # lsq_linear takes no empty interiors
-        rest = g - A[:, fixed] @ low[fixed]
-        if not fixed.all():
-            box = (low[~fixed], high[~fixed])
-            u = np.clip(lsq_linear(A[:, ~fixed], rest, box, method="bvls", tol=1e-14, max_iter=1000).x, *box)
-            rest = rest - A[:, ~fixed] @ u
-        residual[k] = np.linalg.norm(rest)
-    return residual
+    problems = zip(matrices, forces, lower, upper, strict=True)
+    return np.array([np.linalg.norm(A @ least_miss(A, g, low, high) - g) for A, g, low, high in problems])
 
 
-def _move_along(null: Array, efforts: Array, cost: Array, lower: Array, upper: Array) -> Array:
-    """Minimise Σ cost_j u_j² for u = u₀ + N z within the bounds of one sample; NaN if they cannot be met.
+class AllocationStatus(Enum):
+    """What became of the wanted acceleration."""
 
-    Working in z leaves A u untouched and the programme with as many unknowns as there is freedom. It is divided by
-    the largest effort at stake, since quadprog's tolerances are absolute: among them it takes a null direction with an
-    entry below 1e-8 as unable to move that effort, which keeps rounding from posing as freedom.
+    EXACT = "exact"
+    """Efforts and carriers bring it up."""
+    SATURATED = "saturated"
+    """Main efforts or carrier forces at their limits, the others bring up the rest exactly."""
+    BEYOND_LIMITS = "beyond_limits"
+    """Main efforts and carrier forces within their limits fall short together: ``residual`` is missing."""
+    UNBALANCED = "unbalanced"
+    """Main actuators and carriers have no effect in some direction (or there is no model: a type I pose); the residual
+    is what would be missing there."""
+
+
+RESIDUAL_TOLERANCE = 1e-9
+"""Share of the wanted force that may be missing by rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarrierForces:
+    """Forces of the carriers as δ changes them, F = F_0 + M_ss δ, and what they may be.
+
+    Attributes:
+        planned: (k,) F_0, force for the wanted accelerations of platform and carriers, N.
+        mass: (k, k) M_ss, kg.
+        limit: (k,) largest |F|, N; infinite where there is none.
     """
-    solve_qp = _quadprog()
-    size = max(np.abs(efforts).max(), np.abs(np.clip(efforts, lower, upper)).max())
-    start = efforts / size
-    root = np.sqrt(cost)[:, np.newaxis] * null
-    inverse_factor = np.linalg.inv(np.linalg.qr(root, mode="r"))
-    rows = np.concatenate([null, -null])
-    limits = np.concatenate([lower / size - start, start - upper / size]) - BOUND_TOLERANCE
-    finite = np.isfinite(limits)
-    try:
-        z = solve_qp(
-            inverse_factor, -null.T @ (cost * start), rows[finite].T.copy(), limits[finite], 0, factorized=True
-        )[0]
-    except ValueError as error:
-        if "inconsistent" not in str(error):
-            raise
-        return np.full_like(efforts, np.nan)
-    moved: Array = np.clip(efforts + size * (null @ z), lower, upper)
-    return moved
+
+    planned: Array
+    mass: Array
+    limit: Array
+
+    def of(self, deviation: Array) -> Array:
+        """Return F (k,), cut off at the limits, for deviations δ (k,)."""
+        force: Array = np.clip(self.planned + self.mass @ deviation, -self.limit, self.limit)
+        return force
+
+    def allow(self, deviation: Array) -> bool:
+        """Return whether the forces for deviations δ (k,) are within the limits."""
+        return bool((np.abs(self.planned + self.mass @ deviation) <= self.limit).all())
 
 
-def _quadprog() -> Callable[..., tuple[Array, ...]]:
-    try:
-        from quadprog import solve_qp
-    except ImportError as error:
-        raise RedundancyPinError(
-            "Efforts leave their bounds and the quadratic programmes that bring them back need quadprog.",
-            remedy="Install it with `pip install 'redundancy_pin[bounds]'`.",
-            extra="bounds",
-        ) from error
-    solver: Callable[..., tuple[Array, ...]] = solve_qp
-    return solver
+@dataclass(frozen=True, eq=False)
+class Allocation:
+    """A solution of W τ − M_xs δ = f.
+
+    Attributes:
+        tau: (m,) main efforts, N or N·m.
+        deviation: (k,) δ, carrier accelerations beyond the wanted ones, m/s².
+        residual: scaled norm of f − (W τ − M_xs δ), N.
+        margin: smallest singular value of [W τ̂, −M_xs â], row-scaled, N: what can be brought up in the worst direction
+            by deviations of the size of the scales.
+        status: what became of it.
+    """
+
+    tau: Array
+    deviation: Array
+    residual: float
+    margin: float
+    status: AllocationStatus
+
+
+def allocate(
+    W: Array,
+    coupling: Array,
+    force: Array,
+    planned: Array,
+    *,
+    effort_scale: Array,
+    carrier_scale: Array,
+    row_scale: Array,
+    effort_limit: Array | None = None,
+    carriers: CarrierForces | None = None,
+) -> Allocation:
+    """Return efforts and carrier deviations that bring up a generalised force with the least weighted deviation.
+
+    Args:
+        W: (n, m) generalised force per unit of effort.
+        coupling: (n, k) M_xs, generalised force per unit of carrier acceleration.
+        force: (n,) f, N or N·m.
+        planned: (m,) efforts from which deviations count.
+        effort_scale: (m,) τ̂, positive, N or N·m.
+        carrier_scale: (k,) â, positive, m/s².
+        row_scale: (n,) lengths that turn moments into forces.
+        effort_limit: (m,) largest |τ|; what they cut off is left to the others.
+        carriers: forces of the carriers and their limits; no limit when left out.
+    """
+    m, k = W.shape[1], coupling.shape[1]
+    full = np.concatenate([W, -coupling], axis=1) / row_scale[:, None]
+    scale = np.concatenate([effort_scale, carrier_scale])
+    start = np.concatenate([planned, np.zeros(k)])
+    wanted = force / row_scale
+    weighted = full * scale
+    u, values, vt = np.linalg.svd(weighted, full_matrices=False)
+    margin = float(values[-1]) if len(values) == len(wanted) else 0.0
+    size = RESIDUAL_TOLERANCE * (1.0 + float(np.linalg.norm(wanted)))
+    rank = values > RANK_TOLERANCE * values[0]
+    rest = wanted - full @ start
+    answer = start + scale * (vt[rank].T @ ((u[:, rank].T @ rest) / values[rank]))
+    residual = float(np.linalg.norm(wanted - full @ answer))
+    if residual > size:
+        return Allocation(answer[:m], answer[m:], residual, margin, AllocationStatus.UNBALANCED)
+    most = np.full(m, np.inf) if effort_limit is None else effort_limit
+    forces = CarrierForces(np.zeros(k), np.eye(k), np.full(k, np.inf)) if carriers is None else carriers
+    if (np.abs(answer[:m]) <= most).all() and forces.allow(answer[m:]):
+        return Allocation(answer[:m], answer[m:], residual, margin, AllocationStatus.EXACT)
+    # the carriers' forces are bounded unknowns like the main efforts: C maps scaled deviations to both
+    bounded = np.zeros((m + k, m + k))
+    bounded[:m, :m], bounded[m:, m:] = np.diag(effort_scale), forces.mass * carrier_scale
+    now, limits = np.concatenate([planned, forces.planned]), np.concatenate([most, forces.limit])
+    deviation, within = shortest(weighted, rest, bounded, -limits - now, limits - now)
+    answer = start + scale * deviation
+    answer[:m] = np.clip(answer[:m], -most, most)
+    residual = float(np.linalg.norm(wanted - full @ answer))
+    status = AllocationStatus.SATURATED if within and residual <= size else AllocationStatus.BEYOND_LIMITS
+    return Allocation(answer[:m], answer[m:], residual, margin, status)

@@ -1,7 +1,5 @@
 """Efforts within bounds, against a general optimiser, brute force, and cases solved by hand."""
 
-import sys
-
 import numpy as np
 import pytest
 import scipy.optimize
@@ -11,7 +9,6 @@ from prescribed import factors, reduced, times
 
 from redundancy_pin.dynamics.allocation import fit_into_bounds
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
-from redundancy_pin.errors import RedundancyPinError
 
 OPTIMUM = 1e-8
 """Relative: bounds count as met within 1e-9 of the largest effort, and the optimum moves by about as much."""
@@ -255,11 +252,3 @@ def test_inconsistent_samples_stay_inconsistent_under_bounds():
     d = distribute(reduced([[[1.0, 0.0], [0.0, 0.0]]], [[5.0, 1.0]]), lower=[-1.0, -1.0], upper=[1.0, 1.0])
     assert d.status[0] == SampleStatus.SINGULAR_INCONSISTENT
     assert d.residual[0] == pytest.approx(1.0)
-
-
-def test_without_quadprog_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "quadprog", None)
-    problem = reduced([[[1.0, 1.0]]], [[10.0]])
-    assert distribute(problem, upper=[6.0, 6.0]).solved.all()  # nothing to solve, nothing to install
-    with pytest.raises(RedundancyPinError, match=r"pip install 'redundancy_pin\[bounds\]'"):
-        distribute(problem, upper=[3.0, np.inf])

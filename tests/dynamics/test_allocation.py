@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.optimize import minimize
 
-from redundancy_pin.simulation.controllers.allocation import AllocationStatus, CarrierForces, allocate
+from redundancy_pin.dynamics.allocation import AllocationStatus, CarrierForces, allocate
 
 ROUNDING = 1e-8
 """Relative; matrices with entries in [-3, 3] whose smallest singular value is above 1e-3."""

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear, nnls
 
-from redundancy_pin.simulation.controllers.allocation import shortest
+from redundancy_pin.dynamics.allocation import shortest
 
 ROUNDING = 1e-8
 """Relative to the answer; the conditions of the matrices drawn are below 1e3."""
