@@ -6,8 +6,8 @@ N a basis of the null space, what bounds ask for is the shortest z with l − C 
 problem, which non-negative least squares solves (Lawson and Hanson 1974, chapter 23). Where no z does, there is still
 the u within the bounds that misses g least: least squares over a box.
 
-``distribute`` (``dynamics.distribution``) allots the main efforts of whole motions, with a status for what planning asks:
-does a solution exist? ``allocate`` does it at one state for a controller, whose carriers are actuators too.
+``distribute`` (``dynamics.distribution``) allots the main efforts of whole motions, with a status for what planning
+asks: does a solution exist? ``allocate`` does it at one state for a controller, whose carriers are actuators too.
 
 Platform accelerations ẍ are wanted. With M (ẍ, s̈) + h = (W τ, F) and s̈ = s̈_c + δ they take
 
@@ -134,7 +134,8 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
     Args:
         matrix: (n, m) A.
         goal: (n,) g.
-        lower, upper: (m,) bounds, infinite where there is none; a value may be fixed by two that are equal.
+        lower: (m,) l, −inf where there is none; equal to h where u is fixed.
+        upper: (m,) h, inf where there is none.
     """
     free = lower < upper  # lsq_linear takes no empty interiors
     u = np.array(lower)
@@ -229,7 +230,8 @@ def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array) -
     Args:
         matrices: (N, n, m) A, scaled.
         forces: (N, n) g, scaled.
-        lower, upper: (N, m) bounds, scaled.
+        lower: (N, m) bounds l, scaled.
+        upper: (N, m) bounds h, scaled.
     """
     problems = zip(matrices, forces, lower, upper, strict=True)
     return np.array([np.linalg.norm(A @ least_miss(A, g, low, high) - g) for A, g, low, high in problems])

@@ -1,8 +1,8 @@
 """Event detection: ends of tracks and joints, stretched legs, lost control, found where they are within a step.
 
 An event is a zero of a scalar function of the configuration. Each step is looked at on the cubic through its ends,
-which takes no evaluation of the dynamics; where a function changes sign there, its root is found on the integrator's own
-interpolant. A sign that changes twice between two looks does not show; for the stops, which must not be missed, the
+which takes no evaluation of the dynamics; where a function changes sign there, its root is found on the integrator's
+own interpolant. A sign that changes twice between two looks does not show; for the stops, which must not be missed, the
 turning points of the joints are looked at too.
 """
 
