@@ -21,9 +21,9 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, read_only
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
+from redundancy_pin.kinematics.chain import ClosedChain, cross
 from redundancy_pin.kinematics.coordinates import difference, row_scale, velocity_scale
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.chain import ClosedChain, cross, platform_wrenches
 from redundancy_pin.simulation.forward import ForwardDynamics
 from redundancy_pin.simulation.state import State
 
@@ -60,14 +60,23 @@ def row_rates(chain: ClosedChain, q: Array, v: Array, a: Array) -> RowRates:
         v: (nv,) velocity.
         a: (nv,) acceleration.
     """
-    first, second, third = _world_columns(chain, q, v, a)
-    wrench, wrench_rate, wrench_second = _closure_wrenches(chain, v, a, first, second)
-    mask = chain.mask
-    K = mask * (wrench @ first)
-    Kd = mask * (wrench_rate @ first + wrench @ second)
-    Kdd = mask * (wrench_second @ first + 2.0 * wrench_rate @ second + wrench @ third)
-    parts = [(K, Kd, Kd, Kdd, 2.0 * Kd), _platform_rows(chain, v, a, first, second, third)]
-    return RowRates(*(np.concatenate([top, bottom]) for top, bottom in zip(*parts, strict=True)))
+    J, dJ, ddJ = _world_columns(chain, q, v, a)
+    K, Kd, Kdd = chain.closures.time_derivatives(J, dJ, ddJ, v, a)
+    robot, r = chain.robot, chain.rows
+    if robot.platform is None:  # unit rows
+        platform = (chain.platform_jacobian(), *np.zeros((2, robot.n, robot.model.nv)))
+    else:
+        platform = chain.platform_rows().time_derivatives(J, dJ, ddJ, v, a)
+    K, Kd, Kdd = (np.concatenate(parts) for parts in zip((K, Kd, Kdd), platform, strict=True))
+    by_q, rate_by_q, rate_by_v = Kd.copy(), Kdd.copy(), 2.0 * Kd
+    if robot.platform is not None and robot.platform.is_pose:
+        turning = [r + robot.platform.axes.index(axis) for axis in ("rx", "ry", "rz")]
+        spin, spin_rate = (_skew(rows[turning] @ motion) for rows, motion in ((K, v), (K, a)))
+        spin_rate += _skew(Kd[turning] @ v)
+        by_q[turning] -= spin @ K[turning]
+        rate_by_q[turning] -= spin @ Kd[turning] + spin_rate @ K[turning]
+        rate_by_v[turning] -= spin @ K[turning]
+    return RowRates(K, Kd, by_q, rate_by_q, rate_by_v)
 
 
 def _world_columns(chain: ClosedChain, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
@@ -97,57 +106,6 @@ def _spatial_cross(motion: Array, columns: Array) -> Array:
     linear, angular = motion[:3].T, motion[3:].T
     moved = cross(angular, columns[:3].T) + cross(linear, columns[3:].T)
     return np.concatenate([moved.T, cross(angular, columns[3:].T).T])
-
-
-def _closure_wrenches(chain: ClosedChain, v: Array, a: Array, J: Array, dJ: Array) -> tuple[Array, Array, Array]:
-    """Return the wrenches (r, 6) of the closure rows and their first and second time derivative."""
-    twists = (chain.support * v) @ J.T
-    rates = (chain.support * a) @ J.T + (chain.support * v) @ dJ.T
-    of_a, of_b, rate_a, rate_b = twists[chain.first], twists[chain.second], rates[chain.first], rates[chain.second]
-    slides, d, p = chain.slides, chain.direction, chain.point
-    turn_a, turn_b = of_a[:, 3:], of_b[:, 3:]
-    dd = cross(turn_a, d)
-    ddd = cross(rate_a[:, 3:], d) + cross(turn_a, dd)
-    pd = of_b[:, :3] * slides + cross(turn_b, p)
-    # the spatial acceleration at the world origin is the rate of the velocity there
-    pdd = rate_b[:, :3] * slides + cross(rate_b[:, 3:], p) + cross(turn_b, pd)
-    return (
-        np.concatenate([d * slides, cross(p, d)], axis=1),
-        np.concatenate([dd * slides, cross(pd, d) + cross(p, dd)], axis=1),
-        np.concatenate([ddd * slides, cross(pdd, d) + 2.0 * cross(pd, dd) + cross(p, ddd)], axis=1),
-    )
-
-
-def _platform_rows(
-    chain: ClosedChain, v: Array, a: Array, J: Array, dJ: Array, ddJ: Array
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the platform rows' part of ``RowRates``."""
-    robot, index = chain.robot, chain.platform_index
-    rows = chain.platform_jacobian()
-    if robot.platform is None:
-        zero = np.zeros_like(rows)
-        return rows, zero, zero, zero, zero
-    support = chain.support[index]
-    origin = chain.frame_origin(index)
-    twist, rate = J @ (support * v), J @ (support * a) + dJ @ (support * v)
-    velocity = twist[:3] + cross(twist[3:], origin)
-    acceleration = rate[:3] + cross(rate[3:], origin) + cross(twist[3:], velocity)
-    wrench = platform_wrenches(robot, origin)
-    # only the lever of the translation rows changes with time
-    lever = [
-        platform_wrenches(robot, motion) - platform_wrenches(robot, 0.0 * motion) for motion in (velocity, acceleration)
-    ]
-    Kd = (lever[0] @ J + wrench @ dJ) * support
-    Kdd = (lever[1] @ J + 2.0 * lever[0] @ dJ + wrench @ ddJ) * support
-    by_q, rate_by_q, rate_by_v = Kd.copy(), Kdd.copy(), 2.0 * Kd
-    if robot.platform.is_pose:
-        turning = [i for i, axis in enumerate(robot.platform.axes) if axis.startswith("r")]
-        axes = [("rx", "ry", "rz").index(robot.platform.axes[i]) for i in turning]
-        spin, spin_rate = (_skew(part[3:])[np.ix_(axes, axes)] for part in (twist, rate))
-        by_q[turning] -= spin @ rows[turning]
-        rate_by_q[turning] -= spin @ Kd[turning] + spin_rate @ rows[turning]
-        rate_by_v[turning] -= spin @ rows[turning]
-    return rows, Kd, by_q, rate_by_q, rate_by_v
 
 
 def _skew(w: Array) -> Array:

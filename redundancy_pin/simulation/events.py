@@ -19,10 +19,10 @@ from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.modes import ModeIndicator
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.chain import ClosedChain
 
 KINDS = ("track", "joint_limit", "type_I", "type_II")
 """A carrier at an end of its track; another joint at its limit; a leg at full stretch or folded, where the platform

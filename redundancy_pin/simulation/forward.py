@@ -26,9 +26,9 @@ from scipy.linalg import blas, eigh, lapack
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, IntArray
 from redundancy_pin.errors import IllPosedModelError, SingularPoseError
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.chain import ClosedChain
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,11 @@ from scipy.linalg import lapack
 
 from redundancy_pin.arrays import Array, checked, frozen, read_only
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.chain import ClosedChain
 
 GAP = 1e-13
 """Closure gap, m, at which the projection is done: rounding of a machine of a metre is 1e-16 a row."""

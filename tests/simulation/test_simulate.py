@@ -8,7 +8,7 @@ import moving
 import numpy as np
 import pytest
 import zoo
-from test_chain import chain_of
+from spatial_chains import chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array

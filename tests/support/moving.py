@@ -11,8 +11,8 @@ from written import J, urdf_of, write_robot
 
 from redundancy_pin import load_robot
 from redundancy_pin.arrays import Array
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.chain import ClosedChain
 from redundancy_pin.simulation.forward import ForwardDynamics
 from redundancy_pin.simulation.state import State, closed_state
 

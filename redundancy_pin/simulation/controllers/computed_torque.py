@@ -13,10 +13,10 @@ from scipy.linalg import lapack
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, read_only
 from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus, CarrierForces, allocate
 from redundancy_pin.errors import InputError, SingularPoseError
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.chain import ClosedChain
 from redundancy_pin.simulation.controllers.base import CarrierDrive, Sampling, Tracking, limit
 from redundancy_pin.simulation.derivatives import state_error
 from redundancy_pin.simulation.reference import MotionReference, ReferencePoint

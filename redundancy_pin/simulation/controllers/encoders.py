@@ -8,8 +8,8 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, checked
 from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import turning_velocities
-from redundancy_pin.simulation.chain import ClosedChain
 from redundancy_pin.simulation.controllers.base import Controller
 from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.state import Manifold, State

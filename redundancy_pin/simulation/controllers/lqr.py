@@ -12,9 +12,9 @@ from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve, expm, s
 
 from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.chain import ClosedChain
 from redundancy_pin.simulation.controllers.base import CarrierDrive, Sampling, Tracking, limit
 from redundancy_pin.simulation.derivatives import linearise, state_error
 from redundancy_pin.simulation.reference import MotionReference

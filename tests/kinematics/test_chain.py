@@ -7,9 +7,9 @@ import pytest
 import zoo
 from spatial_chains import CHAINS, chain_of
 
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.chain import ClosedChain
 
 ROUNDING = 1e-13
 """Sums of a dozen products of order 1."""
