@@ -294,3 +294,16 @@ def positive_each(values: ArrayLike | None, default: Array, floor: float, name: 
     if given.shape not in ((1,), default.shape) or not (np.isfinite(given) & (given > 0.0)).all():
         raise InputError(f"{name} is {values!r}.", remedy=f"Pass one positive number, or {len(default)}.", name=name)
     return np.broadcast_to(given, default.shape)
+
+
+def largest_loads(reference: MotionReference) -> tuple[Array, Array]:
+    """Return the largest |τ| (m,), N or N·m, and |F| (k,), N, at the middles of all pieces of a reference."""
+    loads = [reference.loads(t) for t in middles(reference)]
+    tau, force = (np.abs(part).max(axis=0) for part in zip(*loads, strict=True))
+    return tau, force
+
+
+def middles(reference: MotionReference) -> list[float]:
+    """Return the times in the middle of all pieces of a reference, s."""
+    times: list[float] = (0.5 * (reference.edges[:-1] + reference.edges[1:])).tolist()
+    return times

@@ -12,12 +12,22 @@ from scipy.linalg import lapack
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, read_only
 from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus, CarrierForces, allocate
-from redundancy_pin.errors import InputError, SingularPoseError
+from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.controllers.base import CarrierDrive, Sampling, Tracking, limit
+from redundancy_pin.simulation.controllers.base import (
+    CarrierDrive,
+    Command,
+    Sampling,
+    Tracking,
+    largest_loads,
+    limit,
+    middles,
+    positive,
+    positive_each,
+)
 from redundancy_pin.simulation.derivatives import state_error
 from redundancy_pin.simulation.reference import MotionReference, ReferencePoint
 from redundancy_pin.simulation.state import Manifold, State
@@ -69,15 +79,14 @@ class ReducedModel:
         robot, chain = self.robot, self.chain
         model, data, n, rows = robot.model, chain.data, robot.n, chain.rows
         chain.update(q, v)
-        stacked = np.concatenate([chain.jacobian(), chain.platform_jacobian()])
-        system = stacked[:, self._columns]
+        system = np.concatenate([chain.jacobian(), chain.platform_jacobian()])[:, self._columns]
         _, _, inverse, singular = lapack.dgesv(system, self._identity)
         if singular or np.abs(system).max() * np.abs(inverse).max() * RANK_TOLERANCE > 1.0:
             raise SingularPoseError(
                 f"{robot.name} is at a type I pose: platform and carriers do not describe its motion there.",
                 remedy="Control it along a motion that keeps away from this pose.",
             )
-        rates = np.concatenate([chain.jacobian_rate().dot(v), chain.platform_jacobian_rate().dot(v)])
+        rates = np.concatenate([chain.bias(), chain.platform_jacobian_rate().dot(v)])
         self._basis[self._columns, :n] = inverse[:, rows:]
         self._particular[self._columns] = -inverse.dot(rates)
         effort = pin.rnea(model, data, q, v, self._particular)
@@ -176,14 +185,14 @@ class ComputedTorque(Tracking):
     ) -> None:
         super().__init__(plan, motion, sampling)
         for name, value in (("bandwidth", bandwidth), ("carrier_bandwidth", carrier_bandwidth), ("damping", damping)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} is {value}.", remedy="Pass a positive, finite number.", name=name)
+            positive(name, value)
         robot = self.robot
         self.bandwidth, self.carrier_bandwidth, self.damping = bandwidth, carrier_bandwidth, damping
         frequency = np.concatenate([np.full(robot.n, bandwidth), np.full(robot.k, carrier_bandwidth)])
         self._stiffness, self._damping = frequency**2, 2.0 * damping * frequency
-        largest_tau, largest_sdd = _largest(self.reference)
-        self.carrier_scale = _scale(carrier_scale, CARRIER_SHARE * largest_sdd, robot.k, "carrier_scale")
+        largest_tau, _ = largest_loads(self.reference)
+        largest_sdd = np.abs([self.reference.carriers(t)[2] for t in middles(self.reference)]).max(axis=0)
+        self.carrier_scale = positive_each(carrier_scale, CARRIER_SHARE * largest_sdd, LEAST_SHARE, "carrier_scale")
         self.effort_limit = limit(effort_limit, robot.m, "effort_limit")
         self.carrier_force_limit = limit(carrier_force_limit, robot.k, "carrier_force_limit")
         self.history: deque[TorqueCommand] = deque(maxlen=HISTORY)
@@ -192,9 +201,9 @@ class ComputedTorque(Tracking):
         self._rows = row_scale(robot)
         if effort_scale is None:
             largest_tau = np.maximum(largest_tau, correcting_efforts(self.reference, bandwidth**2 * POSITION))
-        self.effort_scale = _scale(effort_scale, largest_tau, robot.m, "effort_scale")
+        self.effort_scale = positive_each(effort_scale, largest_tau, LEAST_SHARE, "effort_scale")
 
-    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+    def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t; ``history`` keeps how they came about."""
         command = self.command(t, state)
         self.history.append(command)
@@ -221,7 +230,7 @@ class ComputedTorque(Tracking):
             return self._as_planned(t, point, nothing)
         needed = equations.mass @ wanted + equations.bias
         carriers = CarrierForces(needed[n:], equations.mass[n:, n:], self.carrier_force_limit)
-        found = allocate(
+        allocation = allocate(
             equations.W,
             equations.mass[:n, n:],
             needed[:n],
@@ -232,15 +241,15 @@ class ComputedTorque(Tracking):
             effort_limit=self.effort_limit,
             carriers=carriers,
         )
-        if found.status is AllocationStatus.UNBALANCED:
-            return self._as_planned(t, point, found)
-        return TorqueCommand(t, read_only(found.tau), read_only(carriers.of(found.deviation)), found)
+        if allocation.status is AllocationStatus.UNBALANCED:
+            return self._as_planned(t, point, allocation)
+        return TorqueCommand(t, read_only(allocation.tau), read_only(carriers.of(allocation.deviation)), allocation)
 
-    def _as_planned(self, t: float, point: ReferencePoint, found: Allocation) -> TorqueCommand:
+    def _as_planned(self, t: float, point: ReferencePoint, allocation: Allocation) -> TorqueCommand:
         """Return the plan's efforts, within the limits."""
         tau = np.clip(point.tau, -self.effort_limit, self.effort_limit)
         force = np.clip(point.carrier_force, -self.carrier_force_limit, self.carrier_force_limit)
-        return TorqueCommand(t, read_only(tau), read_only(force), found)
+        return TorqueCommand(t, read_only(tau), read_only(force), allocation)
 
     def _advanced(self, t: float, state: State) -> State:
         """Return where the state will be when the answer acts, by its velocity and the planned acceleration."""
@@ -266,9 +275,8 @@ def correcting_efforts(reference: MotionReference, acceleration: float) -> Array
         N or N·m; zero for an actuator without effect anywhere on the motion.
     """
     model, rows = ReducedModel(reference.robot), row_scale(reference.robot)
-    n, middles = reference.robot.n, 0.5 * (reference.edges[:-1] + reference.edges[1:])
-    found = []
-    for t in middles.tolist():
+    n, needed = reference.robot.n, []
+    for t in middles(reference):
         q, v, _ = reference.tree(t)
         try:
             equations = model.at(q, v)
@@ -278,24 +286,5 @@ def correcting_efforts(reference: MotionReference, acceleration: float) -> Array
         size = np.linalg.norm(columns, axis=0)
         along = columns / np.where(size > 0.0, size, np.inf) / rows[:, None]
         carried = np.einsum("im,ij,jm->m", along, equations.mass[:n, :n], along)
-        found.append(acceleration * carried / np.where(size > 0.0, size, np.inf))
-    return np.median(found, axis=0) if found else np.zeros(reference.robot.m)
-
-
-def _largest(reference: MotionReference) -> tuple[Array, Array]:
-    """Return the largest |τ| and |s̈| at the middles of all pieces."""
-    middles = 0.5 * (reference.edges[:-1] + reference.edges[1:])
-    tau = np.abs([reference.loads(float(t))[0] for t in middles]).max(axis=0)
-    sdd = np.abs([reference.carriers(float(t))[2] for t in middles]).max(axis=0)
-    return tau, sdd
-
-
-def _scale(given: ArrayLike | None, default: Array, count: int, name: str) -> Array:
-    if given is None:
-        largest = float(default.max(initial=0.0))
-        floor = LEAST_SHARE * largest if largest > 0.0 else 1.0
-        return np.maximum(default, floor)
-    values = np.atleast_1d(np.asarray(given, dtype=float))
-    if values.shape not in ((1,), (count,)) or not (np.isfinite(values) & (values > 0.0)).all():
-        raise InputError(f"{name} is {given!r}.", remedy=f"Pass one positive number, or {count}.", name=name)
-    return np.broadcast_to(values, (count,))
+        needed.append(acceleration * carried / np.where(size > 0.0, size, np.inf))
+    return np.median(needed, axis=0) if needed else np.zeros(reference.robot.m)

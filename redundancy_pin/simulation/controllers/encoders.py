@@ -10,7 +10,7 @@ from redundancy_pin.arrays import Array, checked
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import turning_velocities
-from redundancy_pin.simulation.controllers.base import Controller
+from redundancy_pin.simulation.controllers.base import Command, Controller, EffortLaw, positive
 from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.state import Manifold, State
 
@@ -44,7 +44,7 @@ PRISMATIC_STEP = 1e-6
 """m."""
 
 
-class Encoders:
+class Encoders(Controller):
     """A controller that sees the machine through encoders on every joint; for sampled simulations.
 
     Encoders of the actuated joints alone would not do: at a type II pose they do not determine the pose. Readings are
@@ -71,7 +71,7 @@ class Encoders:
 
     def __init__(
         self,
-        controller: Controller,
+        controller: Controller | EffortLaw,
         reference: MotionReference,
         *,
         period: float,
@@ -81,15 +81,8 @@ class Encoders:
         phase: Array | None = None,
         home: Array | None = None,
     ) -> None:
-        settings = {
-            "period": period,
-            "time_constant": time_constant,
-            "revolute_step": revolute_step,
-            "prismatic_step": prismatic_step,
-        }
-        for name, value in settings.items():
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} is {value}.", remedy="Pass a positive, finite number.", name=name)
+        self.period, self.time_constant = positive("period", period), positive("time_constant", time_constant)
+        steps = positive("revolute_step", revolute_step), positive("prismatic_step", prismatic_step)
         robot = reference.robot
         if robot.model.nq != robot.model.nv:
             raise UnsupportedRobotError(
@@ -97,8 +90,7 @@ class Encoders:
                 remedy="Build it from revolute and prismatic joints.",
             )
         self.controller, self.reference = controller, reference
-        self.period, self.time_constant = period, time_constant
-        self.step = np.where(turning_velocities(robot), revolute_step, prismatic_step)
+        self.step = np.where(turning_velocities(robot), *steps)
         self.phase = np.zeros(robot.model.nq) if phase is None else phase
         self._chain = ClosedChain(robot)
         self._manifold = Manifold(self._chain)
@@ -137,6 +129,6 @@ class Encoders:
         q, v, _, _ = self._manifold.project(reading, speed + self._rate)
         return State(self._chain, t, q, v)
 
-    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+    def effort(self, t: float, state: State) -> Command:
         """Return the efforts for the estimated state."""
         return self.controller.effort(t, self.estimate(t, state))

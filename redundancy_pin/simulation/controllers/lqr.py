@@ -1,4 +1,8 @@
-"""Time-varying linear quadratic regulator along a reference; finite at type II poses."""
+"""Time-varying linear quadratic regulator along a reference; finite at type II poses.
+
+Three steps: the linear model along the reference (``linear_model``; ``sampled_model`` for a digital controller), the
+Riccati equation backwards along it, and the feedback u = u_d(t) − K(t) δz.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +19,32 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.controllers.base import CarrierDrive, Sampling, Tracking, limit
+from redundancy_pin.simulation.controllers.base import (
+    CarrierDrive,
+    Command,
+    Sampling,
+    Tracking,
+    largest_loads,
+    limit,
+    positive,
+    positive_each,
+)
 from redundancy_pin.simulation.derivatives import linearise, state_error
 from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.state import State
 from redundancy_pin.trajectory.continuous import TimedTrajectory
+
+LEAST_SHARE = 0.05
+"""An actuator that a plan hardly uses may still deviate by this share of the largest of its kind."""
+
+NEGATIVE = 1e-9
+"""Share of the largest eigenvalue by which rounding may make the smallest one of P negative."""
+
+STEP = 5e-3
+"""Default distance of the nodes of the linear model, s: planned motions change within 50 ms."""
+
+CONTINUOUS_STEP = 1e-3
+"""Intervals of constant A and B in the continuous Riccati equation, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,39 +84,14 @@ def bryson_weights(
         InputError: a value that is not positive, or of the wrong shape.
     """
     for name, value in (("position", position), ("carrier", carrier), ("bandwidth", bandwidth)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"{name} is {value}.", remedy="Pass a positive, finite number.", name=name)
+        positive(name, value)
     robot = reference.robot
-    both = _largest_loads(reference)
-    main = _acceptable(effort, both[: robot.m], "effort")
-    carriers = _acceptable(carrier_force, both[robot.m :], "carrier_force")
+    largest = largest_loads(reference)
+    main = positive_each(effort, largest[0], LEAST_SHARE, "effort")
+    carriers = positive_each(carrier_force, largest[1], LEAST_SHARE, "carrier_force")
     place = np.concatenate([position / row_scale(robot), np.full(robot.k, carrier)])
     state = np.concatenate([place, bandwidth * place])
     return LqrWeights(frozen(np.diag(state**-2.0)), frozen(np.diag(np.concatenate([main, carriers]) ** -2.0)))
-
-
-LEAST_SHARE = 0.05
-"""An actuator that a plan hardly uses may still deviate by this share of the largest of its kind."""
-
-
-def _largest_loads(reference: MotionReference) -> Array:
-    middles = 0.5 * (reference.edges[:-1] + reference.edges[1:])
-    largest: Array = np.abs([np.concatenate(reference.loads(float(t))) for t in middles]).max(axis=0)
-    return largest
-
-
-def _acceptable(given: ArrayLike | None, largest: Array, name: str) -> Array:
-    if given is None:
-        top = float(largest.max(initial=0.0))
-        return np.maximum(largest, LEAST_SHARE * top if top > 0.0 else 1.0)
-    values = np.atleast_1d(np.asarray(given, dtype=float))
-    if values.shape not in ((1,), largest.shape) or not (np.isfinite(values) & (values > 0.0)).all():
-        raise InputError(f"{name} is {given!r}.", remedy=f"Pass one positive number, or {len(largest)}.", name=name)
-    return np.broadcast_to(values, largest.shape)
-
-
-NEGATIVE = 1e-9
-"""Share of the largest eigenvalue by which rounding may make the smallest one of P negative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,23 +125,16 @@ def discrete_riccati(transition: Array, input: Array, Q: Array, R: Array, final:
         InputError: R is not positive definite, or P loses its sign.
     """
     count, size, inputs = input.shape
-    P = np.empty((count + 1, size, size))
-    K = np.empty((count, inputs, size))
+    P, K = np.empty((count + 1, size, size)), np.empty((count, inputs, size))
     P[-1] = 0.5 * (final + final.T)
     for i in range(count - 1, -1, -1):
-        phi, gamma, next_cost = transition[i], input[i], P[i + 1]
-        weighted = next_cost @ gamma
-        try:
-            factor = cho_factor(R + gamma.T @ weighted)
-        except LinAlgError as error:
-            raise InputError(
-                "The cost of the inputs is not positive definite.", remedy="Give every effort a positive weight."
-            ) from error
-        K[i] = cho_solve(factor, weighted.T @ phi)
+        phi, gamma, after = transition[i], input[i], P[i + 1]
+        weighted = after @ gamma
+        K[i] = cho_solve(_factor(R + gamma.T @ weighted), weighted.T @ phi)
         closed = phi - gamma @ K[i]
-        found = closed.T @ next_cost @ closed + Q + K[i].T @ R @ K[i]
-        P[i] = 0.5 * (found + found.T)
-    return Riccati(read_only(P), read_only(K), _checked(P))
+        cost = closed.T @ after @ closed + Q + K[i].T @ R @ K[i]
+        P[i] = 0.5 * (cost + cost.T)
+    return Riccati(read_only(P), read_only(K), _least_eigenvalue(P))
 
 
 def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, final: Array, step: Array) -> Riccati:
@@ -164,41 +157,39 @@ def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, final: Array, ste
         InputError: R is not positive definite, or P loses its sign.
     """
     count, size, _ = B.shape
-    try:
-        factor = cho_factor(R)
-    except LinAlgError as error:
-        raise InputError(
-            "The cost of the inputs is not positive definite.", remedy="Give every effort a positive weight."
-        ) from error
+    factor = _factor(R)
     gain = np.array([cho_solve(factor, b.T) for b in B])
     hamiltonian = np.empty((count, 2 * size, 2 * size))
-    hamiltonian[:, :size, :size] = A
-    hamiltonian[:, :size, size:] = -B @ gain
-    hamiltonian[:, size:, :size] = -Q
-    hamiltonian[:, size:, size:] = -A.transpose(0, 2, 1)
+    hamiltonian[:, :size, :size], hamiltonian[:, :size, size:] = A, -B @ gain
+    hamiltonian[:, size:, :size], hamiltonian[:, size:, size:] = -Q, -A.transpose(0, 2, 1)
     powers = expm(-hamiltonian * step[:, None, None])
     P = np.empty((count + 1, size, size))
     P[-1] = 0.5 * (final + final.T)
     for i in range(count - 1, -1, -1):
         stacked = powers[i, :, :size] + powers[i, :, size:] @ P[i + 1]
-        found = np.linalg.solve(stacked[:size].T, stacked[size:].T).T
-        P[i] = 0.5 * (found + found.T)
+        cost = np.linalg.solve(stacked[:size].T, stacked[size:].T).T
+        P[i] = 0.5 * (cost + cost.T)
     K = np.concatenate([gain[:1], gain]) @ P
-    return Riccati(read_only(P), read_only(K), _checked(P))
+    return Riccati(read_only(P), read_only(K), _least_eigenvalue(P))
 
 
-def _checked(P: Array) -> float:
-    """Return the smallest relative eigenvalue.
+def _factor(cost: Array) -> tuple[Array, bool]:
+    try:
+        factor: tuple[Array, bool] = cho_factor(cost)
+    except LinAlgError as error:
+        raise InputError(
+            "The cost of the inputs is not positive definite.", remedy="Give every effort a positive weight."
+        ) from error
+    return factor
 
-    Raises:
-        InputError: P is not finite, or not positive semidefinite.
-    """
-    finite = bool(np.isfinite(P).all())
+
+def _least_eigenvalue(P: Array) -> float:
+    """Return the smallest relative eigenvalue of costs that must be finite and positive semidefinite."""
     least = float("nan")
-    if finite:
+    if np.isfinite(P).all():
         values = np.linalg.eigvalsh(P)
         least = float((values[:, 0] / np.maximum(np.abs(values).max(axis=1), np.finfo(float).tiny)).min())
-    if not finite or least < -NEGATIVE:
+    if not least >= -NEGATIVE:
         raise InputError(
             f"The Riccati equation has no positive solution: smallest relative eigenvalue {least:.3g}.",
             remedy="Pass Q and the final cost without negative eigenvalues, and less extreme weights.",
@@ -232,27 +223,18 @@ class LinearModel:
 
 
 def linear_model(reference: MotionReference, step: float) -> LinearModel:
-    """Return the linearisation along a reference at nodes at most ``step`` apart.
-
-    Args:
-        reference: the motion and its efforts.
-        step: s.
+    """Return the linearisation along a reference at nodes at most ``step``, s, apart.
 
     Raises:
         SingularPoseError: a type I pose on the way.
         IllPosedModelError: a free motion of the model has no inertia somewhere on the way.
     """
-    robot = reference.robot
-    chain = ClosedChain(robot)
+    robot, chain = reference.robot, ClosedChain(reference.robot)
     count = max(2, int(np.ceil((reference.end - reference.start) / step - 1e-9)) + 1)
     times = np.linspace(reference.start, reference.end, count)
-    found = []
-    for t in times.tolist():
-        q, v, _ = reference.tree(t)
-        found.append(linearise(robot, State(chain, t, q, v), *reference.loads(t)))
-    return LinearModel(
-        read_only(times), read_only(np.array([one.A for one in found])), read_only(np.array([one.B for one in found]))
-    )
+    nodes = [linearise(robot, State(chain, t, *reference.tree(t)[:2]), *reference.loads(t)) for t in times.tolist()]
+    A, B = (read_only(np.array(part)) for part in zip(*((node.A, node.B) for node in nodes), strict=True))
+    return LinearModel(read_only(times), A, B)
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,16 +269,12 @@ def sampled_model(model: LinearModel, start: float, end: float, period: float, d
     transition, old = _hold(model, times[:-1] + 0.5 * delay, delay)
     after, new = _hold(model, times[:-1] + 0.5 * (delay + period), period - delay)
     phi, gamma = after @ transition, new
-    if delay == 0.0:
-        return SampledModel(read_only(times), read_only(phi), read_only(gamma))
-    states, inputs = new.shape[1:]
-    large = np.zeros((count, states + inputs, states + inputs))
-    large[:, :states, :states] = phi
-    large[:, :states, states:] = after @ old
-    enters = np.zeros((count, states + inputs, inputs))
-    enters[:, :states] = gamma
-    enters[:, states:] = np.eye(inputs)
-    return SampledModel(read_only(times), read_only(large), read_only(enters))
+    if delay > 0.0:  # the input of the sample before is part of the state
+        states, inputs = new.shape[1:]
+        zero, one = np.zeros((count, inputs, states + inputs)), np.broadcast_to(np.eye(inputs), (count, inputs, inputs))
+        phi = np.concatenate([np.concatenate([phi, after @ old], axis=2), zero], axis=1)
+        gamma = np.concatenate([gamma, one], axis=1)
+    return SampledModel(read_only(times), read_only(phi), read_only(gamma))
 
 
 def _hold(model: LinearModel, times: Array, duration: float) -> tuple[Array, Array]:
@@ -307,13 +285,6 @@ def _hold(model: LinearModel, times: Array, duration: float) -> tuple[Array, Arr
     block[:, :states, :states], block[:, :states, states:] = A, B
     power = expm(duration * block)
     return power[:, :states, :states], power[:, :states, states:]
-
-
-STEP = 5e-3
-"""Default distance of the nodes of the linear model, s: planned motions change within 50 ms."""
-
-CONTINUOUS_STEP = 1e-3
-"""Intervals of constant A and B in the continuous Riccati equation, s."""
 
 
 class TimeVaryingLqr(Tracking):
@@ -366,8 +337,7 @@ class TimeVaryingLqr(Tracking):
     ) -> None:
         super().__init__(plan, motion, sampling)
         robot, reference = self.robot, self.reference
-        if not (np.isfinite(step) and step > 0.0):
-            raise InputError(f"step is {step} s.", remedy="Pass a positive number.", name="step")
+        positive("step", step)
         if sampling is not None and sampling.delay > sampling.period:
             raise InputError(
                 f"The delay of {sampling.delay} s is longer than the period of {sampling.period} s.",
@@ -384,7 +354,9 @@ class TimeVaryingLqr(Tracking):
         else:
             self.t, self.riccati, self.holds_end = _sampled(self.model, self.weights, sampling)
         self._times: list[float] = self.t.tolist()
+        self._tolerance = 0.0 if sampling is None else 1e-6 * sampling.period
         nothing = np.zeros(robot.m + robot.k)
+        # time of the last answer of a digital controller, its δu, and the δu that acted then: δu of the sample before
         self._memory: tuple[float, Array, Array] = (np.inf, nothing, nothing)
 
     def gain(self, t: float) -> Array:
@@ -392,18 +364,14 @@ class TimeVaryingLqr(Tracking):
         K = self.riccati.K
         i = bisect_right(self._times, t + self._tolerance) - 1
         if self.sampling is not None:
-            held: Array = K[min(max(i, 0), len(K) - 1)]
-            return held
+            gain: Array = K[min(max(i, 0), len(K) - 1)]
+            return gain
         i = min(max(i, 0), len(K) - 2)
         share = min(max((t - self.t[i]) / (self.t[i + 1] - self.t[i]), 0.0), 1.0)
         between: Array = (1.0 - share) * K[i] + share * K[i + 1]
         return between
 
-    @property
-    def _tolerance(self) -> float:
-        return 0.0 if self.sampling is None else 1e-6 * self.sampling.period
-
-    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+    def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
         robot, reference = self.robot, self.reference
         x, xd, _ = reference.platform(t)
@@ -443,11 +411,11 @@ def _continuous(model: LinearModel, weights: LqrWeights) -> tuple[Array, Riccati
 def _sampled(model: LinearModel, weights: LqrWeights, sampling: Sampling) -> tuple[Array, Riccati, bool]:
     period = sampling.period
     Q, R = period * weights.Q, period * weights.R
-    found = sampled_model(model, float(model.t[0]), float(model.t[-1]), period, sampling.delay)
-    extra = found.transition.shape[1] - len(Q)
+    hold = sampled_model(model, float(model.t[0]), float(model.t[-1]), period, sampling.delay)
+    extra = hold.transition.shape[1] - len(Q)
     Q = block_diag(Q, np.zeros((extra, extra))) if extra else Q
-    final, holds = _final(lambda: solve_discrete_are(found.transition[-1], found.input[-1], Q, R), Q / period)
-    return found.t, discrete_riccati(found.transition, found.input, Q, R, final), holds
+    final, holds = _final(lambda: solve_discrete_are(hold.transition[-1], hold.input[-1], Q, R), Q / period)
+    return hold.t, discrete_riccati(hold.transition, hold.input, Q, R, final), holds
 
 
 def _final(solve: Callable[[], Array], fallback: Array) -> tuple[Array, bool]:
