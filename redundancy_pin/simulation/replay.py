@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import nan
 from typing import Literal
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.errors import IllPosedModelError, InfeasiblePlanError, InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import difference, moved, row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.controllers.base import Controller, FeedForward, Sampling, Tracking
+from redundancy_pin.simulation.controllers.base import Command, Controller, FeedForward, Sampling, Tracking
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
 from redundancy_pin.simulation.reference import MotionReference, plan_reference
-from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
 from redundancy_pin.trajectory.continuous import TimedTrajectory
@@ -75,17 +75,17 @@ class Replay:
     drive: str
     status: str
     reason: str
-    t: Array
-    error: Array
-    largest: float
-    rms: float
-    last: float
-    carrier_error: float
-    carrier_lag: float
-    off_track: float
-    effort: float
-    carrier_force: float
-    gap: float
+    t: Array = field(default_factory=lambda: frozen(()))
+    error: Array = field(default_factory=lambda: frozen(()))
+    largest: float = nan
+    rms: float = nan
+    last: float = nan
+    carrier_error: float = nan
+    carrier_lag: float = nan
+    off_track: float = nan
+    effort: float = nan
+    carrier_force: float = nan
+    gap: float = nan
 
 
 def replay_table(
@@ -95,7 +95,7 @@ def replay_table(
     drives: Sequence[Drive] = DRIVES,
     sampling: Sampling = SAMPLING,
 ) -> tuple[Replay, ...]:
-    """Replay plans with each of several drives.
+    """Return ``replay`` of plans, by name, with each of several drives.
 
     Args:
         plans: by name.
@@ -104,8 +104,7 @@ def replay_table(
         sampling: of the controllers.
 
     Raises:
-        InputError: an unknown drive.
-        PlanFileError: a plan's robot cannot be loaded.
+        InputError, PlanFileError: see ``replay``.
     """
     known = motions or {}
     return tuple(
@@ -146,27 +145,46 @@ def replay(
     """
     try:
         reference = plan_reference(plan, motion=motion)
-        controller = _controller(plan, reference, drive, sampling)
-        robot, closed_loop = reference.robot, drive in ("computed torque", "LQR")
+        controller, robot = _controller(plan, reference, drive, sampling), reference.robot
+        duration, digital = reference.end - reference.start, controller.sampling
         run = simulate(
             robot,
             controller,
-            start=displaced(robot, reference) if closed_loop else None,
+            start=None if digital is None else displaced(robot, reference),
             carriers="motion" if drive == "carriers by motion" else "force",
-            sampling=sampling if closed_loop else None,
-            duration=reference.end - reference.start,
-            dt=sampling.period if closed_loop else DT,  # with every value that a digital controller puts out
+            sampling=digital,
+            duration=duration,
+            dt=DT if digital is None else digital.period,  # with every value that a digital controller puts out
             stop_at=(),
-            max_steps=MOST_STEPS + 2 * max(len(plan.t), int((reference.end - reference.start) / sampling.period)),
-            rtol=CONTROLLED_RTOL if closed_loop else RTOL,
-            atol=CONTROLLED_ATOL if closed_loop else ATOL,
-            integrator="RK45" if closed_loop else "DOP853",
+            max_steps=MOST_STEPS + 2 * max(len(plan.t), int(duration / sampling.period)),
+            rtol=RTOL if digital is None else CONTROLLED_RTOL,
+            atol=ATOL if digital is None else CONTROLLED_ATOL,
+            integrator="DOP853" if digital is None else "RK45",
         )
-    except (IllPosedModelError, SingularPoseError) as error:
-        return _nothing(name, drive, "ill_posed", str(error))
-    except InfeasiblePlanError as error:
-        return _nothing(name, drive, "no_efforts", str(error))
-    return _judged(name, drive, reference, run)
+    except (IllPosedModelError, SingularPoseError) as reason:
+        return Replay(name, drive, "ill_posed", str(reason))
+    except InfeasiblePlanError as reason:
+        return Replay(name, drive, "no_efforts", str(reason))
+    planned = np.array([reference.platform(t)[0] for t in run.t.tolist()])
+    error = np.linalg.norm(difference(robot, np.array(run.x), planned) * row_scale(robot), axis=1)
+    span = float(run.t[-1] - run.t[0])
+    return Replay(
+        plan=name,
+        drive=drive,
+        status=run.status.value,
+        reason=run.reason,
+        t=run.t,
+        error=read_only(error),
+        largest=float(error.max()),
+        rms=float(np.sqrt(np.trapezoid(error**2, run.t) / span)) if span > 0.0 else float(error[0]),
+        last=float(error[-1]),
+        carrier_error=float(np.abs(run.s - [reference.carriers(t)[0] for t in run.t.tolist()]).max(initial=0.0)),
+        carrier_lag=float(reference.carrier_lag.max(initial=0.0)),
+        off_track=_off_track(robot, run.s),
+        effort=float(np.nanmax(np.abs(run.tau))),
+        carrier_force=float(np.nanmax(np.abs(run.carrier_force), initial=0.0)),
+        gap=float(run.gap.max()),
+    )
 
 
 def displaced(robot: Robot, reference: MotionReference) -> State:
@@ -195,7 +213,7 @@ class _SampleEfforts(Tracking):
     """Efforts of the samples, linear in between; where a sample occurs twice they jump."""
 
     def __init__(self, plan: Plan, reference: MotionReference) -> None:
-        super().__init__(reference, None, None)
+        super().__init__(reference)
         bad = ~np.isfinite(np.concatenate([plan.tau, plan.carrier_force], axis=1)).all(axis=1)
         if bad.any():
             t = float(plan.t[int(bad.argmax())])
@@ -208,45 +226,15 @@ class _SampleEfforts(Tracking):
         self._t, self._tau, self._force = plan.t, np.asarray(plan.tau), np.asarray(plan.carrier_force)
         self.breaks = np.unique(plan.t)[1:-1]
 
-    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+    def effort(self, t: float, state: State) -> Command:
         right = min(max(int(np.searchsorted(self._t, t, side="right")), 1), len(self._t) - 1)
         left = right - 1
         step = self._t[right] - self._t[left]
         share = min(max((t - self._t[left]) / step, 0.0), 1.0) if step > 0.0 else 1.0
-        tau = (1.0 - share) * self._tau[left] + share * self._tau[right]
-        return tau, (1.0 - share) * self._force[left] + share * self._force[right]
-
-
-def _judged(name: str, drive: str, reference: MotionReference, run: Simulation) -> Replay:
-    robot = reference.robot
-    planned = np.array([reference.platform(float(t))[0] for t in run.t])
-    carriers = np.array([reference.carriers(float(t))[0] for t in run.t])
-    error = np.linalg.norm(difference(robot, np.array(run.x), planned) * row_scale(robot), axis=1)
-    span = float(run.t[-1] - run.t[0])
-    return Replay(
-        name,
-        drive,
-        run.status.value,
-        run.reason,
-        run.t,
-        read_only(error),
-        float(error.max()),
-        float(np.sqrt(np.trapezoid(error**2, run.t) / span)) if span > 0.0 else float(error[0]),
-        float(error[-1]),
-        float(np.abs(run.s - carriers).max(initial=0.0)),
-        float(reference.carrier_lag.max(initial=0.0)),
-        _off_track(robot, run.s),
-        float(np.nanmax(np.abs(run.tau))),
-        float(np.nanmax(np.abs(run.carrier_force), initial=0.0)),
-        float(run.gap.max()),
-    )
+        tau, force = ((1.0 - share) * part[left] + share * part[right] for part in (self._tau, self._force))
+        return tau, force
 
 
 def _off_track(robot: Robot, s: Array) -> float:
     lower, upper = (np.array([getattr(limits, side) for limits in robot.carrier_limits]) for side in ("lower", "upper"))
     return float(np.maximum(s - upper, lower - s).max(initial=0.0))
-
-
-def _nothing(name: str, drive: str, status: str, reason: str) -> Replay:
-    empty, none = read_only(np.empty(0)), float("nan")
-    return Replay(name, drive, status, reason, empty, empty, none, none, none, none, none, none, none, none, none)

@@ -188,29 +188,17 @@ def _simulation(record: Mapping[str, Any]) -> Simulation:
 
 def _check(simulation: Simulation) -> None:
     """Check that the arrays fit together."""
-    # the sizes that the others are measured by
+    # first the sizes that the others are measured by
     for name, axes in (("t", (1,)), ("v", (2,)), ("x", (2, 3)), ("xd", (2,)), ("closure_force", (2,))):
-        value = getattr(simulation, name)
-        if np.ndim(value) not in axes:
-            raise InputError(f"{name} has shape {np.shape(value)}, which no simulation has")
-    count, robot = len(simulation.t), simulation.robot
-    n, nv = simulation.xd.shape[1], simulation.v.shape[1]
+        if np.ndim(getattr(simulation, name)) not in axes:
+            raise InputError(f"{name} has shape {np.shape(getattr(simulation, name))}, which no simulation has")
+    robot, (n, nv, r) = simulation.robot, (getattr(simulation, one).shape[1] for one in ("xd", "v", "closure_force"))
     m, k = len(robot.actuated), len(robot.carriers)
-    poses = simulation.x.ndim == 3
-    for name, shape in (
-        ("t", (count,)),
-        ("q", (count, len(robot.q_reference))),
-        ("v", (count, nv)),
-        ("a", (count, nv)),
-        ("x", (count, 4, 4) if poses else (count, n)),
-        ("xd", (count, n)),
-        *((name, (count, k)) for name in ("s", "sd", "sdd", "carrier_force")),
-        *((name, (count, m)) for name in ("tau", "actuated_rate")),
-        ("closure_force", (count, simulation.closure_force.shape[1])),
-        ("gap", (count,)),
-        ("energy", (count,)),
-    ):
-        value = getattr(simulation, name)
+    widths = {"t": (), "q": (len(robot.q_reference),), "v": (nv,), "a": (nv,), "xd": (n,), "closure_force": (r,)}
+    widths |= {"x": (4, 4) if simulation.x.ndim == 3 else (n,), "tau": (m,), "actuated_rate": (m,)}
+    widths |= {"s": (k,), "sd": (k,), "sdd": (k,), "carrier_force": (k,), "gap": (), "energy": ()}
+    for name, width in widths.items():
+        value, shape = getattr(simulation, name), (len(simulation.t), *width)
         if not isinstance(value, np.ndarray) or value.dtype != np.float64:
             raise InputError(f"{name} is no array of floats")
         if value.shape != shape:
