@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, read_only
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
-from redundancy_pin.kinematics.chain import ClosedChain, cross
+from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import difference, row_scale, velocity_scale
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.forward import ForwardDynamics
@@ -34,14 +34,12 @@ class RowRates:
 
     Attributes:
         K: (r + n, nv) rows, K v = (0, ẋ).
-        Kd: (r + n, nv) time derivative.
         by_q: (r + n, nv) derivative of K v by q, v held.
         rate_by_q: (r + n, nv) derivative of the row accelerations K a + K̇ v by q, v and a held.
         rate_by_v: (r + n, nv) the same by v.
     """
 
     K: Array
-    Kd: Array
     by_q: Array
     rate_by_q: Array
     rate_by_v: Array
@@ -76,7 +74,7 @@ def row_rates(chain: ClosedChain, q: Array, v: Array, a: Array) -> RowRates:
         by_q[turning] -= spin @ K[turning]
         rate_by_q[turning] -= spin @ Kd[turning] + spin_rate @ K[turning]
         rate_by_v[turning] -= spin @ K[turning]
-    return RowRates(K, Kd, by_q, rate_by_q, rate_by_v)
+    return RowRates(K, by_q, rate_by_q, rate_by_v)
 
 
 def _world_columns(chain: ClosedChain, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
@@ -86,26 +84,14 @@ def _world_columns(chain: ClosedChain, q: Array, v: Array, a: Array) -> tuple[Ar
     the velocity V and acceleration A of that body.
     """
     model, data = chain.model, chain.data
-    pin.forwardKinematics(model, data, q, v, a)
     chain.update(q, v)
+    pin.computeForwardKinematicsDerivatives(model, data, q, v, a)
     J, dJ = chain.J.copy(), chain.dJ.copy()
-    twists, rates = np.empty((6, model.nv)), np.empty((6, model.nv))
-    for j in range(1, model.njoints):
-        joint = model.joints[j]
-        above = np.zeros(model.nv)
-        for parent in model.supports[j]:
-            if parent > 0:
-                above[model.joints[parent].idx_v] = 1.0
-        twists[:, joint.idx_v] = J @ (above * v)
-        rates[:, joint.idx_v] = J @ (above * a) + dJ @ (above * v)
-    return J, dJ, _spatial_cross(rates, J) + _spatial_cross(twists, dJ)
-
-
-def _spatial_cross(motion: Array, columns: Array) -> Array:
-    """Return the motion cross products of (6, c) columns, linear parts first."""
-    linear, angular = motion[:3].T, motion[3:].T
-    moved = cross(angular, columns[:3].T) + cross(linear, columns[3:].T)
-    return np.concatenate([moved.T, cross(angular, columns[3:].T).T])
+    ddJ = np.empty_like(J)
+    for joint in list(model.joints)[1:]:
+        column, velocity = pin.Motion(J[:, joint.idx_v]), data.ov[joint.id]
+        ddJ[:, joint.idx_v] = (data.oa[joint.id].cross(column) + velocity.cross(velocity.cross(column))).vector
+    return J, dJ, ddJ
 
 
 def _skew(w: Array) -> Array:
@@ -156,14 +142,20 @@ def inverse_derivatives(
         UnsupportedRobotError: a joint has more than one freedom.
         SingularPoseError: a type I pose, where (x, s) are no coordinates.
     """
-    _require_single(robot)
-    return _derivatives(ClosedChain(robot), q, v, a, tau, carrier_force)
+    return _inverse_derivatives(ClosedChain(robot), q, v, a, tau, carrier_force)
 
 
-def _derivatives(
+def _inverse_derivatives(
     chain: ClosedChain, q: Array, v: Array, a: Array, tau: Array | None, carrier_force: Array | None
 ) -> DynamicsDerivatives:
     robot, model, data = chain.robot, chain.model, chain.data
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        if joint.nv != 1:
+            raise UnsupportedRobotError(
+                f"Joint {str(name)!r} has {joint.nv} freedoms; derivatives cover joints of one.",
+                remedy="Build it from joints of one freedom each.",
+                joint=str(name),
+            )
     rows = row_rates(chain, q, v, a)
     inverse = _inverse(robot, chain, rows.K)
     basis = np.zeros((model.nv, robot.n + robot.k))
@@ -172,26 +164,21 @@ def _derivatives(
     by_q, by_v, mass = (np.array(part) for part in pin.computeRNEADerivatives(model, data, q, v, a))
     mass = np.triu(mass) + np.triu(mass, 1).T
     missing = np.array(pin.rnea(model, data, q, v, a))
-    selection = np.zeros((model.nv, robot.m + robot.k))
-    selection[robot.actuated_velocity, np.arange(robot.m)] = 1.0
-    selection[robot.carrier_velocity, robot.m + np.arange(robot.k)] = 1.0
-    if tau is not None:
-        missing -= selection[:, : robot.m] @ tau
-    if carrier_force is not None:
-        missing -= selection[:, robot.m :] @ carrier_force
+    driven = np.concatenate([robot.actuated_velocity, robot.carrier_velocity])
+    missing[driven[: robot.m]] -= 0.0 if tau is None else tau
+    missing[driven[robot.m :]] -= 0.0 if carrier_force is None else carrier_force
     turned = _row_force_derivative(chain, q, inverse.T @ missing)
-    q_y = basis
-    v_y = -inverse @ (rows.by_q @ q_y)
-    a_y = -inverse @ (rows.rate_by_q @ q_y + rows.rate_by_v @ v_y)
+    v_y = -inverse @ (rows.by_q @ basis)
+    a_y = -inverse @ (rows.rate_by_q @ basis + rows.rate_by_v @ v_y)
     a_z = -inverse @ (rows.rate_by_v @ basis)
     return DynamicsDerivatives(
         basis=read_only(basis),
         mass=read_only(basis.T @ mass @ basis),
         force=read_only(basis.T @ missing),
-        force_y=read_only(basis.T @ ((by_q - turned) @ q_y + by_v @ v_y + mass @ a_y)),
+        force_y=read_only(basis.T @ ((by_q - turned) @ basis + by_v @ v_y + mass @ a_y)),
         force_z=read_only(basis.T @ (by_v @ basis + mass @ a_z)),
-        input=read_only(basis.T @ selection),
-        rate_y=read_only(_turning(robot, rows.K[chain.rows :] @ v)),
+        input=read_only(basis[driven].T.copy()),
+        rate_y=read_only(_rotation_rate(robot, rows.K[chain.rows :] @ v)),
     )
 
 
@@ -231,25 +218,13 @@ def _row_force_derivative(chain: ClosedChain, q: Array, multiplier: Array) -> Ar
     return result
 
 
-def _turning(robot: Robot, rate: Array) -> Array:
+def _rotation_rate(robot: Robot, rate: Array) -> Array:
     """Return (d, d) the derivative of ẏ by y: for rotation vectors d(δθ)/dt = δω + ω × δθ."""
     result = np.zeros((robot.n + robot.k, robot.n + robot.k))
     if robot.platform is not None and robot.platform.is_pose:
         at = [robot.platform.axes.index(axis) for axis in ("rx", "ry", "rz")]
-        x, y, z = rate[at]
-        result[np.ix_(at, at)] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+        result[np.ix_(at, at)] = _skew(rate[at])
     return result
-
-
-def _require_single(robot: Robot) -> None:
-    model = robot.model
-    for j in range(1, model.njoints):
-        if model.joints[j].nv != 1:
-            raise UnsupportedRobotError(
-                f"Joint {str(model.names[j])!r} has {model.joints[j].nv} freedoms; derivatives cover joints of one.",
-                remedy="Build it from joints of one freedom each.",
-                joint=str(model.names[j]),
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,16 +268,13 @@ def linearise(robot: Robot, state: State, tau: Array, carrier_force: Array | Non
     dynamics = ForwardDynamics(robot)
     dynamics.adapt(state.q)
     a = dynamics.acceleration(state.q, state.v, force)
-    found = inverse_derivatives(robot, state.q, state.v, a, np.asarray(tau, dtype=float), loads)
-    d = robot.n + robot.k
-    solved = np.linalg.solve(found.mass, np.concatenate([-found.force_y, -found.force_z, found.input], axis=1))
-    A = np.zeros((2 * d, 2 * d))
-    A[:d, :d], A[:d, d:] = found.rate_y, np.eye(d)
-    A[d:] = solved[:, : 2 * d]
-    B = np.zeros((2 * d, robot.m + robot.k))
-    B[d:] = solved[:, 2 * d :]
-    dynamics.chain.update(state.q, state.v)
     chain = dynamics.chain
+    inverse = _inverse_derivatives(chain, state.q, state.v, a, np.asarray(tau, dtype=float), loads)
+    d = robot.n + robot.k
+    solved = np.linalg.solve(inverse.mass, np.concatenate([-inverse.force_y, -inverse.force_z, inverse.input], axis=1))
+    A = np.block([[inverse.rate_y, np.eye(d)], [solved[:, : 2 * d]]])
+    B = np.concatenate([np.zeros((d, robot.m + robot.k)), solved[:, 2 * d :]])
+    chain.update(state.q, state.v)
     platform = chain.platform_jacobian() @ a + chain.platform_jacobian_rate() @ state.v
     return Linearisation(
         read_only(A), read_only(B), read_only(np.concatenate([platform, a[robot.carrier_velocity]])), read_only(a)
