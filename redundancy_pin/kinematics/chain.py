@@ -60,19 +60,17 @@ class RowSet:
 
     def __init__(self, rows: Sequence[_Row], support: Array) -> None:
         self.size = len(rows)
-        axis = np.array([row.axis for row in rows], dtype=np.intp).reshape(-1, 2)
-        partner = np.array([row.partner for row in rows], dtype=np.intp).reshape(-1, 2)
         # axes of all rows, then their partners
-        self._vectors = np.concatenate([4 * axis[:, 0] + axis[:, 1], 4 * partner[:, 0] + partner[:, 1]])
-        self._carried = support[np.concatenate([axis[:, 0], partner[:, 0]])]
+        pairs = np.array([row.axis for row in rows] + [row.partner for row in rows], dtype=np.intp).reshape(-1, 2)
+        self._vectors = 4 * pairs[:, 0] + pairs[:, 1]
+        self._carried = support[pairs[:, 0]]
         self._swapped = np.roll(np.arange(2 * self.size), self.size)
         signs = np.array([row.sign for row in rows] + [1.0] * self.size)[:, None]
         self._signs = signs if (signs < 0.0).any() else None
-        self.slides = (partner[:, 1:] == 3).astype(float)
-        self._moving = np.concatenate([0.0 * self.slides, self.slides])
-        self._origins = 4 * axis[:, 0] + 3
-        bodies = np.array([row[2:4] for row in rows], dtype=np.intp).reshape(-1, 2)
-        self.mask = support[bodies[:, 1]] - support[bodies[:, 0]]
+        self._moving = (pairs[:, 1:] == 3).astype(float)
+        self.slides = self._moving[self.size :]
+        self._origins = 4 * pairs[: self.size, 0] + 3
+        self.mask = support[[row.second for row in rows]] - support[[row.first for row in rows]]
         self.wrench = np.zeros((self.size, 6))
         self._rate = np.zeros((self.size, 6))
 
@@ -85,14 +83,6 @@ class RowSet:
         self._axis, self._partner = axis, partner = pairs[: self.size], pairs[self.size :]
         np.multiply(axis, self.slides, out=self.wrench[:, :3])
         self.wrench[:, 3:] = cross(partner, axis)
-
-    def wrenches(self, vectors: Array) -> Array:
-        """Return (N, R, 6) the wrenches at N configurations, (N, 4 F, 3)."""
-        pairs = vectors.take(self._vectors, 1)
-        if self._signs is not None:
-            pairs *= self._signs
-        axis, partner = pairs[:, : self.size], pairs[:, self.size :]
-        return np.concatenate([axis * self.slides, cross(partner, axis)], axis=2)
 
     def residual(self) -> Array:
         """Return (R,) Φ = a · (c − σ p_A), m; for rotation rows the sine of the angle that is off."""
@@ -214,17 +204,13 @@ class ClosedChain:
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
         pin.computeJointJacobiansTimeVariation(self.model, self.data, q, v)
-        self._place()
-        self.q, self.v = q, v
-        self.closures.place(self._vectors)
-        self._platform_is_placed = False
-
-    def _place(self) -> None:
-        """Take the frames from the joints."""
         pin.updateFramePlacements(self.model, self.data)
         for axes, origin, rotation, translation in self._frames:
             axes[:] = rotation
             origin[:] = translation
+        self.q, self.v = q, v
+        self.closures.place(self._vectors)
+        self._platform_is_placed = False
 
     def residual(self) -> Array:
         """Return (r,) the closure residuals Φ, m; for rotation rows the sine of the angle that is off."""
@@ -233,16 +219,6 @@ class ClosedChain:
     def jacobian(self) -> Array:
         """Return J_c (r, nv)."""
         return self.closures.jacobian(self.J)
-
-    def jacobians(self, q: Array) -> Array:
-        """Return J_c (N, r, nv) at (N, nq) configurations, the state being that of none of them afterwards."""
-        places, joints = np.empty((len(q), *self._vectors.shape)), np.empty((len(q), 6, self.model.nv))
-        for i, one in enumerate(q):
-            pin.computeJointJacobians(self.model, self.data, one)
-            self._place()
-            places[i], joints[i] = self._vectors, self.J
-        rows: Array = self.closures.mask * (self.closures.wrenches(places) @ joints)
-        return rows
 
     def bias(self) -> Array:
         """Return J̇_c v (r,)."""

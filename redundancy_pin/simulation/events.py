@@ -114,31 +114,26 @@ class EventFunctions:
         self._chain, self._columns = chain, chain.pose_columns
         self._scale = 1.0 / velocity_scale(robot)[self._columns]
         self._actuated = np.eye(robot.model.nv)[robot.actuated_velocity][:, self._columns]
+        self._still = np.zeros(robot.model.nv)
 
     def __call__(self, q: Array) -> Array:
         """Return (N, w) the functions at (N, nq) configurations, which takes less time than one by one."""
-        closures = self._chain.jacobians(q).take(self._columns, 2)
+        chain, columns, count = self._chain, self._columns, len(q)
+        p, r = len(columns), chain.rows
+        # [J_c; S], whose determinant is zero where actuators do not hold the platform, and [J_c; J_x]
+        by_actuators, by_platform = np.empty((count, p, p)), np.empty((count, p, p))
+        for i, one in enumerate(q):
+            chain.update(one, self._still)
+            closures = chain.jacobian()[:, columns]
+            if self._square:
+                by_actuators[i, :r], by_actuators[i, r:] = closures, self._actuated
+            if not self._by_legs:
+                by_platform[i, :r], by_platform[i, r:] = closures, chain.platform_jacobian()[:, columns]
         parts = [self._side * (self._bound - q.take(self._position, 1))]
-        if self._by_legs:
-            parts.append(self._indicator(q))
-        else:
-            parts.append(self._determinants(closures, np.array([self._platform_rows(one) for one in q])))
+        parts.append(self._indicator(q) if self._by_legs else np.linalg.det(by_platform * self._scale)[:, None])
         if self._square:
-            parts.append(self._determinants(closures, self._actuated))
+            parts.append(np.linalg.det(by_actuators * self._scale)[:, None])
         return np.concatenate(parts, axis=1)
-
-    def _platform_rows(self, q: Array) -> Array:
-        self._chain.update(q, np.zeros(self._chain.model.nv))
-        return self._chain.platform_jacobian()[:, self._columns]
-
-    def _determinants(self, closures: Array, rows: Array) -> Array:
-        """Return (N, 1) the determinants of closure rows (N, r, p) over p − r further rows, N times or once for all."""
-        count, r, width = closures.shape
-        stacked = np.empty((count, width, width))
-        stacked[:, :r], stacked[:, r:] = closures, rows
-        stacked *= self._scale
-        determinants: Array = np.linalg.det(stacked)[:, None]
-        return determinants
 
     def at_start(self, q: Array) -> Array:
         """Return (w,) the functions at the start (nq,), rounding taken for zero.
