@@ -176,13 +176,26 @@ def distribute(
     problem = _problem(reduced, weights, lower, upper)
     spectrum = spectrum_of(problem.A)
     rank = spectrum.rank(rank_tolerance)
-    unbounded, outside = _unbounded(problem, rank)
+    at = problem.solvable
+    u, outside = np.full((len(rank), problem.A.shape[2]), np.nan), np.full(len(rank), np.nan)
+    u[at], outside[at] = minimum_norm(problem.A[at], problem.g[at], rank[at], problem.cost)
     allowed = consistency_tolerance * np.linalg.norm(problem.g, axis=1) + force_tolerance
-    consistent = problem.solvable & (outside <= allowed)
-    unbounded[~consistent] = np.nan
-    u, infeasible = _within_bounds(problem, unbounded, rank)
-    near = spectrum.margin < near_singular
-    status = _status(problem, rank, near=near, consistent=consistent, infeasible=infeasible)
+    consistent = at & (outside <= allowed)
+    u[~consistent] = np.nan
+    u, infeasible = _within_bounds(problem, u, rank)
+    full, near = rank == min(problem.A.shape[1:]), spectrum.margin < near_singular
+    status: IntArray = np.select(
+        [~at, infeasible, consistent & ~full, consistent & near, consistent, full],
+        [
+            SampleStatus.UNREACHABLE,
+            SampleStatus.BOUND_INFEASIBLE,
+            SampleStatus.SINGULAR_CONSISTENT,
+            SampleStatus.NEAR_SINGULAR,
+            SampleStatus.REGULAR,
+            SampleStatus.UNDERACTUATED_INCONSISTENT,
+        ],
+        SampleStatus.SINGULAR_INCONSISTENT,
+    ).astype(np.intp)
     free_direction, uncontrolled = _directions(problem, rank, status)
     return Distribution(
         tau=read_only(u * reduced.column_scale),
@@ -223,18 +236,14 @@ class _Problem:
 def _problem(
     reduced: ReducedDynamics, weights: ArrayLike | None, lower: ArrayLike | None, upper: ArrayLike | None
 ) -> _Problem:
-    """Check the arguments of ``distribute`` and return them without units.
-
-    Args:
-        reduced: f (N, n), W (N, n, m) and their scales.
-        weights: (m,) on τ, or None for 1/column_scale².
-        lower: (m,) or (N, m), N or N·m by joint, or None.
-        upper: (m,) or (N, m), N or N·m by joint, or None.
-
-    Raises:
-        InputError: shapes do not fit, weights or bounds out of their domain.
-    """
-    _check_shapes(reduced)
+    """Check the arguments of ``distribute`` and return them without units."""
+    shapes = W, f, reachable = np.shape(reduced.W), np.shape(reduced.f), np.shape(reduced.reachable)
+    if len(W) != 3 or 0 in W[1:] or f != W[:2] or reachable != W[:1]:
+        raise InputError(
+            f"W, f and reachable have shapes {W}, {f} and {reachable}, expected (N, n, m), (N, n) and (N,).",
+            remedy="Pass the result of a backend's reduce, or arrays of those shapes with n and m at least 1.",
+            **dict(zip(("W", "f", "reachable"), shapes, strict=True)),
+        )
     samples, n, m = reduced.W.shape
     row_scale = _positive(reduced.row_scale, "row_scale", n)
     column_scale = _positive(reduced.column_scale, "column_scale", m)
@@ -245,27 +254,14 @@ def _problem(
     g[~solvable] = np.nan
     low = _bound(lower, "lower", -math.inf, samples, m)
     high = _bound(upper, "upper", math.inf, samples, m)
-    _check_order(low, high)
-    return _Problem(
-        A=read_only(A),
-        g=read_only(g),
-        cost=_cost(weights, column_scale),
-        lower=read_only(low / column_scale),
-        upper=read_only(high / column_scale),
-        solvable=read_only(solvable),
-    )
-
-
-def _check_shapes(reduced: ReducedDynamics) -> None:
-    W, f, reachable = np.shape(reduced.W), np.shape(reduced.f), np.shape(reduced.reachable)
-    if len(W) != 3 or 0 in W[1:] or f != W[:2] or reachable != W[:1]:
+    for k, j in np.argwhere(low > high)[:1].tolist():
         raise InputError(
-            f"W, f and reachable have shapes {W}, {f} and {reachable}, expected (N, n, m), (N, n) and (N,).",
-            remedy="Pass the result of a backend's reduce, or arrays of those shapes with n and m at least 1.",
-            W=W,
-            f=f,
-            reachable=reachable,
+            f"lower is above upper for actuator {j} (first at sample {k}): {low[k, j]:g} > {high[k, j]:g}.",
+            remedy="Swap or widen the bounds.",
+            sample=k,
+            actuator=j,
         )
+    return _Problem(A, g, _cost(weights, column_scale), low / column_scale, high / column_scale, solvable)
 
 
 def _positive(values: ArrayLike, name: str, length: int) -> Array:
@@ -306,18 +302,6 @@ def _bound(values: ArrayLike | None, name: str, absent: float, samples: int, m: 
     return np.broadcast_to(array, (samples, m))
 
 
-def _check_order(lower: Array, upper: Array) -> None:
-    wrong = lower > upper
-    if wrong.any():
-        k, j = (int(i) for i in np.argwhere(wrong)[0])
-        raise InputError(
-            f"lower is above upper for actuator {j} (first at sample {k}): {lower[k, j]:g} > {upper[k, j]:g}.",
-            remedy="Swap or widen the bounds.",
-            sample=k,
-            actuator=j,
-        )
-
-
 def _check_tolerances(**tolerances: float) -> None:
     for name, value in tolerances.items():
         least = SMALLEST_RANK_TOLERANCE if name == "rank_tolerance" else 0.0
@@ -328,15 +312,6 @@ def _check_tolerances(**tolerances: float) -> None:
                 name=name,
                 value=value,
             )
-
-
-def _unbounded(problem: _Problem, rank: IntArray) -> tuple[Array, Array]:
-    """Return (N, m) efforts without bounds and (N,) the part of g they leave, NaN where not solvable."""
-    efforts = np.full((len(rank), problem.A.shape[2]), np.nan)
-    outside = np.full(len(rank), np.nan)
-    at = problem.solvable
-    efforts[at], outside[at] = minimum_norm(problem.A[at], problem.g[at], rank[at], problem.cost)
-    return efforts, outside
 
 
 def _within_bounds(problem: _Problem, efforts: Array, rank: IntArray) -> tuple[Array, BoolArray]:
@@ -358,25 +333,6 @@ def _residual(problem: _Problem, efforts: Array, outside: Array, infeasible: Boo
             problem.A[infeasible], problem.g[infeasible], problem.lower[infeasible], problem.upper[infeasible]
         )
     return residual
-
-
-def _status(
-    problem: _Problem, rank: IntArray, *, near: BoolArray, consistent: BoolArray, infeasible: BoolArray
-) -> IntArray:
-    full = rank == min(problem.A.shape[1:])
-    status: IntArray = np.select(
-        [~problem.solvable, infeasible, consistent & ~full, consistent & near, consistent, full],
-        [
-            SampleStatus.UNREACHABLE,
-            SampleStatus.BOUND_INFEASIBLE,
-            SampleStatus.SINGULAR_CONSISTENT,
-            SampleStatus.NEAR_SINGULAR,
-            SampleStatus.REGULAR,
-            SampleStatus.UNDERACTUATED_INCONSISTENT,
-        ],
-        SampleStatus.SINGULAR_INCONSISTENT,
-    ).astype(np.intp)
-    return status
 
 
 def _directions(problem: _Problem, rank: IntArray, status: IntArray) -> tuple[Array, Array]:

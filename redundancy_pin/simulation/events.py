@@ -77,18 +77,7 @@ class _Stop:
 
 
 class EventFunctions:
-    """The scalar functions of a robot whose zeros are events; the stops come first.
-
-    Args:
-        chain: evaluator of the robot.
-        stop_at: kinds at which the simulation stops.
-
-    Attributes:
-        kinds, names: see ``Event``, one each.
-
-    Raises:
-        InputError: an unknown kind.
-    """
+    """The scalar functions of a robot whose zeros are events, with their kinds and names; the stops come first."""
 
     def __init__(self, chain: ClosedChain, stop_at: tuple[str, ...]) -> None:
         unknown = [kind for kind in stop_at if kind not in KINDS]
@@ -172,9 +161,7 @@ class EventFunctions:
     def turns(self, y: Array, length: Array) -> BoolArray:
         """Return (N, l) which joints turn back, near enough to a stop to pass it, in which of N parts of a step.
 
-        Args:
-            y: (N + 1, nq + nv) states at the start of the step and at the ends of the parts.
-            length: (N,) of the parts, s.
+        y (N + 1, nq + nv) are the states at the ends of the parts, length (N,) their durations, s.
         """
         away, rate = self._side * (self._bound - y.take(self._position, 1)), self.approach(y)
         reach = length[:, None] * np.maximum(np.abs(rate[:-1]), np.abs(rate[1:]))
@@ -220,9 +207,7 @@ _WEIGHTS_OF_ENDS = cubic_weights((0.0, 1.0))
 class Step:
     """An accepted step of an integrator, as a function of time; good until the integrator is changed or goes on.
 
-    Args:
-        solver: the integrator, after the step.
-        before: y and ẏ at the start of the step.
+    ``before`` is y and ẏ at the start of the step.
     """
 
     def __init__(self, solver: OdeSolver, before: tuple[Array, Array]) -> None:
@@ -251,11 +236,7 @@ class Step:
         return self(self.time(fraction))
 
     def estimates(self, weights: Array) -> Array:
-        """Return (N, nq + nv) y at fractions of the step on the cubic through y and ẏ at both ends.
-
-        Args:
-            weights: (N, 4) ``cubic_weights`` of the fractions.
-        """
+        """Return (N, nq + nv) y on the cubic through both ends, at the fractions whose ``cubic_weights`` are given."""
         (y0, f0), (y1, f1) = self._before, self._after
         h = self.end - self.start
         states: Array = weights.dot(np.array([y0, h * f0, h * f1, y1]))
@@ -265,10 +246,7 @@ class Step:
 def find_events(functions: EventFunctions, before: Array, step: Step) -> tuple[list[Event], Array]:
     """Return the events in a step in order of time, up to the first terminal one, and the functions (w,) at its end.
 
-    Args:
-        functions: whose zeros are events.
-        before: (w,) their values at the start of the step.
-        step: the step.
+    ``before`` are the functions at its start.
     """
     looks, weights = (_LOOKS, _WEIGHTS) if step.end - step.start > _BRIEF else (_LOOKS[-1:], _WEIGHTS_OF_ENDS)
     states = step.estimates(weights)

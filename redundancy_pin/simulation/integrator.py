@@ -46,14 +46,7 @@ GAP_LIMIT = 1e-9
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the integration.
-
-    Attributes:
-        rtol, atol: relative and absolute tolerance of a step.
-        max_step: longest step, s.
-        max_steps: most steps before it is given up.
-        integrator: a key of ``INTEGRATORS``.
-    """
+    """Tolerances of a step, longest step, s, most steps, and a key of ``INTEGRATORS``."""
 
     rtol: float
     atol: float
@@ -79,13 +72,9 @@ class Stretch:
 
 
 def stretches(start: float, end: float, breaks: Array, sampling: Sampling | None) -> list[Stretch]:
-    """Return the stretches from a start to an end, s.
+    """Return the stretches from a start to an end, s, with ``breaks`` between them.
 
-    Args:
-        start: time of the first reading of a digital controller, which is not counted as one of ``Stretch.reads``.
-        end: nothing is read there.
-        breaks: inner times at which efforts jump or kink.
-        sampling: of a digital controller, or None.
+    The reading at the start is taken before, and none is taken at the end.
     """
     if sampling is None:
         return [Stretch(left, right) for left, right in pairwise([start, *breaks.tolist(), end])]
@@ -187,13 +176,7 @@ class Outcome:
 
 
 def integrate(problem: Problem, y: Array, values: Array, first: Command) -> Outcome:
-    """Integrate from a closed state at the first time of the grid.
-
-    Args:
-        problem: what is integrated.
-        y: (nq + nv,) the state.
-        values: (w,) functions of the events there, ``EventFunctions.at_start``.
-        first: what the controller commands there.
+    """Integrate from a closed state y at the first time of the grid, where a controller gave its first command.
 
     Raises:
         InputError: the controller returns something else than finite efforts.
@@ -210,24 +193,14 @@ def integrate(problem: Problem, y: Array, values: Array, first: Command) -> Outc
             if progress.status is not None:
                 break
     record.samples.append(_sample(machine, progress.t, progress.y, hold))
-    statistics = Statistics(
-        progress.steps,
-        progress.evaluations,
-        progress.restarts,
-        progress.largest_correction,
-        time.perf_counter() - began,
-    )
+    seconds = time.perf_counter() - began
+    counts = progress.steps, progress.evaluations, progress.restarts, progress.largest_correction
     status = progress.status or SimulationStatus.COMPLETED
-    return Outcome(tuple(record.samples), tuple(record.events), status, progress.reason, statistics)
+    return Outcome(tuple(record.samples), tuple(record.events), status, progress.reason, Statistics(*counts, seconds))
 
 
 class _Rate:
-    """ẏ over one stretch, as scipy's solvers call it.
-
-    Attributes:
-        evaluations: how often it was called.
-        failure: why the last call had no answer, if one of this step had none.
-    """
+    """ẏ over one stretch, as scipy's solvers call it; ``failure`` says why a call of this step had no answer."""
 
     def __init__(self, machine: Machine, hold: Command | None, end: float) -> None:
         self._machine, self._hold, self._end = machine, hold, end
@@ -252,11 +225,7 @@ class _Rate:
 def _integrate_stretch(
     problem: Problem, progress: Progress, stretch: Stretch, hold: Command | None, record: Record
 ) -> Progress:
-    """Integrate over one stretch, and add its samples and events to the record.
-
-    Raises:
-        InputError: the controller returns something else than finite efforts, at trial steps however short.
-    """
+    """Integrate over one stretch, and add its samples and events to the record."""
     settings, length = problem.settings, stretch.end - progress.t
     rate = _Rate(problem.machine, hold, stretch.end)
     solver = INTEGRATORS[settings.integrator](
@@ -315,11 +284,7 @@ def _step(
 
 
 def _require_answers(rate: _Rate) -> None:
-    """Check, where no step is short enough, that it is not the controller that has no answer.
-
-    Raises:
-        InputError: what it returned instead, and when.
-    """
+    """Raise what the controller returned in place of efforts, if that is why no step is short enough."""
     if isinstance(rate.failure, InputError):
         raise rate.failure
 

@@ -182,15 +182,12 @@ def _require_same_sampling(controller: Controller, sampling: Sampling | None) ->
 
 
 def _settings(rtol: float, atol: float, max_step: float, max_steps: int, integrator: str) -> Settings:
-    positive("rtol", rtol, LEAST_RTOL)
-    positive("atol", atol)
-    if not max_step > 0.0:
-        raise InputError(f"max_step is {max_step}.", remedy="Pass a positive number.")
     if integrator not in INTEGRATORS:
         raise InputError(f"integrator is {integrator!r}.", remedy=f"Pass one of {', '.join(INTEGRATORS)}.")
-    if max_steps < 1:
-        raise InputError(f"max_steps is {max_steps}.", remedy="Pass a positive number.")
-    return Settings(float(rtol), float(atol), float(max_step), int(max_steps), integrator)
+    for name, value in (("max_step", max_step), ("max_steps", max_steps)):
+        if not value > 0:
+            raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
+    return Settings(positive("rtol", rtol, LEAST_RTOL), positive("atol", atol), max_step, int(max_steps), integrator)
 
 
 def _start(robot: Robot, controller: Controller, start: State | None) -> State:
@@ -254,11 +251,7 @@ def _require_closed(machine: Machine, state: State) -> None:
 
 
 def _simulation(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -> Simulation:
-    """Evaluate forces, accelerations and energies at the samples and put everything together.
-
-    Raises:
-        InputError: the controller returns something else than finite efforts at a sample.
-    """
+    """Evaluate forces, accelerations and energies at the samples and put everything together."""
     robot, model, data, samples = machine.robot, machine.robot.model, machine.chain.data, outcome.samples
     count, t = len(samples), frozen([sample.t for sample in samples])
     q, v = (np.array([sample.y[part] for sample in samples]) for part in np.s_[: model.nq, model.nq :])
@@ -281,13 +274,13 @@ def _simulation(machine: Machine, outcome: Outcome, parameters: dict[str, object
         a[i], closure_force[i], carrier_force[i] = loads.a, loads.closure_force, loads.carrier_force
     evaluated = ConstraintSystem(robot).evaluate(q)
     columns = robot.carrier_velocity
-    xd = np.einsum("nij,nj->ni", evaluated.Jx, v)
+    x, xd = coordinates(robot, evaluated), np.einsum("nij,nj->ni", evaluated.Jx, v)
     return Simulation(
         t=t,
         q=read_only(q),
         v=read_only(v),
         a=read_only(a),
-        x=read_only(_unwrapped(robot, t, coordinates(robot, evaluated), xd)),
+        x=read_only(_unwrapped(robot, t, x, xd)),
         xd=read_only(xd),
         s=frozen(q[:, robot.carrier_position]),
         sd=frozen(v[:, columns]),

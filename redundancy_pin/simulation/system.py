@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Closure, Robot
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.state import Manifold, State
@@ -70,7 +70,11 @@ MOST_ITERATIONS = 30
 
 def has_point_closures(robot: Robot) -> bool:
     """Return whether all closures are points in a plane or in space, which is what ``ConstraintDynamics`` covers."""
-    return all(set(closure.axes) in ({"x", "y"}, {"x", "y", "z"}) for closure in robot.closures)
+    return all(_is_point(closure) for closure in robot.closures)
+
+
+def _is_point(closure: Closure) -> bool:
+    return set(closure.axes) in ({"x", "y"}, {"x", "y", "z"})
 
 
 class ConstraintDynamics:
@@ -86,8 +90,7 @@ class ConstraintDynamics:
     """
 
     def __init__(self, robot: Robot) -> None:
-        if not has_point_closures(robot):
-            other = next(c for c in robot.closures if set(c.axes) not in ({"x", "y"}, {"x", "y", "z"}))
+        for other in (closure for closure in robot.closures if not _is_point(closure)):
             raise UnsupportedRobotError(
                 f"Pinocchio's constraintDynamics cannot take closure {other.name!r} along {', '.join(other.axes)}.",
                 remedy="Use the projected equations, which take every closure.",
@@ -97,18 +100,11 @@ class ConstraintDynamics:
         self._constraints = pin.StdVec_RigidConstraintModel()
         self._constraint_data = pin.StdVec_RigidConstraintData()
         for closure in robot.closures:
-            frame_a, frame_b = (
-                model.frames[model.getFrameId(f, pin.FrameType.BODY)] for f in (closure.frame_a, closure.frame_b)
+            ends = (
+                model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in (closure.frame_a, closure.frame_b)
             )
-            constraint = pin.RigidConstraintModel(
-                pin.ContactType.CONTACT_3D,
-                model,
-                frame_a.parentJoint,
-                frame_a.placement,
-                frame_b.parentJoint,
-                frame_b.placement,
-                pin.ReferenceFrame.LOCAL,
-            )
+            places = (part for end in ends for part in (end.parentJoint, end.placement))
+            constraint = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *places, pin.ReferenceFrame.LOCAL)
             self._constraints.append(constraint)
             self._constraint_data.append(constraint.createData())
         self._data = model.createData()
@@ -117,10 +113,8 @@ class ConstraintDynamics:
 
     def __call__(self, q: Array, v: Array, force: Array) -> Array:
         """Return the accelerations (nv,) at q (nq,), v (nv,) under generalised forces (nv,)."""
-        acceleration = pin.constraintDynamics(
-            self._model, self._data, q, v, force, self._constraints, self._constraint_data, self._settings
-        )
-        return np.array(acceleration)
+        constraints = self._constraints, self._constraint_data, self._settings
+        return np.array(pin.constraintDynamics(self._model, self._data, q, v, force, *constraints))
 
 
 Method = Literal["projected", "constraint_dynamics"]

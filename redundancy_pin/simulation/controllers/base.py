@@ -250,11 +250,7 @@ class Amplifiers:
 
 
 def limit(values: ArrayLike | None, count: int, name: str) -> Array:
-    """Return (count,) limits from a scalar, one value each, or None for no limit.
-
-    Raises:
-        InputError: wrong number of values, or one that is not positive.
-    """
+    """Return (count,) limits from a positive scalar, one value each, or None for no limit."""
     given = np.full(1, np.inf) if values is None else np.atleast_1d(np.asarray(values, dtype=float))
     if given.shape not in ((1,), (count,)) or not (given > 0.0).all():
         raise InputError(
@@ -264,11 +260,7 @@ def limit(values: ArrayLike | None, count: int, name: str) -> Array:
 
 
 def positive(name: str, value: float, least: float = 0.0) -> float:
-    """Return a positive, finite number, at least ``least``.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Return a positive, finite number, at least ``least``."""
     if not (isfinite(value) and value > 0.0 and value >= least):
         wanted = f", at least {least}" if least else ", finite number"
         raise InputError(f"{name} is {value}.", remedy=f"Pass a positive{wanted}.", name=name)
@@ -276,17 +268,7 @@ def positive(name: str, value: float, least: float = 0.0) -> float:
 
 
 def positive_each(values: ArrayLike | None, default: Array, floor: float, name: str) -> Array:
-    """Return positive values, one each: those given, or the defaults raised to a share of the largest of them.
-
-    Args:
-        values: one positive number, or one each; the defaults when None.
-        default: (count,) not negative.
-        floor: share of the largest default that every default is at least; 1 where all are zero.
-        name: of the argument, for the error.
-
-    Raises:
-        InputError: wrong number of values, or one that is not positive.
-    """
+    """Return positive values, one each: those given, or the defaults raised to a share of the largest of them."""
     if values is None:
         largest = float(default.max(initial=0.0))
         return np.maximum(default, floor * largest if largest > 0.0 else 1.0)

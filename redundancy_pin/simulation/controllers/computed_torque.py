@@ -50,11 +50,7 @@ class ReducedEquations:
 
 
 class ReducedModel:
-    """Evaluator of ``ReducedEquations`` for one robot. It holds a workspace: one for each thread or process.
-
-    Args:
-        robot: the robot.
-    """
+    """Evaluator of ``ReducedEquations`` for one robot. It holds a workspace: one for each thread or process."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -67,11 +63,7 @@ class ReducedModel:
         self._particular = np.zeros(nv)
 
     def at(self, q: Array, v: Array) -> ReducedEquations:
-        """Return the equations at a closed state.
-
-        Args:
-            q: (nq,) configuration.
-            v: (nv,) velocity that the closures allow.
+        """Return the equations at a closed state q (nq,), v (nv,).
 
         Raises:
             SingularPoseError: a type I pose, where platform and carriers are no coordinates.
@@ -264,15 +256,8 @@ class ComputedTorque(Tracking):
 def correcting_efforts(reference: MotionReference, acceleration: float) -> Array:
     """Return the main efforts (m,) that accelerate the platform along their own directions.
 
-    With W_i the column of actuator i and u = W_i / |W_i|, in coordinates scaled to lengths: a uᵀ M_xx u / |W_i|, which
-    is finite at type II poses; the median over the motion.
-
-    Args:
-        reference: the motion.
-        acceleration: a, m/s².
-
-    Returns:
-        N or N·m; zero for an actuator without effect anywhere on the motion.
+    With W_i the column of actuator i and u = W_i / |W_i|, in coordinates scaled to lengths: a uᵀ M_xx u / |W_i|, N or
+    N·m, which is finite at type II poses; the median over the motion, zero for an actuator without effect anywhere.
     """
     model, rows = ReducedModel(reference.robot), row_scale(reference.robot)
     n, needed = reference.robot.n, []

@@ -117,9 +117,9 @@ def discrete_riccati(transition: Array, input: Array, Q: Array, R: Array, final:
     Args:
         transition: (N, e, e) Φ.
         input: (N, e, p) Γ.
-        Q: (e, e) cost of the state in each step, symmetric, positive semidefinite.
-        R: (p, p) cost of the input in each step, symmetric, positive definite.
-        final: (e, e) P_N, symmetric, positive semidefinite.
+        Q: (e, e) symmetric, positive semidefinite.
+        R: (p, p) symmetric, positive definite.
+        final: (e, e) P_N.
 
     Raises:
         InputError: R is not positive definite, or P loses its sign.
