@@ -1,4 +1,4 @@
-"""What was saved at version 0.1.0, and the commands whose output was recorded then: coarse, so that all takes seconds."""
+"""What version 0.1.0 saved, and the commands whose output was recorded then: coarse, so that all takes seconds."""
 
 from __future__ import annotations
 

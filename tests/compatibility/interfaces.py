@@ -133,9 +133,8 @@ def _assigned(kind: type) -> Iterator[str]:
     except (OSError, TypeError):
         return
     for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and isinstance(node.value, ast.Name):
-            if node.value.id == "self":
-                yield node.attr
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) and ast.unparse(node.value) == "self":
+            yield node.attr
 
 
 def results() -> dict[str, list[str]]:
