@@ -131,5 +131,9 @@ COMMANDS: Mapping[str, Command] = {
     "study": Command(("study", "--draws", "1", "--jobs", "1", "--out", "study"), slow=True),
 }  # fmt: skip
 
+BACKENDS = ("rnea", "virtual-work")
+EFFORTS = ("inverse-dynamics", "--robot", "2rpr", "--set", "end_effector_mass=0.5", "--gravity", "0,-9.81,0")
+"""Of both backends along ``motion.csv``."""
+
 REPRODUCE = "reproduce"
 """Its keys were recorded from a small job; the whole one takes minutes."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cli.command_line import call, write_motion
-from compatibility_cases import COMMANDS, DATA, PLANS, REPLAYS, REPRODUCE, simulated
+from compatibility_cases import BACKENDS, COMMANDS, DATA, EFFORTS, PLANS, REPLAYS, REPRODUCE, simulated
 from interfaces import PLACES, describe, documented_imports, headline_table, place, public_names, results, structure
 from interfaces import thing as named
 
@@ -28,6 +28,8 @@ def make() -> None:
     for name, replay in REPLAYS.items():
         simulated(replay).save(DATA / f"{name}.npz")
     write_motion(DATA / "motion.csv", reference.circle(speed=0.5), 0.05, carriers=2)
+    for backend in BACKENDS:
+        call(*EFFORTS, "--backend", backend, "--motion", DATA / "motion.csv", "--out", DATA / f"efforts-{backend}.csv")
     modules = {name: place(name) for name in PLACES}
     names = {
         name: {entry: describe(named(module, entry)) for entry in public_names(module)}

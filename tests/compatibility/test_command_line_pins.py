@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from cli.command_line import call, refused
-from compatibility_cases import COMMANDS, DATA, REPRODUCE
+from compatibility_cases import BACKENDS, COMMANDS, DATA, EFFORTS, REPRODUCE
 from interfaces import differences, structure
 
 import redundancy_pin as rp
@@ -38,6 +40,20 @@ def test_json_has_its_keys(name: str) -> None:
     result = call(*command.arguments, "--json")
     assert result.exit_code == command.code, result.stderr
     assert differences(KEYS[name], structure(json.loads(result.stdout)), name) == []
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_efforts_along_a_motion_are_what_they_were(backend: str) -> None:
+    result = call(*EFFORTS, "--backend", backend, "--motion", "motion.csv", "--out", "efforts.csv")
+    assert result.exit_code == 0, result.stderr
+    with Path("efforts.csv").open() as ours, (DATA / f"efforts-{backend}.csv").open() as theirs:
+        now, then = list(csv.DictReader(ours)), list(csv.DictReader(theirs))
+    assert list(now[0]) == list(then[0])
+    assert [row.pop("status") for row in now] == [row.pop("status") for row in then]
+    for name in then[0]:
+        # both backends agree to 1e-10 of the largest in the cross-check; next to a singularity efforts are large
+        one, other = (np.array([float(row[name]) for row in rows]) for rows in (now, then))
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
 @pytest.mark.long
