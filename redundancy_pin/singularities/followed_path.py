@@ -14,13 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray
 from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.continuation import continuous
 from redundancy_pin.kinematics.coordinates import difference, require_matching, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.modes import mode_indicator, mode_name
-from redundancy_pin.kinematics.projection import project
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.singularities.classify import actuation_matrix, serial_matrix, signed_margin

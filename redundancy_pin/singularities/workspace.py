@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, read_only
-from redundancy_pin.kinematics.assembly import Assembly, assemble, configuration_difference, integrate
+from redundancy_pin.kinematics.assembly import Assembly, assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference
 from redundancy_pin.kinematics.modes import in_working_mode, mode_indicator
-from redundancy_pin.kinematics.projection import project
 from redundancy_pin.singularities.classify import actuation_matrix, serial_matrix, signed_margin
 
 _NEWTON = 10
