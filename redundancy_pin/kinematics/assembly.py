@@ -162,7 +162,7 @@ def assemble(
 def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     """Invert K at evaluated configurations."""
     robot, columns = system.robot, system.pose_columns
-    inverse = _inverse(state.K)
+    inverse = inverses(state.K)
     rows = np.concatenate([system.closure_scale, row_scale(robot)])
     with np.errstate(over="ignore"):
         size = np.sqrt(np.einsum("nij,i,j->n", inverse**2, velocity_scale(robot)[columns] ** 2, 1.0 / rows**2))
@@ -260,7 +260,7 @@ def _solve(matrix: Array, rhs: Array) -> Array:
     return result
 
 
-def _inverse(matrices: Array) -> Array:
+def inverses(matrices: Array) -> Array:
     """Return stacked inverses, NaN where a matrix is exactly singular."""
     try:
         return np.asarray(np.linalg.inv(matrices), dtype=np.float64)

@@ -152,9 +152,13 @@ def continuous(system: ConstraintSystem, q: Array, gamma: Array, x: Array) -> Bo
 
     The change of q is compared with the trapezoidal rule over Γ and the change of x.
     """
-    model = system.robot.model
-    step = configuration_difference(model, q[:-1], q[1:])
-    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma[:-1] + gamma[1:]), difference(system.robot, x[1:], x[:-1]))
+    step = configuration_difference(system.robot.model, q[:-1], q[1:])
+    return follows(step, gamma[:-1], gamma[1:], difference(system.robot, x[1:], x[:-1]))
+
+
+def follows(step: Array, gamma0: Array, gamma1: Array, increment: Array) -> BoolArray:
+    """Return (N,) whether steps (N, nv) of q are what Γ at both ends (N, nv, n) says of increments (N, n) of x."""
+    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment)
     allowed = _CONTINUITY * np.abs(predicted).max(axis=1, initial=0.0) + _ROUNDING
     result: BoolArray = np.abs(step - predicted).max(axis=1, initial=0.0) <= allowed
     return result

@@ -165,7 +165,7 @@ def null_directions(matrices: Array) -> tuple[Array, Array]:
         right: (N, m) unit vectors with the smallest |A v|.
     """
     u, _, vt = np.linalg.svd(matrices, full_matrices=True)
-    return _signed(u[:, :, -1]), _signed(vt[:, -1, :])
+    return oriented(u[:, :, -1]), oriented(vt[:, -1, :])
 
 
 def _singular_values(matrices: Array) -> Array:
@@ -178,8 +178,9 @@ def _singular_values(matrices: Array) -> Array:
     return values
 
 
-def _signed(vectors: Array) -> Array:
+def oriented(vectors: Array) -> Array:
+    """Return (N, n) vectors with the sign that makes the largest component positive (the first of those that tie)."""
     size = np.abs(vectors)
     leading = (size >= (1.0 - SIGN_TIE) * size.max(axis=1, keepdims=True)).argmax(axis=1)
-    sign = np.sign(np.take_along_axis(vectors, leading[:, np.newaxis], axis=1))
-    return read_only(vectors * sign)
+    flipped = np.take_along_axis(vectors, leading[:, np.newaxis], axis=1) < 0.0
+    return read_only(np.where(flipped, -vectors, vectors) + 0.0)  # no negative zeros

@@ -13,7 +13,7 @@ import numpy as np
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, frozen
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import difference, row_scale
 from redundancy_pin.kinematics.modes import mode_indicator
 from redundancy_pin.motion import PlatformMotion
@@ -98,7 +98,7 @@ def find_crossings(
     for name, value in (("spacing", spacing), ("tolerance", tolerance)):
         if not 0.0 < value < 1.0:
             raise InputError(f"{name} is {value}.", remedy="Pass a number between 0 and 1.", name=name)
-    path = follow_law(ConstraintSystem(robot), position_law(robot, motion), spacing)
+    path = follow_law(constraint_system(robot), position_law(robot, motion), spacing)
 
     def parallel(times: Array) -> Array:
         margins = path.margins(times)
