@@ -71,7 +71,7 @@ def follow(
 
     Args:
         system: closures and platform rows.
-        x: (N, n) coordinates or (N, 4, 4) poses, base frame.
+        x: (N, n) coordinates or (N, 4, 4) poses.
         start: (nq,) closed configuration at ``x[0]``.
         resume: where the branch ends or leaves the robot's working mode, go on at the next pose that closes in it;
             without it the mode is not looked at, and the anchors after the end of the branch are left invalid.
@@ -227,10 +227,8 @@ def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, *,
 def reacquire(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Point] | None:
     """Return the first pose that closes in the working mode, from a configuration (nq,) and from the reference.
 
-    Where the chains close earlier, but in another mode, multistart looks for the mode at that pose.
-
-    Returns:
-        Its index and its solution; None when there is none.
+    Where the chains close earlier, but in another mode, multistart looks for the mode at that pose. None when no pose
+    closes.
     """
     start, count = 0, _LARGEST_BATCH
     while start < len(targets):

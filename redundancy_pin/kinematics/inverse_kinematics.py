@@ -46,12 +46,7 @@ class PoseSolution(NamedTuple):
 def multistart(system: ConstraintSystem, guess: Array, x: Array) -> PoseSolution:
     """Assemble one pose from a guess, and from more and more random starts around it until one succeeds.
 
-    Of the first round in which one closes in the working mode, the nearest to the guess is taken.
-
-    Args:
-        system: closures and platform rows.
-        guess: (nq,) configuration to start from.
-        x: (n,) coordinates or a pose (4, 4).
+    Of the first round in which one closes in the working mode, the nearest to the guess (nq,) is taken.
     """
     rng = np.random.default_rng(_SEED)
     best = PoseSolution(guess, float("inf"), False)
@@ -76,13 +71,8 @@ def multistart_nearest(system: ConstraintSystem, guess: Array, x: Array, listed:
 
     Many starts are solved, half of them with the known joints at their guess, and the nearest of all solutions is
     taken: Newton from the guess alone may leave it for another branch, above all where the joints left out start
-    stretched.
-
-    Args:
-        system: closures and platform rows.
-        guess: (nq,) configuration to start from.
-        x: (n,) coordinates or a pose.
-        listed: indices in q of the joints whose guess means something; the others do not count for the distance.
+    stretched. ``listed`` are the indices in q of the joints whose guess means something; the others do not count for
+    the distance.
     """
     rng = np.random.default_rng(_SEED)
     solutions = [_assemble_around(system, guess, x, 1, rng)]
@@ -103,16 +93,10 @@ def multistart_nearest(system: ConstraintSystem, guess: Array, x: Array, listed:
 
 
 def mixed_legs(robot: Robot, q: Array, guess: Array) -> Array | None:
-    """Return a configuration whose legs are taken from several closed configurations of the same pose.
+    """Return a configuration with each leg from the one of several closed ones (N, nq) of a pose nearest to a guess.
 
-    Args:
-        robot: the robot.
-        q: (N, nq) closed configurations of one pose.
-        guess: (nq,) configuration to stay near to, leg by leg.
-
-    Returns:
-        (nq,) a candidate in the robot's working mode, whose closures the caller checks; None where some leg is in the
-        wanted mode in none of the configurations.
+    It is a candidate in the robot's working mode, whose closures are still to be checked; None where some leg is in the
+    wanted mode in none of the configurations.
     """
     if robot.working_modes is None or len(q) == 0:
         return None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NoReturn, Protocol
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
@@ -46,9 +47,6 @@ _MODE_ROUNDING = 1e-6
 
 _SLOW_NEWTON = 80
 """At a type I singularity Newton converges linearly, halving the error: 50 halvings reach rounding."""
-
-_SMALL_ANGLE = 1e-4
-"""Below it the first term of the series, 1/12, is exact to 1e-11 and the closed form loses digits."""
 
 _STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
@@ -122,8 +120,10 @@ def _poses(robot: Robot, motion: PlatformMotion, left: IntArray) -> Callable[[Ar
     p, R = motion.x[:, :3, 3], motion.x[:, :3, :3]
     position = _quintic(motion, left, p[left], p[left + 1], rate[:, :3], acceleration[:, :3])
     h = (motion.t[left + 1] - motion.t[left])[:, None]
-    turn = Rotation.from_matrix(R[left + 1] @ R[left].transpose(0, 2, 1)).as_rotvec()
-    end_rate = _rotation_vector_rate(turn, rate[left + 1, 3:])
+    between = R[left + 1] @ R[left].transpose(0, 2, 1)
+    turn = Rotation.from_matrix(between).as_rotvec()
+    # φ̇ of exp([φ]×) that turns with ω in world axes: the inverse of the left Jacobian, the transpose of the right one's
+    end_rate = np.array([pin.Jlog3(one).T @ omega for one, omega in zip(between, rate[left + 1, 3:], strict=True)])
     rotation_vector = BPoly(
         np.stack([np.zeros_like(turn), h * rate[left, 3:] / 3.0, turn - h * end_rate / 3.0, turn]), position.x
     )
@@ -137,19 +137,6 @@ def _poses(robot: Robot, motion: PlatformMotion, left: IntArray) -> Callable[[Ar
         return poses
 
     return at
-
-
-def _rotation_vector_rate(phi: Array, omega: Array) -> Array:
-    """Return φ̇ (N, 3) of R = exp([φ]×) R0 that turns with the world-axes angular velocity ω (N, 3).
-
-    The inverse of the left Jacobian of SO(3): φ̇ = ω − ½ φ×ω + (1 − (θ/2) cot(θ/2))/θ² φ×(φ×ω), θ = |φ|.
-    """
-    theta = np.linalg.norm(phi, axis=1, keepdims=True)
-    half = 0.5 * np.maximum(theta, _SMALL_ANGLE)
-    factor = np.where(theta > _SMALL_ANGLE, (1.0 - half / np.tan(half)) / (4.0 * half**2), 1.0 / 12.0)
-    turned = np.cross(phi, omega)
-    result: Array = omega - 0.5 * turned + factor * np.cross(phi, turned)
-    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,10 +189,7 @@ class FollowedPath:
 def follow_law(system: ConstraintSystem, law: PositionLaw, spacing: float) -> FollowedPath:
     """Solve a path on the robot's branch at steps of at most ``spacing`` characteristic lengths.
 
-    Args:
-        system: closures and platform rows.
-        law: platform coordinates over time.
-        spacing: longest step, in characteristic lengths (rotations count with that length).
+    Rotations count with the characteristic length.
 
     Raises:
         UnreachablePoseError: a pose cannot be reached; carries the time at which the path leaves the workspace.

@@ -211,14 +211,9 @@ def _axes(
 
 
 def crossed_edges(flags: BoolArray, usable: BoolArray) -> list[IntArray]:
-    """Return the curves between true and false nodes of a grid, as the edges they cross.
+    """Return the curves between true and false nodes of a grid, (A,) or (A, B), without the nodes that are not usable.
 
-    Args:
-        flags: (A,) or (A, B) the function at the nodes.
-        usable: same shape; nodes without are left out.
-
-    Returns:
-        (E, 2) node numbers of the edges along each curve, in order; a closed curve ends with the edge it starts with.
+    A curve is the edges it crosses, (E, 2) node numbers in order; a closed one ends with the edge it starts with.
     """
     if flags.ndim == 1:
         change = (flags[1:] != flags[:-1]) & usable[1:] & usable[:-1]
@@ -278,8 +273,7 @@ def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -
 
 def _free_column(grid: WorkspaceGrid, edges: IntArray) -> IntArray:
     """Return (E,) the column of x in which the ends of each edge differ."""
-    change = np.abs(grid.x[edges[:, 1]] - grid.x[edges[:, 0]])[:, list(grid.free)]
-    columns: IntArray = np.array(grid.free, dtype=np.intp)[change.argmax(axis=1)]
+    columns: IntArray = np.abs(grid.x[edges[:, 1]] - grid.x[edges[:, 0]]).argmax(axis=1)
     return columns
 
 
@@ -316,15 +310,10 @@ class _Refined(NamedTuple):
 def _refined(
     system: ConstraintSystem, matrix: MatrixOf, guess: Array, start: Array, end: Array, free: IntArray
 ) -> _Refined:
-    """Find the singular configuration on each edge, by Newton.
+    """Find the singular configuration on each edge by Newton, from guesses (E, nq) near it.
 
-    Args:
-        system: closures and platform rows.
-        matrix: ``serial_matrix`` for type I, ``locked_matrix`` for type II.
-        guess: (E, nq) configurations near it.
-        start: (E, n) platform coordinates of one end of each edge.
-        end: (E, n) those of the other.
-        free: (E,) the column in which they differ.
+    The edges run from ``start`` to ``end`` (E, n) and differ in the columns ``free``; ``matrix`` is ``serial_matrix``
+    for type I, ``locked_matrix`` for type II.
     """
     robot, p = system.robot, system.pose_columns
     everyone = np.arange(len(guess))
@@ -362,13 +351,8 @@ def _refined(
 def _bisected(system: ConstraintSystem, q: Array, start: Array, end: Array, steps: int, margin: Array | None) -> Array:
     """Return (E, nq) configurations near a singularity, by bisection along edges: slow, and hard to mislead.
 
-    Args:
-        system: closures and platform rows.
-        q: (E, nq) configurations at ``start``.
-        start: (E, n) reachable platform coordinates.
-        end: (E, n) those at the other end, behind the singularity.
-        steps: number of bisections.
-        margin: (E,) signed margin at ``start``, which has the other sign at ``end``; None where ``end`` is unreachable.
+    q (E, nq) are the configurations at ``start`` (E, n), ``margin`` (E,) the signed margins there, which have the other
+    sign at ``end``; None where ``end`` is unreachable.
     """
     # towards an end out of reach every other target is: the next bisection is cheaper than a patient Newton
     iterations, shortest = (10, 2.0**-3) if margin is None else (50, 2.0**-12)

@@ -57,14 +57,12 @@ class WorkspaceGrid:
     """Configurations over a rectangular grid of one or two platform coordinates, the others fixed.
 
     Attributes:
-        free: columns of the platform coordinates that vary, in the order of the grid's axes.
         axes: the grid's coordinates along each of them, increasing, m or rad.
         x: (G, n) platform coordinates of all nodes, the last axis running fastest.
         q: (G, nq) configurations, NaN where not reachable.
         reachable: (G,) whether a closed configuration in the working mode was found.
     """
 
-    free: tuple[int, ...]
     axes: tuple[Array, ...]
     x: Array
     q: Array
@@ -150,11 +148,6 @@ def solve_grid(system: ConstraintSystem, place: Slice, axes: tuple[Array, ...]) 
     """Flood a grid from one configuration: every solved node is where its neighbours start from.
 
     Only the part of the workspace that is connected to the start (in the slice of the grid) is found.
-
-    Args:
-        system: closures and platform rows.
-        place: the slice, with its start.
-        axes: the grid's coordinates along each of the free coordinates.
     """
     mesh = np.meshgrid(*axes, indexing="ij")
     nodes = np.repeat(place.x[None], mesh[0].size, axis=0)
@@ -163,7 +156,7 @@ def solve_grid(system: ConstraintSystem, place: Slice, axes: tuple[Array, ...]) 
     flood = _Flood(system, nodes, mesh[0].shape)
     flood.run(place.x, place.q)
     grid_axes = tuple(read_only(np.array(axis)) for axis in axes)
-    return WorkspaceGrid(place.free, grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.solved)))
+    return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.solved)))
 
 
 class _Flood:
