@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -286,7 +287,7 @@ def _curves(
     stops = np.cumsum([0, *(len(curve) for curve in curves)])
     chains = [
         piece
-        for first, stop in zip(stops[:-1], stops[1:], strict=True)
+        for first, stop in pairwise(stops)
         for piece in _pieces(np.arange(first, stop), points.exact[first:stop])
     ]
     return tuple(
