@@ -11,12 +11,11 @@ from scipy.linalg import qr
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, frozen
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
-from redundancy_pin.kinematics.inverse_kinematics import search_nearest
+from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
 from redundancy_pin.kinematics.modes import mode_name, working_modes
-from redundancy_pin.kinematics.projection import project
 from redundancy_pin.robot import AXES, Closure, Robot
 from redundancy_pin.robot.build import build, characteristic_length
 from redundancy_pin.robot.declaration import parse, read_yaml, require_conditions
@@ -60,7 +59,7 @@ def load_robot(
     known = np.array(
         [column for joint in listed for column in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp
     )
-    q_reference, gap, closed = search_nearest(system, np.array(robot.q_reference), target[0], known)
+    q_reference, gap, closed = multistart_nearest(system, np.array(robot.q_reference), target[0], known)
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q_reference, gap),
@@ -146,11 +145,8 @@ def _check_platform_stays_level(system: ConstraintSystem, state: ConstraintState
     rotations = [axis for axis in platform.axes if axis.startswith("r")] if platform else []
     if platform is None or len(rotations) != 1:
         return
-    columns = system.tree.frame_columns(state.pose, platform.frame)
-    omega = np.zeros((3, system.robot.n))
-    for column, (_, angular) in columns.items():
-        if angular is not None:
-            omega += np.outer(angular[:, 0], gamma[0, column])
+    columns = list(system.tree.support[platform.frame])
+    omega = state.pose.jacobian[3:, columns, 0] @ gamma[0, columns]
     omega[AXES.index(rotations[0]) - 3] = 0.0
     if np.abs(omega).max() > _LEVEL_TOLERANCE:
         raise DeclarationError(

@@ -1,16 +1,30 @@
-"""Assembly: find configurations that close the chains, by damped Newton on many samples at once."""
+"""Assembly: closed configurations, by damped Newton on many samples at once, and the velocities the closures allow.
+
+Velocity level: v = Γ ẋ. The matrix K stacks the constraint Jacobian over the rows of the independent velocities,
+without the carrier columns: K v = (0, ẋ). Its inverse gives Γ (its last n columns) and the accelerations; it is
+singular exactly where the platform velocity does not determine the joint velocities: a type I (serial) singularity.
+"""
 
 from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, difference, joint_position
+from redundancy_pin.kinematics.coordinates import (
+    coordinates,
+    difference,
+    joint_position,
+    row_scale,
+    velocity_scale,
+)
+from redundancy_pin.kinematics.modes import in_working_mode
 
 _SETTLED_STEP = 1e-8
 """A Newton step this small (rad, m) leaves an error of its square: below rounding."""
@@ -23,23 +37,79 @@ _LONGEST_STEP = 1.0
 _TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
 
+SINGULAR_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
+"""Scaled margin below which a pose counts as a type I singularity. At a stretched leg two configurations meet in a
+square root: one that is closed to within the tolerance is known no better than this."""
+
+_HOPELESS = 1e12
+"""Condition number that no matrix K with a margin above ``SINGULAR_MARGIN`` comes near."""
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """The inverse of K at N configurations.
+
+    Attributes:
+        inverse: (N, p, r + n) inverse of K; p = r + n pose velocities. NaN at a type I singularity.
+        gamma: (N, nv, n) tree velocity per unit of each independent velocity; carrier rows are zero.
+        margin: (N,) lower bound of the smallest singular value of K in scaled units, within a factor √p of it; 0 where
+            it is below ``SINGULAR_MARGIN``: at a type I singularity.
+    """
+
+    inverse: Array
+    gamma: Array
+    margin: Array
+
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """What Newton reached.
+    """N configurations that Newton reached, and what proves that they may be used.
 
     Attributes:
-        q: (N, nq) configurations.
-        state: closures and Jacobians there.
+        system: closures and platform rows of the robot.
+        state: closures and Jacobians at the configurations.
         gap: (N,) largest absolute residual left, m or rad: closure rows and the distance to the target coordinates;
             where a hinge or weld is closed the wrong way round, the angle by which its axes are off.
-        closed: (N,) whether the gap is below the closure tolerance.
     """
 
-    q: Array
+    system: ConstraintSystem
     state: ConstraintState
     gap: Array
-    closed: BoolArray
+
+    @property
+    def q(self) -> Array:
+        """(N, nq) configurations."""
+        return self.state.q
+
+    @property
+    def closed(self) -> BoolArray:
+        """(N,) whether the gap is below the closure tolerance."""
+        return self.gap < CLOSURE_TOLERANCE
+
+    @cached_property
+    def projection(self) -> Projection:
+        """The inverse of K."""
+        return project(self.system, self.state)
+
+    @property
+    def gamma(self) -> Array:
+        """(N, nv, n) velocities per unit of each independent velocity."""
+        return self.projection.gamma
+
+    @property
+    def regular(self) -> BoolArray:
+        """(N,) closed, and no type I singularity."""
+        return self.closed & (self.projection.margin > 0.0)
+
+    @cached_property
+    def in_mode(self) -> BoolArray:
+        """(N,) in the robot's own working mode, closed or not."""
+        return in_working_mode(self.system.robot, self.q)
+
+    @property
+    def usable(self) -> BoolArray:
+        """(N,) closed, regular and in the robot's own working mode."""
+        return self.regular & self.in_mode
 
 
 def assemble(
@@ -65,29 +135,42 @@ def assemble(
         max_iterations: bound on Newton iterations.
         shortest_step: fraction of a Newton step below which the line search gives up on a sample.
     """
+    everything = equations = _Equations(system, target, actuated)
     q = np.array(guess, dtype=float)
-    everyone = np.arange(len(q))
-    active, state = everyone, system.evaluate(q)
-    residual = _residual(system, state, target, actuated)
+    active, state = np.arange(len(q)), system.evaluate(q)
+    residual = equations.residual(state)
     for _ in range(max_iterations):
-        step = _newton_step(system, state, residual, target is not None, actuated is not None)
-        goal = _rows(target, active), _rows(actuated, active)
-        search = _line_search(system, q[active], step, residual, *goal, shortest_step)
-        state, residual = search.state, search.residual
+        step = equations.newton_step(state, residual)
+        reached = _line_search(equations, q[active], step, residual, shortest_step)
+        state, residual = reached.state, reached.residual
         q[active] = state.q
-        done = search.stalled | (search.longest < _SETTLED_STEP)
+        done = reached.stalled | (reached.longest < _SETTLED_STEP)
         if done.all():
             break
-        if 2 * done.sum() > len(done):
+        if 2 * done.sum() > len(done):  # go on with the rest alone; to leave out fewer costs more than it saves
             active, residual = active[~done], residual[~done]
-            state = system.evaluate(q[active])
-    if len(active) < len(everyone):
+            state, equations = system.evaluate(q[active]), everything.of(active)
+    if len(active) < len(q):
         state = system.evaluate(q)
-        residual = _residual(system, state, target, actuated)
+        residual = everything.residual(state)
     gap = np.abs(residual).max(axis=1, initial=0.0)
     misaligned = system.misalignment(state)
     gap = np.where(misaligned > _TURNED_OVER, np.maximum(gap, misaligned), gap)
-    return Assembly(q, state, gap, gap < CLOSURE_TOLERANCE)
+    return Assembly(system, state, gap)
+
+
+def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
+    """Invert K at evaluated configurations."""
+    robot, columns = system.robot, system.pose_columns
+    inverse = inverses(state.K)
+    rows = np.concatenate([system.closure_scale, row_scale(robot)])
+    with np.errstate(over="ignore"):
+        size = np.sqrt(np.einsum("nij,i,j->n", inverse**2, velocity_scale(robot)[columns] ** 2, 1.0 / rows**2))
+    margin = np.where(size < 1.0 / SINGULAR_MARGIN, 1.0 / np.where(size > 0.0, size, np.inf), 0.0)
+    inverse[margin == 0.0] = np.nan
+    gamma = np.zeros((len(inverse), robot.model.nv, robot.n))
+    gamma[:, columns] = inverse[:, :, len(system.rows) :]
+    return Projection(inverse, gamma, margin)
 
 
 def integrate(model: pin.Model, q: Array, step: Array) -> Array:
@@ -104,39 +187,66 @@ def configuration_difference(model: pin.Model, q0: Array, q1: Array) -> Array:
     return np.array([pin.difference(model, a, b) for a, b in zip(q0, q1, strict=True)])
 
 
-def _rows(values: Array | None, rows: IntArray) -> Array | None:
-    return None if values is None else values[rows]
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """What Newton solves: the closures and, where prescribed, the coordinates and the actuators' positions."""
+
+    system: ConstraintSystem
+    target: Array | None
+    actuated: Array | None
+
+    def of(self, samples: IntArray) -> _Equations:
+        """Return the equations of some of the samples."""
+        target, actuated = (None if goal is None else goal[samples] for goal in (self.target, self.actuated))
+        return _Equations(self.system, target, actuated)
+
+    def residual(self, state: ConstraintState) -> Array:
+        """Return (N, e) what is missing to the goal."""
+        robot = self.system.robot
+        parts = [-state.phi]
+        if self.target is not None:
+            parts.append(difference(robot, self.target, coordinates(robot, state)))
+        if self.actuated is not None:
+            off = self.actuated - np.stack([joint_position(robot, name, state.q) for name in robot.actuated], axis=1)
+            endless = [robot.model.joints[robot.model.getJointId(name)].nq == 2 for name in robot.actuated]
+            off[:, endless] = (off[:, endless] + np.pi) % (2.0 * np.pi) - np.pi
+            parts.append(off)
+        return np.concatenate(parts, axis=1)
+
+    def newton_step(self, state: ConstraintState, residual: Array) -> Array:
+        """Return (N, nv) the steps; carriers stay."""
+        robot, columns = self.system.robot, self.system.pose_columns
+        matrix = state.K if self.target is not None else state.Jc[:, :, columns]
+        if self.actuated is not None:
+            selection = np.broadcast_to(self.system.selection[:, columns], (len(residual), robot.m, len(columns)))
+            matrix = np.concatenate([matrix, selection], axis=1)
+        step = np.zeros((len(residual), robot.model.nv))
+        step[:, columns] = _solve(matrix, residual)
+        return step
 
 
-def _residual(system: ConstraintSystem, state: ConstraintState, target: Array | None, actuated: Array | None) -> Array:
-    parts = [-state.phi]
-    if target is not None:
-        parts.append(difference(system.robot, target, coordinates(system.robot, state)))
-    if actuated is not None:
-        model = system.robot.model
-        names = system.robot.actuated
-        off = actuated - np.stack([joint_position(system.robot, name, state.q) for name in names], axis=1)
-        endless = [model.joints[model.getJointId(name)].nq == 2 for name in names]
-        off[:, endless] = (off[:, endless] + np.pi) % (2.0 * np.pi) - np.pi
-        parts.append(off)
-    return np.concatenate(parts, axis=1)
+class _Reached(NamedTuple):
+    state: ConstraintState
+    residual: Array
+    longest: Array
+    stalled: BoolArray
 
 
-def _newton_step(
-    system: ConstraintSystem, state: ConstraintState, residual: Array, with_target: bool, with_actuated: bool
-) -> Array:
-    robot = system.robot
-    blocks = [state.Jc]
-    if with_target:
-        blocks.append(state.Jx)
-    if with_actuated:
-        selection = np.zeros((robot.m, robot.model.nv))
-        selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
-        blocks.append(np.broadcast_to(selection, (len(residual), *selection.shape)))
-    matrix = np.concatenate(blocks, axis=1)[:, :, system.pose_columns]
-    step = np.zeros((len(residual), robot.model.nv))
-    step[:, system.pose_columns] = _solve(matrix, residual)
-    return step
+def _line_search(equations: _Equations, q: Array, step: Array, residual: Array, shortest_step: float) -> _Reached:
+    """Halve the step where it does not shorten the residual; a step at rounding level is taken as it is."""
+    system = equations.system
+    size = np.linalg.norm(residual, axis=1)
+    longest = np.abs(step).max(axis=1, initial=0.0)
+    scale = 1.0 / np.maximum(longest / _LONGEST_STEP, 1.0)
+    fine = longest < _SETTLED_STEP
+    while True:
+        state = system.evaluate(integrate(system.robot.model, q, step * scale[:, None]))
+        new = equations.residual(state)
+        ok = fine | (np.linalg.norm(new, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size)
+        stalled = ~ok & (scale < shortest_step)
+        if (ok | stalled).all():
+            return _Reached(state, new, longest * scale, stalled)
+        scale = np.where(ok | stalled, scale, scale / 2.0)
 
 
 def _solve(matrix: Array, rhs: Array) -> Array:
@@ -150,34 +260,13 @@ def _solve(matrix: Array, rhs: Array) -> Array:
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    state: ConstraintState
-    residual: Array
-    longest: Array
-    stalled: BoolArray
-
-
-def _line_search(
-    system: ConstraintSystem,
-    q: Array,
-    step: Array,
-    residual: Array,
-    target: Array | None,
-    actuated: Array | None,
-    shortest_step: float,
-) -> _Search:
-    """Halve the step where it does not shorten the residual; a step at rounding level is taken as it is."""
-    model = system.robot.model
-    size = np.linalg.norm(residual, axis=1)
-    longest = np.abs(step).max(axis=1, initial=0.0)
-    scale = 1.0 / np.maximum(longest / _LONGEST_STEP, 1.0)
-    fine = longest < _SETTLED_STEP
-    while True:
-        state = system.evaluate(integrate(model, q, step * scale[:, None]))
-        new = _residual(system, state, target, actuated)
-        ok = fine | (np.linalg.norm(new, axis=1) <= (1.0 - _SUFFICIENT_DECREASE * scale) * size)
-        stalled = ~ok & (scale < shortest_step)
-        if (ok | stalled).all():
-            return _Search(state, new, longest * scale, stalled)
-        scale = np.where(ok | stalled, scale, scale / 2.0)
+def inverses(matrices: Array) -> Array:
+    """Return stacked inverses, NaN where a matrix is exactly singular."""
+    try:
+        return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
+    except np.linalg.LinAlgError:  # LAPACK gives up on the whole stack for one
+        singular = np.linalg.cond(matrices) > _HOPELESS
+        safe = np.where(singular[:, None, None], np.eye(matrices.shape[1]), matrices)
+        result = np.asarray(np.linalg.inv(safe), dtype=np.float64)
+        result[singular] = np.nan
+        return result

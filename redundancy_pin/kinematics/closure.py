@@ -1,11 +1,15 @@
 """Loop closures and platform rows at position, velocity and acceleration level, for many samples at once.
 
-A closure row is a scalar function of the tree configuration. With Δ = p_B − p_A and the axes i, j, k of the frames A
-and B:
+A closure row pairs an axis a of frame A with a partner c carried by frame B: the origin p_B of frame B (a translation
+along a, σ = 1), or an axis b of frame B that is normal to a when closed (a rotation, σ = 0):
 
-- translation along axis a of frame A:  Φ = a·Δ,  Φ̇ = a·(v_B − v_A) + (a×Δ)·ω_A;
-- rotation:  Φ = ± a·b with a an axis of A and b an axis of B that are perpendicular when closed,
-  Φ̇ = (ω_B − ω_A)·(b×a).
+    Φ = a · (c − σ p_A).
+
+It acts as a wrench w on frame B, and as −w on frame A, about the world origin. With V_A, V_B the spatial velocities of
+the two bodies and A_A, A_B their accelerations at v̇ = 0 (see ``kinematics.tree``)
+
+    w = (σ a, c × a),          Φ̇ = w · (V_B − V_A),           J_c = ± w · J on the joints that move only one of them,
+    ẇ = (σ ȧ, ċ × a + c × ȧ),  J̇_c v = ẇ · (V_B − V_A) + w · (A_B − A_A),   ȧ = ω_A × a,  ċ = ω_B × c + σ v_B.
 
 Which axes a rotation row pairs depends on what else is constrained: with one rotation left free (a hinge) both rows
 use the free axis of B, so that they stay independent at every hinge angle. Every row is exact at every configuration,
@@ -17,11 +21,12 @@ turn.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.kinematics.tree import FrameAcceleration, TreeKinematics, TreePose, cross
+from redundancy_pin.kinematics.tree import TreeKinematics, TreePose, cross
 from redundancy_pin.robot import AXES, Closure, Robot
 
 
@@ -32,16 +37,29 @@ class ConstraintState:
     Attributes:
         q: (N, nq) configurations.
         pose: the tree's placements.
+        axis, partner: (3, r, N) the pair a, c of each row, world axes.
         phi: (N, r) closure residuals Φ, m (rotation rows: sine of the angle that is off).
-        Jc: (N, r, nv) constraint Jacobian dΦ/dv.
-        Jx: (N, n, nv) Jacobian of the independent velocities (world-aligned platform twist, or named joints).
+        J: (N, r + n, nv) constraint Jacobian dΦ/dv over that of the independent velocities.
+        K: (N, r + n, p) the same without the carrier columns.
     """
 
     q: Array
     pose: TreePose
+    axis: Array
+    partner: Array
     phi: Array
-    Jc: Array
-    Jx: Array
+    J: Array
+    K: Array
+
+    @property
+    def Jc(self) -> Array:
+        """(N, r, nv) constraint Jacobian dΦ/dv."""
+        return self.J[:, : self.phi.shape[1]]
+
+    @property
+    def Jx(self) -> Array:
+        """(N, n, nv) Jacobian of the independent velocities (world-aligned platform twist, or named joints)."""
+        return self.J[:, self.phi.shape[1] :]
 
 
 class ConstraintSystem:
@@ -60,42 +78,85 @@ class ConstraintSystem:
         self.rows = tuple(
             (closure, row) for closure in robot.closures for row in (_row(closure, axis) for axis in closure.axes)
         )
-        self._aligned = tuple((closure, k) for closure in robot.closures for k in _aligned_axes(closure))
         self.pose_columns = np.setdiff1d(np.arange(robot.model.nv), robot.carrier_velocity)
         """Velocity indices that move the pose: all but the carriers."""
+        self.selection = np.zeros((robot.m, robot.model.nv))
+        """S, (m, nv): the main actuators among the velocities."""
+        self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
+        rotation = np.array([row.rotation for _, row in self.rows], dtype=bool)
+        self.closure_scale = np.where(rotation, robot.characteristic_length, 1.0)
+        """(r,) length that turns each closure row into m."""
+        self._slides = np.where(rotation, 0.0, 1.0)[:, None]
+        self._moving = self._moving_columns()
+
+    def _moving_columns(self) -> list[tuple[slice, dict[int, float]]]:
+        """Return for each closure its rows, and of the velocities that move one of its bodies +1 for B, −1 for A."""
+        moving, first = [], 0
+        for closure in self.robot.closures:
+            of_a, of_b = (set(self.tree.support[frame]) for frame in (closure.frame_a, closure.frame_b))
+            signs = {column: 1.0 if column in of_b else -1.0 for column in sorted(of_a ^ of_b)}
+            moving.append((slice(first, first + len(closure.axes)), signs))
+            first += len(closure.axes)
+        return moving
 
     def evaluate(self, q: Array) -> ConstraintState:
-        """Evaluate residuals and Jacobians.
-
-        Args:
-            q: (N, nq) configurations, closed or not.
-        """
+        """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
         pose = self.tree.pose(q)
-        nv = self.robot.model.nv
-        phi = np.empty((len(self.rows), pose.samples))
-        jacobian = np.zeros((len(self.rows), nv, pose.samples))
-        columns = {name: self.tree.frame_columns(pose, name) for name in self.tree.support}
-        for index, (closure, row) in enumerate(self.rows):
-            a = pose.frame_rotation[closure.frame_a][:, row.axis_a]
+        shape = (3, len(self.rows), pose.samples)
+        axis, partner, offset = np.empty(shape), np.empty(shape), np.empty(shape)
+        for i, (closure, row) in enumerate(self.rows):
+            axis[:, i] = pose.frame_rotation[closure.frame_a][:, row.axis_a]
             if row.rotation:
-                b = pose.frame_rotation[closure.frame_b][:, row.axis_b] * row.sign
-                phi[index] = _dot(a, b)
-                normal = cross(b, a)
-                for frame, sign in ((closure.frame_b, 1.0), (closure.frame_a, -1.0)):
-                    for column, (_, angular) in columns[frame].items():
-                        if angular is not None:
-                            jacobian[index, column] += sign * _dot(normal, angular)
+                partner[:, i] = pose.frame_rotation[closure.frame_b][:, row.axis_b] * row.sign
+                offset[:, i] = partner[:, i]
             else:
-                delta = pose.frame_origin[closure.frame_b] - pose.frame_origin[closure.frame_a]
-                phi[index] = _dot(a, delta)
-                lever = cross(a, delta)
-                for column, (linear, _) in columns[closure.frame_b].items():
-                    jacobian[index, column] += _dot(a, linear)
-                for column, (linear, angular) in columns[closure.frame_a].items():
-                    jacobian[index, column] -= _dot(a, linear)
-                    if angular is not None:
-                        jacobian[index, column] += _dot(lever, angular)
-        return ConstraintState(q, pose, phi.T, jacobian.transpose(2, 0, 1), self._platform_jacobian(pose, columns))
+                partner[:, i] = pose.frame_origin[closure.frame_b]
+                offset[:, i] = partner[:, i] - pose.frame_origin[closure.frame_a]
+        phi = _dot(axis, offset)
+        wrench = np.concatenate([axis * self._slides, cross(partner, axis)])
+        jacobian = np.zeros((len(self.rows) + self.robot.n, self.robot.model.nv, pose.samples))
+        for rows, moving in self._moving:
+            for column, sign in moving.items():  # one einsum over all columns takes ten times as long on many samples
+                jacobian[rows, column] = np.einsum("krn,kn->rn", wrench[:, rows], sign * pose.jacobian[:, column])
+        self._fill_platform_rows(jacobian[len(self.rows) :], pose)
+        by_sample = np.ascontiguousarray(jacobian.transpose(2, 0, 1))
+        return ConstraintState(q, pose, axis, partner, phi.T, by_sample, by_sample[:, :, self.pose_columns])
+
+    def _fill_platform_rows(self, jacobian: Array, pose: TreePose) -> None:
+        robot = self.robot
+        if robot.platform is None:
+            jacobian[np.arange(robot.n), independent_velocity(robot)] = 1.0
+            return
+        columns = list(self.tree.support[robot.platform.frame])
+        linear, angular = pose.jacobian[:3, columns], pose.jacobian[3:, columns]
+        linear = linear + cross(angular, pose.frame_origin[robot.platform.frame][:, None])
+        for row, axis in enumerate(robot.platform.axes):
+            rotation, k = divmod(AXES.index(axis), 3)
+            jacobian[row, columns] = (angular if rotation else linear)[k]
+
+    def bias(self, state: ConstraintState, v: Array) -> tuple[Array, Array]:
+        """Return J̇_c v (N, r) and J̇_x v (N, n) at velocities v (N, nv)."""
+        motions = self.tree.motions(state.pose, v)
+        of_rows = np.empty((len(self.rows), state.pose.samples))
+        for closure, (rows, _) in zip(self.robot.closures, self._moving, strict=True):
+            (velocity_a, rest_a), (velocity_b, rest_b) = (motions[f] for f in (closure.frame_a, closure.frame_b))
+            a, c, slides = state.axis[:, rows], state.partner[:, rows], self._slides[rows]
+            a_rate = cross(velocity_a[3:, None], a)
+            c_rate = cross(velocity_b[3:, None], c) + slides * velocity_b[:3, None]
+            velocity, rest = (velocity_b - velocity_a)[:, None], (rest_b - rest_a)[:, None]
+            of_rows[rows] = (
+                slides * (_dot(a_rate, velocity[:3]) + _dot(a, rest[:3]))
+                + _dot(cross(c_rate, a) + cross(c, a_rate), velocity[3:])
+                + _dot(cross(c, a), rest[3:])
+            )
+        of_platform = np.zeros((self.robot.n, state.pose.samples))
+        if (platform := self.robot.platform) is not None:
+            (velocity, rest), origin = motions[platform.frame], state.pose.frame_origin[platform.frame]
+            # the acceleration of the platform's origin: that of a point, not the spatial one
+            point = velocity[:3] + cross(velocity[3:], origin)
+            linear = rest[:3] + cross(rest[3:], origin) + cross(velocity[3:], point)
+            of_platform = np.concatenate([linear, rest[3:]])[[AXES.index(axis) for axis in platform.axes]]
+        return of_rows.T, of_platform.T
 
     def misalignment(self, state: ConstraintState) -> Array:
         """Return (N,) the largest angle, rad, between two axes of a closure that must point the same way.
@@ -105,53 +166,13 @@ class ConstraintSystem:
         two rotation rows have no such axes.
         """
         angle = np.zeros(state.pose.samples)
-        for closure, k in self._aligned:
-            a = state.pose.frame_rotation[closure.frame_a][:, k]
-            b = state.pose.frame_rotation[closure.frame_b][:, k]
-            angle = np.maximum(angle, np.arccos(np.clip(_dot(a, b), -1.0, 1.0)))
+        for closure in self.robot.closures:
+            free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
+            # they coincide when closed: the free axis of a hinge, all three of a weld
+            for k in {0: [0, 1, 2], 1: free}.get(len(free), []):
+                cosine = _dot(*(state.pose.frame_rotation[frame][:, k] for frame in (closure.frame_a, closure.frame_b)))
+                angle = np.maximum(angle, np.arccos(np.clip(cosine, -1.0, 1.0)))
         return angle
-
-    def bias(self, state: ConstraintState, v: Array) -> tuple[Array, Array]:
-        """Return J̇_c v (N, r) and J̇_x v (N, n) at velocities v (N, nv)."""
-        accelerations = self.tree.accelerations(state.pose, v)
-        phi_bias = np.empty((len(self.rows), state.pose.samples))
-        for index, (closure, row) in enumerate(self.rows):
-            frame_a, frame_b = accelerations[closure.frame_a], accelerations[closure.frame_b]
-            a = state.pose.frame_rotation[closure.frame_a][:, row.axis_a]
-            if row.rotation:
-                b = state.pose.frame_rotation[closure.frame_b][:, row.axis_b] * row.sign
-                phi_bias[index] = _rotation_bias(a, b, frame_a, frame_b)
-            else:
-                delta = state.pose.frame_origin[closure.frame_b] - state.pose.frame_origin[closure.frame_a]
-                phi_bias[index] = _translation_bias(a, delta, frame_a, frame_b)
-        return phi_bias.T, self._platform_bias(accelerations, len(v))
-
-    def _platform_jacobian(self, pose: TreePose, columns: dict[str, dict[int, tuple[Array, Array | None]]]) -> Array:
-        robot = self.robot
-        jacobian: Array = np.zeros((robot.n, robot.model.nv, pose.samples))
-        if robot.platform is None:
-            for row, velocity in enumerate(independent_velocity(robot)):
-                jacobian[row, velocity] = 1.0
-        else:
-            for row, axis in enumerate(robot.platform.axes):
-                rotation, component = divmod(AXES.index(axis), 3)
-                for column, parts in columns[robot.platform.frame].items():
-                    part = parts[rotation]
-                    if part is not None:
-                        jacobian[row, column] = part[component]
-        by_sample: Array = jacobian.transpose(2, 0, 1)
-        return by_sample
-
-    def _platform_bias(self, accelerations: dict[str, FrameAcceleration], samples: int) -> Array:
-        robot = self.robot
-        bias = np.zeros((robot.n, samples))
-        if robot.platform is not None:
-            frame = accelerations[robot.platform.frame]
-            for row, axis in enumerate(robot.platform.axes):
-                rotation, component = divmod(AXES.index(axis), 3)
-                bias[row] = (frame.angular_bias if rotation else frame.bias)[component]
-        by_sample: Array = bias.T
-        return by_sample
 
 
 def independent_velocity(robot: Robot) -> list[int]:
@@ -181,29 +202,12 @@ def _row(closure: Closure, axis: str) -> _Row:
     return _Row(True, j, i, 1.0)
 
 
-def _aligned_axes(closure: Closure) -> list[int]:
-    """Return the axes of A and B that coincide when closed: the free one of a hinge, all three of a weld."""
-    free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
-    return {0: [0, 1, 2], 1: free}.get(len(free), [])
-
-
 def _dot(a: Array, b: Array) -> Array:
     product: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product
 
 
-def _translation_bias(a: Array, delta: Array, frame_a: FrameAcceleration, frame_b: FrameAcceleration) -> Array:
-    omega = frame_a.angular_velocity
-    turned = cross(omega, a)
-    second = cross(frame_a.angular_bias, a) + cross(omega, turned)
-    return (
-        _dot(second, delta)
-        + 2.0 * _dot(turned, frame_b.velocity - frame_a.velocity)
-        + _dot(a, frame_b.bias - frame_a.bias)
-    )
-
-
-def _rotation_bias(a: Array, b: Array, frame_a: FrameAcceleration, frame_b: FrameAcceleration) -> Array:
-    relative = frame_b.angular_velocity - frame_a.angular_velocity
-    normal_rate = cross(cross(frame_b.angular_velocity, b), a) + cross(b, cross(frame_a.angular_velocity, a))
-    return _dot(frame_b.angular_bias - frame_a.angular_bias, cross(b, a)) + _dot(relative, normal_rate)
+@lru_cache(maxsize=32)
+def constraint_system(robot: Robot) -> ConstraintSystem:
+    """Return the constraint system of a robot, built once: a single sample takes a third of its time again."""
+    return ConstraintSystem(robot)

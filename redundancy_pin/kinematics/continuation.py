@@ -9,16 +9,15 @@ anchors, so that a long, dense trajectory costs a few batched Newton steps and n
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray
-from redundancy_pin.kinematics.assembly import Assembly, assemble, configuration_difference, integrate
+from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import difference, moved, row_scale
-from redundancy_pin.kinematics.inverse_kinematics import search
-from redundancy_pin.kinematics.modes import in_working_mode
-from redundancy_pin.kinematics.projection import project
+from redundancy_pin.kinematics.inverse_kinematics import multistart
 
 ANCHOR_SPACING = 0.04
 """Distance of anchors along the path, in characteristic lengths."""
@@ -32,6 +31,18 @@ _SHORTEST_STEP = 2.0**-3
 _CONTINUITY = 0.25
 """Largest part of a step that its trapezoidal prediction may miss before the branch counts as lost; the step is halved
 first, which shrinks a smooth error eightfold and a jump not at all."""
+_ROUNDING = 1e-7
+"""Changes of q below this (rad, m) are rounding of the closure solution between all but equal poses."""
+_MOST_ANCHORS = 20_000
+"""Anchors laid along one path beyond one a sample: eight hundred characteristic lengths of path."""
+
+
+class Point(NamedTuple):
+    """One solved pose: coordinates (n,) or a pose (4, 4), configuration (nq,) and Γ (nv, n)."""
+
+    x: Array
+    q: Array
+    gamma: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +51,7 @@ class Anchors:
 
     Attributes:
         position: (A,) where each lies: sample index plus fraction of the way to the next sample.
+        x: (A, n) coordinates or (A, 4, 4) poses.
         q: (A, nq) configurations; the last reached one where ``valid`` is false.
         gamma: (A, nv, n) velocities per unit of each independent velocity.
         valid: (A,) whether the anchor was reached along the branch.
@@ -59,7 +71,7 @@ def follow(
 
     Args:
         system: closures and platform rows.
-        x: (N, n) coordinates or (N, 4, 4) poses, base frame.
+        x: (N, n) coordinates or (N, 4, 4) poses.
         start: (nq,) closed configuration at ``x[0]``.
         resume: where the branch ends or leaves the robot's working mode, go on at the next pose that closes in it;
             without it the mode is not looked at, and the anchors after the end of the branch are left invalid.
@@ -70,36 +82,33 @@ def follow(
     q = np.tile(start, (count, 1))
     gamma = np.zeros((count, system.robot.model.nv, system.robot.n))
     valid = np.zeros(count, dtype=bool)
-    state = system.evaluate(start[None])
-    slope = project(system, state).gamma[0]
-    valid[0] = bool(np.isfinite(slope).all())  # a start at a type I singularity has no slope to follow
-    gamma[0] = slope if valid[0] else 0.0
-    last, batch = 0, _LARGEST_BATCH
-    following = 1
+    slope = project(system, system.evaluate(start[None])).gamma[0]
+    if np.isfinite(slope).all():  # a start at a type I singularity has no slope to follow
+        gamma[0], valid[0] = slope, True
+    last, batch, following = 0, _LARGEST_BATCH, 1
     while following < count:
         stop = min(following + batch, count)
-        here = poses[last], q[last], gamma[last]
-        reached, solved, slopes = _advance(system, *here, poses[following:stop], in_mode=resume)
-        if reached == 0 and stop - following > 1:
+        here = Point(poses[last], q[last], gamma[last])
+        new = _advance(system, here, poses[following:stop], in_mode=resume)
+        if not new and stop - following > 1:
             batch = max(1, batch // 4)
             continue
-        if reached == 0:
-            halved = _halve(system, *here, poses[following], in_mode=resume)
+        if not new:
+            halved = _advance_by_halving(system, here, poses[following], in_mode=resume)
             if halved is None:
-                found = take_up(system, poses[following:], q[last]) if resume else None
-                if found is None:
+                behind = reacquire(system, poses[following:], q[last]) if resume else None
+                if behind is None:
                     q[following:] = q[last]
                     break
-                skipped, q_next, gamma_next = found
+                skipped, halved = behind
                 q[following : following + skipped] = q[last]
                 following += skipped
-                halved = q_next, gamma_next
-            solved, slopes, reached = halved[0][None], halved[1][None], 1
-        new = slice(following, following + reached)
-        q[new], gamma[new], valid[new] = solved[:reached], slopes[:reached], True
-        last = following + reached - 1
-        following = last + 1
-        batch = min(2 * batch, _LARGEST_BATCH) if reached == stop - new.start else max(1, batch // 2)
+            new = [halved]
+        reached = following + len(new)
+        q[following:reached], gamma[following:reached] = [one.q for one in new], [one.gamma for one in new]
+        valid[following:reached] = True
+        last, following = reached - 1, reached
+        batch = min(2 * batch, _LARGEST_BATCH) if reached == stop else max(1, batch // 2)
     return Anchors(position, poses, q, gamma, valid)
 
 
@@ -143,20 +152,16 @@ def continuous(system: ConstraintSystem, q: Array, gamma: Array, x: Array) -> Bo
 
     The change of q is compared with the trapezoidal rule over Γ and the change of x.
     """
-    model = system.robot.model
-    step = configuration_difference(model, q[:-1], q[1:])
-    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma[:-1] + gamma[1:]), difference(system.robot, x[1:], x[:-1]))
+    step = configuration_difference(system.robot.model, q[:-1], q[1:])
+    return follows(step, gamma[:-1], gamma[1:], difference(system.robot, x[1:], x[:-1]))
+
+
+def follows(step: Array, gamma0: Array, gamma1: Array, increment: Array) -> BoolArray:
+    """Return (N,) whether steps (N, nv) of q are what Γ at both ends (N, nv, n) says of increments (N, n) of x."""
+    predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment)
     allowed = _CONTINUITY * np.abs(predicted).max(axis=1, initial=0.0) + _ROUNDING
     result: BoolArray = np.abs(step - predicted).max(axis=1, initial=0.0) <= allowed
     return result
-
-
-_ROUNDING = 1e-7
-"""Changes of q below this (rad, m) are rounding of the closure solution between all but equal poses."""
-
-
-_MOST_ANCHORS = 20_000
-"""Anchors laid along one path beyond one a sample: eight hundred characteristic lengths of path."""
 
 
 def _lay_anchors(system: ConstraintSystem, x: Array, every_sample: bool) -> tuple[Array, Array]:
@@ -175,7 +180,7 @@ def _lay_anchors(system: ConstraintSystem, x: Array, every_sample: bool) -> tupl
     chosen[:-1] |= sparse
     chosen[1:] |= sparse
     base = np.repeat(np.arange(len(pieces)), np.where(sparse, pieces - 1, 0))
-    order = _running_count(base) + 1
+    order = np.arange(len(base)) - np.searchsorted(base, base, side="left") + 1  # 1, 2, ... within each step
     fraction = order / pieces[base]
     between = moved(robot, x[base], increments[base] * fraction[:, None])
     position = np.concatenate([np.flatnonzero(chosen).astype(float), base + fraction])
@@ -184,91 +189,70 @@ def _lay_anchors(system: ConstraintSystem, x: Array, every_sample: bool) -> tupl
     return position[by_position], poses[by_position]
 
 
-def _running_count(groups: IntArray) -> IntArray:
-    """Return for each entry of a sorted array how many equal entries stand before it."""
-    first = np.searchsorted(groups, groups, side="left")
-    return np.arange(len(groups)) - first
-
-
-def _advance(
-    system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, targets: Array, *, in_mode: bool
-) -> tuple[int, Array, Array]:
-    """Solve a batch of poses from one solved pose; return how many of them continue the branch, q and Γ."""
+def _advance(system: ConstraintSystem, here: Point, targets: Array, *, in_mode: bool) -> list[Point]:
+    """Solve a batch of poses from one solved pose; return those before the first that leaves the branch."""
     robot = system.robot
-    step = difference(robot, targets, np.repeat(x0[None], len(targets), axis=0)) @ gamma0.T
-    guess = integrate(robot.model, np.repeat(q0[None], len(targets), axis=0), step)
-    solution: Assembly = assemble(system, guess, targets, max_iterations=10, shortest_step=_SHORTEST_STEP)
-    gamma = project(system, solution.state).gamma
-    chain = continuous(
-        system,
-        np.concatenate([q0[None], solution.q]),
-        np.concatenate([gamma0[None], gamma]),
-        np.concatenate([x0[None], targets]),
-    )
-    good = chain & solution.closed & np.isfinite(gamma).all(axis=(1, 2))
-    if in_mode:
-        good &= in_working_mode(robot, solution.q)
+    step = difference(robot, targets, np.repeat(here.x[None], len(targets), axis=0)) @ here.gamma.T
+    guess = integrate(robot.model, np.repeat(here.q[None], len(targets), axis=0), step)
+    solution = assemble(system, guess, targets, max_iterations=10, shortest_step=_SHORTEST_STEP)
+    q = np.concatenate([here.q[None], solution.q])
+    gamma = np.concatenate([here.gamma[None], solution.gamma])
+    good = continuous(system, q, gamma, np.concatenate([here.x[None], targets]))
+    good &= solution.usable if in_mode else solution.regular
     reached = len(good) if good.all() else int(np.argmin(good))
-    return reached, solution.q, gamma
+    return [Point(*point) for point in zip(targets[:reached], solution.q, solution.gamma, strict=False)]
 
 
-def take_up(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Array, Array] | None:
-    """Find the first pose that closes in the working mode, starting from a configuration (nq,) and from the reference.
-
-    Where the chains close earlier, but in another mode, the mode is searched for at that pose.
-
-    Returns:
-        Its index, its configuration (nq,) and Γ (nv, n); None when there is none.
-    """
-    start, count = 0, _LARGEST_BATCH
-    while start < len(targets):
-        found = _take_up_within(system, targets[start : start + count], q)
-        if found is not None:
-            return start + found[0], *found[1:]
-        start, count = start + count, 2 * count
-    return None
-
-
-def _take_up_within(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Array, Array] | None:
-    best: tuple[int, Array, Array] | None = None
-    earliest = len(targets)
-    for guess in (q, np.array(system.robot.q_reference)):
-        starts = np.repeat(guess[None], len(targets), axis=0)
-        solution = assemble(system, starts, targets, shortest_step=_SHORTEST_STEP)
-        gamma = project(system, solution.state).gamma
-        regular = solution.closed & np.isfinite(gamma).all(axis=(1, 2))
-        good = regular & in_working_mode(system.robot, solution.q)
-        earliest = min(earliest, int(np.argmax(regular)) if regular.any() else earliest)
-        if good.any() and (best is None or int(np.argmax(good)) < best[0]):
-            first = int(np.argmax(good))
-            best = first, solution.q[first], gamma[first]
-    if earliest < (best[0] if best else len(targets)):
-        configuration, _, in_mode = search(system, q, targets[earliest])
-        slope = project(system, system.evaluate(configuration[None])).gamma[0]
-        if in_mode and np.isfinite(slope).all():
-            best = earliest, configuration, slope
-    return best
-
-
-def _halve(
-    system: ConstraintSystem, x0: Array, q0: Array, gamma0: Array, target: Array, *, in_mode: bool
-) -> tuple[Array, Array] | None:
+def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, *, in_mode: bool) -> Point | None:
     """Reach one pose by shorter and shorter steps; None when even the shortest loses the branch."""
     robot = system.robot
-    if not assemble(system, q0[None], target[None]).closed[0]:
+    if not assemble(system, here.q[None], target[None]).closed[0]:
         return None  # out of reach: halving would only creep up to the border
-    whole = difference(robot, target[None], x0[None])
-    done, size = 0.0, 0.5
-    x, q, gamma = x0, q0, gamma0
+    whole = difference(robot, target[None], here.x[None])
+    start, done, size = here.x, 0.0, 0.5
     while done < 1.0:
         size = min(size, 1.0 - done)
-        nearer = moved(robot, x0[None], whole * (done + size)) if done + size < 1.0 else target[None]
-        reached, solved, slopes = _advance(system, x, q, gamma, nearer, in_mode=in_mode)
+        nearer = moved(robot, start[None], whole * (done + size)) if done + size < 1.0 else target[None]
+        reached = _advance(system, here, nearer, in_mode=in_mode)
         if reached:
             done += size
-            x, q, gamma, size = nearer[0], solved[0], slopes[0], 2.0 * size
+            here, size = reached[0], 2.0 * size
         else:
             size /= 2.0
             if size < 2.0**-_DEEPEST_HALVING:
                 return None
-    return q, gamma
+    return here
+
+
+def reacquire(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Point] | None:
+    """Return the first pose that closes in the working mode, from a configuration (nq,) and from the reference.
+
+    Where the chains close earlier, but in another mode, multistart looks for the mode at that pose. None when no pose
+    closes.
+    """
+    start, count = 0, _LARGEST_BATCH
+    while start < len(targets):
+        first = _reacquire_within(system, targets[start : start + count], q)
+        if first is not None:
+            return start + first[0], first[1]
+        start, count = start + count, 2 * count
+    return None
+
+
+def _reacquire_within(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Point] | None:
+    best: tuple[int, Point] | None = None
+    earliest = len(targets)
+    for guess in (q, np.array(system.robot.q_reference)):
+        starts = np.repeat(guess[None], len(targets), axis=0)
+        solution = assemble(system, starts, targets, shortest_step=_SHORTEST_STEP)
+        if solution.regular.any():
+            earliest = min(earliest, int(np.argmax(solution.regular)))
+        k = int(np.argmax(solution.usable))
+        if solution.usable[k] and (best is None or k < best[0]):
+            best = k, Point(targets[k], solution.q[k], solution.gamma[k])
+    if earliest < (best[0] if best else len(targets)):
+        solved = multistart(system, q, targets[earliest])
+        slope = project(system, system.evaluate(solved.q[None])).gamma[0]
+        if solved.in_mode and np.isfinite(slope).all():
+            best = earliest, Point(targets[earliest], solved.q, slope)
+    return best

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array, BoolArray, checked
+from redundancy_pin.arrays import Array, BoolArray, checked, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintState
 from redundancy_pin.kinematics.tree import motion_subspace
@@ -86,25 +88,30 @@ def moved(robot: Robot, start: Array, increment: Array) -> Array:
     return start + increment
 
 
+@lru_cache(maxsize=64)
 def row_scale(robot: Robot) -> Array:
     """Return (n,) the characteristic length for rotations and 1 for translations among the independent coordinates."""
     if robot.platform is not None:
         turning = [axis.startswith("r") for axis in robot.platform.axes]
     else:
         turning = [_is_revolute(robot, name) for name in robot.independent_joints]
-    return np.where(turning, robot.characteristic_length, 1.0)
+    return read_only(np.where(turning, robot.characteristic_length, 1.0))
 
 
+@lru_cache(maxsize=64)
 def column_scale(robot: Robot) -> Array:
     """Return (m,) the characteristic length for revolute main actuators and 1 for prismatic ones."""
-    return np.where([_is_revolute(robot, name) for name in robot.actuated], robot.characteristic_length, 1.0)
+    turning = [_is_revolute(robot, name) for name in robot.actuated]
+    return read_only(np.where(turning, robot.characteristic_length, 1.0))
 
 
+@lru_cache(maxsize=64)
 def velocity_scale(robot: Robot) -> Array:
     """Return (nv,) the length that turns each tree velocity into m/s: the characteristic length for rotations."""
-    return np.where(turning_velocities(robot), robot.characteristic_length, 1.0)
+    return read_only(np.where(turning_velocities(robot), robot.characteristic_length, 1.0))
 
 
+@lru_cache(maxsize=64)
 def turning_velocities(robot: Robot) -> BoolArray:
     """Return (nv,) which tree velocities are rotations."""
     model = robot.model
@@ -115,7 +122,7 @@ def turning_velocities(robot: Robot) -> BoolArray:
         joint = model.joints[index]
         columns = slice(joint.idx_v, joint.idx_v + joint.nv)
         turning[columns] = np.abs(motion_subspace(model, data, index)[3:]).max(axis=0) > 0
-    return turning
+    return read_only(turning)
 
 
 def joint_position(robot: Robot, name: str, q: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import lru_cache
 
 import numpy as np
 
@@ -20,11 +21,11 @@ def mode_indicator(robot: Robot, q: Array) -> Array:
         robot: the robot; without declared modes the result has no columns.
         q: (N, nq) configurations.
     """
-    return ModeIndicator(robot)(q)
+    return _indicator(robot)(q)
 
 
 class ModeIndicator:
-    """``mode_indicator`` of one robot, the joints looked up once: for those who ask for few configurations, often.
+    """``mode_indicator`` of one robot, the joints looked up once.
 
     Args:
         robot: the robot.
@@ -44,8 +45,11 @@ class ModeIndicator:
     def __call__(self, q: Array) -> Array:
         """Return (N, legs) the indicator at (N, nq) configurations."""
         value = q.take(self._columns, 1)
-        found: Array = self._signs * np.where(self._sine, np.sin(value), value)
-        return found
+        signed: Array = self._signs * np.where(self._sine, np.sin(value), value)
+        return signed
+
+
+_indicator = lru_cache(maxsize=64)(ModeIndicator)
 
 
 def working_modes(robot: Robot, q: Array) -> IntArray:

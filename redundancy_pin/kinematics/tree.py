@@ -3,6 +3,13 @@
 Pinocchio evaluates one configuration a call; from Python the call costs more than the arithmetic. Here the joints are
 visited in a loop and the samples are array columns. Component-major layout: vectors are (3, N), rotations (3, 3, N), so
 every operation runs over contiguous samples.
+
+Velocities are spatial vectors in world coordinates, (linear, angular): the velocity of the body's point that is at the
+world origin, and the angular velocity. With J_j the column of a joint's freedom j (constant in the frame of its body),
+
+    V_child = V_parent + Σ J_j v_j,     A_child = A_parent + Σ (J_j v̇_j + V_child × J_j v_j),
+
+where (v, ω) × (m, μ) = (ω × m + v × μ, ω × μ); see Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 2.
 """
 
 from __future__ import annotations
@@ -12,29 +19,26 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import UnsupportedRobotError
 
-_SCALAR_JOINTS = ("JointModelR", "JointModelP")
-_UNBOUNDED = "JointModelRUB", "JointModelRevoluteUnbounded"
-
 
 @dataclass(frozen=True, eq=False)
 class _Joint:
-    """One joint of the tree, with what the recursion needs of it."""
+    """One joint of the tree: first its translations, along ``linear``, then what turns, about ``angular``."""
 
     index: int
     parent: int
-    kind: str
     q: slice
     v: slice
-    placement_rotation: Array
-    placement_translation: Array
+    rotation: Array
+    translation: Array
     linear: Array
-    """(3, nv_joint) linear part of the motion subspace, in the joint frame."""
+    """(3, t) directions of its t translations, in the joint frame."""
     angular: Array
-    """(3, nv_joint) angular part of the motion subspace, in the joint frame."""
+    """(3, nv_joint − t) axes of its rotations, in the joint frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,38 +50,19 @@ class _Frame:
 
 @dataclass(frozen=True, eq=False)
 class TreePose:
-    """Placements of joints and frames at N configurations (world frame).
+    """The tree at N configurations, in world coordinates.
 
     Attributes:
-        joint_rotation, joint_origin: by joint index, (3, 3, N) and (3, N) m.
         frame_rotation, frame_origin: by frame name, (3, 3, N) and (3, N) m.
-        axis_linear, axis_angular: by velocity index, (3, N): the velocity that one unit of v gives at the joint's
-            origin, and the angular velocity; None where the part is zero.
+        jacobian: (6, nv, N) the spatial velocity that one unit of each v gives to the bodies behind its joint; zero for
+            joints that none of the frames depends on.
         samples: N.
     """
 
-    joint_rotation: dict[int, Array]
-    joint_origin: dict[int, Array]
     frame_rotation: dict[str, Array]
     frame_origin: dict[str, Array]
-    axis_linear: dict[int, Array | None]
-    axis_angular: dict[int, Array | None]
+    jacobian: Array
     samples: int
-
-
-@dataclass(frozen=True, eq=False)
-class FrameAcceleration:
-    """Velocity of a frame and its acceleration at zero q̈ (world axes, frame origin).
-
-    Attributes:
-        velocity, angular_velocity: (3, N), m/s and rad/s.
-        bias, angular_bias: (3, N), classical acceleration for v̇ = 0, m/s² and rad/s².
-    """
-
-    velocity: Array
-    angular_velocity: Array
-    bias: Array
-    angular_bias: Array
 
 
 class TreeKinematics:
@@ -92,121 +77,76 @@ class TreeKinematics:
     """
 
     def __init__(self, model: pin.Model, frames: Sequence[str]) -> None:
+        self._nv = model.nv
         self._frames = {name: _frame(model, name) for name in frames}
-        needed: set[int] = set()
-        for frame in self._frames.values():
-            needed.update(int(j) for j in model.supports[frame.joint] if j > 0)
-        reference = model.createData()
-        pin.computeJointJacobians(model, reference, pin.neutral(model))
-        self._joints = tuple(_joint(model, reference, index) for index in sorted(needed))
-        by_index = {joint.index: joint for joint in self._joints}
-        self.support: dict[str, tuple[int, ...]] = {}
+        chains = {name: [int(j) for j in model.supports[one.joint] if j > 0] for name, one in self._frames.items()}
+        data = model.createData()
+        pin.computeJointJacobians(model, data, pin.neutral(model))
+        self._joints = tuple(_joint(model, data, j) for j in sorted(set().union(*chains.values())))
+        span = {joint.index: range(joint.v.start, joint.v.stop) for joint in self._joints}
+        self.support = {name: tuple(column for j in chain for column in span[j]) for name, chain in chains.items()}
         """Velocity indices each frame depends on."""
-        self._joint_of: dict[int, int] = {}
-        for joint in self._joints:
-            for column in range(joint.v.start, joint.v.stop):
-                self._joint_of[column] = joint.index
-        for name, frame in self._frames.items():
-            chain = [by_index[int(j)] for j in model.supports[frame.joint] if j > 0]
-            self.support[name] = tuple(c for joint in chain for c in range(joint.v.start, joint.v.stop))
 
     def pose(self, q: Array) -> TreePose:
-        """Place joints and frames.
-
-        Args:
-            q: (N, nq) configurations.
-        """
+        """Place the frames at (N, nq) configurations."""
         columns = np.ascontiguousarray(q.T)
         samples = columns.shape[1]
         rotations: dict[int, Array] = {0: np.broadcast_to(np.eye(3)[:, :, None], (3, 3, samples))}
         origins: dict[int, Array] = {0: np.zeros((3, samples))}
-        linear: dict[int, Array | None] = {}
-        angular: dict[int, Array | None] = {}
+        jacobian = np.zeros((6, self._nv, samples))
         for joint in self._joints:
-            base = _times_constant(rotations[joint.parent], joint.placement_rotation)
-            origin = origins[joint.parent] + _apply(rotations[joint.parent], joint.placement_translation)
-            rotation, offset = _joint_motion(joint, columns[joint.q], base)
-            rotations[joint.index] = rotation
-            origins[joint.index] = origin if offset is None else origin + offset
-            for local, column in enumerate(range(joint.v.start, joint.v.stop)):
-                lin, ang = joint.linear[:, local], joint.angular[:, local]
-                linear[column] = _apply(rotation, lin) if lin.any() else None
-                angular[column] = _apply(rotation, ang) if ang.any() else None
-        frame_rotation = {
-            name: _times_constant(rotations[frame.joint], frame.rotation) for name, frame in self._frames.items()
-        }
-        frame_origin = {
-            name: origins[frame.joint] + _apply(rotations[frame.joint], frame.translation)
-            for name, frame in self._frames.items()
-        }
-        return TreePose(rotations, origins, frame_rotation, frame_origin, linear, angular, samples)
+            base = _times_constant(rotations[joint.parent], joint.rotation)
+            origin = origins[joint.parent] + _apply(rotations[joint.parent], joint.translation)
+            slides = joint.linear.shape[1]
+            for place, position in enumerate(columns[joint.q][:slides]):
+                direction = _apply(base, joint.linear[:, place])
+                origin = origin + direction * position
+            rotation = _turned(base, joint.angular, columns[joint.q][slides:])
+            rotations[joint.index], origins[joint.index] = rotation, origin
+            for place, column in enumerate(range(joint.v.start, joint.v.stop)):
+                if place < slides:
+                    jacobian[:3, column] = _apply(rotation, joint.linear[:, place])
+                else:
+                    jacobian[3:, column] = axis = _apply(rotation, joint.angular[:, place - slides])
+                    cross(origin, axis, jacobian[:3, column])
+        frame_rotation, frame_origin = {}, {}
+        for name, frame in self._frames.items():
+            frame_rotation[name] = _times_constant(rotations[frame.joint], frame.rotation)
+            frame_origin[name] = origins[frame.joint] + _apply(rotations[frame.joint], frame.translation)
+        return TreePose(frame_rotation, frame_origin, jacobian, samples)
 
-    def frame_columns(self, pose: TreePose, name: str) -> dict[int, tuple[Array, Array | None]]:
-        """Return the columns of a frame's Jacobian: velocity index -> linear (3, N), angular (3, N) or None.
-
-        World-aligned axes at the frame origin (Pinocchio's LOCAL_WORLD_ALIGNED).
-        """
-        result: dict[int, tuple[Array, Array | None]] = {}
-        for column in self.support[name]:
-            lin, ang = pose.axis_linear[column], pose.axis_angular[column]
-            if ang is None:
-                result[column] = (lin if lin is not None else np.zeros((3, pose.samples)), None)
-            else:
-                lever = pose.frame_origin[name] - pose.joint_origin[self._joint_of[column]]
-                moved = cross(ang, lever)
-                result[column] = (moved if lin is None else lin + moved, ang)
-        return result
-
-    def accelerations(self, pose: TreePose, v: Array) -> dict[str, FrameAcceleration]:
-        """Return velocity and zero-q̈ acceleration of each frame.
+    def motions(self, pose: TreePose, v: Array) -> dict[str, tuple[Array, Array]]:
+        """Return by frame name its spatial velocity V and its spatial acceleration A at v̇ = 0, (6, N) each.
 
         Args:
             pose: from ``pose``.
             v: (N, nv) tree velocities.
         """
         rates = np.ascontiguousarray(v.T)
-        zero = np.zeros((3, pose.samples))
-        velocity, omega = {0: zero}, {0: zero}
-        bias, alpha = {0: zero}, {0: zero}
+        still = np.zeros((6, pose.samples))
+        motion = {0: (still, still)}
         for joint in self._joints:
-            parent, index = joint.parent, joint.index
-            slide, spin = zero, zero
+            own = still
             for column in range(joint.v.start, joint.v.stop):
-                lin, ang = pose.axis_linear[column], pose.axis_angular[column]
-                slide = slide if lin is None else slide + lin * rates[column]
-                spin = spin if ang is None else spin + ang * rates[column]
-            arm = pose.joint_origin[index] - pose.joint_origin[parent]
-            turn = cross(omega[parent], arm)
-            omega[index] = omega[parent] + spin
-            velocity[index] = velocity[parent] + turn + slide
-            # the relative velocity is carried by the parent and turns with the child
-            bias[index] = (
-                bias[parent]
-                + cross(alpha[parent], arm)
-                + cross(omega[parent], turn + slide)
-                + cross(omega[index], slide)
-            )
-            alpha[index] = alpha[parent] + cross(omega[parent], spin)
-        result = {}
-        for name, frame in self._frames.items():
-            arm = pose.frame_origin[name] - pose.joint_origin[frame.joint]
-            turn = cross(omega[frame.joint], arm)
-            result[name] = FrameAcceleration(
-                velocity[frame.joint] + turn,
-                omega[frame.joint],
-                bias[frame.joint] + cross(alpha[frame.joint], arm) + cross(omega[frame.joint], turn),
-                alpha[frame.joint],
-            )
-        return result
+                own = own + pose.jacobian[:, column] * rates[column]
+            velocity, acceleration = motion[joint.parent]
+            velocity = velocity + own
+            motion[joint.index] = velocity, acceleration + _spatial_cross(velocity, own)
+        return {name: motion[frame.joint] for name, frame in self._frames.items()}
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Return the cross product of (3, N) vectors; numpy's own copies its operands first."""
-    result = np.empty(np.broadcast_shapes(a.shape, b.shape))
+def cross(a: Array, b: Array, out: Array | None = None) -> Array:
+    """Return the cross product of (3, ..., N) vectors; numpy's own copies its operands first."""
+    result = np.empty(np.broadcast_shapes(a.shape, b.shape)) if out is None else out
     result[0] = a[1] * b[2] - a[2] * b[1]
     result[1] = a[2] * b[0] - a[0] * b[2]
     result[2] = a[0] * b[1] - a[1] * b[0]
     return result
+
+
+def _spatial_cross(one: Array, other: Array) -> Array:
+    angular = cross(one[3:], other[3:])
+    return np.concatenate([cross(one[3:], other[:3]) + cross(one[:3], other[3:]), angular])
 
 
 def motion_subspace(model: pin.Model, data: pin.Data, index: int) -> Array:
@@ -230,18 +170,17 @@ def _frame(model: pin.Model, name: str) -> _Frame:
     return _Frame(int(frame.parentJoint), read_only(placement.rotation.copy()), read_only(placement.translation.copy()))
 
 
+_COVERED = ("JointModelR", "JointModelP", "JointModelSpherical", "JointModelFreeFlyer", "JointModelTranslation")
+"""Beginnings of the names of joints whose q is translations along the subspace's linear columns, then one angle, its
+cosine and sine, or a quaternion."""
+
+
 def _joint(model: pin.Model, data: pin.Data, index: int) -> _Joint:
     joint = model.joints[index]
-    kind = joint.shortname()
-    known = kind.startswith(_SCALAR_JOINTS) or kind in (
-        "JointModelSpherical",
-        "JointModelFreeFlyer",
-        "JointModelPlanar",
-        "JointModelTranslation",
-    )
+    kind = str(joint.shortname())
     subspace = motion_subspace(model, data, index)
-    helical = ((np.abs(subspace[:3]).max(axis=0) > 0) & (np.abs(subspace[3:]).max(axis=0) > 0)).any()
-    if not known or helical:
+    sliding, turning = (np.abs(part).max(axis=0) > 0 for part in (subspace[:3], subspace[3:]))
+    if not kind.startswith(_COVERED) or kind == "JointModelSphericalZYX" or (sliding & turning).any():
         raise UnsupportedRobotError(
             f"Joint {model.names[index]!r} has type {kind}, which closed-chain kinematics does not cover.",
             remedy="Build it from revolute, continuous, prismatic, planar or floating joints.",
@@ -252,35 +191,24 @@ def _joint(model: pin.Model, data: pin.Data, index: int) -> _Joint:
     return _Joint(
         index,
         int(model.parents[index]),
-        kind,
         slice(joint.idx_q, joint.idx_q + joint.nq),
         slice(joint.idx_v, joint.idx_v + joint.nv),
         read_only(placement.rotation.copy()),
         read_only(placement.translation.copy()),
-        read_only(subspace[:3].copy()),
-        read_only(subspace[3:].copy()),
+        read_only(subspace[:3, sliding].copy()),
+        read_only(subspace[3:, turning].copy()),
     )
 
 
-def _joint_motion(joint: _Joint, q: Array, base: Array) -> tuple[Array, Array | None]:
-    """Return the rotation of the joint frame (3, 3, N) and its displacement (3, N), world axes."""
-    if joint.kind.startswith(_UNBOUNDED):
-        return _rotate(base, joint.angular[:, 0], q[0], q[1]), None
-    if joint.kind.startswith("JointModelP") and joint.kind != "JointModelPlanar":
-        return base, _apply(base, joint.linear[:, 0]) * q[0]
-    if joint.kind.startswith("JointModelR"):
-        return _rotate(base, joint.angular[:, 0], np.cos(q[0]), np.sin(q[0])), None
-    if joint.kind == "JointModelTranslation":
-        return base, _apply_varying(base, q)
-    if joint.kind == "JointModelPlanar":
-        offset = _apply_varying(base, np.stack([q[0], q[1], np.zeros_like(q[0])]))
-        return _rotate(base, np.array([0.0, 0.0, 1.0]), q[2], q[3]), offset
-    turned = np.einsum("ijn,jkn->ikn", base, _quaternion_rotation(q[-4:]))
-    return turned, _apply_varying(base, q[:3]) if joint.kind == "JointModelFreeFlyer" else None
-
-
-def _rotate(base: Array, axis: Array, cosine: Array, sine: Array) -> Array:
-    """Return ``base`` turned about a constant local axis (Rodrigues)."""
+def _turned(base: Array, axes: Array, q: Array) -> Array:
+    """Return rotations (3, 3, N) turned by q: an angle (1, N), its cosine and sine (2, N), a quaternion (4, N)."""
+    if len(q) == 0:
+        return base
+    if len(q) == 4:
+        about: Array = np.einsum("ijn,njk->ikn", base, Rotation.from_quat(q.T).as_matrix())
+        return about
+    axis = axes[:, 0]
+    cosine, sine = q if len(q) == 2 else (np.cos(q[0]), np.sin(q[0]))
     principal = np.flatnonzero(axis)
     if len(principal) == 1:
         k = int(principal[0])
@@ -291,37 +219,22 @@ def _rotate(base: Array, axis: Array, cosine: Array, sine: Array) -> Array:
         turned[:, i] = base[:, i] * cosine + base[:, j] * sine
         turned[:, j] = base[:, j] * cosine - base[:, i] * sine
         return turned
-    skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return base + _times_constant(base, skew) * sine + _times_constant(base, skew @ skew) * (1.0 - cosine)
-
-
-def _quaternion_rotation(q: Array) -> Array:
-    x, y, z, w = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])  # Rodrigues
+    result: Array = base + _times_constant(base, skew) * sine + _times_constant(base, skew @ skew) * (1.0 - cosine)
+    return result
 
 
 def _apply(rotation: Array, vector: Array) -> Array:
     """Return R v for rotations (3, 3, N) and one constant vector (3,)."""
     result = np.zeros((3, rotation.shape[2]))
-    for k in np.flatnonzero(vector):
-        result += rotation[:, k] * vector[k]
+    for k, component in enumerate(vector.tolist()):
+        if component != 0.0:
+            result += rotation[:, k] * component
     return result
-
-
-def _apply_varying(rotation: Array, vectors: Array) -> Array:
-    """Return R v for rotations (3, 3, N) and vectors (3, N)."""
-    turned: Array = rotation[:, 0] * vectors[0] + rotation[:, 1] * vectors[1] + rotation[:, 2] * vectors[2]
-    return turned
 
 
 def _times_constant(rotation: Array, constant: Array) -> Array:
     """Return R C for rotations (3, 3, N) and one constant matrix (3, 3)."""
-    if np.array_equal(constant, np.eye(3)):
+    if (constant == np.eye(3)).all():
         return rotation
     return np.stack([_apply(rotation, constant[:, k]) for k in range(3)], axis=1)

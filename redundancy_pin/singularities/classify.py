@@ -2,15 +2,12 @@
 
 Type I (serial): the platform velocity does not determine the joint velocities; K loses rank, and there is a platform
 twist that cannot be produced. Type II (parallel): with locked actuators a motion remains; T loses rank, and so does W.
-See ``singular_matrices`` for K, T, W and for how lengths are made comparable.
 
 Robots with m ≠ n. With fewer actuators than freedoms (m < n) n − m independent platform motions are uncontrolled
 everywhere; with more (m > n) internal forces exist everywhere. Type II means the rank *below* that: rank W < min(n, m).
 
-The matrices whose rank decides on singularities, without units.
-
-With J_c the constraint Jacobian, J_x the rows of the independent velocities and S the selection of the main actuators,
-all without the carrier columns:
+The matrices whose rank decides, with J_c the constraint Jacobian, J_x the rows of the independent velocities and S the
+selection of the main actuators, all without the carrier columns:
 
 - K = [J_c; J_x] maps joint velocities to platform velocities and loses rank at a type I singularity;
 - T = [J_c; S] is what is left to move with locked actuators and loses rank at a type II singularity;
@@ -24,6 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,26 +36,31 @@ from redundancy_pin.arrays import (
     read_only,
 )
 from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.assembly import inverses
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion
-from redundancy_pin.kinematics.spectrum import SIGN_TIE, spectrum_of
+from redundancy_pin.kinematics.spectrum import oriented, spectrum_of
 from redundancy_pin.robot import Robot
 
 
 def serial_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
     """Return (N, p, p) the matrix K in scaled units, D_r K D_v⁻¹; its last n rows are the platform's."""
-    stacked = np.concatenate([state.Jc, state.Jx], axis=1)
-    return _scaled(system, stacked, np.concatenate([_closure_scale(system), row_scale(system.robot)]))
+    return _scaled(system, state.K, row_scale(system.robot))
 
 
 def locked_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
     """Return (N, r + m, p) the matrix T in scaled units, D_r T D_v⁻¹; its last m rows are the actuators'."""
-    robot = system.robot
-    selection = np.zeros((robot.m, robot.model.nv))
-    selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
-    stacked = np.concatenate([state.Jc, np.broadcast_to(selection, (len(state.q), *selection.shape))], axis=1)
-    return _scaled(system, stacked, np.concatenate([_closure_scale(system), column_scale(robot)]))
+    selection = system.selection[:, system.pose_columns]
+    closures = state.K[:, : len(system.rows)]
+    stacked = np.concatenate([closures, np.broadcast_to(selection, (len(closures), *selection.shape))], axis=1)
+    return _scaled(system, stacked, column_scale(system.robot))
+
+
+def _scaled(system: ConstraintSystem, stacked: Array, rows_below: Array) -> Array:
+    rows = np.concatenate([system.closure_scale, rows_below])
+    result: Array = stacked * (rows[:, None] / velocity_scale(system.robot)[system.pose_columns])
+    return result
 
 
 def actuation_matrix(system: ConstraintSystem, serial: Array) -> Array:
@@ -67,19 +70,9 @@ def actuation_matrix(system: ConstraintSystem, serial: Array) -> Array:
         system: closures and platform rows.
         serial: (N, p, p) from ``serial_matrix``.
     """
-    robot = system.robot
-    columns = np.searchsorted(system.pose_columns, robot.actuated_velocity)
-    right = np.zeros((serial.shape[1], robot.n))
-    right[len(system.rows) :] = np.eye(robot.n)
-    try:
-        gamma = np.asarray(np.linalg.solve(serial, np.broadcast_to(right, (len(serial), *right.shape))), dtype=float)
-    except np.linalg.LinAlgError:
-        # LAPACK gives up on the whole stack for one exactly singular sample
-        singular = np.linalg.matrix_rank(serial) < serial.shape[1]
-        safe = np.where(singular[:, None, None], np.eye(serial.shape[1]), serial)
-        gamma = np.asarray(np.linalg.solve(safe, np.broadcast_to(right, (len(safe), *right.shape))), dtype=float)
-        gamma[singular] = np.nan
-    by_row: Array = gamma[:, columns].transpose(0, 2, 1)
+    actuated = np.searchsorted(system.pose_columns, system.robot.actuated_velocity)
+    gamma = inverses(serial)[:, :, len(system.rows) :]
+    by_row: Array = gamma[:, actuated].transpose(0, 2, 1)
     return by_row
 
 
@@ -100,22 +93,22 @@ def signed_margin(W: Array) -> Array:
     return result
 
 
-def oriented(vectors: Array) -> Array:
-    """Return (N, n) vectors with the sign that makes the largest component positive (the first of those that tie)."""
-    size = np.abs(vectors)
-    leading = (size >= (1.0 - SIGN_TIE) * size.max(axis=1, keepdims=True)).argmax(axis=1)
-    flipped = np.take_along_axis(vectors, leading[:, np.newaxis], axis=1) < 0.0
-    return read_only(np.where(flipped, -vectors, vectors) + 0.0)  # no negative zeros
+class Margins(NamedTuple):
+    """Margins at N configurations.
+
+    Attributes:
+        parallel: (N,) signed margin to type II, see ``signed_margin``; NaN exactly at type I.
+        serial: (N,) margin to type I, not negative.
+    """
+
+    parallel: Array
+    serial: Array
 
 
-def _closure_scale(system: ConstraintSystem) -> Array:
-    return np.array([system.robot.characteristic_length if row.rotation else 1.0 for _, row in system.rows])
-
-
-def _scaled(system: ConstraintSystem, stacked: Array, rows: Array) -> Array:
-    columns = velocity_scale(system.robot)[system.pose_columns]
-    result: Array = stacked[:, :, system.pose_columns] * (rows[:, None] / columns)
-    return result
+def margins_of(system: ConstraintSystem, state: ConstraintState) -> Margins:
+    """Return the margins of evaluated configurations."""
+    K = serial_matrix(system, state)
+    return Margins(signed_margin(actuation_matrix(system, K)), np.asarray(np.linalg.svd(K, compute_uv=False)[:, -1]))
 
 
 class SingularityKind(IntEnum):
@@ -209,9 +202,10 @@ def classify(robot: Robot, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -
         InputError: wrong shape, values that are not finite, a configuration that is not closed, or a tolerance
             outside (0, 1).
     """
-    _require_fraction(tolerance)
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
     configurations = checked(np.atleast_2d(np.asarray(q, dtype=float)), "q", ("N", robot.model.nq))
-    system = ConstraintSystem(robot)
+    system = constraint_system(robot)
     state = system.evaluate(configurations)
     gap = np.abs(state.phi).max(axis=1, initial=0.0)
     bad = np.flatnonzero(gap > CLOSURE_TOLERANCE)
@@ -237,21 +231,18 @@ def classify_motion(motion: TreeMotion, *, tolerance: float = RANK_TOLERANCE) ->
     Raises:
         InputError: a tolerance outside (0, 1).
     """
-    _require_fraction(tolerance)
     good = motion.reachable
-    part = classify(motion.robot, motion.q[good], tolerance=tolerance) if good.any() else _nowhere(motion.robot, 0)
+    part = vars(classify(motion.robot, motion.q[good], tolerance=tolerance))
     if good.all():
-        return part
-    spread = {name: values.copy() for name, values in vars(_nowhere(motion.robot, len(good))).items()}
-    for name, values in spread.items():
-        values[good] = getattr(part, name)
-        read_only(values)
+        return Singularities(**part)
+    spread = {}
+    for name, values in part.items():
+        # 0 as a truth value is False: no passive motion
+        nothing = np.nan if values.dtype.kind == "f" else SingularityKind.UNREACHABLE if name == "kind" else 0
+        spread[name] = np.full((len(good), *values.shape[1:]), nothing, dtype=values.dtype)
+        spread[name][good] = values
+        read_only(spread[name])
     return Singularities(**spread)
-
-
-def _require_fraction(tolerance: float) -> None:
-    if not 0.0 < tolerance < 1.0:
-        raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
 
 
 def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: float) -> Singularities:
@@ -335,14 +326,3 @@ def _unit(vectors: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         result: Array = np.where(length > RANK_TOLERANCE, vectors / length, np.nan)
     return result
-
-
-def _nowhere(robot: Robot, samples: int) -> Singularities:
-    """Return a result in which every sample is unreachable."""
-    number = np.full(samples, np.nan)
-    vector = np.full((samples, robot.n), np.nan)
-    kind = np.full(samples, SingularityKind.UNREACHABLE, dtype=np.int8)
-    passive = np.zeros(samples, dtype=bool)
-    for array in (number, vector, kind, passive):
-        read_only(array)
-    return Singularities(kind, *(number,) * 5, *(vector,) * 4, passive)

@@ -12,18 +12,43 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray
 from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import continuous
 from redundancy_pin.kinematics.coordinates import difference, require_matching, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.modes import mode_indicator, mode_name
-from redundancy_pin.kinematics.projection import project
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import AXES, Robot
-from redundancy_pin.singularities.classify import actuation_matrix, serial_matrix, signed_margin
+from redundancy_pin.singularities.classify import Margins, margins_of
+
+_FEWEST_STEPS = 400
+"""Steps in time at least, however short the path."""
+
+_BISECTIONS = 50
+"""Halvings of a step that reach the rounding of its time."""
+
+_SAME_CONFIGURATION = 1e-6
+"""Configurations nearer than this (rad, m) are the same one, computed twice."""
+
+_STRAY = 0.5
+"""Change of q (rad, m) over one step of the path that is no motion of the branch: a step is a hundredth of the robot's
+size."""
+
+_HALVINGS = 30
+_KINK = 0.2
+"""A step that bisection shrinks below this fraction is a kink or a steep stretch: at a square root each halving of time
+shrinks it by 0.7, so that five do. A jump stays."""
+
+_MODE_ROUNDING = 1e-6
+"""A mode indicator (sine or metres) this small is zero: what Newton leaves at a type I singularity."""
+
+_SLOW_NEWTON = 80
+"""At a type I singularity Newton converges linearly, halving the error: 50 halvings reach rounding."""
+
+_STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
 
 class TimedMotion(Protocol):
@@ -71,60 +96,40 @@ def position_law(robot: Robot, source: PlatformMotion | TimedMotion) -> Position
             "The motion has a single instant: nothing is crossed between samples.",
             remedy="Pass at least two samples, or classify the configuration.",
         )
-    interpolate = _poses(robot, source) if source.is_pose else _coordinates(robot, source)
+    left = np.flatnonzero(np.diff(source.t) > 0.0)  # the two halves of a two-sided sample are in different intervals
+    if source.is_pose:
+        interpolate = _poses(robot, source, left)
+    else:
+        change = difference(robot, source.x[left + 1], source.x[left])
+        interpolate = _quintic(source, left, source.x[left], source.x[left] + change, source.xd, source.xdd)
     return PositionLaw(float(source.t[0]), float(source.t[-1]), interpolate)
 
 
-def _coordinates(robot: Robot, motion: PlatformMotion) -> Callable[[Array], Array]:
-    step = np.diff(motion.t)
-    left = np.flatnonzero(step > 0.0)  # the two halves of a two-sided sample belong to different intervals
-    right = left + 1
-    change = difference(robot, motion.x[right], motion.x[left])
-    return _quintic(motion, left, motion.x[left], motion.x[left] + change, motion.xd, motion.xdd)
+def _quintic(motion: PlatformMotion, left: IntArray, x0: Array, x1: Array, xd: Array, xdd: Array) -> BPoly:
+    """Return the piecewise quintic between interval ends x0, x1 (I, n), with the rates of N samples."""
+    h = (motion.t[left + 1] - motion.t[left])[:, None]
+    (v0, v1), (a0, a1) = ((h * xd[left], h * xd[left + 1]), (h * h * xdd[left], h * h * xdd[left + 1]))
+    control = [x0, x0 + v0 / 5, x0 + 2 * v0 / 5 + a0 / 20, x1 - 2 * v1 / 5 + a1 / 20, x1 - v1 / 5, x1]
+    return BPoly(np.stack(control), np.append(motion.t[left], motion.t[-1]))
 
 
-def _quintic(
-    motion: PlatformMotion,
-    left: IntArray,
-    x0: Array,
-    x1: Array,
-    xd: Array,
-    xdd: Array,
-) -> Callable[[Array], Array]:
-    """Return the piecewise quintic through (I, n) interval ends, in Bernstein form."""
-    right = left + 1
-    h = (motion.t[right] - motion.t[left])[:, None]
-    control = np.stack(
-        [
-            x0,
-            x0 + h * xd[left] / 5.0,
-            x0 + 2.0 * h * xd[left] / 5.0 + h * h * xdd[left] / 20.0,
-            x1 - 2.0 * h * xd[right] / 5.0 + h * h * xdd[right] / 20.0,
-            x1 - h * xd[right] / 5.0,
-            x1,
-        ]
-    )
-    polynomial = BPoly(control, np.append(motion.t[left], motion.t[-1]))
-    return lambda times: np.asarray(polynomial(times))
-
-
-def _poses(robot: Robot, motion: PlatformMotion) -> Callable[[Array], Array]:
+def _poses(robot: Robot, motion: PlatformMotion, left: IntArray) -> Callable[[Array], Array]:
     rows = [AXES.index(axis) for axis in robot.platform.axes] if robot.platform else []
     rate, acceleration = np.zeros((len(motion), 6)), np.zeros((len(motion), 6))
     rate[:, rows], acceleration[:, rows] = motion.xd, motion.xdd
-    left = np.flatnonzero(np.diff(motion.t) > 0.0)
-    right = left + 1
-    h = (motion.t[right] - motion.t[left])[:, None]
-    R = motion.x[:, :3, :3]
-    turn = Rotation.from_matrix(R[right] @ R[left].transpose(0, 2, 1)).as_rotvec()
-    end_rate = _rotation_vector_rate(turn, rate[right, 3:])
-    position = _quintic(motion, left, motion.x[left, :3, 3], motion.x[right, :3, 3], rate[:, :3], acceleration[:, :3])
-    control = np.stack([np.zeros_like(turn), h * rate[left, 3:] / 3.0, turn - h * end_rate / 3.0, turn])
-    knots = np.append(motion.t[left], motion.t[-1])
-    rotation_vector = BPoly(control, knots)
+    p, R = motion.x[:, :3, 3], motion.x[:, :3, :3]
+    position = _quintic(motion, left, p[left], p[left + 1], rate[:, :3], acceleration[:, :3])
+    h = (motion.t[left + 1] - motion.t[left])[:, None]
+    between = R[left + 1] @ R[left].transpose(0, 2, 1)
+    turn = Rotation.from_matrix(between).as_rotvec()
+    # φ̇ of exp([φ]×) that turns with ω in world axes: the inverse of the left Jacobian, the transpose of the right one's
+    end_rate = np.array([pin.Jlog3(one).T @ omega for one, omega in zip(between, rate[left + 1, 3:], strict=True)])
+    rotation_vector = BPoly(
+        np.stack([np.zeros_like(turn), h * rate[left, 3:] / 3.0, turn - h * end_rate / 3.0, turn]), position.x
+    )
 
     def at(times: Array) -> Array:
-        interval = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(left) - 1)
+        interval = np.clip(np.searchsorted(position.x, times, side="right") - 1, 0, len(left) - 1)
         poses = np.zeros((len(times), 4, 4))
         poses[:, :3, :3] = Rotation.from_rotvec(rotation_vector(times)).as_matrix() @ R[left[interval]]
         poses[:, :3, 3] = position(times)
@@ -132,43 +137,6 @@ def _poses(robot: Robot, motion: PlatformMotion) -> Callable[[Array], Array]:
         return poses
 
     return at
-
-
-def _rotation_vector_rate(phi: Array, omega: Array) -> Array:
-    """Return φ̇ (N, 3) of R = exp([φ]×) R0 that turns with the world-axes angular velocity ω (N, 3).
-
-    The inverse of the left Jacobian of SO(3): φ̇ = ω − ½ φ×ω + (1 − (θ/2) cot(θ/2))/θ² φ×(φ×ω), θ = |φ|.
-    """
-    theta = np.linalg.norm(phi, axis=1, keepdims=True)
-    half = 0.5 * np.maximum(theta, _SMALL_ANGLE)
-    factor = np.where(theta > _SMALL_ANGLE, (1.0 - half / np.tan(half)) / (4.0 * half**2), 1.0 / 12.0)
-    turned = np.cross(phi, omega)
-    result: Array = omega - 0.5 * turned + factor * np.cross(phi, turned)
-    return result
-
-
-_SMALL_ANGLE = 1e-4
-"""Below it the first term of the series, 1/12, is exact to 1e-11 and the closed form loses digits."""
-
-
-_FEWEST_STEPS = 400
-"""Steps in time at least, however short the path."""
-
-_BISECTIONS = 50
-"""Halvings of a step that reach the rounding of its time."""
-
-
-@dataclass(frozen=True, eq=False)
-class Margins:
-    """Margins at N configurations.
-
-    Attributes:
-        parallel: (N,) signed margin to type II, see ``signed_margin``; NaN exactly at type I.
-        serial: (N,) margin to type I, not negative.
-    """
-
-    parallel: Array
-    serial: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,36 +186,28 @@ class FollowedPath:
         return margins_of(self.system, self.system.evaluate(self.configurations(times)))
 
 
-def margins_of(system: ConstraintSystem, state: ConstraintState) -> Margins:
-    """Return the margins of evaluated configurations."""
-    K = serial_matrix(system, state)
-    return Margins(signed_margin(actuation_matrix(system, K)), np.asarray(np.linalg.svd(K, compute_uv=False)[:, -1]))
-
-
 def follow_law(system: ConstraintSystem, law: PositionLaw, spacing: float) -> FollowedPath:
     """Solve a path on the robot's branch at steps of at most ``spacing`` characteristic lengths.
 
-    Args:
-        system: closures and platform rows.
-        law: platform coordinates over time.
-        spacing: longest step, in characteristic lengths (rotations count with that length).
+    Rotations count with the characteristic length.
 
     Raises:
         UnreachablePoseError: a pose cannot be reached; carries the time at which the path leaves the workspace.
         WorkingModeError: the path cannot be followed in the robot's working mode.
     """
-    t, x = _times(system, law, spacing)
-    tree = lift(system.robot, _still(t, x), mark_unreachable=True)
+    t, x = _times(system.robot, law, spacing)
+    still = np.zeros((len(t), system.robot.n))  # rates play no part here
+    tree = lift(system.robot, PlatformMotion(t, x, still, still), mark_unreachable=True)
     q = _without_strays(np.array(tree.q))
     if np.isnan(q).any():
-        q = _with_missing_samples(system, law, t, x, q, tree.gap)
-    _require_no_jump(system, law, t, q)
-    return FollowedPath(system, law, t, q)
+        _fill_in(system, law, t, x, q, tree.gap)
+    path = FollowedPath(system, law, t, q)
+    _require_no_jump(path, ~continuous(system, q, project(system, system.evaluate(q)).gamma, x))
+    return path
 
 
-def _times(system: ConstraintSystem, law: PositionLaw, spacing: float) -> tuple[Array, Array]:
+def _times(robot: Robot, law: PositionLaw, spacing: float) -> tuple[Array, Array]:
     """Return times and coordinates, no step longer than ``spacing`` characteristic lengths."""
-    robot = system.robot
     t = np.linspace(law.start, law.end, _FEWEST_STEPS + 1)
     x = law.at(t)
     steps = np.linalg.norm(difference(robot, x[1:], x[:-1]) * row_scale(robot), axis=1)
@@ -260,19 +220,12 @@ def _times(system: ConstraintSystem, law: PositionLaw, spacing: float) -> tuple[
     return t, law.at(t)
 
 
-def _still(t: Array, x: Array) -> PlatformMotion:
-    """Return a motion that only carries positions: rates play no part here."""
-    n = 6 if x.ndim == 3 else x.shape[1]
-    return PlatformMotion(t, x, np.zeros((len(t), n)), np.zeros((len(t), n)))
-
-
 def _without_strays(q: Array) -> Array:
     """Set runs of samples to NaN that lie far from the samples before them: Newton overshot next to a singularity."""
     step = np.abs(np.diff(q, axis=0)).max(axis=1)
     starts = np.concatenate([[0], np.flatnonzero(~(step < _STRAY)) + 1])
-    stops = np.append(starts[1:], len(q))
     last = -1
-    for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
+    for start, stop in zip(starts.tolist(), np.append(starts[1:], len(q)).tolist(), strict=True):
         if np.isnan(q[start, 0]) or (last >= 0 and np.abs(q[start] - q[last]).max() > _STRAY * (start - last)):
             q[start:stop] = np.nan
         else:
@@ -280,78 +233,72 @@ def _without_strays(q: Array) -> Array:
     return q
 
 
-def _with_missing_samples(
-    system: ConstraintSystem, law: PositionLaw, t: Array, x: Array, q: Array, gap: Array
-) -> Array:
-    """Close the samples that the lift passed over, each from its nearest neighbour.
+def _fill_in(system: ConstraintSystem, law: PositionLaw, t: Array, x: Array, q: Array, gap: Array) -> None:
+    """Close the samples that the lift passed over (NaN in q), each from its nearest neighbour.
 
     They lie at a type I singularity, or so near that a predicted step would end behind it. Newton without prediction
     stays on its side of a square root.
     """
     robot = system.robot
-    known = np.flatnonzero(~np.isnan(q[:, 0]))
-    missing = np.flatnonzero(np.isnan(q[:, 0]))
+    known, missing = np.flatnonzero(~np.isnan(q[:, 0])), np.flatnonzero(np.isnan(q[:, 0]))
     if len(known) == 0:
         _require_closed(t, gap)
         raise WorkingModeError(
             f"No sample of the path lies in working mode {mode_name(robot.working_mode)}.",
-            remedy="Keep the legs away from full stretch, full fold and zero length.",
+            remedy=_STAY_AWAY,
             time=float(t[0]),
         )
     nearest = known[np.abs(missing[:, None] - known).argmin(axis=1)]
     solution = assemble(system, q[nearest], x[missing], max_iterations=_SLOW_NEWTON)
-    filled = q.copy()
-    filled[missing] = solution.q
+    q[missing] = solution.q
     if not solution.closed.all():
-        first = int(missing[np.argmin(solution.closed)])
-        _raise_border(system, law, t, filled, first, float(solution.gap[np.argmin(solution.closed)]))
+        first = int(np.argmin(solution.closed))
+        _raise_border(system, law, t, q, int(missing[first]), float(solution.gap[first]))
     other = (mode_indicator(robot, solution.q) * np.array(robot.working_mode) < -_MODE_ROUNDING).any(axis=1)
     if other.any():
         lost = float(t[missing[np.argmax(other)]])
         raise WorkingModeError(
             f"The path cannot be followed in working mode {mode_name(robot.working_mode)} at t = {lost:.9g} s.",
-            remedy="Keep the legs away from full stretch, full fold and zero length.",
+            remedy=_STAY_AWAY,
             time=lost,
         )
-    return filled
 
 
-def _require_no_jump(system: ConstraintSystem, law: PositionLaw, t: Array, q: Array) -> None:
+def _require_no_jump(path: FollowedPath, suspects: BoolArray) -> None:
     """Bisect steps over which q does not follow its rate: a kink shrinks, a jump to another branch stays.
 
     A leg that passes through zero length jumps: the prismatic leg of a 2-RPR turns by π at its base hinge.
     """
-    model = system.robot.model
-    gamma = project(system, system.evaluate(q)).gamma
-    for k in np.flatnonzero(~continuous(system, q, gamma, law.at(t))):
-        left, right, q_left, q_right = float(t[k]), float(t[k + 1]), q[k], q[k + 1]
-        span = first = _distance(model, q_left, q_right)
+    model = path.system.robot.model
+
+    def distance(one: Array, other: Array) -> float:
+        return float(np.abs(configuration_difference(model, one[None], other[None])).max())
+
+    for k in np.flatnonzero(suspects):
+        left, right, q_left, q_right = float(path.t[k]), float(path.t[k + 1]), path.q[k], path.q[k + 1]
+        span = first = distance(q_left, q_right)
         for _ in range(_HALVINGS):
-            middle = np.array([0.5 * (left + right)])
+            middle = 0.5 * (left + right)
             # from both ends: Newton cannot start at the one that is singular
-            starts = np.stack([q_left, q_right])
-            solution = assemble(system, starts, law.at(middle).repeat(2, axis=0), max_iterations=_SLOW_NEWTON)
+            goal = path.law.at(np.array([middle])).repeat(2, axis=0)
+            solution = assemble(path.system, np.stack([q_left, q_right]), goal, max_iterations=_SLOW_NEWTON)
             if not solution.closed.any():
                 break
-            parts = [(_distance(model, q_left, q), _distance(model, q, q_right)) for q in solution.q]
+            parts = [(distance(q_left, q), distance(q, q_right)) for q in solution.q]
             best = min(np.flatnonzero(solution.closed), key=lambda i: max(parts[i]))
             if parts[best][0] < parts[best][1]:
-                left, q_left, span = float(middle[0]), solution.q[best], parts[best][1]
+                left, q_left, span = middle, solution.q[best], parts[best][1]
             else:
-                right, q_right, span = float(middle[0]), solution.q[best], parts[best][0]
-            if span < _KINK * first or span < _SAME_CONFIGURATION:
+                right, q_right, span = middle, solution.q[best], parts[best][0]
+            if span < max(_KINK * first, _SAME_CONFIGURATION):
                 break
-        if span > _KINK * first and span > _SAME_CONFIGURATION:
+        if span > max(_KINK * first, _SAME_CONFIGURATION):
             raise WorkingModeError(
                 f"The configuration jumps at t = {left:.9g} s (by {span:.3g} rad or m): the path runs through a type I "
                 "singularity, behind which the working mode is another branch.",
-                remedy="Keep the legs away from full stretch, full fold and zero length.",
+                remedy=_STAY_AWAY,
                 time=left,
             )
-
-
-def _distance(model: pin.Model, one: Array, other: Array) -> float:
-    return float(np.abs(configuration_difference(model, one[None], other[None])).max())
 
 
 def _require_closed(times: Array, gap: Array) -> None:
@@ -369,38 +316,19 @@ def _require_closed(times: Array, gap: Array) -> None:
 def _raise_border(system: ConstraintSystem, law: PositionLaw, t: Array, q: Array, bad: int, gap: float) -> NoReturn:
     """Bisect for the time at which the path leaves the workspace, and say so."""
     if bad == 0:
-        _require_closed(t[bad : bad + 1], np.array([gap]))
-    inside, outside, at = t[bad - 1], t[bad], q[bad - 1]
+        _require_closed(t[:1], np.array([gap]))
+    inside, outside, at = float(t[bad - 1]), float(t[bad]), q[bad - 1]
     for _ in range(_BISECTIONS):
-        middle = np.array([0.5 * (inside + outside)])
-        solution = assemble(system, at[None], law.at(middle), max_iterations=_SLOW_NEWTON)
+        middle = 0.5 * (inside + outside)
+        solution = assemble(system, at[None], law.at(np.array([middle])), max_iterations=_SLOW_NEWTON)
         if solution.closed[0]:
-            inside, at = float(middle[0]), solution.q[0]
+            inside, at = middle, solution.q[0]
         else:
-            outside = float(middle[0])
+            outside = middle
     raise UnreachablePoseError(
         f"The path leaves the workspace at t = {inside:.9g} s: by t = {t[bad]:.6g} s the chains stay open by "
         f"{gap:.3g} m.",
         remedy="Keep the motion inside the workspace; its border is a type I singularity.",
-        time=float(inside),
+        time=inside,
         gap=gap,
     )
-
-
-_SAME_CONFIGURATION = 1e-6
-"""Configurations nearer than this (rad, m) are the same one, computed twice."""
-
-_STRAY = 0.5
-"""Change of q (rad, m) over one step of the path that is no motion of the branch: a step is a hundredth of the robot's
-size."""
-
-_HALVINGS = 30
-_KINK = 0.2
-"""A step that bisection shrinks below this fraction is a kink or a steep stretch: at a square root each halving of time
-shrinks it by 0.7, so that five do. A jump stays."""
-
-_MODE_ROUNDING = 1e-6
-"""A mode indicator (sine or metres) this small is zero: what Newton leaves at a type I singularity."""
-
-_SLOW_NEWTON = 80
-"""At a type I singularity Newton converges linearly, halving the error: 50 halvings reach rounding."""

@@ -1,253 +1,67 @@
 """The singular locus over the workspace: curves of type I and type II singularities in one working mode.
 
 A grid of platform positions is solved on one branch. Type II curves run where the signed margin changes sign between
-neighbouring nodes, type I curves where reachable nodes meet unreachable ones (the working mode ends there). Every point
-that is returned is refined to an exact singular configuration on its grid edge; curves join them.
+neighbouring nodes, type I curves where reachable nodes meet unreachable ones (the working mode ends there). contourpy
+joins the grid edges over which this happens into curves; where on its edge the singularity lies is found exactly.
 
-Marching squares: where a yes/no function on a grid changes, and how the places of change join into curves.
-
-An edge joins two neighbouring nodes; it is given by its two node numbers. Only the topology is computed here: where on
-its edge a change lies is for root finding to say.
+Refinement. In the joint coordinates a singularity is a simple root even where the platform coordinates meet a square
+root (at the border of the workspace). The unknowns are all p joint displacements; the equations are the r closure rows,
+the n − 1 platform coordinates that are constant along an edge, and σ = 0, the smallest singular value of the scaled K
+(type I) or T (type II). With σ = uᵀ M v its derivative is uᵀ (∂M/∂q) v.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
+from contourpy import contour_generator
 from numpy.typing import NDArray
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
-from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.assembly import assemble
-from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates
-from redundancy_pin.kinematics.lift import find_on_branch
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.assembly import assemble, integrate
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.coordinates import coordinates, difference
+from redundancy_pin.kinematics.modes import mode_indicator
 from redundancy_pin.robot import Robot
-from redundancy_pin.singularities.classify import SingularityKind, locked_matrix, serial_matrix
-from redundancy_pin.singularities.followed_path import margins_of
-from redundancy_pin.singularities.workspace import (
-    SINGULAR,
-    RefinedPoints,
-    WorkspaceGrid,
-    approach_border,
-    bisect_margin,
-    refine,
-    solve_grid,
+from redundancy_pin.singularities.classify import (
+    SingularityKind,
+    actuation_matrix,
+    locked_matrix,
+    margins_of,
+    serial_matrix,
+    signed_margin,
 )
-
-_REACH = 4.0
-"""Half width of the search for the workspace, in characteristic lengths."""
-
-_COARSE = 61
-_BORDER = 0.03
-"""Room left around the workspace, as a fraction of its size."""
-
-
-@dataclass(frozen=True, eq=False)
-class Slice:
-    """Where a locus is drawn.
-
-    Attributes:
-        names: names of the coordinates that vary.
-        units: of each, "m" or "rad".
-        free: their columns in x.
-        fixed: by name, the values of the coordinates that are held, rad.
-        x: (n,) a point of the slice: the reference position, turned to the orientation of the slice.
-        q: (nq,) the configuration there.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    free: tuple[int, ...]
-    fixed: dict[str, float]
-    x: Array
-    q: Array
-
-
-def slice_of(system: ConstraintSystem, orientation: float | None) -> Slice:
-    """Return the slice of a robot through its reference position.
-
-    Raises:
-        UnsupportedRobotError: not planar.
-        InputError: an orientation for a robot that has none, or one that is not finite.
-        UnreachablePoseError, WorkingModeError: the reference position cannot be reached at this orientation.
-    """
-    robot = system.robot
-    names, free = _free(robot)
-    unit = "rad" if _turns(robot) else "m"
-    held = tuple(column for column in range(robot.n) if column not in free)
-    reference = np.array(robot.q_reference)
-    x = np.array(coordinates(robot, system.evaluate(reference[None]))[0])
-    if orientation is not None:
-        if not held or not np.isfinite(orientation):
-            raise InputError(
-                f"orientation is {orientation}, and the coordinates of {robot.name} are {', '.join(_names(robot))}.",
-                remedy="Leave it out for a robot without orientation; pass a finite angle in rad otherwise.",
-            )
-        x[held[0]] = orientation
-        reference = find_on_branch(system, x)
-    return Slice(
-        names, (unit,) * len(free), free, {_names(robot)[column]: float(x[column]) for column in held}, x, reference
-    )
-
-
-def default_axes(system: ConstraintSystem, place: Slice, resolution: int) -> tuple[Array, ...]:
-    """Return the grid that covers the workspace around a slice's start.
-
-    A coarse grid finds how far the workspace goes; where it is not at an end after ``_REACH`` characteristic
-    lengths it is cut there. A joint that turns is taken once round.
-    """
-    robot = system.robot
-    if robot.platform is None:
-        half = np.pi if _turns(robot) else _REACH * robot.characteristic_length
-        return (np.linspace(place.x[0] - half, place.x[0] + half, resolution),)
-    half = _REACH * robot.characteristic_length
-    rough = tuple(np.linspace(place.x[c] - half, place.x[c] + half, _COARSE) for c in place.free)
-    grid = solve_grid(system, place.free, rough, place.x, place.q)
-    axes = []
-    for column, axis in zip(place.free, rough, strict=True):
-        reached = grid.x[grid.reachable, column]
-        cell = axis[1] - axis[0]
-        low, high = float(reached.min()) - cell, float(reached.max()) + cell
-        room = _BORDER * (high - low)
-        axes.append(np.linspace(max(low - room, axis[0]), min(high + room, axis[-1]), resolution))
-    return tuple(axes)
-
-
-def _turns(robot: Robot) -> bool:
-    """Whether the first free coordinate is the angle of a joint."""
-    if robot.platform is not None:
-        return False
-    joint = robot.model.joints[robot.model.getJointId(robot.independent_joints[0])]
-    return not str(joint.shortname()).startswith("JointModelP")
-
-
-def _names(robot: Robot) -> tuple[str, ...]:
-    return robot.platform.axes if robot.platform else robot.independent_joints
-
-
-def _free(robot: Robot) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    names = _names(robot)
-    if robot.platform is None and robot.n == 1:
-        return names, (0,)
-    free = tuple(k for k, name in enumerate(names) if not name.startswith("r"))
-    if robot.platform is None or len(free) != 2 or len(names) - len(free) > 1:
-        raise UnsupportedRobotError(
-            f"The singular locus of {robot.name} cannot be drawn: its coordinates are {', '.join(names)}.",
-            remedy="A locus is for two translations with at most one rotation, or a single joint; of other robots "
-            "look at the singular instants of a motion, with find_crossings.",
-        )
-    return tuple(names[k] for k in free), free
-
-
-@dataclass(frozen=True, eq=False)
-class Contour:
-    """Edges over which a function changes, and the chains they form.
-
-    Attributes:
-        edges: (E, 2) node numbers of each edge.
-        chains: edge numbers of each curve, in order along it; a closed curve ends with the edge it starts with.
-    """
-
-    edges: IntArray
-    chains: tuple[IntArray, ...]
-
-
-def contour(flags: BoolArray, usable: BoolArray) -> Contour:
-    """Return the edges between true and false nodes and the curves through them.
-
-    Args:
-        flags: (A,) or (A, B) the function at the nodes.
-        usable: same shape; edges with a node that is not usable are left out.
-    """
-    numbers = np.arange(flags.size).reshape(flags.shape)
-    found = []
-    for axis in range(flags.ndim):
-        one, other = (np.take(numbers, range(s, flags.shape[axis] - 1 + s), axis=axis).ravel() for s in (0, 1))
-        change = (flags.flat[one] != flags.flat[other]) & usable.flat[one] & usable.flat[other]
-        found.append(np.stack([one[change], other[change]], axis=1))
-    edges = np.concatenate(found)
-    if flags.ndim == 1:
-        return Contour(edges, tuple(np.array([k]) for k in range(len(edges))))
-    return Contour(edges, _chains(edges, _links(edges, flags.shape, numbers), len(edges)))
-
-
-def split(contour: Contour, keep: BoolArray) -> tuple[IntArray, ...]:
-    """Return the chains without the edges that are not kept, cut where one is missing."""
-    pieces: list[IntArray] = []
-    for chain in contour.chains:
-        good = keep[chain]
-        bounds = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.intp), [0]])))
-        pieces += [chain[start:stop] for start, stop in zip(bounds[::2], bounds[1::2], strict=True)]
-    return tuple(pieces)
-
-
-def _links(edges: IntArray, shape: tuple[int, ...], numbers: IntArray) -> IntArray:
-    """Return (L, 2) pairs of edges that a curve joins inside a cell."""
-    key = {(int(a), int(b)): k for k, (a, b) in enumerate(edges)}
-    corners = _touched_cells(edges, shape)
-    pairs = []
-    for i, j in corners:
-        ring = [numbers[i, j], numbers[i + 1, j], numbers[i + 1, j + 1], numbers[i, j + 1]]
-        sides = [(ring[0], ring[1]), (ring[1], ring[2]), (ring[3], ring[2]), (ring[0], ring[3])]
-        here = [key[side] for side in ((int(a), int(b)) for a, b in sides) if side in key]
-        if len(here) == 4:
-            # a saddle: cut off the corners 0 and 2 (the other choice is as good)
-            pairs += [(here[0], here[3]), (here[1], here[2])]
-        elif len(here) == 2:
-            pairs.append((here[0], here[1]))
-    return np.array(pairs, dtype=np.intp).reshape(-1, 2)
-
-
-def _touched_cells(edges: IntArray, shape: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Return the lower corners of the cells on either side of the edges."""
-    row, column = np.unravel_index(edges[:, 0], shape)
-    along_rows = edges[:, 1] - edges[:, 0] == shape[1]  # the edge goes to the next row
-    cells = {(int(i), int(j)) for i, j in zip(row, column, strict=True)}
-    cells |= {(int(i), int(j) - 1) for i, j in zip(row[along_rows], column[along_rows], strict=True)}
-    cells |= {(int(i) - 1, int(j)) for i, j in zip(row[~along_rows], column[~along_rows], strict=True)}
-    return sorted((i, j) for i, j in cells if 0 <= i < shape[0] - 1 and 0 <= j < shape[1] - 1)
-
-
-def _chains(edges: IntArray, links: IntArray, count: int) -> tuple[IntArray, ...]:
-    """Join pairs of edges into chains: open ones first from their ends, then the closed ones."""
-    neighbours: list[list[int]] = [[] for _ in range(count)]
-    for a, b in links.tolist():
-        neighbours[a].append(b)
-        neighbours[b].append(a)
-    seen = np.zeros(count, dtype=bool)
-    chains: list[IntArray] = []
-    ends = [k for k in range(count) if len(neighbours[k]) < 2]
-    for start in ends + list(range(count)):
-        if seen[start]:
-            continue
-        chain, at = [start], start
-        seen[start] = True
-        while True:
-            onward = [k for k in neighbours[at] if not seen[k]]
-            if not onward:
-                break
-            at = onward[0]
-            seen[at] = True
-            chain.append(at)
-        if len(chain) > 2 and start in neighbours[at]:
-            chain.append(start)
-        chains.append(np.array(chain, dtype=np.intp))
-    return tuple(chains)
-
-
-def edge_points(nodes: Array, edges: IntArray, fraction: Array) -> Array:
-    """Return (E, n) the points that divide edges between nodes (G, n) at fractions (E,)."""
-    start, end = nodes[edges[:, 0]], nodes[edges[:, 1]]
-    result: Array = start + fraction[:, None] * (end - start)
-    return result
-
+from redundancy_pin.singularities.workspace import Slice, WorkspaceGrid, default_axes, slice_of, solve_grid
 
 RESOLUTION = 200
 """Nodes along each axis of the grid."""
+
+SINGULAR = 1e-9
+"""Scaled singular value below which a refined point counts as singular; Newton leaves 1e-15."""
+
+_ON_CURVE = 1e-12
+"""Signed margins above minus this count as positive: of a node on the curve rounding leaves a few 1e-16."""
+
+_ITERATIONS = 20
+_DIFFERENCE = 1e-6
+"""Step of the central differences of M, rad or m: their relative error, 1e-10, only slows Newton's last step."""
+
+_LONGEST_NEWTON_STEP = 0.3
+_MARGIN_BISECTIONS = 25
+_BORDER_BISECTIONS = 5
+"""They bring the leg within a thirtieth of a grid cell of the border; from there Newton converges."""
+
+_MODE_ROUNDING = 1e-9
+_EDGE_ROUNDING = 1e-9
+"""A root this far beyond the end of its edge (fraction of its length) is at the end."""
+
+MatrixOf = Callable[[ConstraintSystem, ConstraintState], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,12 +92,12 @@ class SingularLocus:
         names: names of the one or two coordinates that vary.
         units: of each, "m" or "rad".
         free: their columns in x.
-        fixed: by name, the coordinates that are held, rad.
+        fixed: by name, the coordinates that do not vary, rad.
         reference: (n,) the position that the search started from: that of the reference configuration, at the
             orientation of the slice.
         q_reference: (nq,) the configuration there.
         axes: the grid along each free coordinate, m or rad.
-        margin: (A,) or (A, B) signed scaled margin to type II (see ``singular_matrices.signed_margin``), first
+        margin: (A,) or (A, B) signed scaled margin to type II (see ``classify.signed_margin``), first
             index along the first coordinate; NaN where not reachable.
         serial_margin: same shape, scaled margin to type I; NaN where not reachable.
         curves: the curves.
@@ -340,7 +154,7 @@ def singular_locus(
 ) -> SingularLocus:
     """Return the singular curves of a planar robot over its workspace, or the singular positions of one coordinate.
 
-    Covered are platforms with two translations and at most one rotation (which is held), and robots whose only
+    Covered are platforms with two translations and at most one rotation (which is fixed), and robots whose only
     independent coordinate is a joint. Only the part of the workspace that is connected to the reference configuration
     within the slice is searched, and features smaller than a grid cell can be missed. Isolated type I points (a leg of
     zero length, or folded onto its base hinge) are no curves and are not listed. Where m ≠ n type II singularities fill
@@ -362,8 +176,7 @@ def singular_locus(
         raise InputError(f"resolution is {resolution}.", remedy="Pass at least 3, for example 200.")
     system = ConstraintSystem(robot)
     place = slice_of(system, orientation)
-    axes = _axes(system, place, bounds, resolution)
-    grid = solve_grid(system, place.free, axes, place.x, place.q)
+    grid = solve_grid(system, place, _axes(system, place, bounds, resolution))
     parallel, serial = np.full(len(grid.x), np.nan), np.full(len(grid.x), np.nan)
     margins = margins_of(system, system.evaluate(grid.q[grid.reachable]))
     parallel[grid.reachable], serial[grid.reachable] = margins.parallel, margins.serial
@@ -398,59 +211,175 @@ def _axes(
     return tuple(np.linspace(low, high, resolution) for low, high in bounds)
 
 
+def crossed_edges(flags: BoolArray, usable: BoolArray) -> list[IntArray]:
+    """Return the curves between true and false nodes of a grid, (A,) or (A, B), without the nodes that are not usable.
+
+    A curve is the edges it crosses, (E, 2) node numbers in order; a closed one ends with the edge it starts with.
+    """
+    if flags.ndim == 1:
+        change = (flags[1:] != flags[:-1]) & usable[1:] & usable[:-1]
+        return [np.array([[k, k + 1]]) for k in np.flatnonzero(change)]
+    z = np.ma.array(flags.astype(np.float64), mask=~usable)
+    curves = []
+    for line in contour_generator(z=z, corner_mask=True).lines(0.5):
+        place = np.asarray(line)[:, ::-1]  # contourpy gives (column, row)
+        # beside a masked corner a curve ends on the diagonal of a cell, between two half numbers: no edge of the grid
+        on_edge = (place == np.round(place)).any(axis=1)
+        ends = [np.ravel_multi_index(tuple(side(place).astype(np.intp).T), flags.shape) for side in (np.floor, np.ceil)]
+        curves += _pieces(np.stack(ends, axis=1), on_edge)
+    return curves
+
+
+def _pieces(values: NDArray[np.intp], keep: BoolArray) -> list[IntArray]:
+    """Return the runs of values that are kept."""
+    bounds = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(np.intp), [0]])))
+    return [values[start:stop] for start, stop in zip(bounds[::2], bounds[1::2], strict=True)]
+
+
 def _border(system: ConstraintSystem, grid: WorkspaceGrid) -> tuple[tuple[LocusCurve, ...], int]:
-    """Return the type I curves: the border of the reachable nodes."""
+    """Return the type I curves, the border of the reachable nodes, and the number of edges without an exact one."""
     shaped = grid.reachable.reshape(grid.shape)
-    found = contour(shaped, np.ones_like(shaped))
-    edges = np.where(grid.reachable[found.edges[:, :1]], found.edges, found.edges[:, ::-1])
+    curves = crossed_edges(shaped, np.ones_like(shaped))
+    edges = np.concatenate([np.zeros((0, 2), dtype=np.intp), *curves])
+    edges = np.where(grid.reachable[edges[:, :1]], edges, edges[:, ::-1])
     start, end = grid.x[edges[:, 0]], grid.x[edges[:, 1]]
-    near = approach_border(system, grid.q[edges[:, 0]], start, end)
-    points = refine(system, serial_matrix, near, start, end, _free_column(grid, edges))
-    return _curves(system, SingularityKind.TYPE_I, points, split(found, points.found)), int((~points.found).sum())
+    near = _bisected(system, grid.q[edges[:, 0]], start, end, _BORDER_BISECTIONS, None)
+    points = _refined(system, serial_matrix, near, start, end, _free_column(grid, edges))
+    return _curves(system, SingularityKind.TYPE_I, points, curves)
 
 
 def _zero_margin(system: ConstraintSystem, grid: WorkspaceGrid, margin: Array) -> tuple[tuple[LocusCurve, ...], int]:
-    """Return the type II curves: the zeros of the signed margin."""
+    """Return the type II curves, the zeros of the signed margin, and the number of edges without an exact one."""
     # rounding must not decide the sign of nodes that lie on the curve
     positive = margin > -_ON_CURVE
-    found = contour(positive.reshape(grid.shape), grid.reachable.reshape(grid.shape))
-    edges = found.edges
+    curves = crossed_edges(positive.reshape(grid.shape), grid.reachable.reshape(grid.shape))
+    edges = np.concatenate([np.zeros((0, 2), dtype=np.intp), *curves])
     start, end = grid.x[edges[:, 0]], grid.x[edges[:, 1]]
     left, right = margin[edges[:, 0]], margin[edges[:, 1]]
     fraction = np.clip(left / (left - right), 0.0, 1.0)
     nearer = np.where(fraction < 0.5, edges[:, 0], edges[:, 1])
-    solution = assemble(system, grid.q[nearer], edge_points(grid.x, edges, fraction))
+    solution = assemble(system, grid.q[nearer], start + fraction[:, None] * (end - start))
     near = np.where(solution.closed[:, None], solution.q, grid.q[nearer])
-    points = refine(system, locked_matrix, near, start, end, _free_column(grid, edges))
-    again = np.flatnonzero(~points.found)
+    columns = _free_column(grid, edges)
+    points = _refined(system, locked_matrix, near, start, end, columns)
+    again = np.flatnonzero(~points.exact)
     if len(again):
-        # next to the border of the workspace Newton may leave the working mode: bring it nearer first
-        edges, start, end = edges[again], start[again], end[again]
-        near = bisect_margin(system, grid.q[edges[:, 0]], start, end, left[again])
-        points = points.replaced(again, refine(system, locked_matrix, near, start, end, _free_column(grid, edges)))
-    return _curves(system, SingularityKind.TYPE_II, points, split(found, points.found)), int((~points.found).sum())
+        # next to the border of the workspace Newton may leave the working mode: slowly bring it nearer first
+        start, end = start[again], end[again]
+        near = _bisected(system, grid.q[edges[again, 0]], start, end, _MARGIN_BISECTIONS, left[again])
+        for part, new in zip(points, _refined(system, locked_matrix, near, start, end, columns[again]), strict=True):
+            part[again] = new
+    return _curves(system, SingularityKind.TYPE_II, points, curves)
 
 
 def _free_column(grid: WorkspaceGrid, edges: IntArray) -> IntArray:
     """Return (E,) the column of x in which the ends of each edge differ."""
-    change = np.abs(grid.x[edges[:, 1]] - grid.x[edges[:, 0]])[:, list(grid.free)]
-    columns: IntArray = np.array(grid.free, dtype=np.intp)[change.argmax(axis=1)]
+    columns: IntArray = np.abs(grid.x[edges[:, 1]] - grid.x[edges[:, 0]]).argmax(axis=1)
     return columns
 
 
 def _curves(
-    system: ConstraintSystem, kind: SingularityKind, points: RefinedPoints, chains: tuple[IntArray, ...]
-) -> tuple[LocusCurve, ...]:
+    system: ConstraintSystem, kind: SingularityKind, points: _Refined, curves: list[IntArray]
+) -> tuple[tuple[LocusCurve, ...], int]:
+    """Return the curves through the exact points, cut where one is missing, and the number of edges without one."""
     both = [matrix(system, system.evaluate(points.q)) for matrix in (serial_matrix, locked_matrix)]
     combined = np.all([np.linalg.svd(one, compute_uv=False)[:, -1] < SINGULAR for one in both], axis=0)
+    stops = np.cumsum([0, *(len(curve) for curve in curves)])
+    chains = [
+        piece
+        for first, stop in pairwise(stops)
+        for piece in _pieces(np.arange(first, stop), points.exact[first:stop])
+    ]
     return tuple(
         LocusCurve(
             SingularityKind.COMBINED if combined[chain].all() else kind,
             *(read_only(part[chain]) for part in (points.x, points.q, points.residual)),
         )
         for chain in chains
-    )
+    ), int((~points.exact).sum())
 
 
-_ON_CURVE = 1e-12
-"""Signed margins above minus this count as positive: of a node on the curve rounding leaves a few 1e-16."""
+class _Refined(NamedTuple):
+    """Of each edge x (n,), q (nq,), the singular value left; exact: closed, singular, in the mode and on the edge."""
+
+    x: Array
+    q: Array
+    residual: Array
+    exact: BoolArray
+
+
+def _refined(
+    system: ConstraintSystem, matrix: MatrixOf, guess: Array, start: Array, end: Array, free: IntArray
+) -> _Refined:
+    """Find the singular configuration on each edge by Newton, from guesses (E, nq) near it.
+
+    The edges run from ``start`` to ``end`` (E, n) and differ in the columns ``free``; ``matrix`` is ``serial_matrix``
+    for type I, ``locked_matrix`` for type II.
+    """
+    robot, p = system.robot, system.pose_columns
+    everyone = np.arange(len(guess))
+    fixed = np.arange(robot.n)[None, :] != free[:, None]
+    others = np.broadcast_to(np.arange(robot.n), fixed.shape)[fixed].reshape(len(guess), robot.n - 1)
+    q = guess.copy()
+    for _ in range(_ITERATIONS):
+        state = system.evaluate(q)
+        sigma, gradient = _singular_value(system, matrix, state)
+        miss = difference(robot, start, coordinates(robot, state))[everyone[:, None], others]
+        platform_rows = state.Jx[:, :, p][everyone[:, None], others]
+        rows = np.concatenate([state.Jc[:, :, p], platform_rows, gradient[:, None]], axis=1)
+        rhs = np.concatenate([-state.phi, miss, -sigma[:, None]], axis=1)
+        # minimum norm: where two branches of a singular curve meet the equations depend on each other
+        step = (np.linalg.pinv(rows, rcond=1e-12) @ rhs[:, :, None])[:, :, 0]
+        size = np.abs(step).max(axis=1, keepdims=True)
+        full = np.zeros((len(q), robot.model.nv))
+        full[:, p] = step * np.minimum(1.0, _LONGEST_NEWTON_STEP / np.maximum(size, _LONGEST_NEWTON_STEP))
+        q = integrate(robot.model, q, full)
+        if size.max(initial=0.0) < 1e-14:
+            break
+    state = system.evaluate(q)
+    x = coordinates(robot, state)
+    sigma = np.asarray(np.linalg.svd(matrix(system, state), compute_uv=False)[:, -1], dtype=np.float64)
+    away = difference(robot, x, start)
+    fraction = away[everyone, free] / difference(robot, end, start)[everyone, free]
+    off = np.abs(np.where(fixed, away, 0.0)).max(axis=1)
+    gap = np.maximum(np.abs(state.phi).max(axis=1, initial=0.0), off)
+    on_edge = (fraction > -_EDGE_ROUNDING) & (fraction < 1.0 + _EDGE_ROUNDING)
+    # a hair beyond the border of the working mode is rounding, more is another branch
+    in_mode = (mode_indicator(robot, q) * np.array(robot.working_mode) > -_MODE_ROUNDING).all(axis=1)
+    return _Refined(x, q, sigma, (gap < CLOSURE_TOLERANCE) & (sigma < SINGULAR) & on_edge & in_mode)
+
+
+def _bisected(system: ConstraintSystem, q: Array, start: Array, end: Array, steps: int, margin: Array | None) -> Array:
+    """Return (E, nq) configurations near a singularity, by bisection along edges: slow, and hard to mislead.
+
+    q (E, nq) are the configurations at ``start`` (E, n), ``margin`` (E,) the signed margins there, which have the other
+    sign at ``end``; None where ``end`` is unreachable.
+    """
+    # towards an end out of reach every other target is: the next bisection is cheaper than a patient Newton
+    iterations, shortest = (10, 2.0**-3) if margin is None else (50, 2.0**-12)
+    low, high = np.zeros(len(q)), np.ones(len(q))
+    best = q.copy()
+    for _ in range(steps):
+        middle = 0.5 * (low + high)
+        target = start + middle[:, None] * (end - start)
+        solution = assemble(system, best, target, max_iterations=iterations, shortest_step=shortest)
+        near = usable = solution.closed & solution.in_mode
+        if margin is not None:
+            W = actuation_matrix(system, serial_matrix(system, solution.state))
+            near = usable & (np.sign(signed_margin(W)) == np.sign(margin))
+        best[usable] = solution.q[usable]
+        low, high = np.where(near, middle, low), np.where(near, high, middle)
+    return best
+
+
+def _singular_value(system: ConstraintSystem, matrix: MatrixOf, state: ConstraintState) -> tuple[Array, Array]:
+    """Return the smallest singular value (E,) and its derivatives (E, p) by the joint displacements."""
+    u, values, vt = np.linalg.svd(matrix(system, state), full_matrices=False)
+    samples, columns, model = len(state.q), system.pose_columns, system.robot.model
+    steps = _DIFFERENCE * np.eye(model.nv)[columns]
+    steps = np.concatenate([steps, -steps])
+    moved = integrate(model, np.repeat(state.q, len(steps), axis=0), np.tile(steps, (samples, 1)))
+    shifted = matrix(system, system.evaluate(moved))
+    shifted = shifted.reshape(samples, 2, len(columns), *shifted.shape[1:])
+    slope = (shifted[:, 0] - shifted[:, 1]) / (2.0 * _DIFFERENCE)
+    return values[:, -1], np.einsum("ni,ncij,nj->nc", u[:, :, -1], slope, vt[:, -1])

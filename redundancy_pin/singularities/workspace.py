@@ -1,25 +1,26 @@
-"""Exact singular configurations on grid edges: Newton on closure, the coordinates that are fixed, and a singular value.
-
-In the joint coordinates a singularity is a simple root even where the platform coordinates meet a square root (at the
-border of the workspace). The unknowns are all p joint displacements; the equations are the r closure rows, the n − 1
-platform coordinates that are constant along an edge, and σ = 0, the smallest singular value of the scaled K (type I)
-or T (type II). With σ = uᵀ M v its derivative is uᵀ (∂M/∂q) v.
-"""
+"""The slice of the workspace in which a locus is drawn, and the configurations over a grid of it, on one branch."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, read_only
-from redundancy_pin.kinematics.assembly import Assembly, assemble, configuration_difference, integrate
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.continuation import follows
 from redundancy_pin.kinematics.coordinates import coordinates, difference
-from redundancy_pin.kinematics.modes import in_working_mode, mode_indicator
-from redundancy_pin.kinematics.projection import project
-from redundancy_pin.singularities.classify import actuation_matrix, serial_matrix, signed_margin
+from redundancy_pin.kinematics.lift import find_on_branch
+from redundancy_pin.robot import Robot
+
+_REACH = 4.0
+"""Half width of the search for the workspace, in characteristic lengths."""
+
+_COARSE = 61
+_BORDER = 0.03
+"""Room left around the workspace, as a fraction of its size."""
 
 _NEWTON = 10
 _SHORTEST_STEP = 2.0**-3
@@ -31,18 +32,37 @@ to another turn by more."""
 
 
 @dataclass(frozen=True, eq=False)
+class Slice:
+    """Where a locus is drawn.
+
+    Attributes:
+        names: names of the coordinates that vary.
+        units: of each, "m" or "rad".
+        free: their columns in x.
+        fixed: by name, the values of the other coordinates, rad.
+        x: (n,) a point of the slice: the reference position, turned to the orientation of the slice.
+        q: (nq,) the configuration there.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    free: tuple[int, ...]
+    fixed: dict[str, float]
+    x: Array
+    q: Array
+
+
+@dataclass(frozen=True, eq=False)
 class WorkspaceGrid:
     """Configurations over a rectangular grid of one or two platform coordinates, the others fixed.
 
     Attributes:
-        free: columns of the platform coordinates that vary, in the order of the grid's axes.
         axes: the grid's coordinates along each of them, increasing, m or rad.
         x: (G, n) platform coordinates of all nodes, the last axis running fastest.
         q: (G, nq) configurations, NaN where not reachable.
         reachable: (G,) whether a closed configuration in the working mode was found.
     """
 
-    free: tuple[int, ...]
     axes: tuple[Array, ...]
     x: Array
     q: Array
@@ -54,33 +74,89 @@ class WorkspaceGrid:
         return tuple(len(axis) for axis in self.axes)
 
 
-def solve_grid(
-    system: ConstraintSystem, free: tuple[int, ...], axes: tuple[Array, ...], x: Array, q: Array
-) -> WorkspaceGrid:
+def slice_of(system: ConstraintSystem, orientation: float | None) -> Slice:
+    """Return the slice of a robot through its reference position.
+
+    Raises:
+        UnsupportedRobotError: not planar.
+        InputError: an orientation for a robot that has none, or one that is not finite.
+        UnreachablePoseError, WorkingModeError: the reference position cannot be reached at this orientation.
+    """
+    robot = system.robot
+    names = robot.platform.axes if robot.platform else robot.independent_joints
+    free = _free(robot, names)
+    fixed = [column for column in range(robot.n) if column not in free]
+    q = np.array(robot.q_reference)
+    x = np.array(coordinates(robot, system.evaluate(q[None]))[0])
+    if orientation is not None:
+        if not fixed or not np.isfinite(orientation):
+            raise InputError(
+                f"orientation is {orientation}, and the coordinates of {robot.name} are {', '.join(names)}.",
+                remedy="Leave it out for a robot without orientation; pass a finite angle in rad otherwise.",
+            )
+        x[fixed[0]] = orientation
+        q = find_on_branch(system, x)
+    units = ("rad" if _turns(robot) else "m",) * len(free)
+    return Slice(tuple(names[k] for k in free), units, free, {names[k]: float(x[k]) for k in fixed}, x, q)
+
+
+def default_axes(system: ConstraintSystem, place: Slice, resolution: int) -> tuple[Array, ...]:
+    """Return the grid that covers the workspace around a slice's start.
+
+    A coarse grid finds how far the workspace goes; where it is not at an end after ``_REACH`` characteristic
+    lengths it is cut there. A joint that turns is taken once round.
+    """
+    robot = system.robot
+    half = np.pi if _turns(robot) else _REACH * robot.characteristic_length
+    if robot.platform is None:
+        return (np.linspace(place.x[0] - half, place.x[0] + half, resolution),)
+    rough = tuple(np.linspace(place.x[c] - half, place.x[c] + half, _COARSE) for c in place.free)
+    grid = solve_grid(system, place, rough)
+    axes = []
+    for column, axis in zip(place.free, rough, strict=True):
+        reached = grid.x[grid.reachable, column]
+        cell = axis[1] - axis[0]
+        low, high = float(reached.min()) - cell, float(reached.max()) + cell
+        room = _BORDER * (high - low)
+        axes.append(np.linspace(max(low - room, axis[0]), min(high + room, axis[-1]), resolution))
+    return tuple(axes)
+
+
+def _turns(robot: Robot) -> bool:
+    """Whether the only coordinate is the angle of a joint."""
+    if robot.platform is not None:
+        return False
+    joint = robot.model.joints[robot.model.getJointId(robot.independent_joints[0])]
+    return not str(joint.shortname()).startswith("JointModelP")
+
+
+def _free(robot: Robot, names: tuple[str, ...]) -> tuple[int, ...]:
+    """Return the columns of x that vary."""
+    if robot.platform is None and robot.n == 1:
+        return (0,)
+    free = tuple(k for k, name in enumerate(names) if not name.startswith("r"))
+    if robot.platform is None or len(free) != 2 or len(names) - len(free) > 1:
+        raise UnsupportedRobotError(
+            f"The singular locus of {robot.name} cannot be drawn: its coordinates are {', '.join(names)}.",
+            remedy="A locus is for two translations with at most one rotation, or a single joint; of other robots "
+            "look at the singular instants of a motion, with find_crossings.",
+        )
+    return free
+
+
+def solve_grid(system: ConstraintSystem, place: Slice, axes: tuple[Array, ...]) -> WorkspaceGrid:
     """Flood a grid from one configuration: every solved node is where its neighbours start from.
 
     Only the part of the workspace that is connected to the start (in the slice of the grid) is found.
-
-    Args:
-        system: closures and platform rows.
-        free: columns of the platform coordinates that vary.
-        axes: the grid's coordinates along each of them.
-        x: (n,) platform coordinates of the start; those that are not free hold over the grid.
-        q: (nq,) a closed configuration there.
     """
     mesh = np.meshgrid(*axes, indexing="ij")
-    nodes = np.repeat(x[None], mesh[0].size, axis=0)
-    for column, values in zip(free, mesh, strict=True):
+    nodes = np.repeat(place.x[None], mesh[0].size, axis=0)
+    for column, values in zip(place.free, mesh, strict=True):
         nodes[:, column] = values.ravel()
-    flood = _Flood(system, nodes, tuple(len(axis) for axis in axes))
-    flood.run(x, q)
-    return WorkspaceGrid(
-        free,
-        tuple(read_only(np.array(axis)) for axis in axes),
-        read_only(nodes),
-        read_only(flood.q),
-        read_only(flood.solved),
-    )
+    flood = _Flood(system, nodes, mesh[0].shape)
+    flood.run(place.x, place.q)
+    grid_axes = tuple(read_only(np.array(axis)) for axis in axes)
+    return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.solved)))
 
 
 class _Flood:
@@ -117,9 +193,9 @@ class _Flood:
                 targets.append(np.ravel_multi_index(tuple(moved[:, inside]), self.shape))
                 sources.append(front[inside])
         target, source = np.concatenate(targets), np.concatenate(sources)
-        open_ones = ~self.solved[target]
-        unique, first = np.unique(target[open_ones], return_index=True)
-        return unique, source[open_ones][first]
+        unsolved = ~self.solved[target]
+        unique, first = np.unique(target[unsolved], return_index=True)
+        return unique, source[unsolved][first]
 
     def _reach(self, targets: IntArray, x: Array, q: Array, gamma: Array) -> IntArray:
         """Solve nodes from configurations nearby, with a predicted step and, where that fails, without."""
@@ -132,186 +208,23 @@ class _Flood:
         done = self._attempt(targets, q, step, gamma, increment)
         again = np.flatnonzero(~done)
         if len(again):
-            done[again] = self._attempt(
-                targets[again], q[again], np.zeros_like(step[again]), gamma[again], increment[again]
-            )
+            still = np.zeros_like(step[again])
+            done[again] = self._attempt(targets[again], q[again], still, gamma[again], increment[again])
         return targets[done]
 
     def _attempt(self, targets: IntArray, q: Array, step: Array, gamma: Array, increment: Array) -> BoolArray:
         robot, model = self.system.robot, self.system.robot.model
-        solution: Assembly = assemble(
-            self.system,
-            integrate(model, q, step),
-            self.nodes[targets],
-            max_iterations=_NEWTON,
-            shortest_step=_SHORTEST_STEP,
+        guess = integrate(model, q, step)
+        solution = assemble(
+            self.system, guess, self.nodes[targets], max_iterations=_NEWTON, shortest_step=_SHORTEST_STEP
         )
-        here = project(self.system, solution.state).gamma
         change = configuration_difference(model, q, solution.q)
         if robot.working_modes is None:
             # nothing but continuity tells the branches apart
-            predicted = 0.5 * np.einsum("nvi,ni->nv", gamma + here, increment)
-            same = np.abs(change - predicted).max(axis=1) <= _CONTINUITY * np.abs(predicted).max(axis=1) + _ROUNDING
+            same = follows(change, gamma, solution.gamma, increment)
         else:
-            same = in_working_mode(robot, solution.q) & (np.abs(change).max(axis=1) < _LONGEST_STEP)
-        good: BoolArray = solution.closed & same & np.isfinite(here).all(axis=(1, 2))
+            same = solution.in_mode & (np.abs(change).max(axis=1) < _LONGEST_STEP)
+        good: BoolArray = solution.regular & same
         chosen = targets[good]
-        self.q[chosen], self.gamma[chosen], self.solved[chosen] = solution.q[good], here[good], True
+        self.q[chosen], self.gamma[chosen], self.solved[chosen] = solution.q[good], solution.gamma[good], True
         return good
-
-
-_CONTINUITY = 0.25
-"""Part of a step that its trapezoidal prediction may miss before it counts as a jump to another branch."""
-
-_ROUNDING = 1e-7
-"""Changes of q below this (rad, m) are rounding."""
-
-
-SINGULAR = 1e-9
-"""Scaled singular value below which a refined point counts as singular; Newton leaves 1e-15."""
-
-MatrixOf = Callable[[ConstraintSystem, ConstraintState], Array]
-
-_ITERATIONS = 20
-_DIFFERENCE = 1e-6
-"""Step of the central differences of M, rad or m: their relative error, 1e-10, only slows Newton's last step."""
-
-_LONGEST_NEWTON_STEP = 0.3
-_MARGIN_BISECTIONS = 25
-_BISECTIONS = 5
-"""They bring the leg within a thirtieth of a grid cell of the border; from there Newton converges."""
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedPoints:
-    """Singular configurations, one for each edge.
-
-    Attributes:
-        x: (E, n) platform coordinates.
-        q: (E, nq) configurations.
-        residual: (E,) smallest singular value of the matrix whose zero was sought.
-        found: (E,) closed, singular, and on its edge.
-    """
-
-    x: Array
-    q: Array
-    residual: Array
-    found: BoolArray
-
-    def replaced(self, where: IntArray, other: RefinedPoints) -> RefinedPoints:
-        """Return the points with some of them replaced by others."""
-        parts = {name: values.copy() for name, values in vars(self).items()}
-        for name, values in parts.items():
-            values[where] = getattr(other, name)
-        return RefinedPoints(**parts)
-
-
-def refine(
-    system: ConstraintSystem, matrix: MatrixOf, guess: Array, start: Array, end: Array, free: IntArray
-) -> RefinedPoints:
-    """Find the singular configuration on each edge.
-
-    Args:
-        system: closures and platform rows.
-        matrix: ``serial_matrix`` for type I, ``locked_matrix`` for type II.
-        guess: (E, nq) configurations near it.
-        start: (E, n) platform coordinates of one end of each edge.
-        end: (E, n) those of the other.
-        free: (E,) the column in which they differ.
-    """
-    robot, p = system.robot, system.pose_columns
-    everyone = np.arange(len(guess))
-    held = np.arange(robot.n)[None, :] != free[:, None]
-    others = np.broadcast_to(np.arange(robot.n), held.shape)[held].reshape(len(guess), robot.n - 1)
-    q = guess.copy()
-    for _ in range(_ITERATIONS):
-        state = system.evaluate(q)
-        sigma, gradient = _singular_value(system, matrix, state)
-        miss = difference(robot, start, coordinates(robot, state))[everyone[:, None], others]
-        rows = np.concatenate(
-            [state.Jc[:, :, p], state.Jx[:, :, p][everyone[:, None], others], gradient[:, None]], axis=1
-        )
-        rhs = np.concatenate([-state.phi, miss, -sigma[:, None]], axis=1)
-        # minimum norm: where two branches of a singular curve meet the equations depend on each other
-        step = (np.linalg.pinv(rows, rcond=1e-12) @ rhs[:, :, None])[:, :, 0]
-        size = np.abs(step).max(axis=1, keepdims=True)
-        full = np.zeros((len(q), robot.model.nv))
-        full[:, p] = step * np.minimum(1.0, _LONGEST_NEWTON_STEP / np.maximum(size, _LONGEST_NEWTON_STEP))
-        q = integrate(robot.model, q, full)
-        if size.max(initial=0.0) < 1e-14:
-            break
-    state = system.evaluate(q)
-    x = coordinates(robot, state)
-    sigma = np.asarray(np.linalg.svd(matrix(system, state), compute_uv=False)[:, -1], dtype=np.float64)
-    away = difference(robot, x, start)
-    edge = difference(robot, end, start)
-    fraction = away[everyone, free] / edge[everyone, free]
-    off = np.abs(np.where(held, away, 0.0)).max(axis=1)
-    gap = np.maximum(np.abs(state.phi).max(axis=1, initial=0.0), off)
-    on_edge = (fraction > -_EDGE_ROUNDING) & (fraction < 1.0 + _EDGE_ROUNDING)
-    # a hair beyond the border of the working mode is rounding, more is another branch
-    in_mode = (mode_indicator(robot, q) * np.array(robot.working_mode) > -_MODE_ROUNDING).all(axis=1)
-    return RefinedPoints(x, q, sigma, (gap < CLOSURE_TOLERANCE) & (sigma < SINGULAR) & on_edge & in_mode)
-
-
-def approach_border(system: ConstraintSystem, q: Array, start: Array, end: Array) -> Array:
-    """Return (E, nq) configurations near the border of the workspace, by bisection along edges that cross it.
-
-    Args:
-        system: closures and platform rows.
-        q: (E, nq) configurations at ``start``.
-        start: (E, n) reachable platform coordinates.
-        end: (E, n) unreachable ones.
-    """
-    inside, outside = np.zeros(len(q)), np.ones(len(q))
-    best = q.copy()
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (inside + outside)
-        target = start + middle[:, None] * (end - start)
-        solution = assemble(system, best, target, max_iterations=10, shortest_step=0.125)
-        good = solution.closed & in_working_mode(system.robot, solution.q)
-        best[good] = solution.q[good]
-        inside, outside = np.where(good, middle, inside), np.where(good, outside, middle)
-    return best
-
-
-def bisect_margin(system: ConstraintSystem, q: Array, start: Array, end: Array, margin: Array) -> Array:
-    """Return (E, nq) configurations at the sign change of the signed margin, by bisection: slow, and hard to mislead.
-
-    Args:
-        system: closures and platform rows.
-        q: (E, nq) configurations at ``start``.
-        start: (E, n) platform coordinates of one end of each edge.
-        end: (E, n) those of the other.
-        margin: (E,) signed margin at ``start``; it has the other sign at ``end``.
-    """
-    low, high = np.zeros(len(q)), np.ones(len(q))
-    best = q.copy()
-    for _ in range(_MARGIN_BISECTIONS):
-        middle = 0.5 * (low + high)
-        solution = assemble(system, best, start + middle[:, None] * (end - start))
-        W = actuation_matrix(system, serial_matrix(system, solution.state))
-        same = np.sign(signed_margin(W)) == np.sign(margin)
-        usable = solution.closed & in_working_mode(system.robot, solution.q)
-        best[usable] = solution.q[usable]
-        low, high = np.where(usable & same, middle, low), np.where(usable & same, high, middle)
-    return best
-
-
-def _singular_value(system: ConstraintSystem, matrix: MatrixOf, state: ConstraintState) -> tuple[Array, Array]:
-    """Return the smallest singular value (E,) and its derivatives (E, p) by the joint displacements."""
-    u, values, vt = np.linalg.svd(matrix(system, state), full_matrices=False)
-    samples, columns, model = len(state.q), system.pose_columns, system.robot.model
-    steps = np.zeros((2 * len(columns), model.nv))
-    steps[np.arange(len(columns)), columns] = _DIFFERENCE
-    steps[len(columns) + np.arange(len(columns)), columns] = -_DIFFERENCE
-    moved = integrate(model, np.repeat(state.q, len(steps), axis=0), np.tile(steps, (samples, 1)))
-    shifted = matrix(system, system.evaluate(moved))
-    shifted = shifted.reshape(samples, 2, len(columns), *shifted.shape[1:])
-    slope = (shifted[:, 0] - shifted[:, 1]) / (2.0 * _DIFFERENCE)
-    return values[:, -1], np.einsum("ni,ncij,nj->nc", u[:, :, -1], slope, vt[:, -1])
-
-
-_MODE_ROUNDING = 1e-9
-_EDGE_ROUNDING = 1e-9
-"""A root this far beyond the end of its edge (fraction of its length) is at the end."""

@@ -13,7 +13,7 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE
 from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, moved
-from redundancy_pin.kinematics.inverse_kinematics import recombined, search
+from redundancy_pin.kinematics.inverse_kinematics import mixed_legs, multistart
 from redundancy_pin.kinematics.lift import find_on_branch
 from redundancy_pin.kinematics.modes import in_working_mode, working_modes
 from redundancy_pin.robot import Robot
@@ -75,7 +75,7 @@ def test_only_other_modes_close_is_said_so(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_search_prefers_the_solution_nearest_to_the_guess(shipped: Robot) -> None:
     system = zoo.system_of(shipped)
-    q, gap, closed = search(system, np.array(shipped.q_reference), zoo.home_of(shipped))
+    q, gap, closed = multistart(system, np.array(shipped.q_reference), zoo.home_of(shipped))
     assert closed
     assert gap < CLOSURE_TOLERANCE
     np.testing.assert_allclose(q, shipped.q_reference, atol=1e-9)
@@ -84,7 +84,7 @@ def test_search_prefers_the_solution_nearest_to_the_guess(shipped: Robot) -> Non
 def test_search_finds_the_mode_from_a_guess_in_another() -> None:
     robot = zoo.robot_of("3rrr", working_mode=(1, -1, 1))
     other = zoo.robot_of("3rrr", working_mode=(-1, 1, -1))
-    q, _, closed = search(zoo.system_of(robot), np.array(other.q_reference), zoo.home_of(robot))
+    q, _, closed = multistart(zoo.system_of(robot), np.array(other.q_reference), zoo.home_of(robot))
     assert closed
     np.testing.assert_array_equal(working_modes(robot, q[None])[0], [1, -1, 1])
 
@@ -92,7 +92,7 @@ def test_search_finds_the_mode_from_a_guess_in_another() -> None:
 def test_search_is_the_same_every_time() -> None:
     robot = zoo.robot_of("3rrr", working_mode=(1, -1, 1))
     guess = np.array(zoo.robot_of("3rrr").q_reference)
-    first, second = (search(zoo.system_of(robot), guess, zoo.home_of(robot))[0] for _ in range(2))
+    first, second = (multistart(zoo.system_of(robot), guess, zoo.home_of(robot))[0] for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
@@ -100,7 +100,7 @@ def test_search_returns_angles_within_a_turn() -> None:
     robot = zoo.robot_of("3rrr")
     wound = np.array(robot.q_reference)
     wound[robot.actuated_velocity] += 2 * np.pi
-    q, _, closed = search(zoo.system_of(robot), wound, zoo.home_of(robot))
+    q, _, closed = multistart(zoo.system_of(robot), wound, zoo.home_of(robot))
     assert closed
     assert np.abs(q).max() <= np.pi
 
@@ -110,7 +110,7 @@ def test_search_turns_joints_all_around_whatever_the_characteristic_length() -> 
     from dataclasses import replace
 
     robot = replace(zoo.robot_of("3rrr"), characteristic_length=1.0, working_mode=(-1, -1, -1))
-    q, _, closed = search(ConstraintSystem(robot), np.array(robot.q_reference), zoo.home_of(zoo.robot_of("3rrr")))
+    q, _, closed = multistart(ConstraintSystem(robot), np.array(robot.q_reference), zoo.home_of(zoo.robot_of("3rrr")))
     assert closed
     np.testing.assert_array_equal(working_modes(robot, q[None])[0], [-1, -1, -1])
 
@@ -132,9 +132,9 @@ def test_legs_are_not_mixed_where_one_is_right_in_none() -> None:
     robot = zoo.robot_of("3rrr", working_mode=(1, 1, 1))
     other = zoo.robot_of("3rrr", working_mode=(-1, 1, 1))
     guess, q = np.array(robot.q_reference), np.array(other.q_reference)
-    assert recombined(zoo.system_of(robot), q[None], guess) is None
-    assert recombined(zoo.system_of(robot), q[None][:0], guess) is None
+    assert mixed_legs(robot, q[None], guess) is None
+    assert mixed_legs(robot, q[None][:0], guess) is None
     third = np.array(zoo.robot_of("3rrr", working_mode=(1, -1, 1)).q_reference)
-    mixed = recombined(zoo.system_of(robot), np.array([q, third]), guess)
+    mixed = mixed_legs(robot, np.array([q, third]), guess)
     np.testing.assert_array_equal(working_modes(robot, mixed[None])[0], [1, 1, 1])
     assert np.abs(zoo.system_of(robot).evaluate(mixed[None]).phi).max() < CLOSURE_TOLERANCE

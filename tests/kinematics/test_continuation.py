@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import zoo
 
-from redundancy_pin.kinematics.assembly import assemble
-from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Anchors, continuous, follow, initial_guess, take_up
+from redundancy_pin.kinematics.assembly import assemble, project
+from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Anchors, continuous, follow, initial_guess, reacquire
 from redundancy_pin.kinematics.coordinates import difference, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.modes import in_working_mode
-from redundancy_pin.kinematics.projection import project
 from redundancy_pin.robot import Robot
 
 
@@ -105,16 +104,16 @@ def test_standing_still_is_continuous(shipped: Robot) -> None:
 
 
 @pytest.mark.parametrize("nothing_within", [True, False])
-def test_take_up_finds_the_first_pose_in_the_mode(nothing_within: bool) -> None:
+def test_reacquire_finds_the_first_pose_in_the_mode(nothing_within: bool) -> None:
     robot = zoo.robot_of("five_bar")
     heights = np.linspace(1.5, 1.2, 40) if nothing_within else np.linspace(1.5, 0.5, 101)
     targets = np.stack([np.full(len(heights), 0.25), heights], axis=1)
-    found = take_up(zoo.system_of(robot), targets, np.array(robot.q_reference))
+    found = reacquire(zoo.system_of(robot), targets, np.array(robot.q_reference))
     if nothing_within:
         assert found is None
     else:
         assert found is not None
-        index, q, gamma = found
+        index, (_, q, gamma) = found
         assert index == int(np.argmax(heights < np.sqrt(1 - 0.25**2)))
         assert in_working_mode(robot, q[None])[0]
         assert np.isfinite(gamma).all()

@@ -175,7 +175,7 @@ def test_samples_before_the_first_one_found_are_followed_back(monkeypatch: pytes
     robot = zoo.robot_of("2rpr")
     motion = line([0.101, 0.2], [-0.099, -0.2], 21)
     expected = lift(robot, motion)
-    monkeypatch.setattr(state, "_first_reachable", lambda *_: (20, expected.q[20]))
+    monkeypatch.setattr(state, "_first_on_branch", lambda *_: (20, expected.q[20]))
     tree = lift(robot, motion, mark_unreachable=True)
     assert tree.reachable.all()
     np.testing.assert_allclose(tree.q, expected.q, atol=1e-9)

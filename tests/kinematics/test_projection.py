@@ -8,9 +8,8 @@ import zoo
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN, assemble, project
 from redundancy_pin.kinematics.coordinates import row_scale, velocity_scale
-from redundancy_pin.kinematics.projection import SINGULAR_MARGIN, project
 from redundancy_pin.robot import Robot
 
 # K of these machines has condition numbers below 1e3: the residual of its inverse stays below 1e3 roundings.

@@ -17,7 +17,7 @@ from redundancy_pin.dynamics.virtual_work.three_rrr_kinematics import ThreeRrrGe
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.kinematics.spectrum import margin_of
+from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot.urdf import declaration_path
 from redundancy_pin.singularities.classify import SingularityKind, classify, classify_motion
@@ -154,7 +154,9 @@ def test_margins_agree_with_the_lift_and_are_lower_bounds_of_distance(shipped) -
     found = classify_motion(tree)
     assert (found.kind == SingularityKind.REGULAR).all()
     np.testing.assert_allclose(
-        found.parallel_margin, margin_of(tree.W, row_scale(shipped), column_scale(shipped)), rtol=1e-9
+        found.parallel_margin,
+        spectrum_of(scaled(tree.W, row_scale(shipped), column_scale(shipped))).margin,
+        rtol=1e-9,
     )
     # the lift's bound is within a factor √p of the serial margin
     p = shipped.model.nv - shipped.k
