@@ -24,7 +24,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.kinematics.closure import ConstraintSystem, independent_velocity
+from redundancy_pin.kinematics.closure import constraint_system, independent_velocity
 from redundancy_pin.kinematics.coordinates import joint_position, platform_coordinates
 from redundancy_pin.robot import AXES, Robot
 
@@ -160,7 +160,7 @@ class ClosedChain:
         self.robot = robot
         self.model = model = robot.model
         self.data = data = model.createData()
-        self.system = ConstraintSystem(robot)
+        self.system = constraint_system(robot)
         self.pose_columns = self.system.pose_columns
         names = list(self.system.tree.support)
         ids = [model.getFrameId(name, pin.FrameType.BODY) for name in names]

@@ -15,6 +15,7 @@ Pinocchio gives the derivatives of rnea. Nothing here is singular at a type II p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -28,15 +29,10 @@ from redundancy_pin.simulation.forward import ForwardDynamics
 from redundancy_pin.simulation.state import State
 
 
-@dataclass(frozen=True, eq=False)
-class RowRates:
-    """K, the closure rows over the platform rows, along a motion (q, v, a).
+class RowDerivatives(NamedTuple):
+    """K (r + n, nv), the closure rows over the platform rows, and derivatives along a motion (q, v, a), K-shaped.
 
-    Attributes:
-        K: (r + n, nv) rows, K v = (0, ẋ).
-        by_q: (r + n, nv) derivative of K v by q, v held.
-        rate_by_q: (r + n, nv) derivative of the row accelerations K a + K̇ v by q, v and a held.
-        rate_by_v: (r + n, nv) the same by v.
+    ``by_q`` is that of K v by q, v held; ``rate_by_q`` and ``rate_by_v`` those of K a + K̇ v, the rest held.
     """
 
     K: Array
@@ -45,18 +41,12 @@ class RowRates:
     rate_by_v: Array
 
 
-def row_rates(chain: ClosedChain, q: Array, v: Array, a: Array) -> RowRates:
+def row_derivatives(chain: ClosedChain, q: Array, v: Array, a: Array) -> RowDerivatives:
     """Evaluate the rows and what is needed of their derivatives.
 
     For a row that is the differential of a function φ of q, and joints of one freedom each, variations and time
     derivatives commute: δφ̇ = J̇ δq + J δv and δφ̈ = J̈ δq + 2 J̇ δv + J δa. World-aligned rotation rows of the platform are
     no differentials: with δθ = J δq, δω = d(δθ)/dt + δθ × ω.
-
-    Args:
-        chain: evaluator of the robot, whose joints have one freedom each.
-        q: (nq,) configuration.
-        v: (nv,) velocity.
-        a: (nv,) acceleration.
     """
     J, dJ, ddJ = _world_columns(chain, q, v, a)
     K, Kd, Kdd = chain.closures.time_derivatives(J, dJ, ddJ, v, a)
@@ -74,7 +64,7 @@ def row_rates(chain: ClosedChain, q: Array, v: Array, a: Array) -> RowRates:
         by_q[turning] -= spin @ K[turning]
         rate_by_q[turning] -= spin @ Kd[turning] + spin_rate @ K[turning]
         rate_by_v[turning] -= spin @ K[turning]
-    return RowRates(K, by_q, rate_by_q, rate_by_v)
+    return RowDerivatives(K, by_q, rate_by_q, rate_by_v)
 
 
 def _world_columns(chain: ClosedChain, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
@@ -156,7 +146,7 @@ def _inverse_derivatives(
                 remedy="Build it from joints of one freedom each.",
                 joint=str(name),
             )
-    rows = row_rates(chain, q, v, a)
+    rows = row_derivatives(chain, q, v, a)
     inverse = _inverse(robot, chain, rows.K)
     basis = np.zeros((model.nv, robot.n + robot.k))
     basis[:, : robot.n] = inverse[:, chain.rows :]
@@ -183,11 +173,7 @@ def _inverse_derivatives(
 
 
 def _inverse(robot: Robot, chain: ClosedChain, K: Array) -> Array:
-    """Return (nv, r + n) the inverse of K, carrier rows zero.
-
-    Raises:
-        SingularPoseError: a type I pose.
-    """
+    """Return (nv, r + n) the inverse of K, carrier rows zero; there is none at a type I pose."""
     columns = chain.pose_columns
     scale = velocity_scale(robot)[columns]
     rows = np.concatenate([np.ones(chain.rows), row_scale(robot)])

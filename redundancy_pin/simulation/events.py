@@ -64,18 +64,6 @@ class Event:
     terminal: bool
 
 
-@dataclass(frozen=True)
-class _Stop:
-    """A finite limit of a joint of one number: its indices in q and v, the side and the bound."""
-
-    kind: str
-    name: str
-    q: int
-    v: int
-    side: float
-    bound: float
-
-
 class EventFunctions:
     """The scalar functions of a robot whose zeros are events, with their kinds and names; the stops come first."""
 
@@ -85,16 +73,13 @@ class EventFunctions:
             raise InputError(f"stop_at names {unknown[0]!r}.", remedy=f"Known kinds: {', '.join(KINDS)}.")
         robot = chain.robot
         self.nq = robot.model.nq
-        stops = _stops(robot)
-        self._position = np.array([stop.q for stop in stops], dtype=np.intp)
-        self._rate = self.nq + np.array([stop.v for stop in stops], dtype=np.intp)
-        self._side = np.array([stop.side for stop in stops])
-        self._bound = np.array([stop.bound for stop in stops])
+        labels, stops = _stops(robot)
+        indices = stops[:2].astype(np.intp)
+        self._position, self._rate, self._side, self._bound = indices[0], self.nq + indices[1], stops[2], stops[3]
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
         self._indicator = ModeIndicator(robot)
         self._square = robot.m == robot.n
-        labels = [(stop.kind, stop.name) for stop in stops]
         labels += [("type_I", f"leg {i + 1}") for i in range(legs)] or [("type_I", "type_I")]
         labels += [("type_II", "type_II")] if self._square else []
         self.kinds, self.names = (tuple(part) for part in zip(*labels, strict=True))
@@ -173,24 +158,25 @@ class EventFunctions:
         return Event(self.kinds[index], self.names[index], t, bool(self._terminal[index]))
 
 
-def _stops(robot: Robot) -> list[_Stop]:
+def _stops(robot: Robot) -> tuple[list[tuple[str, str]], Array]:
+    """Return kind and name of the finite limits of joints of one number; index in q and in v, side and bound (4, l)."""
     tracks = {
         int(position): (name, limits.lower, limits.upper)
         for position, name, limits in zip(robot.carrier_position, robot.carriers, robot.carrier_limits, strict=True)
     }
-    model = robot.model
-    stops = []
+    model, labels, stops = robot.model, [], []
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
         if joint.nq != 1:
             continue
         i = int(joint.idx_q)
-        kind, lower, upper = "joint_limit", float(model.lowerPositionLimit[i]), float(model.upperPositionLimit[i])
+        kind, lower, upper = "joint_limit", model.lowerPositionLimit[i], model.upperPositionLimit[i]
         if i in tracks:
             kind, (name, lower, upper) = "track", tracks[i]
         for side, bound, which in ((-1.0, lower, "lower"), (1.0, upper, "upper")):
             if abs(bound) < _UNLIMITED:
-                stops.append(_Stop(kind, f"{name} {which}", i, int(joint.idx_v), side, bound))
-    return stops
+                labels.append((kind, f"{name} {which}"))
+                stops.append((i, joint.idx_v, side, bound))
+    return labels, np.array(stops, dtype=float).reshape(-1, 4).T
 
 
 def cubic_weights(fractions: Sequence[float]) -> Array:

@@ -47,14 +47,9 @@ class Partition:
 
 
 def choose(jacobian: Array, scale: Array, pose_columns: IntArray, free: IntArray, prescribed: IntArray) -> Partition:
-    """Choose the dependent velocities.
+    """Choose the dependent ones of the velocities that move the pose, by J_c (r, nv) in m/s (``scale``, (nv,)).
 
-    Args:
-        jacobian: (r, nv) J_c.
-        scale: (nv,) length that turns each velocity into m/s.
-        pose_columns: (p,) velocities that move the pose.
-        free: further velocities that are always independent: carriers driven by force.
-        prescribed: carriers driven by motion.
+    Carriers driven by force (``free``) are always independent, those driven by motion ``prescribed``.
 
     Raises:
         SingularPoseError: J_c has lost row rank: the closures do not determine how the machine moves on.
@@ -200,13 +195,9 @@ class ForwardDynamics:
         return result
 
     def forces(self, q: Array, v: Array, force: Array, a: Array) -> Acceleration:
-        """Return closure forces and carrier forces that go with an acceleration.
+        """Return closure forces and carrier forces that go with an acceleration a (nv,), from here or from elsewhere.
 
-        Args:
-            q: (nq,) configuration.
-            v: (nv,) velocity.
-            force: (nv,) generalised forces without those of carriers driven by motion.
-            a: (nv,) from ``acceleration``, or from elsewhere.
+        ``force`` (nv,) are the generalised forces without those of carriers driven by motion.
 
         Raises:
             SingularPoseError: the closures have lost rank.
@@ -245,11 +236,8 @@ class ForwardDynamics:
         condition = float(values[-1] / max(abs(values[0]), np.finfo(float).tiny))
         direction = self._basis @ vectors[:, 0]
         share = np.abs(direction * self._scale)
-        moved = [
-            str(robot.model.names[j])
-            for j in range(1, robot.model.njoints)
-            if share[_columns(robot, j)].max() > 0.1 * share.max()
-        ]
+        joints = zip(list(robot.model.names)[1:], list(robot.model.joints)[1:], strict=True)
+        moved = [str(name) for name, j in joints if share[j.idx_v : j.idx_v + j.nv].max() > 0.1 * share.max()]
         masses = [name for name, value in robot.parameters.items() if name.endswith("_mass") and value == 0.0]
         masses.sort(key=lambda name: name != "end_effector_mass")  # what such a machine lacks most often
         example = f"for example load_robot({robot.name!r}, {masses[0]}=0.1)" if masses else "in its URDF"
@@ -265,8 +253,3 @@ class ForwardDynamics:
             direction=direction.tolist(),
             joints=tuple(moved),
         )
-
-
-def _columns(robot: Robot, joint: int) -> slice:
-    found = robot.model.joints[joint]
-    return slice(found.idx_v, found.idx_v + found.nv)

@@ -121,8 +121,7 @@ def simulate(
     if way is not None:
         warnings.warn("simulate(way=...) is now simulate(method=...).", DeprecationWarning, stacklevel=2)
         method = way
-    controller = _controller(robot, drive)
-    _require_same_sampling(controller, sampling)
+    controller = _controller(robot, drive, sampling)
     settings = _settings(rtol, atol, max_step, max_steps, integrator)
     state = _start(robot, controller, start)
     grid, breaks = _times(controller, state.t, duration, dt, restart_at)
@@ -163,22 +162,20 @@ def simulate(
     return _simulation(machine, outcome, parameters)
 
 
-def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None) -> Controller:
+def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampling: Sampling | None) -> Controller:
     if drive is None:
         return Constant(np.zeros(robot.m), np.zeros(robot.k))
     if isinstance(drive, Plan):
         own = robot if robot_record(robot) == drive.robot else None
         return FeedForward(plan_reference(drive, robot=own))
-    return as_controller(drive)
-
-
-def _require_same_sampling(controller: Controller, sampling: Sampling | None) -> None:
+    controller = as_controller(drive)
     made_for = controller.sampling
     if isinstance(made_for, Sampling) and made_for != sampling:
         raise InputError(
             f"{controller.class_name()} was made for {made_for}, and the simulation has {sampling}.",
             remedy=f"Pass sampling={made_for} to simulate, or make the controller for what it has.",
         )
+    return controller
 
 
 def _settings(rtol: float, atol: float, max_step: float, max_steps: int, integrator: str) -> Settings:
@@ -191,15 +188,14 @@ def _settings(rtol: float, atol: float, max_step: float, max_steps: int, integra
 
 
 def _start(robot: Robot, controller: Controller, start: State | None) -> State:
-    if start is not None:
-        if start.q.shape != (robot.model.nq,) or start.v.shape != (robot.model.nv,):
-            raise InputError(
-                f"The start has q of shape {start.q.shape} and v of shape {start.v.shape}; {robot.name} has nq = "
-                f"{robot.model.nq} and nv = {robot.model.nv}.",
-                remedy="Make it with closed_state(robot, ...).",
-            )
-        return start
-    return controller.start_state(robot)
+    state = controller.start_state(robot) if start is None else start
+    if state.q.shape != (robot.model.nq,) or state.v.shape != (robot.model.nv,):
+        raise InputError(
+            f"The start has q of shape {state.q.shape} and v of shape {state.v.shape}; {robot.name} has nq = "
+            f"{robot.model.nq} and nv = {robot.model.nv}.",
+            remedy="Make it with closed_state(robot, ...).",
+        )
+    return state
 
 
 def _times(

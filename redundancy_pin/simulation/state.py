@@ -30,9 +30,6 @@ class Manifold:
 
     The steps are the shortest ones in scaled coordinates (rotations times the characteristic length), and leave the
     carriers alone.
-
-    Args:
-        chain: evaluator of the robot.
     """
 
     def __init__(self, chain: ClosedChain) -> None:
@@ -42,21 +39,16 @@ class Manifold:
         self._turning_numbers = chain.model.nq != chain.model.nv
 
     def project(self, q: Array, v: Array) -> tuple[Array, Array, float, float]:
-        """Return a closed configuration (nq,), a velocity (nv,) it allows, the gap found and the gap left, m.
-
-        Args:
-            q: (nq,) configuration near the closures.
-            v: (nv,) velocity.
-        """
+        """Return a closed configuration (nq,), a velocity (nv,) it allows, the gap that q had and the gap left, m."""
         chain = self.chain
         q = pin.normalize(chain.model, q) if self._turning_numbers else q.copy()
         v = v.copy()
-        gap, found = 0.0, -1.0
+        gap, before = 0.0, -1.0
         for _ in range(_MOST_STEPS):
             chain.update(q, v)
             residual = chain.residual()
             gap = float(np.abs(residual).max(initial=0.0))
-            found = gap if found < 0.0 else found
+            before = gap if before < 0.0 else before
             if gap <= GAP:
                 break
             step = np.zeros(len(v))
@@ -64,7 +56,7 @@ class Manifold:
             q = pin.integrate(chain.model, q, step)
         jacobian = chain.jacobian()
         v[self._columns] -= self._shortest(jacobian, jacobian.dot(v))
-        return q, v, found, gap
+        return q, v, before, gap
 
     def _shortest(self, jacobian: Array, rate: Array) -> Array:
         """Return the shortest scaled velocity of the pose with J_c v = rate."""
@@ -168,13 +160,7 @@ def closed_state(
 
 
 def tree_state(robot: Robot, q: ArrayLike, v: ArrayLike, *, t: float = 0.0) -> State:
-    """Return a state from tree configuration and velocity; ``simulate`` checks that it is closed.
-
-    Args:
-        robot: the robot.
-        q: (nq,) configuration.
-        v: (nv,) velocity.
-        t: time, s.
+    """Return a state from q (nq,) and v (nv,) of the tree at time t, s; ``simulate`` checks that it is closed.
 
     Raises:
         InputError: wrong shapes or values that are not finite.

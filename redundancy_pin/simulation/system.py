@@ -136,8 +136,7 @@ class Machine:
         method: how accelerations are computed.
 
     Raises:
-        InputError: ``method`` is unknown, or cannot take prescribed carriers.
-        UnsupportedRobotError: ``method`` does not cover the robot.
+        InputError, UnsupportedRobotError: ``method`` is unknown, or cannot take prescribed carriers, or not the robot.
     """
 
     def __init__(
@@ -166,11 +165,7 @@ class Machine:
         return State(self.chain, t, q, v)
 
     def command(self, state: State) -> Command:
-        """Return what the controller commands at a state, saturated.
-
-        Raises:
-            InputError: see ``Amplifiers.command``.
-        """
+        """Return what the controller commands at a state, saturated; see ``Amplifiers.command``."""
         return self._amplifiers.command(state.t, state)
 
     def rate(self, state: State, command: Command) -> Array:
@@ -183,11 +178,7 @@ class Machine:
         return np.concatenate([self._configuration_rate(state.q, state.v), acceleration])
 
     def loads(self, state: State, command: Command) -> Acceleration:
-        """Return accelerations and forces at a closed state under a command.
-
-        Raises:
-            IllPosedModelError, SingularPoseError: there are none.
-        """
+        """Return accelerations and forces at a closed state under a command; raises like ``rate``."""
         force = self._force(state, command)
         loads = self.dynamics.forces(state.q, state.v, force, self._acceleration(state, force))
         if self._law is None:  # what the actuators give, without friction and other external forces on the carriers

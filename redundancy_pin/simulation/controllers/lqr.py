@@ -144,7 +144,7 @@ def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, final: Array, ste
 
     Args:
         A: (N, e, e) in each interval.
-        B: (N, e, p).
+        B: (N, e, p) in each interval.
         Q: (e, e) cost rate of the state.
         R: (p, p) cost rate of the input.
         final: (e, e) P at the end.
@@ -223,12 +223,7 @@ class LinearModel:
 
 
 def linear_model(reference: MotionReference, step: float) -> LinearModel:
-    """Return the linearisation along a reference at nodes at most ``step``, s, apart.
-
-    Raises:
-        SingularPoseError: a type I pose on the way.
-        IllPosedModelError: a free motion of the model has no inertia somewhere on the way.
-    """
+    """Return the linearisation along a reference at nodes at most ``step``, s, apart; raises like ``linearise``."""
     robot, chain = reference.robot, ClosedChain(reference.robot)
     count = max(2, int(np.ceil((reference.end - reference.start) / step - 1e-9)) + 1)
     times = np.linspace(reference.start, reference.end, count)
@@ -253,16 +248,10 @@ class SampledModel:
 
 
 def sampled_model(model: LinearModel, start: float, end: float, period: float, delay: float) -> SampledModel:
-    """Return the zero-order hold of a linear model, by matrix exponentials.
+    """Return the zero-order hold of a linear model from start to end, s, by matrix exponentials.
 
-    A and B count as constant in each of the two parts of a period: before the new input acts, and after.
-
-    Args:
-        model: the continuous one.
-        start: first sampling instant, s.
-        end: last one at the latest, s.
-        period: sampling period, s.
-        delay: from reading the state to the change of the efforts, s; at most one period.
+    A and B count as constant in each of the two parts of a period: before the new input acts, and after. The delay
+    is at most one period.
     """
     count = max(1, int(np.ceil((end - start) / period - 1e-9)))
     times = start + period * np.arange(count + 1.0)
@@ -344,7 +333,7 @@ class TimeVaryingLqr(Tracking):
                 remedy="Sample more slowly, or use ComputedTorque, which predicts over any delay.",
             )
         self.weights = bryson_weights(reference) if weights is None else weights
-        _require_shapes(self.weights, 2 * (robot.n + robot.k), robot.m + robot.k)
+        _require_weights(self.weights, 2 * (robot.n + robot.k), robot.m + robot.k)
         self._limit = np.concatenate(
             [limit(effort_limit, robot.m, "effort_limit"), limit(carrier_force_limit, robot.k, "carrier_force_limit")]
         )
@@ -427,17 +416,12 @@ def _final(solve: Callable[[], Array], fallback: Array) -> tuple[Array, bool]:
     return (final, True) if np.isfinite(final).all() else (fallback, False)
 
 
-def _require_shapes(weights: LqrWeights, states: int, inputs: int) -> None:
+def _require_weights(weights: LqrWeights, states: int, inputs: int) -> None:
+    remedy = "Make the weights with bryson_weights(reference)."
     for name, matrix, size in (("Q", weights.Q, states), ("R", weights.R, inputs)):
         if matrix.shape != (size, size) or not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
-            raise InputError(
-                f"{name} has shape {matrix.shape}; it must be finite, symmetric and ({size}, {size}).",
-                remedy="Make the weights with bryson_weights(reference).",
-                name=name,
-            )
+            shape = f"{name} has shape {matrix.shape}; it must be finite, symmetric and ({size}, {size})."
+            raise InputError(shape, remedy=remedy, name=name)
     of_states = np.linalg.eigvalsh(weights.Q)
     if of_states[0] < -NEGATIVE * abs(of_states[-1]) or np.linalg.eigvalsh(weights.R)[0] <= 0.0:
-        raise InputError(
-            "Q must be positive semidefinite and R positive definite.",
-            remedy="Make the weights with bryson_weights(reference).",
-        )
+        raise InputError("Q must be positive semidefinite and R positive definite.", remedy=remedy)
