@@ -22,7 +22,7 @@ from redundancy_pin.planners.whole_trajectory.problem import Task, prepare
 from redundancy_pin.planners.whole_trajectory.settings import checked_settings
 from redundancy_pin.planners.whole_trajectory.solver import Solver
 from redundancy_pin.planners.whole_trajectory.transcription import build
-from redundancy_pin.trajectory.continuous import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import continuous_motion
 
 REPEATS = 5
 FULL_REPEATS = 3

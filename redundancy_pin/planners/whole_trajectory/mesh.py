@@ -12,7 +12,7 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import TimedActuation
 from redundancy_pin.planners.switch_off.windows import Measured
-from redundancy_pin.trajectory.continuous import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
 
 LEAST_STEPS = 2
 """Steps between two events; fewer would tie the carriers' jerk to the distance of the events."""

@@ -24,7 +24,7 @@ from redundancy_pin.planners.whole_trajectory.multistart import Found, search
 from redundancy_pin.planners.whole_trajectory.problem import Task, WholeProblem, prepare
 from redundancy_pin.planners.whole_trajectory.settings import End, Objective, checked_settings
 from redundancy_pin.planners.whole_trajectory.transcription import value
-from redundancy_pin.trajectory.continuous import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import TimedTrajectory, continuous_motion
 
 PHASES = ("optimised",)
 

@@ -14,7 +14,7 @@ from redundancy_pin.planners.stepwise.settings import target_effort
 from redundancy_pin.planners.whole_trajectory.mesh import Grid
 from redundancy_pin.planners.whole_trajectory.settings import WholeSettings
 from redundancy_pin.planners.whole_trajectory.singular import SingularNode, local_model, singular_node
-from redundancy_pin.trajectory.continuous import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
@@ -26,8 +25,7 @@ from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import TERMS, CarrierModel, TimedModel
 from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.continuous import ContinuousMotion
-from redundancy_pin.trajectory.piecewise import PiecewiseChebyshev
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
 
 S, SD, SDD = 0, 2, 4
 """Places of s, ṡ and s̈ among the terms."""
@@ -190,7 +188,7 @@ def singular_node(
     """
     if around is None:
         model = TimedModel.of(dynamics, source, max(source.start, t - half_width), min(source.end, t + half_width))
-        rate = replace(model, interpolant=_derivative(model.interpolant)).at(np.array([t]), side)
+        rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)
     else:
         rate = local_rate(dynamics, source, t, around, side)
     reduced = dynamics.along(source.sample_at(np.array([t]))).reduce()
@@ -230,9 +228,3 @@ def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
 def _spread(source: ContinuousMotion) -> Array:
     times: Array = np.linspace(source.start, source.end, 101)
     return times
-
-
-def _derivative(interpolant: PiecewiseChebyshev) -> PiecewiseChebyshev:
-    slopes = chebyshev.chebder(interpolant.coefficients, axis=1)
-    slopes = slopes * (2.0 / np.diff(interpolant.edges))[:, None, None]
-    return PiecewiseChebyshev(interpolant.edges, read_only(slopes))
