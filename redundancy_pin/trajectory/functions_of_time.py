@@ -477,8 +477,8 @@ def _points(left: Array, right: Array, degree: int) -> Array:
 @lru_cache(maxsize=8)
 def _to_series(degree: int) -> Array:
     """Return the (D + 1, D + 1) matrix from values at the Chebyshev points to Chebyshev coefficients."""
-    inverse: Array = np.linalg.inv(chebyshev.chebvander(np.sort(chebyshev.chebpts1(degree + 1)), degree))
-    return read_only(inverse)
+    values = chebyshev.chebvander(np.sort(chebyshev.chebpts1(degree + 1)), degree)
+    return read_only(np.asarray(np.linalg.inv(values), dtype=np.float64))
 
 
 @lru_cache(maxsize=8)
