@@ -15,6 +15,7 @@ from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.plan import Plan, PlanStatus, finish_plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory.curved_tracks import search_curved
@@ -24,7 +25,7 @@ from redundancy_pin.planners.whole_trajectory.multistart import Found, search
 from redundancy_pin.planners.whole_trajectory.problem import Task, WholeProblem, prepare
 from redundancy_pin.planners.whole_trajectory.settings import End, Objective, checked_settings
 from redundancy_pin.planners.whole_trajectory.transcription import value
-from redundancy_pin.trajectory.functions_of_time import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, TimedTrajectory, continuous_motion
 
 PHASES = ("optimised",)
 
@@ -40,7 +41,7 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
     """
     robot, best = task.dynamics.robot, found.best
     starts = found.summary
-    tau = best.tau(problem)
+    course, tau = best.course(problem), best.tau(problem)
     prescribed = tau.copy()
     if robot.m <= robot.n:
         decided = np.ones(len(tau), dtype=bool)
@@ -48,7 +49,7 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
         prescribed[decided] = np.nan
     plan = finish_plan(
         task.dynamics.along(task.source.sample_at(problem.grid.t)),
-        best.course(problem).at_nodes(),
+        course.at_nodes(),
         planner="whole_trajectory",
         phase=np.zeros(len(tau), dtype=np.intp),
         phases=PHASES,
@@ -75,6 +76,11 @@ def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[Dense
         },
         prescribed=prescribed,
         carrier_limits=task.settings.limits,
+        functions=PlanFunctions(
+            task.source,
+            PiecewisePolynomial.linear_acceleration(course.t, course.s, course.sd, course.sdd).made_continuous(),
+            preferred=PiecewisePolynomial.linear(course.t, tau),
+        ),
     )
     status = np.array(plan.sample_status)
     at = problem.grid.singular
