@@ -10,8 +10,8 @@ from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.planners.limits import LimitEvent
+from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task
 from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse
-from redundancy_pin.planners.whole_trajectory.problem import Task, WholeProblem
 
 FINER = 20
 """Points in a step."""
@@ -76,7 +76,7 @@ class DenseCheck:
         }
 
 
-def dense_check(task: Task, problem: WholeProblem, course: CarrierCourse, tau: Array) -> DenseCheck:
+def dense_check(task: Task, problem: Problem, course: CarrierCourse, tau: Array) -> DenseCheck:
     """Evaluate the backend on a grid finer than the nodes, and right beside the singular ones.
 
     Args:
@@ -86,7 +86,8 @@ def dense_check(task: Task, problem: WholeProblem, course: CarrierCourse, tau: A
         tau: (M, m) planned efforts at the nodes, N or N·m.
     """
     grid = problem.grid
-    fine, _ = course.inside(FINER)
+    left = np.flatnonzero(grid.h > 0.0)
+    fine = (grid.t[left, None] + grid.h[left, None] * np.arange(1, FINER) / FINER).ravel()
     beside: list[float] = []
     for i in grid.singular:
         for side in (-1, 0):
