@@ -23,7 +23,7 @@ from redundancy_pin.planners.whole_trajectory.mesh import grid_of
 from redundancy_pin.planners.whole_trajectory.options import checked_settings
 from redundancy_pin.planners.whole_trajectory.solver import solve_nlp
 from redundancy_pin.planners.whole_trajectory.transcription import transcribe
-from redundancy_pin.trajectory.continuous import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import continuous_motion
 
 REPEATS = 5
 FULL_REPEATS = 3

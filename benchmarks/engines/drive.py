@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,8 +24,15 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.reference import actuators_off, planned_carriers, planned_platform, smooth_pieces
-from redundancy_pin.trajectory.continuous import ContinuousMotion, TimedTrajectory, continuous_motion
-from redundancy_pin.trajectory.piecewise import PiecewiseChebyshev, fit
+from redundancy_pin.trajectory.functions_of_time import (
+    ContinuousMotion,
+    PiecewisePolynomial,
+    TimedTrajectory,
+    carriers_at,
+    chebyshev_series,
+    chebyshev_times,
+    continuous_motion,
+)
 
 STRETCH = 0.01
 """Longest stretch of a motion that is no plan, s: 16 points in it resolve whatever a machine can follow."""
@@ -69,9 +77,9 @@ def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | 
         InfeasiblePlanError: efforts without a finite value; carries the time.
     """
     source = planned_platform(plan, trajectory)
-    carriers = planned_carriers(plan)
-    edges = smooth_pieces(carriers, source)
-    drive = _drive(dynamics, source, carriers, edges, edges[1:-1], actuators_off(plan, edges))
+    position = planned_carriers(plan)
+    edges = smooth_pieces(position, source)
+    drive = _drive(dynamics, source, partial(carriers_at, position), edges, edges[1:-1], actuators_off(plan, edges))
     planned = np.concatenate([plan.tau, plan.carrier_force], axis=1)
     # a sample belongs to the step that it ends, the second of two at a jump to the one it begins, and the first one to
     # none: a plan by steps may set off with a jump
@@ -135,8 +143,10 @@ def _drive(
             )
         return np.concatenate([tau, reduced.carrier_force], axis=1)
 
-    # infinite tolerance: the stretches are short enough, and division beside a singular node would chase its rounding
-    polynomials = fit(efforts, edges, np.empty(0), lambda values: np.ones(values.shape[1]), np.inf)
+    # not fitted to a tolerance: the stretches are short enough, and division beside a singular node would chase its
+    # rounding
+    values = efforts(chebyshev_times(edges)).reshape(len(edges) - 1, -1, dynamics.robot.m + dynamics.robot.k)
+    polynomials = PiecewisePolynomial.from_values(edges, values)
     robot = dynamics.robot
     first = edges[:1]
     tree, its_carriers = lift(robot, source.sample_at(first)), carriers(first)
@@ -144,8 +154,5 @@ def _drive(
     q[robot.carrier_position] = its_carriers.s[0]
     v[robot.carrier_velocity] = its_carriers.sd[0]
     task = Task(robot, float(edges[0]), float(edges[-1]), q, v, polynomials, breaks)
-    return Drive(task, source.sample_at, carriers, _resolution(polynomials))
-
-
-def _resolution(polynomials: PiecewiseChebyshev) -> float:
-    return float(np.abs(polynomials.coefficients[:, -3:]).max())
+    resolution = float(np.abs(chebyshev_series(values)[:, -3:]).max())
+    return Drive(task, source.sample_at, carriers, resolution)

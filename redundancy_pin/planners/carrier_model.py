@@ -24,8 +24,7 @@ from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.continuous import ContinuousMotion
-from redundancy_pin.trajectory.piecewise import PiecewiseChebyshev, fit
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
 
 TERMS = 5
 """s, s², ṡ, s ṡ, s̈."""
@@ -261,7 +260,7 @@ does not shrink with the group."""
 class TimedActuation:
     """W as a function of time."""
 
-    interpolant: PiecewiseChebyshev
+    interpolant: PiecewisePolynomial
     shape: tuple[int, int]
 
     @staticmethod
@@ -274,7 +273,9 @@ class TimedActuation:
 
         edges = _edges(motion, motion.start, motion.end)
         tolerance = ACTUATION_TOLERANCE if motion.exact else SAMPLED_TOLERANCE
-        found = fit(values, edges, motion.knots, lambda v: np.full(v.shape[1], np.abs(v).max()), tolerance)
+        found = PiecewisePolynomial.fit(
+            values, edges, motion.knots, lambda v: np.full(v.shape[1], np.abs(v).max()), tolerance
+        )
         return TimedActuation(found, (dynamics.robot.n, dynamics.robot.m))
 
     def at(self, times: Array) -> Array:
@@ -299,7 +300,7 @@ class TimedModel:
     end: float
     breaks: Array
     knots: Array
-    interpolant: PiecewiseChebyshev
+    interpolant: PiecewisePolynomial
     tolerance: float
     n: int
     m: int
@@ -326,7 +327,7 @@ class TimedModel:
             return limited
 
         tolerance = MODEL_TOLERANCE if motion.exact else SAMPLED_TOLERANCE
-        interpolant = fit(values, _edges(motion, start, end), motion.knots, scale, tolerance)
+        interpolant = PiecewisePolynomial.fit(values, _edges(motion, start, end), motion.knots, scale, tolerance)
         inner = motion.breaks[(motion.breaks > start) & (motion.breaks < end)]
         knots = np.setdiff1d(interpolant.edges[1:-1], inner)
         return TimedModel(start, end, inner, knots, interpolant, tolerance, robot.n, robot.m, robot.k)

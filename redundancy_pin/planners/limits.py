@@ -58,7 +58,8 @@ def grouped(name: str, group: Group | None, kind: type[Group], keywords: Mapping
         InputError: an option is given both ways, or the group is of another type.
     """
     if group is None:
-        return kind(**keywords)
+        built: Group = kind(**keywords)
+        return built
     if not isinstance(group, kind):
         raise InputError(f"{name} is {group!r}.", remedy=f"Pass {kind.__name__}({', '.join(keywords)}).", name=name)
     default = {field.name: field.default for field in fields(kind)}

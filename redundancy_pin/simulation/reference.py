@@ -18,13 +18,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
-from numpy.polynomial import chebyshev
+from numpy.polynomial import Chebyshev
 from numpy.typing import ArrayLike
-from scipy.interpolate import PPoly
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
@@ -36,8 +36,16 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_robot_of
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory.continuous import ContinuousMotion, TimedTrajectory, continuous_motion, quintics
-from redundancy_pin.trajectory.piecewise import Series
+from redundancy_pin.trajectory.functions_of_time import (
+    SHIFT,
+    ContinuousMotion,
+    PiecewisePolynomial,
+    TimedTrajectory,
+    carriers_at,
+    chebyshev_series,
+    chebyshev_times,
+    continuous_motion,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,30 +99,8 @@ _STEPPED = {"stepwise": ("optimise", "brake"), "switch_off": ("ramp_down", "off"
 """Phases of planners whose ṡ and s̈ are backward differences of s."""
 
 
-@dataclass(frozen=True, eq=False)
-class PlannedCarriers:
-    """Carrier positions as a polynomial in each step of a plan, continuous with their speeds.
-
-    Attributes:
-        edges: (P + 1,) distinct times of the plan, s.
-        s, sd, sdd: position, m, speed and acceleration (k,) as piecewise polynomials of time; at a jump of s̈ that
-            after it.
-        lag: (k,) largest distance from the plan's own positions, m: zero but for stepwise plans.
-    """
-
-    edges: Array
-    s: PPoly
-    sd: PPoly
-    sdd: PPoly
-    lag: Array
-
-    def __call__(self, times: Array) -> CarrierMotion:
-        """Return the motion at (N,) times; at a jump of s̈ that after it."""
-        return CarrierMotion(self.s(times), self.sd(times), self.sdd(times))
-
-
-def planned_carriers(plan: Plan) -> PlannedCarriers:
-    """Return the continuous motion of the carriers of a plan.
+def planned_carriers(plan: Plan) -> PiecewisePolynomial:
+    """Return the positions of the carriers of a plan as a function of time, continuous with their speeds.
 
     - Whole-trajectory plans: s̈ is linear in each step, as they were planned.
     - Steps of stepwise plans (and of switch-off plans by backward differences): s̈ is constant and has the plan's value
@@ -123,28 +109,18 @@ def planned_carriers(plan: Plan) -> PlannedCarriers:
       continuous.
     - Everything else: the quintic through s, ṡ and s̈ at both ends, off by O(Δt⁴) in s̈.
     """
+    s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
+    if plan.planner == "whole_trajectory":
+        return PiecewisePolynomial.linear_acceleration(plan.t, s, sd, sdd).made_continuous()
     left = np.flatnonzero(np.diff(plan.t) > 0.0)
     right = left + 1
     edges = np.append(plan.t[left], plan.t[-1])
-    h = np.diff(edges)[:, None]
-    s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
-    if plan.planner == "whole_trajectory":
-        jerk = (sdd[right] - sdd[left]) / h
-        powers = np.stack([jerk / 6.0, 0.5 * sdd[left], sd[left], s[left]])
-    else:
-        ends = [(s[i], sd[i], sdd[i]) for i in (left, right)]
-        powers = PPoly.from_bernstein_basis(quintics(edges, *ends)).c
-        stepped = _stepped(plan)[right]
-        powers[:3, stepped] = 0.0
-        powers[3, stepped] = 0.5 * sdd[right][stepped]
-    # what the steps do not make up for is carried on: s is continuous, and exact where no step is of the lagging kind
-    reached = (powers * h ** np.arange(len(powers) - 1.0, -1.0, -1.0)[:, None, None]).sum(axis=0)
-    missed = np.cumsum(reached - s[right], axis=0)
-    missed[np.abs(missed) < _ROUNDING] = 0.0
-    powers[-1, 1:] += missed[:-1]
-    position = PPoly(powers, edges)
-    lag = read_only(np.abs(missed).max(axis=0, initial=0.0))
-    return PlannedCarriers(read_only(edges), position, position.derivative(), position.derivative(2), lag)
+    ends = [(s[i], sd[i], sdd[i]) for i in (left, right)]
+    powers = PiecewisePolynomial.hermite(edges, *ends).coefficients.copy()
+    stepped = _stepped(plan)[right]
+    powers[:3, stepped] = 0.0
+    powers[3, stepped] = 0.5 * sdd[right][stepped]
+    return PiecewisePolynomial(read_only(edges), read_only(powers)).made_continuous()
 
 
 def planned_platform(plan: Plan, trajectory: TimedTrajectory | None = None) -> ContinuousMotion:
@@ -165,25 +141,10 @@ def planned_platform(plan: Plan, trajectory: TimedTrajectory | None = None) -> C
             f"The plan runs from {plan.t[0]:.9g} to {plan.t[-1]:.9g} s, the trajectory to {source.end:.9g} s.",
             remedy="Pass the trajectory the plan was made for.",
         )
-    if not after.any():
-        return source
-    last, end = source.sample_at(np.array([source.end])), source.end
-
-    def held(times: Array) -> PlatformMotion:
-        moving = source.sample_at(times[times <= end])
-        count = len(times) - len(moving.t)
-        still = np.zeros((count, plan.motion.xd.shape[1]))
-        return PlatformMotion(
-            times,
-            np.concatenate([moving.x, np.repeat(last.x, count, axis=0)]),
-            np.concatenate([moving.xd, still]),
-            np.concatenate([moving.xdd, still]),
-        )
-
-    return replace(source, end=float(plan.t[-1]), breaks=read_only(np.append(source.breaks, end)), sample_at=held)
+    return source.held_until(float(plan.t[-1])) if after.any() else source
 
 
-def smooth_pieces(carriers: PlannedCarriers, platform: ContinuousMotion) -> Array:
+def smooth_pieces(carriers: PiecewisePolynomial, platform: ContinuousMotion) -> Array:
     """Return (P + 1,) times, s, between which both motions of a plan are smooth: its samples, breaks and knots."""
     edges = np.concatenate([carriers.edges, platform.breaks, platform.knots])
     return apart(edges[(edges >= carriers.edges[0]) & (edges <= carriers.edges[-1])])
@@ -217,9 +178,6 @@ _OFF = "off"
 
 _SAME_TIME = 1e-9
 """How far, relative to the duration, plan and trajectory may differ in their times."""
-
-_ROUNDING = 1e-13
-"""m; less is no lag."""
 
 
 def _stepped(plan: Plan) -> BoolArray:
@@ -286,13 +244,20 @@ class MotionReference:
         start, end: first and last time, s.
         edges: (P + 1,) ends of the pieces, s; efforts may jump or kink there and nowhere else.
         jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
-        carrier_lag: (k,) see ``PlannedCarriers.lag``.
+        carrier_lag: (k,) largest distance of the carriers from the samples of a plan, m: what backward differences
+            leave.
         effort_deviation: largest distance from the finite efforts that the plan states at its samples, N or N·m; what
             its own discretisation costs. NaN without a plan.
     """
 
     def __init__(
-        self, robot: Robot, edges: Array, series: dict[str, Array], is_pose: bool, carrier_lag: Array, deviation: float
+        self,
+        robot: Robot,
+        edges: Array,
+        series: dict[str, PiecewisePolynomial],
+        is_pose: bool,
+        carrier_lag: Array,
+        deviation: float,
     ) -> None:
         self.robot = robot
         self.edges = edges
@@ -300,30 +265,30 @@ class MotionReference:
         self.carrier_lag, self.effort_deviation = carrier_lag, deviation
         self._is_pose = is_pose
         self._loads, self._carriers, self._platform, self._tree = (
-            Series(edges, series[name]) for name in ("loads", "carriers", "platform", "tree")
+            series[name] for name in ("loads", "carriers", "platform", "tree")
         )
         self.jumps = self._loads.jumps()
 
     def loads(self, t: float) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; outside the motion those at its ends."""
-        both = self._loads(t)
+        both = self._loads.at(t)
         return both[: self.robot.m], both[self.robot.m :]
 
     def carriers(self, t: float) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ (k,) at time t."""
-        s, sd, sdd = self._carriers(t).reshape(3, -1)
+        s, sd, sdd = self._carriers.at(t).reshape(3, -1)
         return s, sd, sdd
 
     def platform(self, t: float) -> tuple[Array, Array, Array]:
         """Return x, (n,) or a pose (4, 4), ẋ and ẍ (n,) at time t."""
-        flat = self._platform(t)
+        flat = self._platform.at(t)
         n = self.robot.n
         x = flat[: -2 * n]
         return (x.reshape(4, 4) if self._is_pose else x), flat[-2 * n : -n], flat[-n:]
 
     def tree(self, t: float) -> tuple[Array, Array, Array]:
         """Return q (nq,), v and a (nv,) at time t."""
-        flat = self._tree(t)
+        flat = self._tree.at(t)
         nv = self.robot.model.nv
         return flat[: -2 * nv], flat[-2 * nv : -nv], flat[-nv:]
 
@@ -353,7 +318,9 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
     off = actuators_off(plan, edges)
     singular = np.flatnonzero(plan.margin <= SINGULAR * plan.margin.max())
     known = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
-    reference = _build(machine, edges, source.sample_at, carriers, known, off, carriers.lag)
+    lag = np.abs(carriers(plan.t) - plan.carriers.s).max(axis=0, initial=0.0)
+    lag[lag < SHIFT] = 0.0
+    reference = _build(machine, edges, source.sample_at, partial(carriers_at, carriers), known, off, lag)
     stated = np.isfinite(plan.tau).all(axis=1) & ~_beside_jump(plan.t)
     # a sample belongs to the step that it ends, and the first one to none: a plan by steps may set off with a jump
     stated[0] = False
@@ -410,36 +377,33 @@ def _build(
     lag: Array,
 ) -> MotionReference:
     """Evaluate inverse dynamics at the nodes of all pieces at once and turn them into series."""
-    nodes = np.sort(chebyshev.chebpts1(DEGREE + 1))
-    to_series = np.linalg.inv(chebyshev.chebvander(nodes, DEGREE))
     left, right = edges[:-1], edges[1:]
-    times = (0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * nodes).ravel()
+    times = chebyshev_times(edges, DEGREE)
     motion, along = platform(times), carriers(times)
     found = inverse_dynamics(robot, motion, along)
     efforts = distribute(found.reduced).tau
     shape = (len(left), DEGREE + 1, -1)
 
-    def series(*parts: Array) -> Array:
+    def polynomials(*parts: Array) -> PiecewisePolynomial:
         values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1).reshape(shape)
-        return read_only(np.einsum("dn,pnc->pdc", to_series, values))
+        return PiecewisePolynomial.from_values(edges, values)
 
-    tau = efforts.reshape(len(left), DEGREE + 1, robot.m).copy()
+    tau = efforts.reshape(shape).copy()
     tau[off] = 0.0
-    of_tau = np.einsum("dn,pnc->pdc", to_series, tau)
     for t, value in known.items():
         for piece in np.flatnonzero((left == t) | (right == t)):
             if not off[piece]:
-                of_tau[piece] = _beside(nodes, tau[piece], value, at_left=bool(left[piece] == t))
-    _require_finite(of_tau, left)
-    of_force = np.einsum("dn,pnc->pdc", to_series, found.reduced.carrier_force.reshape(shape))
+                own = times.reshape(shape[:2])[piece] - t
+                tau[piece] = _beside(own / (right - left)[piece], tau[piece], value)
+    _require_finite(tau, left)
     return MotionReference(
         robot,
         read_only(edges),
         {
-            "loads": read_only(np.concatenate([of_tau, of_force], axis=2)),
-            "carriers": series(along.s, along.sd, along.sdd),
-            "platform": series(motion.x, motion.xd, motion.xdd),
-            "tree": series(found.q, found.v, found.a),
+            "loads": polynomials(tau, found.reduced.carrier_force),
+            "carriers": polynomials(along.s, along.sd, along.sdd),
+            "platform": polynomials(motion.x, motion.xd, motion.xdd),
+            "tree": polynomials(found.q, found.v, found.a),
         },
         motion.is_pose,
         lag,
@@ -447,18 +411,24 @@ def _build(
     )
 
 
-def _beside(nodes: Array, tau: Array, value: Array, *, at_left: bool) -> Array:
-    """Return (d, m) the series of τ in a piece with a singular instant at one end, from the rest of it and τ there."""
-    end = -1.0 if at_left else 1.0
-    kept = np.abs(nodes - end) > 2.0 * BESIDE
-    x = np.append(nodes[kept], end)
-    fitted = chebyshev.chebfit(x, np.vstack([tau[kept], value]), DEGREE_BESIDE)
-    result = np.zeros((DEGREE + 1, tau.shape[1]))
-    result[: DEGREE_BESIDE + 1] = fitted
-    return result
+def _beside(distance: Array, tau: Array, value: Array) -> Array:
+    """Return τ (d, m) in a piece with a singular instant at one end, from the rest of the piece and τ there.
+
+    Args:
+        distance: (d,) of the times in the piece from the instant, in lengths of the piece.
+        tau: (d, m) W⁻¹ f there.
+        value: (m,) at the instant.
+    """
+    kept = np.abs(distance) > BESIDE
+    domain = [min(0.0, np.sign(distance[0])), max(0.0, np.sign(distance[0]))]
+    x = np.append(distance[kept], 0.0)
+    columns = np.vstack([tau[kept], value]).T
+    return np.array([Chebyshev.fit(x, column, DEGREE_BESIDE, domain=domain)(distance) for column in columns]).T
 
 
-def _require_finite(series: Array, left: Array) -> None:
+def _require_finite(tau: Array, left: Array) -> None:
+    """Check the (P, d, m) efforts at the nodes of each piece: a pole leaves large last Chebyshev coefficients."""
+    series = chebyshev_series(tau)
     size = np.abs(series).max(initial=0.0, where=np.isfinite(series))
     bad = ~np.isfinite(series).all(axis=(1, 2)) | (np.abs(series[:, -2:]).max(axis=(1, 2)) > POLE * size)
     if bad.any():

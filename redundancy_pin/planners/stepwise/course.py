@@ -19,6 +19,7 @@ from redundancy_pin.planners.carrier_return import (
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, optimise
 from redundancy_pin.planners.stepwise.settings import StepwiseSettings
 from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory.functions_of_time import carriers_at
 
 PHASES = ("parked", "optimise", "return", "brake")
 """What the carriers do: stand, follow the optimiser, follow the degree-seven polynomial, are braked."""
@@ -95,17 +96,17 @@ def _follow_return(robot: Robot, settings: StepwiseSettings, course: Course, fir
     """Fill in the way back to the datum from instant ``first``, as far as instant ``last``."""
     state = CarrierState(float(course.t[first]), course.s[first], course.sd[first], course.sdd[first])
     duration = _return_duration(robot, settings, state, float(course.t[-1]))
-    polynomial = return_polynomial(state, duration, settings.datum)
+    back = return_polynomial(state, duration, settings.datum)
     steps = np.arange(first + 1, last + 1)
-    on_way = steps[course.t[steps] < polynomial.t1]
+    on_way = steps[course.t[steps] < back.end]
     for order, part in enumerate((course.s, course.sd, course.sdd)):
-        part[on_way] = polynomial(course.t[on_way], order)
+        part[on_way] = back.derivative(order)(course.t[on_way])
     arrived = steps[len(on_way) :]
     course.s[arrived] = settings.datum
     course.phase[on_way] = RETURN
-    course.returns.append((state.t, polynomial.t1))
-    dense = np.linspace(state.t, min(polynomial.t1, float(course.t[last])), _DENSE)
-    course.between.append((dense, CarrierMotion(*(polynomial(dense, order) for order in range(3)))))
+    course.returns.append((state.t, back.end))
+    dense = np.linspace(state.t, min(back.end, float(course.t[last])), _DENSE)
+    course.between.append((dense, carriers_at(back, dense)))
 
 
 _DENSE = 2001

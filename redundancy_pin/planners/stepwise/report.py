@@ -12,7 +12,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import BRAKE, OPTIMISE, Braking, Course
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, definiteness, optimality
 from redundancy_pin.planners.stepwise.settings import StepLimits
-from redundancy_pin.trajectory.continuous import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import TimedTrajectory, continuous_motion
 
 _MET = 1e-9
 """Relative distance from a bound that counts as met; the solver puts what is bound exactly on it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -13,11 +14,9 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan, finish_plan
-from redundancy_pin.planners.switch_off.backward_differences import CarrierSamples
 from redundancy_pin.planners.switch_off.crossing import Crossing
 from redundancy_pin.planners.switch_off.windows import Measure, Measured
-from redundancy_pin.trajectory.continuous import ContinuousMotion
-from redundancy_pin.trajectory.piecewise import CarrierPath
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, carriers_at
 
 PHASES = ("parked", "ramp_down", "off", "return")
 
@@ -40,7 +39,7 @@ class Leg:
     """A crossing and the return of the carriers after it."""
 
     crossing: Crossing
-    back: CarrierPath
+    back: PiecewisePolynomial
 
 
 def assemble_plan(
@@ -54,13 +53,13 @@ def assemble_plan(
     prescribed = np.full((len(times), dynamics.robot.m), np.nan)
     phase = np.zeros(len(times), dtype=np.intp)
     for leg in legs:
-        ramp, off, back = leg.crossing.path.start, leg.crossing.window.start, leg.crossing.path.end
-        for path, there in (
-            (leg.crossing.path, (times >= ramp) & (times <= back)),
-            (leg.back, (times > back) & (times <= leg.back.end)),
+        ramp, off, back = leg.crossing.start, leg.crossing.window.start, leg.crossing.end
+        for carriers_of, there in (
+            (leg.crossing.carriers, (times >= ramp) & (times <= back)),
+            (partial(carriers_at, leg.back), (times > back) & (times <= leg.back.end)),
         ):
             for side, chosen in (("left", there & left), ("right", there & ~left)):
-                at = path(times[chosen], side)  # type: ignore[arg-type]
+                at = carriers_of(times[chosen], side)  # type: ignore[arg-type]
                 s[chosen], sd[chosen], sdd[chosen] = at.s, at.sd, at.sdd
         phase[(times >= ramp) & (times < off)] = 1
         phase[(times >= off) & (times <= back)] = 2
@@ -96,8 +95,9 @@ def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Arra
     extra: list[ArrayLike] = [source.breaks]
     for leg in legs:
         crossing = leg.crossing
-        extra += [[crossing.path.start, crossing.window.start, crossing.path.end, min(leg.back.end, source.end)]]
-        extra += [crossing.path.peaks(), leg.back.peaks()]
+        extra += [[crossing.start, crossing.window.start, crossing.end, min(leg.back.end, source.end)]]
+        moved = [leg.back] if crossing.samples is not None else [crossing.position, leg.back]
+        extra += [position.derivative(order).peaks() for position in moved for order in range(3)]
     events = np.unique(np.concatenate([np.asarray(part, dtype=float) for part in extra]))
     # a sample that differs from an event by rounding only would make a step as short as rounding
     near = np.abs(uniform[:, None] - events[None, :]).min(axis=1, initial=np.inf) < 1e-9 * settings.dt
@@ -106,9 +106,9 @@ def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Arra
     grid: Array = np.sort(np.concatenate([np.union1d(uniform[~near], inner), source.breaks]))
     if settings.scheme == "backward_differences":  # has no motion between its own samples
         for leg in legs:
-            path = leg.crossing.path
-            own = np.isin(grid, path.t) if isinstance(path, CarrierSamples) else np.ones(len(grid), dtype=bool)
-            grid = np.unique(grid[own | (grid < path.start) | (grid > path.end)])
+            crossing = leg.crossing
+            own = np.isin(grid, crossing.samples[0]) if crossing.samples else np.ones(len(grid), dtype=bool)
+            grid = np.unique(grid[own | (grid < crossing.start) | (grid > crossing.end)])
     return grid
 
 
@@ -147,11 +147,11 @@ def _window(
     dynamics: Dynamics, source: ContinuousMotion, leg: Leg, singular: list[float], settings: Settings
 ) -> dict[str, object]:
     crossing = leg.crossing
-    start, end = crossing.path.start, crossing.path.end
+    start, end = crossing.start, crossing.end
     state = crossing.exit
     after = np.array([end, min(end + settings.dt, leg.back.end)])
     along = dynamics.along(source.sample_at(after))
-    tau = distribute(along.reduce(leg.back(after))).tau
+    tau = distribute(along.reduce(carriers_at(leg.back, after))).tau
     return {
         "ramp_start": start,
         "entry": crossing.window.start,

@@ -19,8 +19,7 @@ from redundancy_pin.planners.switch_off.backward_differences import cross_stepwi
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross
 from redundancy_pin.planners.switch_off.windows import Interval, Measure, Measured, require_inside
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory.continuous import ContinuousMotion, TimedTrajectory, continuous_motion
-from redundancy_pin.trajectory.piecewise import CarrierPath
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, TimedTrajectory, continuous_motion
 
 Scheme = Literal["integration", "backward_differences"]
 
@@ -188,8 +187,7 @@ def _leg(
             t=state.t,
             amount=duration - room,
         )
-    back = CarrierPath.of_polynomial(return_polynomial(state, duration, settings.datum))
-    return Leg(crossing, back)
+    return Leg(crossing, return_polynomial(state, duration, settings.datum))
 
 
 def _crossing(

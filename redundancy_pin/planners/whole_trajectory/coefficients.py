@@ -14,10 +14,10 @@ Where the motion crosses the singularity at a rate, (W; uᵀ Ẇ) has full rank,
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
@@ -26,11 +26,11 @@ from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model
 from redundancy_pin.planners.stepwise.settings import target_effort
-from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse, Grid
+from redundancy_pin.planners.whole_trajectory.mesh import Grid
 from redundancy_pin.planners.whole_trajectory.objectives import Scales
 from redundancy_pin.planners.whole_trajectory.options import Settings
 from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.continuous import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
 
 S, S2, SD, S_SD, SDD = range(5)
 """Places of s, s², ṡ, s ṡ and s̈ among the terms of a ``CarrierModel``."""
@@ -92,15 +92,14 @@ class Problem:
     settings: Settings
     scales: Scales
 
-    def course(self, values: dict[str, Array]) -> CarrierCourse:
-        """Return the carriers' motion, in units, of scaled values at the nodes; what is left out is zero."""
-        u, shape = self.scales, (len(self.grid.t), self.model.k)
-        parts = (values.get(name, np.zeros(shape)) * getattr(u, name) for name in ("s", "sd", "sdd"))
-        return CarrierCourse(self.grid.t, *parts)
+    def carriers(self, values: Mapping[str, Array]) -> CarrierMotion:
+        """Return the motion at the nodes, in units, of scaled s, ṡ and s̈; what is left out is zero."""
+        u, zero = self.scales, np.zeros((len(self.grid.t), self.model.k))
+        return CarrierMotion(*(values.get(name, zero) * getattr(u, name) for name in ("s", "sd", "sdd")))
 
-    def scaled(self, motion: CarrierMotion) -> dict[str, Array]:
-        """Return a motion of the carriers at the nodes as scaled values."""
-        return {name: getattr(motion, name) / getattr(self.scales, name) for name in ("s", "sd", "sdd")}
+    def scaled(self, carriers: CarrierMotion) -> dict[str, Array]:
+        """Return scaled s, ṡ and s̈ of a motion at the nodes."""
+        return {name: getattr(carriers, name) / getattr(self.scales, name) for name in ("s", "sd", "sdd")}
 
 
 def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = None) -> Problem:
@@ -176,9 +175,7 @@ def singular_node(
     dynamics, source, dt = task.dynamics, task.source, task.settings.mesh.dt
     if around is None:
         model = TimedModel.of(dynamics, source, max(source.start, t - dt), min(source.end, t + dt))
-        pieces = model.interpolant
-        slopes = chebyshev.chebder(pieces.coefficients, axis=1) * (2.0 / np.diff(pieces.edges))[:, None, None]
-        rate = replace(model, interpolant=replace(pieces, coefficients=slopes)).at(np.array([t]), side)
+        rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)
     else:
         rate = _rate_of_fit(dynamics, source, t, around, side)
     reduced = dynamics.along(source.sample_at(np.array([t]))).reduce()

@@ -106,21 +106,21 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
 
 def _leaves_limits(problem: Problem, solution: Solution) -> BoolArray:
     """Return (M − 1,) the steps inside which track or speed limits are exceeded, by more than a part of the reserve."""
-    u, bounds = problem.scales, scaled_bounds(problem)
-    s_low, s_high, sd_low, sd_high = solution.course(problem).ranges()
+    position, bounds = solution.position(problem), scaled_bounds(problem)
     exceeded = np.zeros(len(problem.grid.h), dtype=bool)
-    for name, low, high, size in (("s", s_low, s_high, u.s), ("sd", sd_low, sd_high, u.sd)):
-        lower, upper = bounds[name]
+    for name, function in (("s", position), ("sd", position.derivative())):
+        (lower, upper), size = bounds[name], getattr(problem.scales, name)
         width = upper - lower
         spare = 0.25 * RESERVE * np.where(np.isfinite(width), width, 0.0)
-        exceeded |= ((high / size > upper + spare) | (low / size < lower - spare)).any(axis=1)
+        least, most = function.ranges()
+        exceeded[problem.grid.h > 0.0] |= ((most / size > upper + spare) | (least / size < lower - spare)).any(axis=1)
     return exceeded
 
 
 def _exceeds_force(problem: Problem, solution: Solution) -> bool:
     """Return whether a carrier needs more force at a node than its limit."""
-    course, (low, high) = solution.course(problem), scaled_bounds(problem)["force"]
-    force = problem.model.carrier_force(course.s, course.sd, course.sdd) / problem.scales.force
+    carriers, (low, high) = problem.carriers(solution.values), scaled_bounds(problem)["force"]
+    force = problem.model.carrier_force(carriers.s, carriers.sd, carriers.sdd) / problem.scales.force
     return bool(((force > high) | (force < low)).any())
 
 

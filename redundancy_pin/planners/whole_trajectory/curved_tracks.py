@@ -15,11 +15,11 @@ from dataclasses import replace
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task, read_coefficients
 from redundancy_pin.planners.whole_trajectory.constraint_generation import solve
 from redundancy_pin.planners.whole_trajectory.infeasibility import relax
-from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse
 from redundancy_pin.planners.whole_trajectory.multistart import Outcome
 from redundancy_pin.planners.whole_trajectory.solver import LEAST_SECONDS
 
@@ -54,20 +54,20 @@ def fit_and_solve(task: Task, first: Problem, guess: dict[str, Array], seconds: 
     deadline = time.perf_counter() + seconds
     grid, u = first.grid, first.scales
     along = task.dynamics.along(task.source.sample_at(grid.t))
-    course, tau = first.course(guess), np.zeros((len(grid.t), first.model.W.shape[2]))
+    course, tau = first.carriers(guess), np.zeros((len(grid.t), first.model.W.shape[2]))
     balance, cost, iterations, settled = np.inf, np.inf, 0, False
     for fits in range(1, FITS + 1):  # noqa: B007 # how many it took is reported
-        problem = replace(read_coefficients(task, grid, course.at_nodes()), scales=u)
-        guess = {**problem.scaled(course.at_nodes()), "tau": tau / u.tau}
+        problem = replace(read_coefficients(task, grid, course), scales=u)
+        guess = {**problem.scaled(course), "tau": tau / u.tau}
         solution = solve(problem, guess, max(deadline - time.perf_counter(), LEAST_SECONDS))
         iterations += solution.iterations
         if not solution.feasible:
             solution = relax(problem, robot_record(task.dynamics.robot), guess, solution.message)
-        target, step = solution.course(problem), 1.0
+        target, step = problem.carriers(solution.values), 1.0
         while True:
             trial = _between(course, target, step)
             efforts = tau + step * (solution.tau(problem) - tau)
-            f = np.asarray(along.reduce(trial.at_nodes()).f)
+            f = np.asarray(along.reduce(trial).f)
             imbalance = float(np.abs((np.einsum("nim,nm->ni", problem.model.W, efforts) - f) / u.row).max())
             if step <= LEAST_STEP or imbalance <= max(BALANCED, WORSE * balance):
                 break
@@ -86,6 +86,6 @@ def fit_and_solve(task: Task, first: Problem, guess: dict[str, Array], seconds: 
     return Outcome(problem, solution, fits)
 
 
-def _between(course: CarrierCourse, target: CarrierCourse, step: float) -> CarrierCourse:
+def _between(course: CarrierMotion, target: CarrierMotion, step: float) -> CarrierMotion:
     parts = ((getattr(course, name), getattr(target, name)) for name in ("s", "sd", "sdd"))
-    return CarrierCourse(course.t, *(here + step * (there - here) for here, there in parts))
+    return CarrierMotion(*(here + step * (there - here) for here, there in parts))

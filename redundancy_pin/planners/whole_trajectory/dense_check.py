@@ -11,7 +11,7 @@ from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task
-from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 FINER = 20
 """Points in a step."""
@@ -76,13 +76,13 @@ class DenseCheck:
         }
 
 
-def dense_check(task: Task, problem: Problem, course: CarrierCourse, tau: Array) -> DenseCheck:
+def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau: Array) -> DenseCheck:
     """Evaluate the backend on a grid finer than the nodes, and right beside the singular ones.
 
     Args:
         task: robot and motion.
         problem: the nodes.
-        course: the planned carriers.
+        position: of the planned carriers, m.
         tau: (M, m) planned efforts at the nodes, N or N·m.
     """
     grid = problem.grid
@@ -95,7 +95,7 @@ def dense_check(task: Task, problem: Problem, course: CarrierCourse, tau: Array)
                 beside += [float(grid.t[i]) + (1.0 if side == 0 else -1.0) * f * float(grid.h[i + side]) for f in CLOSE]
     # nodes were judged already; between them no acceleration jumps, so every time may stand once
     times = np.setdiff1d(np.concatenate([fine, beside]), grid.t)
-    carriers = course.at(times)
+    carriers = carriers_at(position, times)
     reduced = task.dynamics.along(task.source.sample_at(times)).reduce(carriers)
     found = _efforts(reduced, grid.t, tau)
     efforts = np.where(np.isfinite(found), np.abs(found), np.inf)

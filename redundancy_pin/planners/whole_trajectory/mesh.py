@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import TimedActuation
 from redundancy_pin.planners.switch_off.windows import Measured
-from redundancy_pin.trajectory.continuous import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
 
 LEAST_STEPS = 2
 """Steps between two events; fewer would tie the carriers' jerk to the distance of the events."""
@@ -110,51 +107,3 @@ def _snapped(t: float, breaks: Array, least: float) -> float:
 
 def _apart(t: float, others: list[float], least: float) -> bool:
     return all(abs(t - other) > least for other in others)
-
-
-@dataclass(frozen=True, eq=False)
-class CarrierCourse:
-    """Motion of the carriers over M nodes, s̈ linear between two of them.
-
-    Attributes:
-        t: (M,) times, s; a time that occurs twice has two accelerations.
-        s, sd, sdd: (M, k) position, m, and its rates.
-    """
-
-    t: Array
-    s: Array
-    sd: Array
-    sdd: Array
-
-    def at_nodes(self) -> CarrierMotion:
-        """Return the motion at the nodes."""
-        return CarrierMotion(self.s, self.sd, self.sdd)
-
-    @cached_property
-    def position(self) -> PPoly:
-        """The position as a function of time: a cubic in each step."""
-        steps = np.flatnonzero(np.diff(self.t) > 0.0)
-        jerk = np.diff(self.sdd, axis=0)[steps] / np.diff(self.t)[steps, None]
-        coefficients = np.stack([jerk / 6.0, self.sdd[steps] / 2.0, self.sd[steps], self.s[steps]])
-        return PPoly(coefficients, np.append(self.t[steps], self.t[-1]))
-
-    def at(self, times: Array) -> CarrierMotion:
-        """Return the motion at (N,) times, after the jump where one falls on a jump."""
-        return CarrierMotion(*(self.position(times, nu) for nu in range(3)))
-
-    def ranges(self) -> tuple[Array, Array, Array, Array]:
-        """Return the exact least and largest s and ṡ in every step, (M − 1, k) each: least s, largest s, then ṡ.
-
-        In closed form: ``PPoly.roots`` takes as long as the solver on thousands of steps.
-        """
-        h = np.diff(self.t)[:, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            jerk = np.where(h > 0.0, np.diff(self.sdd, axis=0) / h, 0.0)
-            s, sd, sdd = self.s[:-1], self.sd[:-1], self.sdd[:-1]
-            # ṡ = 0, from the root that does not cancel
-            q = -0.5 * (sdd + np.copysign(np.sqrt(sdd**2 - 2.0 * jerk * sd), sdd))
-            candidates = np.stack([0.0 * jerk, h + 0.0 * jerk, -sdd / jerk, 2.0 * q / jerk, sd / q])
-        x = np.clip(np.nan_to_num(candidates, nan=0.0), 0.0, h)
-        positions = s + x * (sd + x * (sdd / 2.0 + x * jerk / 6.0))
-        speeds = sd + x * (sdd + x * jerk / 2.0)
-        return positions.min(axis=0), positions.max(axis=0), speeds.min(axis=0), speeds.max(axis=0)

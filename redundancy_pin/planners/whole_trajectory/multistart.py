@@ -10,8 +10,8 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem
-from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse
 from redundancy_pin.planners.whole_trajectory.solver import LEAST_SECONDS, Solution
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 _SWINGS = 3
 """Sines of a random first guess."""
@@ -93,13 +93,13 @@ def _is_same(one: Solution, other: Solution) -> bool:
 
 
 def multistart(
-    problem: Problem, warm: CarrierCourse | None, solve_from: Callable[[dict[str, Array], float], Outcome]
+    problem: Problem, warm: PiecewisePolynomial | None, solve_from: Callable[[dict[str, Array], float], Outcome]
 ) -> Multistart:
     """Solve from all first guesses, as far as the time bound of the settings allows.
 
     Args:
         problem: what the guesses are made for.
-        warm: a motion to begin with in place of parked carriers.
+        warm: positions of the carriers to begin with in place of parked carriers.
         solve_from: from a first guess, scaled blocks by name, and a time bound, s.
     """
     solver = problem.settings.solver
@@ -114,11 +114,11 @@ def multistart(
     return Multistart(tuple(outcomes), solver.starts)
 
 
-def first_guess(problem: Problem, warm: CarrierCourse | None, number: int) -> dict[str, Array]:
+def first_guess(problem: Problem, warm: PiecewisePolynomial | None, number: int) -> dict[str, Array]:
     """Return scaled s, ṡ, s̈: a motion that is known, parked carriers, or random swings about the start."""
     grid, u, settings = problem.grid, problem.scales, problem.settings
     if warm is not None:
-        return problem.scaled(warm.at(grid.t))
+        return problem.scaled(carriers_at(warm, grid.t))
     s = np.tile(settings.start / u.s, (len(grid.t), 1))
     if number == 0:
         return {"s": s}

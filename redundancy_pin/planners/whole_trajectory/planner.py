@@ -25,7 +25,6 @@ from redundancy_pin.planners.whole_trajectory.curved_tracks import fit_and_solve
 from redundancy_pin.planners.whole_trajectory.dense_check import DenseCheck, dense_check, limits_broken
 from redundancy_pin.planners.whole_trajectory.infeasibility import relax
 from redundancy_pin.planners.whole_trajectory.mesh import (
-    CarrierCourse,
     Grid,
     grid_of,
     singular_instants,
@@ -35,7 +34,7 @@ from redundancy_pin.planners.whole_trajectory.multistart import Multistart, Outc
 from redundancy_pin.planners.whole_trajectory.options import End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME
 from redundancy_pin.planners.whole_trajectory.transcription import objective_values
-from redundancy_pin.trajectory.continuous import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, TimedTrajectory, continuous_motion
 
 PHASES = ("optimised",)
 
@@ -164,14 +163,14 @@ def plan_whole_trajectory(
     task = Task(dynamics, continuous_motion(motion), settings)
     nodes = grid_of(task.source, singular_instants(dynamics, task.source), settings.mesh.dt)
     nodes = with_middles(nodes, _near_singular(task, nodes))
-    course: CarrierCourse | None = None
+    position: PiecewisePolynomial | None = None
     checks: list[DenseCheck] = []
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
-        result = _solve(task, nodes, course)
+        result = _solve(task, nodes, position)
         problem, solution = result.best.problem, result.best.solution
-        course = solution.course(problem)
-        check = dense_check(task, problem, course, solution.tau(problem))
+        position = solution.position(problem)
+        check = dense_check(task, problem, position, solution.tau(problem))
         checks.append(check)
         report(f"peak effort {check.peak_at_nodes:.4g} at the nodes, {check.peak:.4g} between them")
         if check.passed or len(checks) > settings.mesh.refinements or not solution.optimal:
@@ -195,8 +194,8 @@ def _near_singular(task: Task, nodes: Grid) -> BoolArray:
     return np.logical_or(near[1:], near[:-1])
 
 
-def _solve(task: Task, nodes: Grid, warm: CarrierCourse | None) -> Multistart:
-    """Solve on a mesh from all first guesses, the first of which is a course that is known.
+def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:
+    """Solve on a mesh from all first guesses, the first of which is a motion that is known.
 
     Raises:
         InfeasiblePlanError: no motion keeps every limit, or none was found in time; says which limit is in the way,
@@ -249,7 +248,7 @@ def _plan(task: Task, result: Multistart, checks: list[DenseCheck], seconds: flo
         prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
     plan = finish_plan(
         task.dynamics.along(task.source.sample_at(nodes.t)),
-        solution.course(problem).at_nodes(),
+        problem.carriers(solution.values),
         planner="whole_trajectory",
         phase=np.zeros(len(nodes.t), dtype=np.intp),
         phases=PHASES,

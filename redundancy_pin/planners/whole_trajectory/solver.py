@@ -10,10 +10,10 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem
-from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse
 from redundancy_pin.planners.whole_trajectory.objectives import OBJECTIVES, casadi
 from redundancy_pin.planners.whole_trajectory.options import Progress
 from redundancy_pin.planners.whole_trajectory.transcription import NLP
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Options = dict[str, Any]
 """Options of IPOPT by name."""
@@ -73,9 +73,10 @@ class Solution:
         """Whether the solver came near an optimum and no further: with steps refined it may."""
         return self.message == "Solved_To_Acceptable_Level"
 
-    def course(self, problem: Problem) -> CarrierCourse:
-        """Return the carriers' motion in units."""
-        return problem.course(self.values)
+    def position(self, problem: Problem) -> PiecewisePolynomial:
+        """Return the carriers' positions, m, as a function of time: s̈ is linear in a step."""
+        carriers = problem.carriers(self.values)
+        return PiecewisePolynomial.linear_acceleration(problem.grid.t, carriers.s, carriers.sd, carriers.sdd)
 
     def tau(self, problem: Problem) -> Array:
         """Return (M, m) the main efforts, N or N·m."""
@@ -132,10 +133,10 @@ def solve_nlp(
         raise reporter.error
     stats, g = function.stats(), np.asarray(result["g"]).ravel()
     message = str(stats["return_status"])
-    point = tuple(np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+    x, lam_x, lam_g = (np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g"))
     violation = float(np.maximum(bounds["lbg"] - g, g - bounds["ubg"]).max(initial=0.0))
     return Solution(
-        values=nlp.split(point[0]),
+        values=nlp.split(x),
         optimal=message in ("Solve_Succeeded", "Feasible_Point_Found"),
         feasible=violation <= FEASIBLE,
         message=message,
@@ -143,7 +144,7 @@ def solve_nlp(
         violation=violation,
         iterations=int(stats["iter_count"]),
         seconds=time.perf_counter() - began,
-        point=point,
+        point=(x, lam_x, lam_g),
     )
 
 

@@ -19,7 +19,7 @@ from redundancy_pin.simulation.controllers.base import CarrierDrive, Sampling, T
 from redundancy_pin.simulation.derivatives import linearise, state_error
 from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.state import State
-from redundancy_pin.trajectory.continuous import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse
 from redundancy_pin.planners.whole_trajectory.singular import singular_node
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
-from redundancy_pin.trajectory.continuous import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import continuous_motion
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line
 
 HEAVY = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}

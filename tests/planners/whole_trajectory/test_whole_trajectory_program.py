@@ -85,7 +85,7 @@ def test_middles_are_smooth_and_keep_the_rest():
 
 def test_jumps_of_the_reference_are_twice_on_its_grid():
     trajectory = reference.corner()
-    from redundancy_pin.trajectory.continuous import continuous_motion
+    from redundancy_pin.trajectory.functions_of_time import continuous_motion
 
     grid = grid_of(continuous_motion(trajectory), [], 0.05)
     np.testing.assert_array_equal(grid.t[1:][np.diff(grid.t) == 0.0], trajectory.breaks)
