@@ -1,7 +1,7 @@
 """What a whole-trajectory plan minimises: one table, each objective a formula of the quantities along the trajectory.
 
-To add an objective, add one entry to ``OBJECTIVES``: its formula and its size. Derivatives are the solver library's, the
-same formula gives the number in ``diagnostics["objective"]``, and ``plan_whole_trajectory`` accepts the name.
+To add an objective, add one entry to ``OBJECTIVES``: its formula and its size. Derivatives are the solver library's,
+the same formula gives the number in ``diagnostics["objective"]``, and ``plan_whole_trajectory`` accepts the name.
 """
 
 from __future__ import annotations
