@@ -9,7 +9,6 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES, Limits, Mesh, Objective, ObjectiveTerm, Solver
 from redundancy_pin.trajectory import reference
 
-
 CIRCLE = reference.circle(0.5, 0.2, 0.05)
 
 
