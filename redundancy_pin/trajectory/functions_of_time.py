@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from math import comb
-from typing import Protocol
+from typing import Protocol, TypeGuard
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Legendre, Polynomial, chebyshev
@@ -115,6 +115,11 @@ class PiecewisePolynomial:
         """Return the function of some of the values."""
         return PiecewisePolynomial(self.edges, self.coefficients[:, :, which])
 
+    def beside(self, other: PiecewisePolynomial) -> PiecewisePolynomial:
+        """Return a function on the same pieces with the values of this one and then those of the other."""
+        parts = _padded([self.coefficients, other.coefficients])
+        return PiecewisePolynomial(self.edges, read_only(np.concatenate(parts, axis=2)))
+
     def jumps(self) -> Array:
         """Return the inner edges, s, at which a value jumps."""
         inner = self.edges[1:-1]
@@ -157,6 +162,17 @@ class PiecewisePolynomial:
         # scipy reports a piece that stands still as its left end and NaN
         return [np.asarray(times)[np.isfinite(np.asarray(times, dtype=float))] for times in roots]
 
+    def until(self, end: float) -> PiecewisePolynomial:
+        """Return the function up to a time, s, inside the pieces."""
+        last = int(np.searchsorted(self.edges, end, side="left"))
+        edges = np.append(self.edges[:last], min(end, self.end))
+        return PiecewisePolynomial(read_only(edges), self.coefficients[:, : len(edges) - 1])
+
+    @staticmethod
+    def constant(value: Array, start: float, end: float) -> PiecewisePolynomial:
+        """Return the values (C,) from one time to another, s."""
+        return PiecewisePolynomial(frozen([start, end]), frozen(value)[None, None])
+
     @staticmethod
     def from_bernstein(control: Array, edges: ArrayLike) -> PiecewisePolynomial:
         """Return the polynomials of (D + 1, P, C) Bernstein coefficients on P pieces between (P + 1,) edges, s."""
@@ -189,6 +205,13 @@ class PiecewisePolynomial:
         return PiecewisePolynomial.from_bernstein(np.stack(control), edges)
 
     @staticmethod
+    def linear(t: Array, values: Array) -> PiecewisePolynomial:
+        """Return what is linear between (M, C) values at (M,) times, s; a time that occurs twice has two values."""
+        left = np.flatnonzero(np.diff(t) > 0.0)
+        slope = (values[left + 1] - values[left]) / np.diff(t)[left, None]
+        return PiecewisePolynomial(frozen(np.append(t[left], t[-1])), read_only(np.stack([slope, values[left]])))
+
+    @staticmethod
     def linear_acceleration(t: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
         """Return the cubics with s̈ linear between (M,) nodes; a time that occurs twice has two accelerations.
 
@@ -219,8 +242,7 @@ class PiecewisePolynomial:
     @staticmethod
     def joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
         """Return functions as one, each beginning where the one before it ends."""
-        most = max(len(part.coefficients) for part in parts)
-        padded = [np.pad(part.coefficients, ((most - len(part.coefficients), 0), (0, 0), (0, 0))) for part in parts]
+        padded = _padded([part.coefficients for part in parts])
         edges = np.concatenate([parts[0].edges, *(part.edges[1:] for part in parts[1:])])
         return PiecewisePolynomial(read_only(edges), read_only(np.concatenate(padded, axis=1)))
 
@@ -328,6 +350,11 @@ class TimedTrajectory(Protocol):
 
     def sample_at(self, times: ArrayLike) -> PlatformMotion:
         """Return the motion at (N,) increasing times; a break that occurs twice gets both accelerations."""
+
+
+def is_timed(motion: object) -> TypeGuard[TimedTrajectory]:
+    """Return whether a motion can be evaluated at any time, rather than being samples."""
+    return all(hasattr(motion, name) for name in ("duration", "breaks", "sample_at"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -453,12 +480,16 @@ def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
         cubic = np.stack([v0, v0 + h * a0 / 3.0, v1 - h * a1 / 3.0, v1])
         velocity = PiecewisePolynomial.from_bernstein(cubic, edges)
         acceleration = velocity.derivative()
-    parts = [part.coefficients for part in (position, velocity, acceleration)]
-    padded = [np.pad(part, ((6 - len(part), 0), (0, 0), (0, 0))) for part in parts]
-    polynomials = PiecewisePolynomial(frozen(edges), read_only(np.concatenate(padded, axis=2)))
+    polynomials = position.beside(velocity).beside(acceleration)
     breaks = frozen(motion.t[motion.jumps])
     knots = frozen(np.setdiff1d(edges[1:-1], breaks))
     return ContinuousMotion(polynomials, float(edges[0]), float(edges[-1]), float(edges[-1]), breaks, knots, False)
+
+
+def _padded(coefficients: list[Array]) -> list[Array]:
+    """Return coefficients (D + 1, P, C) with as many powers as the longest."""
+    most = max(map(len, coefficients))
+    return [np.pad(part, ((most - len(part), 0), (0, 0), (0, 0))) for part in coefficients]
 
 
 def _coordinates(columns: int) -> tuple[int, bool]:

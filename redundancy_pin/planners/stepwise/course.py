@@ -19,7 +19,7 @@ from redundancy_pin.planners.carrier_return import (
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, optimise
 from redundancy_pin.planners.stepwise.settings import StepwiseSettings
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory.functions_of_time import carriers_at
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 PHASES = ("parked", "optimise", "return", "brake")
 """What the carriers do: stand, follow the optimiser, follow the degree-seven polynomial, are braked."""
@@ -39,6 +39,7 @@ class Course:
         stretches: first step and result of each run of the optimiser.
         returns: start and end of each return, s; the end is that of its polynomial.
         between: for each return, times densely along it, s, and the motion there: its extremes lie between the steps.
+        parts: positions as a function of time, one after the other, up to ``brake_from``.
         brake_from: instant from which the carriers are only braked; the motion is not filled in after it.
     """
 
@@ -50,6 +51,7 @@ class Course:
     stretches: list[tuple[int, Stretch]] = field(default_factory=list)
     returns: list[tuple[float, float]] = field(default_factory=list)
     between: list[tuple[Array, CarrierMotion]] = field(default_factory=list)
+    parts: list[PiecewisePolynomial] = field(default_factory=list)
     brake_from: int = -1
 
 
@@ -83,8 +85,10 @@ def run_course(
             s[steps], sd[steps], sdd[steps] = found.s, found.sd, found.sdd
             course.phase[steps] = OPTIMISE
             course.stretches.append((int(first), found))
+            course.parts.append(_steps(course, int(first), int(last)))
         elif first == 0:
             s[steps] = settings.start
+            course.parts.append(PiecewisePolynomial.constant(settings.start, t[0], t[last]))
         elif last == len(active) and at_rest[first:last].all():
             return replace(course, brake_from=int(first))
         else:
@@ -105,8 +109,18 @@ def _follow_return(robot: Robot, settings: StepwiseSettings, course: Course, fir
     course.s[arrived] = settings.datum
     course.phase[on_way] = RETURN
     course.returns.append((state.t, back.end))
-    dense = np.linspace(state.t, min(back.end, float(course.t[last])), _DENSE)
+    followed = back.until(min(back.end, float(course.t[last])))
+    course.parts.append(followed)
+    if followed.end < course.t[last]:
+        course.parts.append(PiecewisePolynomial.constant(settings.datum, followed.end, course.t[last]))
+    dense = np.linspace(followed.start, followed.end, _DENSE)
     course.between.append((dense, carriers_at(back, dense)))
+
+
+def _steps(course: Course, first: int, last: int) -> PiecewisePolynomial:
+    """Return the positions in the steps between two instants, each with the s̈ of its end."""
+    here = slice(first, last + 1)
+    return PiecewisePolynomial.constant_acceleration(course.t[here], course.s[here], course.sd[here], course.sdd[here])
 
 
 _DENSE = 2001
@@ -150,6 +164,7 @@ class Braking:
         t: (E,) instants added after the motion, s; none where the carriers rest by its end.
         s, sd, sdd: (B, k) motion at the instants after ``Course.brake_from``, the added ones included.
         phase: (B,) index into ``PHASES``.
+        position: positions as a function of time from the first of them on; none where nothing is left of the motion.
         start, end: s; NaN where no carrier moved.
     """
 
@@ -158,6 +173,7 @@ class Braking:
     sd: Array
     sdd: Array
     phase: IntArray
+    position: tuple[PiecewisePolynomial, ...]
     start: float
     end: float
 
@@ -193,12 +209,15 @@ def brake(settings: StepwiseSettings, course: Course, step: float, platform_rest
     _require_on_track(settings, times, path, sd)
     moving = np.abs(before).max(axis=1, initial=0.0) > 0.0
     none = longest == 0.0
+    deceleration = (speeds - before) / h
+    at = [np.vstack(pair) for pair in ((s[None], path), (sd[None], speeds), (np.zeros((1, len(sd))), deceleration))]
     return Braking(
         extra,
         path,
         speeds,
-        (speeds - before) / h,
+        deceleration,
         np.where(moving, BRAKE, PARKED).astype(np.intp),
+        (PiecewisePolynomial.constant_acceleration(times, *at),) if len(times) > 1 else (),
         float("nan") if none else start,
         float("nan") if none else start + longest,
     )

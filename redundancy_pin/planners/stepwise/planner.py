@@ -13,11 +13,13 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import effort_model
+from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics, require_motion
 from redundancy_pin.planners.stepwise.course import PHASES, RETURN, Braking, Course, brake, run_course
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, step_problems
 from redundancy_pin.planners.stepwise.report import between_samples, diagnostics
 from redundancy_pin.planners.stepwise.settings import Active, Stop, checked_settings, is_dynamics, target_effort
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion, is_timed
 
 LEAST_MARGIN = 1e-3
 """Smallest margin of W that is accepted: efforts grow with its inverse."""
@@ -124,6 +126,7 @@ def plan_stepwise(
     require_dynamics(dynamics)
     require_motion(motion, "sample")
     robot = dynamics.robot
+    trajectory = motion
     if not isinstance(motion, PlatformMotion):
         motion = motion.sample(dt=dt)
     if 1 < len(motion) < _FEWEST_SAMPLES:
@@ -175,12 +178,24 @@ def plan_stepwise(
         diagnostics=found,
         carrier_limits=settings.limits.limits,
         between=course.between,
+        functions=_functions(trajectory, motion, course, ending),
     )
     if settings.between:
         found["between_samples"] = between_samples(dynamics, plan, settings.between)
     peaks = {name: plan.tau[plan.phase == i] for i, name in enumerate(PHASES) if (plan.phase == i).any()}
     found["peak_effort"] = {name: tuple(np.abs(tau).max(axis=0).tolist()) for name, tau in peaks.items()}
     return replace(plan, diagnostics=found)
+
+
+def _functions(
+    trajectory: PlatformMotion | SampledOnDemand, motion: PlatformMotion, course: Course, ending: Braking
+) -> PlanFunctions | None:
+    """Return what the plan is between its samples; None for poses of which there are samples only."""
+    if motion.is_pose and not is_timed(trajectory):
+        return None
+    platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
+    position = PiecewisePolynomial.joined([*course.parts, *ending.position]).made_continuous()
+    return PlanFunctions(platform.held_until(position.end), position)
 
 
 def _moving(motion: PlatformMotion, problems: StepProblems) -> tuple[BoolArray, BoolArray]:

@@ -13,6 +13,7 @@ from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.plan import Plan, finish_plan
 from redundancy_pin.planners.switch_off.crossing import Crossing
 from redundancy_pin.planners.switch_off.windows import Measure, Measured
@@ -85,7 +86,28 @@ def assemble_plan(
         },
         diagnostics=_diagnostics(dynamics, source, along, carriers, prescribed, phase, legs, measured, settings),
         prescribed=prescribed,
+        functions=_functions(source, legs, settings),
     )
+
+
+def _functions(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> PlanFunctions:
+    """Return the carriers from window to window, and no main efforts inside the windows."""
+    parts: list[PiecewisePolynomial] = []
+    free = source.start
+    starts = [*(leg.crossing.start for leg in legs), source.end]
+    for leg, following in zip(legs, starts[1:], strict=True):
+        if leg.crossing.start > free:
+            parts.append(PiecewisePolynomial.constant(settings.datum, free, leg.crossing.start))
+        parts += [leg.crossing.position, leg.back.until(min(leg.back.end, following))]
+        free = parts[-1].end
+    if source.end > free:
+        parts.append(PiecewisePolynomial.constant(settings.datum, free, source.end))
+    # only inside the windows: on a ramp W⁻¹ f of the carriers' motion is what was prescribed, but for backward
+    # differences, where it is what keeps the platform on its path between the samples
+    off = [leg.crossing.ramp.polynomial.control[-1] for leg in legs]
+    windows = [(leg.crossing.window.start, leg.crossing.end) for leg in legs]
+    none = [PiecewisePolynomial.constant(tau, *window) for tau, window in zip(off, windows, strict=True)]
+    return PlanFunctions(source, PiecewisePolynomial.joined(parts).made_continuous(), tuple(none))
 
 
 def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Array:

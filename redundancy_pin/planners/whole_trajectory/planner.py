@@ -16,6 +16,7 @@ from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan, PlanStatus, finish_plan
 from redundancy_pin.planners.robot_record import robot_record
@@ -275,6 +276,11 @@ def _plan(task: Task, result: Multistart, checks: list[DenseCheck], seconds: flo
         },
         prescribed=prescribed,
         carrier_limits=settings.limits,
+        functions=PlanFunctions(
+            task.source,
+            solution.position(problem).made_continuous(),
+            preferred=PiecewisePolynomial.linear(nodes.t, solution.tau(problem)),
+        ),
     )
     sample_status = np.array(plan.sample_status)
     at = nodes.singular
