@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import zoo
 
+import redundancy_pin.planners.whole_trajectory.constraint_generation as constraint_generation
 import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -38,6 +40,21 @@ def test_the_best_of_several_optima_is_kept_and_all_are_reported():
     assert sorted(number for optimum in starts["optima"] for number in optimum["starts"]) == list(range(6))
     assert starts["won"] in starts["optima"][0]["starts"]
     assert starts["costs"][starts["won"]] == min(starts["costs"]) == plan.diagnostics["cost"]
+
+
+def test_every_first_guess_is_tried_before_the_planner_gives_up(monkeypatch):
+    tried = set()
+    solve_nlp = constraint_generation.solve_nlp
+
+    def counted(nlp, guess, *others):
+        if isinstance(guess, dict) and set(guess) <= {"s", "sd", "sdd"}:  # later ones begin at solutions, with efforts
+            tried.add(np.asarray(guess["s"]).tobytes())
+        return solve_nlp(nlp, guess, *others)
+
+    monkeypatch.setattr(constraint_generation, "solve_nlp", counted)
+    with pytest.raises(InfeasiblePlanError):
+        plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), reference.circle(2.5), dt=0.03, starts=3)
+    assert len(tried) == 3
 
 
 def test_one_optimum_is_reported_as_one():
