@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import CarrierLimits, Robot
 
@@ -15,6 +19,56 @@ BINDING = 1e-6
 
 EXCEEDING = 1e-9
 """Relative excess that still counts as rounding of a motion built to lie on its limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of a plan; what is None is the robot's own, or no limit where the robot declares none.
+
+    Attributes:
+        track: (2,) or (k, 2) track ends, m.
+        speed: scalar or (k,) largest |ṡ|, m/s.
+        acceleration: scalar or (k,) largest |s̈|, m/s².
+        jerk: scalar or (k,) largest |s⃛|, m/s³.
+        carrier_force: scalar or (k,) largest force of the carriers' actuators, N.
+        effort: scalar or (m,) largest |τ|, N or N·m.
+    """
+
+    track: ArrayLike | None = None
+    speed: ArrayLike | None = None
+    acceleration: ArrayLike | None = None
+    jerk: ArrayLike | None = None
+    carrier_force: ArrayLike | None = None
+    effort: ArrayLike | None = None
+
+
+Group = TypeVar("Group", bound=Any)
+
+
+def grouped(name: str, group: Group | None, kind: type[Group], keywords: Mapping[str, Any]) -> Group:
+    """Return a group of options, given as such or as flat keywords of the planner.
+
+    Args:
+        name: keyword of the group, for the message.
+        group: the group, or None where the keywords count.
+        kind: its dataclass; every field has a default.
+        keywords: values of its fields as flat keywords. One that equals its default counts as left out.
+
+    Raises:
+        InputError: an option is given both ways, or the group is of another type.
+    """
+    if group is None:
+        built: Group = kind(**keywords)
+        return built
+    if not isinstance(group, kind):
+        raise InputError(f"{name} is {group!r}.", remedy=f"Pass {kind.__name__}({', '.join(keywords)}).", name=name)
+    default = {field.name: field.default for field in fields(kind)}
+    for key, value in keywords.items():
+        if value is not default[key] and not (np.isscalar(value) and value == default[key]):
+            raise InputError(
+                f"{key} is given twice: as a keyword and in {name}.", remedy="Leave one of them out.", name=key
+            )
+    return group
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,8 @@ class PiecewisePolynomial:
         ends = np.stack([self(self.edges[:-1]), self(self.edges[1:], "left")])
         least, most = ends.min(axis=0), ends.max(axis=0)
         for column, times in enumerate(self._stationary()):
-            piece = np.searchsorted(self.edges, times, side="right") - 1
+            # a carrier that comes to rest does so at the very end, which is in the last piece
+            piece = np.minimum(np.searchsorted(self.edges, times, side="right"), len(self.edges) - 1) - 1
             value = self(times)[:, column]
             np.minimum.at(least[:, column], piece, value)
             np.maximum.at(most[:, column], piece, value)
