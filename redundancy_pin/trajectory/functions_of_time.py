@@ -111,10 +111,6 @@ class PiecewisePolynomial:
             return self
         return PiecewisePolynomial(self.edges, read_only(self.ppoly.derivative(order).c))
 
-    def columns(self, which: slice) -> PiecewisePolynomial:
-        """Return the function of some of the values."""
-        return PiecewisePolynomial(self.edges, self.coefficients[:, :, which])
-
     def beside(self, other: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return a function on the same pieces with the values of this one and then those of the other."""
         parts = _padded([self.coefficients, other.coefficients])

@@ -13,6 +13,7 @@ from redundancy_pin.planners.carrier_return import (
     CarrierState,
     braked_speeds,
     braking_times,
+    no_return,
     return_polynomial,
     shortest_return,
 )
@@ -137,15 +138,8 @@ def _return_duration(robot: Robot, settings: Settings, state: CarrierState, end:
 
     duration, use = shortest_return(limited, no_force, state, settings.datum, end - state.t)
     if duration is None:
-        raise InfeasiblePlanError(
-            f"No return of the carriers from t = {state.t:.6g} s keeps their limits: the best one breaks the "
-            f"{use.quantity} limit {use.limit:g} of {use.carrier} by {use.amount:.4g} at t = {use.t:.6g} s.",
-            remedy="Use a larger lam, higher limits, or a return_time and accept a plan that violates limits.",
-            constraint=use.quantity,
-            carrier=use.carrier,
-            time=use.t,
-            amount=use.amount,
-        )
+        remedy = "Use a larger lam, higher limits, or a return_time and accept a plan that violates limits."
+        raise no_return(use, state.t, end - state.t, remedy)
     return duration
 
 

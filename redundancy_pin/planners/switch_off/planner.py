@@ -149,7 +149,8 @@ def _leg(
         if duration is None:
             if later:
                 return None
-            raise no_return(use, state.t, room)
+            remedy = "Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a "
+            raise no_return(use, state.t, room, remedy + "return_time and accept a plan that violates limits.")
     else:
         duration = float(settings.return_time)
     if duration > room:
