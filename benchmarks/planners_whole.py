@@ -16,13 +16,14 @@ import symbolic_mechanisms
 import symbolic_plans
 
 import redundancy_pin as rp
-from redundancy_pin.planners.whole_trajectory import constraint_generation as whole_trajectory_between
+from redundancy_pin.planners.whole_trajectory import Mesh, Objective, Solver
+from redundancy_pin.planners.whole_trajectory.coefficients import Task, read_coefficients
+from redundancy_pin.planners.whole_trajectory.constraint_generation import solve
 from redundancy_pin.planners.whole_trajectory.mesh import grid_of
-from redundancy_pin.planners.whole_trajectory.problem import Task, prepare
-from redundancy_pin.planners.whole_trajectory.settings import checked_settings
-from redundancy_pin.planners.whole_trajectory.solver import Solver
-from redundancy_pin.planners.whole_trajectory.transcription import build
-from redundancy_pin.trajectory.continuous import continuous_motion
+from redundancy_pin.planners.whole_trajectory.options import checked_settings
+from redundancy_pin.planners.whole_trajectory.solver import solve_nlp
+from redundancy_pin.planners.whole_trajectory.transcription import transcribe
+from redundancy_pin.trajectory.functions_of_time import continuous_motion
 
 REPEATS = 5
 FULL_REPEATS = 3
@@ -41,46 +42,15 @@ def seconds(action):
     return time.perf_counter() - start, result
 
 
-class Automatic:
-    """A programme whose derivatives the solver finds by itself."""
-
-    def __init__(self, program):
-        self._program = program
-
-    def __getattr__(self, name):
-        return getattr(self._program, name)
-
-    def functions(self):
-        return self._program.functions()[0], {}
-
-
 def problem_of(trajectory, nodes, objective):
     robot = rp.load_robot("3rrr")
     settings = checked_settings(
-        robot,
-        objective=objective,
-        lam=0.0,
-        baseline=False,
-        start=None,
-        start_speed=0.0,
-        end="datum",
-        datum=0.0,
-        track=None,
-        speed=None,
-        acceleration=None,
-        jerk=None,
-        effort=None,
-        carrier_force=None,
-        dt=trajectory.duration / nodes,
-        starts=1,
-        seconds=600.0,
-        refinements=0,
+        robot, Objective(objective), mesh=Mesh(trajectory.duration / nodes, 0), solver=Solver(seconds=600.0)
     )
     source = continuous_motion(trajectory)
-    grid = grid_of(source, [], settings.dt)
-    task = Task(rp.VirtualWork(robot), source, settings, None)
-    took, problem = seconds(lambda: prepare(task, grid))
-    return took, problem
+    grid = grid_of(source, [], settings.mesh.dt)
+    task = Task(rp.VirtualWork(robot), source, settings)
+    return seconds(lambda: read_coefficients(task, grid))
 
 
 def paired(slow, fast, repeats):
@@ -115,13 +85,13 @@ def compared(radius, objective):
     prepared, problem = problem_of(trajectory, NODES, objective)
 
     def ours():
-        found = whole_trajectory_between.solve(problem, {}, 600.0)
+        found = solve(problem, {}, 600.0)
         if not found.optimal:
             raise RuntimeError(f"corner {radius} {objective}: {found.message}")
         return found
 
     def coefficients():
-        return Solver(Automatic(build(problem, between=[], limit_force=False)), 600.0).solve({})
+        return solve_nlp(transcribe(problem, between=[], limit_force=False), {}, 600.0)
 
     ours()
     extra = {"reading_coefficients_seconds": prepared}
@@ -155,7 +125,7 @@ def growth(objective):
         prepared, problem = problem_of(rp.trajectory.reference.square(), nodes, objective)
         # one long run each: time of the processor, which other work on the machine lengthens less
         began = time.process_time()
-        found = whole_trajectory_between.solve(problem, {}, 600.0)
+        found = solve(problem, {}, 600.0)
         solved = time.process_time() - began
         if not found.optimal:
             raise RuntimeError(f"square at {nodes} nodes, {objective}: {found.message}")

@@ -1,33 +1,30 @@
-"""From a planned motion to the efforts that make it, as functions of time, exact between the plan's samples too.
-
-Efforts read off a plan's samples by interpolation are off by a power of the sampling step, and beside a type II
-singularity that is magnified. Here the motion is taken as the function of time it is, and W τ = f is solved at 16
-Chebyshev points of every stretch between two nodes of the plan, inside which everything is analytic. The points keep
-off the ends of a stretch, so τ is never asked for at a singular node itself; the polynomial fills it in.
-"""
+"""From a planned motion to the efforts that make it, as functions of time: the same as ``simulate`` plays."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from engines.task import Task
-from redundancy_pin.arrays import Array, BoolArray, checked
+from redundancy_pin.arrays import Array, checked
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.functions import DEGREE, PlanFunctions
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.reference import actuators_off, planned_carriers, planned_platform, smooth_pieces
-from redundancy_pin.trajectory.continuous import ContinuousMotion, TimedTrajectory, continuous_motion
-from redundancy_pin.trajectory.piecewise import PiecewiseChebyshev, fit
+from redundancy_pin.simulation.reference import MotionReference, plan_reference
+from redundancy_pin.trajectory.functions_of_time import (
+    PiecewisePolynomial,
+    TimedTrajectory,
+    chebyshev_series,
+    chebyshev_times,
+    continuous_motion,
+)
 
 STRETCH = 0.01
-"""Longest stretch of a motion that is no plan, s: 16 points in it resolve whatever a machine can follow."""
+"""Longest stretch of a motion that is no plan, s: a polynomial over it resolves whatever a machine can follow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,29 +53,18 @@ class Drive:
 def drive_of_plan(dynamics: Dynamics, plan: Plan, trajectory: TimedTrajectory | None = None) -> Drive:
     """Return the drive of a plan.
 
-    Between the samples the carriers move as ``planned_carriers`` says, and main actuators are off where
-    ``actuators_off`` says so.
-
     Args:
         dynamics: either backend, for the robot of the plan.
         plan: the plan.
-        trajectory: the platform motion it was made for; quintics between the plan's samples when left out.
+        trajectory: the platform motion it was made for, for plans that do not carry it.
 
     Raises:
         InputError: the trajectory is not that of the plan.
         InfeasiblePlanError: efforts without a finite value; carries the time.
     """
-    source = planned_platform(plan, trajectory)
-    carriers = planned_carriers(plan)
-    edges = smooth_pieces(carriers, source)
-    drive = _drive(dynamics, source, carriers, edges, edges[1:-1], actuators_off(plan, edges))
-    planned = np.concatenate([plan.tau, plan.carrier_force], axis=1)
-    # a sample belongs to the step that it ends, the second of two at a jump to the one it begins, and the first one to
-    # none: a plan by steps may set off with a jump
-    own = drive.task.efforts(plan.t, side="left")
-    own[plan.motion.jumps] = drive.task.efforts(plan.t[plan.motion.jumps])
-    off = np.abs(own - planned)[1:]
-    return replace(drive, plan=plan, plan_gap=float(np.nanmax(off, initial=0.0)))
+    reference = plan_reference(plan, robot=dynamics.robot, motion=trajectory)
+    functions = plan.functions_of_time if trajectory is None else plan.functions_along(trajectory)
+    return _drive(reference, functions, reference.edges[1:-1], plan)
 
 
 def drive_of_motion(
@@ -101,51 +87,24 @@ def drive_of_motion(
         InputError: knots that are not finite numbers.
         InfeasiblePlanError: efforts without a finite value; carries the time.
     """
-    source = continuous_motion(trajectory)
+    source, robot = continuous_motion(trajectory), dynamics.robot
     own = checked(knots, "knots", ("c",))
     fixed = np.concatenate([[source.start, source.end], source.breaks, source.knots, own])
     edges = np.unique(np.clip(fixed, source.start, source.end))
+    position = PiecewisePolynomial.constant(np.zeros(robot.k), source.start, source.end)
+    if carriers is not None and robot.k:
+        position = PiecewisePolynomial.fit(lambda t: carriers(t).s, edges, own, lambda s: np.abs(s).max(axis=0), 1e-13)
     counts = np.ceil(np.diff(edges) / STRETCH).astype(int)
     pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(edges[:-1], edges[1:], counts, strict=True)]
-    k = dynamics.robot.k
-    at = carriers or (lambda times: CarrierMotion.parked(len(times), k))
-    ends = np.append(np.concatenate(pieces), edges[-1])
-    return _drive(dynamics, source, at, ends, edges[1:-1], np.zeros(len(ends) - 1, dtype=bool))
+    functions = PlanFunctions(source, position)
+    reference = MotionReference(robot, functions, np.append(np.concatenate(pieces), edges[-1]))
+    return _drive(reference, functions, edges[1:-1], None)
 
 
-def _drive(
-    dynamics: Dynamics,
-    source: ContinuousMotion,
-    carriers: Callable[[Array], CarrierMotion],
-    edges: Array,
-    breaks: Array,
-    off: BoolArray,
-) -> Drive:
-    def efforts(times: Array) -> Array:
-        reduced = dynamics.along(source.sample_at(times)).reduce(carriers(times))
-        tau = distribute(reduced).tau.copy()
-        tau[off[np.clip(np.searchsorted(edges, times) - 1, 0, len(off) - 1)]] = 0.0
-        bad = np.flatnonzero(~np.isfinite(tau).all(axis=1))
-        if len(bad):
-            t = float(times[bad[0]])
-            raise InfeasiblePlanError(
-                f"The motion has no finite efforts at {t:.9g} s.",
-                remedy="Plan the carriers through the singularity with plan_whole_trajectory.",
-                t=t,
-            )
-        return np.concatenate([tau, reduced.carrier_force], axis=1)
-
-    # infinite tolerance: the stretches are short enough, and division beside a singular node would chase its rounding
-    polynomials = fit(efforts, edges, np.empty(0), lambda values: np.ones(values.shape[1]), np.inf)
-    robot = dynamics.robot
-    first = edges[:1]
-    tree, its_carriers = lift(robot, source.sample_at(first)), carriers(first)
-    q, v = tree.q[0].copy(), tree.v[0].copy()
-    q[robot.carrier_position] = its_carriers.s[0]
-    v[robot.carrier_velocity] = its_carriers.sd[0]
-    task = Task(robot, float(edges[0]), float(edges[-1]), q, v, polynomials, breaks)
-    return Drive(task, source.sample_at, carriers, _resolution(polynomials))
-
-
-def _resolution(polynomials: PiecewiseChebyshev) -> float:
-    return float(np.abs(polynomials.coefficients[:, -3:]).max())
+def _drive(reference: MotionReference, functions: PlanFunctions, breaks: Array, plan: Plan | None) -> Drive:
+    efforts, (q, v, _) = reference.efforts, reference.tree(reference.start)
+    task = Task(reference.robot, reference.start, reference.end, q, v, efforts, breaks)
+    at_nodes = efforts(chebyshev_times(efforts.edges, DEGREE)).reshape(len(efforts.edges) - 1, DEGREE + 1, -1)
+    resolution = float(np.abs(chebyshev_series(at_nodes)[:, -3:]).max())
+    gap = reference.effort_deviation
+    return Drive(task, functions.platform.sample_at, functions.carriers_at, resolution, plan, gap)

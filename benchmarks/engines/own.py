@@ -15,7 +15,7 @@ from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.simulate import ATOL, RTOL, simulate
 from redundancy_pin.simulation.state import State, tree_state
 from redundancy_pin.simulation.system import Method
-from redundancy_pin.trajectory.piecewise import PiecewiseChebyshev, Series, fit
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 RESOLVED = 1e-12
 """Last Chebyshev coefficients of efforts that are no polynomials yet, relative to the largest."""
@@ -32,17 +32,17 @@ class TaskEfforts:
         self.end = task.end
         self.breaks = task.breaks
         given = task.efforts
-        if not isinstance(given, PiecewiseChebyshev):
+        if not isinstance(given, PiecewisePolynomial):
             edges = np.array([task.start, *task.breaks, task.end])
-            given = fit(given, edges, np.empty(0), _size, RESOLVED)
-        self._series = Series(given.edges, given.coefficients)
-        self.jumps = self._series.jumps()
+            given = PiecewisePolynomial.fit(given, edges, np.empty(0), _size, RESOLVED)
+        self._efforts = given
+        self.jumps = given.jumps()
         self._m = task.robot.m
         self._start = (task.start, task.q, task.v)
 
     def effort(self, t: float, state: State) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
-        both = self._series(t)
+        both = self._efforts.at(t)
         return both[: self._m], both[self._m :]
 
     def start_state(self, robot: Robot) -> State:

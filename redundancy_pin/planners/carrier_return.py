@@ -21,8 +21,8 @@ from scipy.optimize import minimize_scalar
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory import Polynomial, boundary_polynomial
-from redundancy_pin.trajectory.piecewise import CarrierPath
+from redundancy_pin.trajectory import boundary_polynomial
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 
 def stoppable_speed(gap: float, step: float, deceleration: float) -> float:
@@ -140,14 +140,15 @@ CarrierForce = Callable[[Array, Array, Array, Array], Array]
 """From (N,) times and s, ṡ, s̈ (N, k) to the forces of the carriers' actuators (N, k), N."""
 
 
-def return_polynomial(state: CarrierState, duration: float, datum: Array) -> Polynomial:
+def return_polynomial(state: CarrierState, duration: float, datum: Array) -> PiecewisePolynomial:
     """Return the carriers' way to rest at ``datum`` (k,): degree seven, without jerk at either end.
 
     Step 5 of Parsa 2014, section 3.1 (eq. 3.7); the start is not at rest, so all eight conditions are needed.
     """
     zero = np.zeros_like(datum)
     start = [state.s, state.sd, state.sdd, zero]
-    return boundary_polynomial(state.t, state.t + duration, start, [datum, zero, zero, zero])
+    polynomial = boundary_polynomial(state.t, state.t + duration, start, [datum, zero, zero, zero])
+    return PiecewisePolynomial.from_bernstein(polynomial.control[:, None], [polynomial.t0, polynomial.t1])
 
 
 def limit_uses(robot: Robot, s: Array, sd: Array, sdd: Array, force: Array) -> Array:
@@ -186,7 +187,7 @@ def shortest_return(
     """
 
     def use(duration: float) -> LimitUse:
-        return _limit_use(robot, force, CarrierPath.of_polynomial(return_polynomial(state, duration, datum)))
+        return _limit_use(robot, force, return_polynomial(state, duration, datum))
 
     durations = np.geomspace(SHORTEST_FRACTION * available, available, CANDIDATES)
     uses = _sampled_uses(robot, force, state, datum, durations)
@@ -206,9 +207,9 @@ def shortest_return(
 
 def _sampled_uses(robot: Robot, force: CarrierForce, state: CarrierState, datum: Array, durations: Array) -> Array:
     """Return (T,) the largest limit use of the samples of each return."""
-    paths = [CarrierPath.of_polynomial(return_polynomial(state, duration, datum)) for duration in durations]
+    paths = [return_polynomial(state, duration, datum) for duration in durations]
     times = np.array([np.linspace(path.start, path.end, SAMPLES) for path in paths])
-    motions = [path(t) for path, t in zip(paths, times, strict=True)]
+    motions = [carriers_at(path, t) for path, t in zip(paths, times, strict=True)]
     s, sd, sdd = (np.concatenate([getattr(motion, name) for motion in motions]) for name in ("s", "sd", "sdd"))
     flat = times.ravel()
     uses = limit_uses(robot, s, sd, sdd, force(flat, s, sd, sdd))
@@ -216,10 +217,11 @@ def _sampled_uses(robot: Robot, force: CarrierForce, state: CarrierState, datum:
     return largest
 
 
-def _limit_use(robot: Robot, force: CarrierForce, path: CarrierPath) -> LimitUse:
+def _limit_use(robot: Robot, force: CarrierForce, path: PiecewisePolynomial) -> LimitUse:
     """Return the limit that a path uses most, at its samples and at its extremes."""
-    times = np.union1d(np.linspace(path.start, path.end, SAMPLES), path.extremes())
-    motion = path(times)
+    extremes = [path.derivative(order).extremes() for order in range(3)]
+    times = np.unique(np.concatenate([np.linspace(path.start, path.end, SAMPLES), *extremes]))
+    motion = carriers_at(path, times)
     s, sd, sdd = (np.asarray(part) for part in (motion.s, motion.sd, motion.sdd))
     efforts = force(times, s, sd, sdd)
     uses = limit_uses(robot, s, sd, sdd, efforts)
@@ -243,14 +245,12 @@ def _first_allowed(use: Callable[[float], LimitUse], low: float, high: float) ->
     return high, use(high)
 
 
-def no_return(use: LimitUse, exit_time: float, available: float) -> InfeasiblePlanError:
+def no_return(use: LimitUse, start: float, available: float, remedy: str) -> InfeasiblePlanError:
     """Return the error that says that no return keeps the limits, which one stands in the way, and by how much."""
     return InfeasiblePlanError(
-        f"No return of the carriers of at most {available:.6g} s from t = {exit_time:.6g} s keeps their limits: the "
-        f"best one breaks the {use.quantity} limit {use.limit:g} of {use.carrier} by {use.amount:.4g} at "
-        f"t = {use.t:.6g} s.",
-        remedy="Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a "
-        "return_time and accept a plan that violates limits.",
+        f"No return of the carriers of at most {available:.6g} s from t = {start:.6g} s keeps their limits: the best "
+        f"one breaks the {use.quantity} limit {use.limit:g} of {use.carrier} by {use.amount:.4g} at t = {use.t:.6g} s.",
+        remedy=remedy,
         constraint=use.quantity,
         carrier=use.carrier,
         time=use.t,

@@ -5,25 +5,37 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, largest, peak, read_only
-from redundancy_pin.dynamics.base import DynamicsAlongMotion
+from redundancy_pin.arrays import Array, BoolArray, IntArray, Side, frozen, largest, peak, read_only
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.archive import write_archive
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.limits import LimitEvent, LimitReport, check_limits
 from redundancy_pin.planners.robot_record import RobotRecord, robot_record
 from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.trajectory.functions_of_time import (
+    ContinuousMotion,
+    PiecewisePolynomial,
+    TimedTrajectory,
+    continuous_motion,
+)
 
 PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
 
-PLAN_VERSION = 1
-"""Version of the file format: counts up whenever an older reader would misread a newer file."""
+PLAN_VERSION = 2
+"""Version of the file format: counts up whenever an older reader would misread a newer file. 2: functions of time."""
+
+SAME_TIME = 1e-9
+"""How far, relative to the duration, plan and trajectory may differ in their times."""
 
 
 class PlanStatus(Enum):
@@ -62,6 +74,9 @@ class Plan:
         robot: the robot, in plain data.
         parameters: the planner's parameters, in plain data.
         diagnostics: the planner's findings (instants, counts, …), in plain data.
+        functions: platform, carriers and efforts as functions of time, as the planner had them. None in a plan that was
+            put together from samples, or read from a file of version 0.1.0: ``functions_of_time`` reconstructs them.
+            Whoever replaces ``motion`` or ``carriers`` replaces it too.
     """
 
     motion: PlatformMotion
@@ -82,6 +97,7 @@ class Plan:
     robot: RobotRecord
     parameters: Mapping[str, object] = field(default_factory=dict)
     diagnostics: Mapping[str, object] = field(default_factory=dict)
+    functions: PlanFunctions | None = None
 
     def __repr__(self) -> str:
         """Return what tells plans apart, not their arrays."""
@@ -97,6 +113,56 @@ class Plan:
     def t(self) -> Array:
         """(N,) time, s."""
         return self.motion.t
+
+    @cached_property
+    def functions_of_time(self) -> PlanFunctions:
+        """What the plan is between its samples: what ``simulate``, controllers and engines play.
+
+        Raises:
+            InputError: samples of poses only, which do not say how the platform turns between them.
+        """
+        return _functions_of_0_1_0(self) if self.functions is None else self.functions
+
+    def functions_along(self, trajectory: TimedTrajectory) -> PlanFunctions:
+        """Return the functions of time with the platform on the trajectory that was planned for.
+
+        Raises:
+            InputError: the trajectory is not that of the plan.
+        """
+        platform, first, last = continuous_motion(trajectory), float(self.t[0]), float(self.t[-1])
+        slack = SAME_TIME * (last - first)
+        after = self.t > platform.end + slack
+        if abs(platform.start - first) > slack or platform.end > last + slack or self.motion.xd[after].any():
+            raise InputError(
+                f"The plan runs from {first:.9g} to {last:.9g} s, the trajectory to {platform.end:.9g} s.",
+                remedy="Pass the trajectory the plan was made for.",
+            )
+        if after.any():
+            platform = platform.held_until(last)
+        functions = _functions_of_0_1_0(self, platform) if self.functions is None else self.functions
+        return replace(functions, platform=platform)
+
+    def platform_at(self, times: ArrayLike) -> PlatformMotion:
+        """Return the platform motion at (N,) increasing times, s; a jump twice gets both accelerations."""
+        return self.functions_of_time.platform.sample_at(np.asarray(times, dtype=np.float64))
+
+    def carriers_at(self, times: ArrayLike, side: Side = "right") -> CarrierMotion:
+        """Return the carrier motion at (N,) times, s; ``side`` decides where s̈ jumps."""
+        return self.functions_of_time.carriers_at(np.asarray(times, dtype=np.float64), side)
+
+    def efforts_at(self, times: ArrayLike, dynamics: Dynamics) -> Array:
+        """Return main efforts (N, m) at (N,) times, N or N·m: prescribed by the planner, or τ = W⁻¹ f of the motion.
+
+        Args:
+            times: (N,) increasing times, s.
+            dynamics: either backend, for the robot of the plan.
+
+        Returns:
+            Efforts; NaN on a type II singularity that is no interval without efforts: see ``tau`` there.
+        """
+        instants = np.asarray(times, dtype=np.float64)
+        reduced = dynamics.along(self.platform_at(instants)).reduce(self.carriers_at(instants))
+        return self.functions_of_time.efforts(reduced)
 
     @property
     def main_power(self) -> Array:
@@ -140,7 +206,55 @@ class Plan:
             OutputError: the file cannot be written; an earlier one is as it was.
             InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
         """
-        write_archive(path, PLAN_FORMAT, PLAN_VERSION, self)
+        record = self if self.functions is None else replace(self, functions=self.functions.in_polynomials())
+        write_archive(path, PLAN_FORMAT, PLAN_VERSION, record)
+
+
+def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) -> PlanFunctions:
+    """Return the functions of time that the samples of a plan stand for, where it carries none (files of 0.1.0).
+
+    Platform: quintics through x, ẋ, ẍ, held at its end while carriers move on. Carriers:
+
+    - Whole-trajectory plans: s̈ is linear in each step, as they were planned.
+    - Steps of stepwise plans (and of switch-off plans by backward differences): s̈ is constant and has the plan's value
+      at the end of the step; ṡ meets the plan's at every sample. s, integrated, lags behind the plan's by up to half a
+      step, because backward differences move a carrier by its new speed. The lag is carried on, so that s stays
+      continuous.
+    - Everything else: the quintic through s, ṡ and s̈ at both ends, off by O(Δt⁴) in s̈.
+
+    Main actuators are off between two samples without effort, one of them at least in the phase "off": two samples
+    without effort alone do not say it, for between two samples at rest there may be a motion that needs efforts.
+
+    Args:
+        plan: the plan.
+        platform: the platform's motion, where it is known.
+
+    Raises:
+        InputError: a plan for poses, whose samples do not say how the platform turns between them.
+    """
+    t, names = plan.t, np.array(plan.phases)[plan.phase]
+    left = np.flatnonzero(np.diff(t) > 0.0)
+    right = left + 1
+    s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
+    if plan.planner == "whole_trajectory":
+        carriers = PiecewisePolynomial.linear_acceleration(t, s, sd, sdd)
+    else:
+        edges = np.append(t[left], t[-1])
+        smooth = PiecewisePolynomial.hermite(edges, *((s[i], sd[i], sdd[i]) for i in (left, right)))
+        stepped = ("optimise", "brake") if plan.planner == "stepwise" else ()
+        if plan.planner == "switch_off" and plan.parameters.get("scheme") == "backward_differences":
+            stepped = ("ramp_down", "off")
+        constant = np.isin(names[right], stepped)
+        powers = smooth.coefficients.copy()
+        powers[:3, constant] = 0.0
+        powers[3, constant] = 0.5 * sdd[right][constant]
+        carriers = PiecewisePolynomial(smooth.edges, read_only(powers))
+    idle = (plan.tau == 0.0).all(axis=1)
+    off = idle[left] & idle[right] & ((names[left] == "off") | (names[right] == "off"))
+    none = np.zeros(plan.tau.shape[1])
+    runs = np.flatnonzero(np.diff(np.concatenate([[False], off, [False]]).astype(int))).reshape(-1, 2)
+    prescribed = tuple(PiecewisePolynomial.constant(none, t[left[a]], t[right[b - 1]]) for a, b in runs)
+    return PlanFunctions(platform or continuous_motion(plan.motion), carriers.made_continuous(), prescribed)
 
 
 def _absolute_integral(power: Array, t: Array) -> float:
@@ -189,6 +303,7 @@ def finish_plan(
     prescribed: Array | None = None,
     carrier_limits: tuple[CarrierLimits, ...] | None = None,
     between: Sequence[tuple[Array, CarrierMotion]] = (),
+    functions: PlanFunctions | None = None,
 ) -> Plan:
     """Evaluate the backend once more along the planned motion and collect everything a plan carries.
 
@@ -205,6 +320,7 @@ def finish_plan(
         carrier_limits: limits to judge the plan by in place of the robot's own, one for each carrier.
         between: times, s, and carrier motions between the samples at which the limits of track, speed and acceleration
             are judged as well.
+        functions: what the planner made, between the samples too.
     """
     robot = along.robot
     reduced = along.reduce(carriers)
@@ -243,6 +359,7 @@ def finish_plan(
         robot=robot_record(robot),
         parameters=dict(parameters),
         diagnostics=dict(diagnostics),
+        functions=functions,
     )
 
 

@@ -14,10 +14,12 @@ from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.archive import read_archive
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.plan import PLAN_FORMAT, PLAN_VERSION, Plan, PlanStatus
 from redundancy_pin.planners.robot_record import load_recorded, read_robot
 from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
 
 _T = TypeVar("_T")
 
@@ -60,7 +62,7 @@ def load_robot_of(plan: Plan, source: str | Path | None = None) -> Robot:
 
 def _plan(record: Mapping[str, Any]) -> Plan:
     """Return the plan of a record, checked."""
-    values = _values(Plan, record)
+    values = _values(Plan, {"functions": None, **record})  # files of version 1 have no functions of time
     limits = _values(LimitReport, values["limits"])
     values["motion"] = _make(PlatformMotion, values["motion"])
     values["carriers"] = _make(CarrierMotion, values["carriers"])
@@ -71,9 +73,31 @@ def _plan(record: Mapping[str, Any]) -> Plan:
     )
     values["status"] = PlanStatus(values["status"])
     values["robot"] = read_robot(values["robot"])
+    if values["functions"] is not None:
+        values["functions"] = _functions(values["functions"])
     plan = Plan(**values)
     _check(plan)
     return plan
+
+
+def _functions(record: Mapping[str, Any]) -> PlanFunctions:
+    platform = _values(ContinuousMotion, record["platform"])
+    preferred = record["preferred"]
+    return PlanFunctions(
+        platform=ContinuousMotion(**{**platform, "source": _polynomial(platform["source"])}),
+        carriers=_polynomial(record["carriers"]),
+        prescribed=tuple(_polynomial(part) for part in record["prescribed"]),
+        preferred=None if preferred is None else _polynomial(preferred),
+    )
+
+
+def _polynomial(record: Mapping[str, Any]) -> PiecewisePolynomial:
+    function = PiecewisePolynomial(**record)
+    _require_array("functions, edges", function.edges, "f", (function.coefficients.shape[1] + 1,))
+    _require_array("functions, coefficients", function.coefficients, "f", function.coefficients.shape)
+    if function.coefficients.ndim != 3 or not (np.diff(function.edges) > 0.0).all():
+        raise InputError("functions hold polynomials whose pieces do not follow each other")
+    return function
 
 
 def _values(kind: type[Any], record: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,43 +1,37 @@
-"""A planned motion as a function of time: tree, platform, carriers and the efforts that belong to it.
+"""A motion with its tree and the efforts that belong to it, for any instant in microseconds.
 
-Between samples a plan is a continuous motion, and its efforts are τ = W⁻¹ f of that motion: to interpolate the efforts
-of the samples would be another, wrong, command. The inverse dynamics are evaluated for all pieces at once and kept as
-Chebyshev series, so that a simulation can ask for any instant in microseconds.
-
-Inverse dynamics along a motion, batched: what a feed-forward needs, without a backend.
-
-The simulation judges plans that a backend made, so it has its own.
-
-The continuous motion that the samples of a plan stand for: platform, carriers, and when actuators are off.
-
-Whoever plays a plan back, ``reference`` for this package's own simulation or ``engines.drive`` for an outside engine,
-asks here, so that one plan is one motion.
+What a plan is between its samples it says itself (``Plan.functions_of_time``). Here its inverse dynamics are evaluated
+at the Chebyshev points of all pieces at once and kept as polynomials, so that a simulation, a controller or an outside
+engine can ask for any instant. The efforts of the samples, interpolated, would be another, wrong, command.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
-from scipy.interpolate import PPoly
 
-from redundancy_pin.arrays import Array, BoolArray, read_only
+from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.functions import DEGREE, SINGULAR, PlanFunctions, apart
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_robot_of
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory.continuous import ContinuousMotion, TimedTrajectory, continuous_motion, quintics
-from redundancy_pin.trajectory.piecewise import Series
+from redundancy_pin.trajectory.functions_of_time import (
+    SHIFT,
+    PiecewisePolynomial,
+    TimedTrajectory,
+    chebyshev_times,
+    continuous_motion,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +51,7 @@ class InverseDynamics:
 
 
 def inverse_dynamics(robot: Robot, motion: PlatformMotion, carriers: CarrierMotion) -> InverseDynamics:
-    """Return tree motion and reduced dynamics.
+    """Return tree motion and reduced dynamics, without a backend: the simulation judges plans that a backend made.
 
     Args:
         robot: the robot.
@@ -85,167 +79,6 @@ def inverse_dynamics(robot: Robot, motion: PlatformMotion, carriers: CarrierMoti
         column_scale=column_scale(robot),
     )
     return InverseDynamics(read_only(q), read_only(v), read_only(a), reduced)
-
-
-_STEPPED = {"stepwise": ("optimise", "brake"), "switch_off": ("ramp_down", "off")}
-"""Phases of planners whose ṡ and s̈ are backward differences of s."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlannedCarriers:
-    """Carrier positions as a polynomial in each step of a plan, continuous with their speeds.
-
-    Attributes:
-        edges: (P + 1,) distinct times of the plan, s.
-        s, sd, sdd: position, m, speed and acceleration (k,) as piecewise polynomials of time; at a jump of s̈ that
-            after it.
-        lag: (k,) largest distance from the plan's own positions, m: zero but for stepwise plans.
-    """
-
-    edges: Array
-    s: PPoly
-    sd: PPoly
-    sdd: PPoly
-    lag: Array
-
-    def __call__(self, times: Array) -> CarrierMotion:
-        """Return the motion at (N,) times; at a jump of s̈ that after it."""
-        return CarrierMotion(self.s(times), self.sd(times), self.sdd(times))
-
-
-def planned_carriers(plan: Plan) -> PlannedCarriers:
-    """Return the continuous motion of the carriers of a plan.
-
-    - Whole-trajectory plans: s̈ is linear in each step, as they were planned.
-    - Steps of stepwise plans (and of switch-off plans by backward differences): s̈ is constant and has the plan's value
-      at the end of the step; ṡ meets the plan's at every sample. s, integrated, lags behind the plan's by up to half a
-      step, because backward differences move a carrier by its new speed. The lag is carried on, so that s stays
-      continuous.
-    - Everything else: the quintic through s, ṡ and s̈ at both ends, off by O(Δt⁴) in s̈.
-    """
-    left = np.flatnonzero(np.diff(plan.t) > 0.0)
-    right = left + 1
-    edges = np.append(plan.t[left], plan.t[-1])
-    h = np.diff(edges)[:, None]
-    s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
-    if plan.planner == "whole_trajectory":
-        jerk = (sdd[right] - sdd[left]) / h
-        powers = np.stack([jerk / 6.0, 0.5 * sdd[left], sd[left], s[left]])
-    else:
-        ends = [(s[i], sd[i], sdd[i]) for i in (left, right)]
-        powers = PPoly.from_bernstein_basis(quintics(edges, *ends)).c
-        stepped = _stepped(plan)[right]
-        powers[:3, stepped] = 0.0
-        powers[3, stepped] = 0.5 * sdd[right][stepped]
-    # what the steps do not make up for is carried on: s is continuous, and exact where no step is of the lagging kind
-    reached = (powers * h ** np.arange(len(powers) - 1.0, -1.0, -1.0)[:, None, None]).sum(axis=0)
-    missed = np.cumsum(reached - s[right], axis=0)
-    missed[np.abs(missed) < _ROUNDING] = 0.0
-    powers[-1, 1:] += missed[:-1]
-    position = PPoly(powers, edges)
-    lag = read_only(np.abs(missed).max(axis=0, initial=0.0))
-    return PlannedCarriers(read_only(edges), position, position.derivative(), position.derivative(2), lag)
-
-
-def planned_platform(plan: Plan, trajectory: TimedTrajectory | None = None) -> ContinuousMotion:
-    """Return the platform motion of a plan; where its carriers move on longer, the platform is held at its end.
-
-    Args:
-        plan: the plan.
-        trajectory: the platform motion it was made for; quintics between the plan's samples when left out.
-
-    Raises:
-        InputError: the trajectory is not that of the plan.
-    """
-    source = continuous_motion(plan.motion if trajectory is None else trajectory)
-    slack = _SAME_TIME * float(plan.t[-1] - plan.t[0])
-    after = plan.t > source.end + slack
-    if abs(source.start - plan.t[0]) > slack or source.end > plan.t[-1] + slack or plan.motion.xd[after].any():
-        raise InputError(
-            f"The plan runs from {plan.t[0]:.9g} to {plan.t[-1]:.9g} s, the trajectory to {source.end:.9g} s.",
-            remedy="Pass the trajectory the plan was made for.",
-        )
-    if not after.any():
-        return source
-    last, end = source.sample_at(np.array([source.end])), source.end
-
-    def held(times: Array) -> PlatformMotion:
-        moving = source.sample_at(times[times <= end])
-        count = len(times) - len(moving.t)
-        still = np.zeros((count, plan.motion.xd.shape[1]))
-        return PlatformMotion(
-            times,
-            np.concatenate([moving.x, np.repeat(last.x, count, axis=0)]),
-            np.concatenate([moving.xd, still]),
-            np.concatenate([moving.xdd, still]),
-        )
-
-    return replace(source, end=float(plan.t[-1]), breaks=read_only(np.append(source.breaks, end)), sample_at=held)
-
-
-def smooth_pieces(carriers: PlannedCarriers, platform: ContinuousMotion) -> Array:
-    """Return (P + 1,) times, s, between which both motions of a plan are smooth: its samples, breaks and knots."""
-    edges = np.concatenate([carriers.edges, platform.breaks, platform.knots])
-    return apart(edges[(edges >= carriers.edges[0]) & (edges <= carriers.edges[-1])])
-
-
-def apart(times: Array) -> Array:
-    """Return times in order, those that differ from the one before by rounding left out, the first and last kept."""
-    edges = np.unique(times)
-    kept = np.append(np.diff(edges) > 1e-10 * (edges[-1] - edges[0]), True)
-    kept[0] = True
-    result: Array = edges[kept]
-    return result
-
-
-def actuators_off(plan: Plan, edges: Array) -> BoolArray:
-    """Return (P,) the pieces between (P + 1,) edges, s, inside which a plan has its main actuators off.
-
-    There its samples at both ends have no effort, one of them at least in the phase that is called so, and W τ = f of
-    the planned motion holds with τ = 0 up to the plan's own residual: W⁻¹ f would magnify that. Two samples without
-    effort alone do not say it: between two samples at rest there may be a motion that needs efforts.
-    """
-    after = np.searchsorted(plan.t, 0.5 * (edges[:-1] + edges[1:]))
-    zero = (plan.tau == 0.0).all(axis=1)
-    named = np.isin(plan.phase, [i for i, name in enumerate(plan.phases) if name == _OFF])
-    off: BoolArray = zero[after - 1] & zero[after] & (named[after - 1] | named[after])
-    return off
-
-
-_OFF = "off"
-"""Name of the phase in which a plan has its main actuators off."""
-
-_SAME_TIME = 1e-9
-"""How far, relative to the duration, plan and trajectory may differ in their times."""
-
-_ROUNDING = 1e-13
-"""m; less is no lag."""
-
-
-def _stepped(plan: Plan) -> BoolArray:
-    """Return (N,) whether the step that ends at a sample is one of backward differences."""
-    names = _STEPPED.get(plan.planner, ())
-    if plan.planner == "switch_off" and plan.parameters.get("scheme") != "backward_differences":
-        names = ()
-    codes = [i for i, name in enumerate(plan.phases) if name in names]
-    stepped: BoolArray = np.isin(plan.phase, codes)
-    return stepped
-
-
-DEGREE = 9
-"""Of the series in each piece. A step of 5 ms of a motion that changes within 50 ms leaves 1e-14."""
-
-BESIDE = 0.3
-"""Part of a piece next to a singular instant in which τ = W⁻¹ f magnifies rounding and is not evaluated."""
-
-DEGREE_BESIDE = 5
-"""Of τ in the pieces at a singular instant, from the rest of the piece and the τ that the plan states there."""
-
-POLE = 1e-2
-"""Last coefficients of the efforts in a piece, relative to the largest, from which they have a pole there."""
-
-SINGULAR = 1e-6
-"""Margin of W, relative to the largest along the motion, below which a sample of a plan counts as singular."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,44 +119,54 @@ class MotionReference:
         start, end: first and last time, s.
         edges: (P + 1,) ends of the pieces, s; efforts may jump or kink there and nowhere else.
         jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
-        carrier_lag: (k,) see ``PlannedCarriers.lag``.
+        carrier_lag: (k,) largest distance of the carriers from the samples of a plan, m: what backward differences
+            leave.
         effort_deviation: largest distance from the finite efforts that the plan states at its samples, N or N·m; what
             its own discretisation costs. NaN without a plan.
     """
 
     def __init__(
-        self, robot: Robot, edges: Array, series: dict[str, Array], is_pose: bool, carrier_lag: Array, deviation: float
+        self, robot: Robot, functions: PlanFunctions, edges: Array, limits: Mapping[float, Array] | None = None
     ) -> None:
-        self.robot = robot
-        self.edges = edges
+        times = chebyshev_times(edges, DEGREE)
+        motion, along = functions.platform.sample_at(times), functions.carriers_at(times)
+        tree = inverse_dynamics(robot, motion, along)
+
+        def polynomials(*parts: Array) -> PiecewisePolynomial:
+            values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1)
+            return PiecewisePolynomial.from_values(edges, values.reshape(len(edges) - 1, DEGREE + 1, -1))
+
+        tau = functions.effort_polynomials(edges, tree.reduced, limits or {})
+        self.robot, self.edges = robot, read_only(edges)
         self.start, self.end = float(edges[0]), float(edges[-1])
-        self.carrier_lag, self.effort_deviation = carrier_lag, deviation
-        self._is_pose = is_pose
-        self._loads, self._carriers, self._platform, self._tree = (
-            Series(edges, series[name]) for name in ("loads", "carriers", "platform", "tree")
-        )
-        self.jumps = self._loads.jumps()
+        self.carrier_lag, self.effort_deviation = np.zeros(robot.k), float("nan")
+        self.efforts = tau.beside(polynomials(tree.reduced.carrier_force))
+        self._carriers = polynomials(along.s, along.sd, along.sdd)
+        self._platform = polynomials(motion.x, motion.xd, motion.xdd)
+        self._tree = polynomials(tree.q, tree.v, tree.a)
+        self._is_pose = motion.is_pose
+        self.jumps = self.efforts.jumps()
 
     def loads(self, t: float) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; outside the motion those at its ends."""
-        both = self._loads(t)
+        both = self.efforts.at(t)
         return both[: self.robot.m], both[self.robot.m :]
 
     def carriers(self, t: float) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ (k,) at time t."""
-        s, sd, sdd = self._carriers(t).reshape(3, -1)
+        s, sd, sdd = self._carriers.at(t).reshape(3, -1)
         return s, sd, sdd
 
     def platform(self, t: float) -> tuple[Array, Array, Array]:
         """Return x, (n,) or a pose (4, 4), ẋ and ẍ (n,) at time t."""
-        flat = self._platform(t)
+        flat = self._platform.at(t)
         n = self.robot.n
         x = flat[: -2 * n]
         return (x.reshape(4, 4) if self._is_pose else x), flat[-2 * n : -n], flat[-n:]
 
     def tree(self, t: float) -> tuple[Array, Array, Array]:
         """Return q (nq,), v and a (nv,) at time t."""
-        flat = self._tree(t)
+        flat = self._tree.at(t)
         nv = self.robot.model.nv
         return flat[: -2 * nv], flat[-2 * nv : -nv], flat[-nv:]
 
@@ -338,8 +181,8 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
     Args:
         plan: from any planner.
         robot: its robot; loaded from the plan when left out.
-        motion: the trajectory that was planned for, for exact values between the samples; else quintics through x, ẋ, ẍ
-            of the samples, whose acceleration is off by O(Δt⁴).
+        motion: the trajectory that was planned for; it makes a difference to plans that were made from samples or saved
+            by version 0.1.0, which otherwise stand for the quintics through x, ẋ, ẍ of their samples.
 
     Raises:
         InputError: the motion is not that of the plan.
@@ -347,22 +190,17 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
     """
     machine = load_robot_of(plan) if robot is None else robot
-    source = planned_platform(plan, motion)
-    carriers = planned_carriers(plan)
-    edges = smooth_pieces(carriers, source)
-    off = actuators_off(plan, edges)
+    functions = plan.functions_of_time if motion is None else plan.functions_along(motion)
     singular = np.flatnonzero(plan.margin <= SINGULAR * plan.margin.max())
-    known = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
-    reference = _build(machine, edges, source.sample_at, carriers, known, off, carriers.lag)
-    stated = np.isfinite(plan.tau).all(axis=1) & ~_beside_jump(plan.t)
+    limits = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
+    reference = MotionReference(machine, functions, functions.pieces(plan.t), limits)
+    lag = np.abs(functions.carriers(plan.t) - plan.carriers.s).max(axis=0, initial=0.0)
+    reference.carrier_lag = read_only(np.where(lag < SHIFT, 0.0, lag))
+    stated = np.isfinite(plan.tau).all(axis=1) & ~plan.motion.jumps & ~np.append(plan.motion.jumps[1:], False)
     # a sample belongs to the step that it ends, and the first one to none: a plan by steps may set off with a jump
     stated[0] = False
-    before = np.nextafter(plan.t, -np.inf)
-    deviation = max(
-        (float(np.abs(reference.loads(float(before[i]))[0] - plan.tau[i]).max()) for i in np.flatnonzero(stated)),
-        default=float("nan"),
-    )
-    reference.effort_deviation = deviation
+    own = reference.efforts(plan.t[stated], "left")[:, : machine.m]
+    reference.effort_deviation = float(np.abs(own - plan.tau[stated]).max()) if stated.any() else float("nan")
     return reference
 
 
@@ -390,89 +228,6 @@ def motion_reference(
     source = continuous_motion(motion)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]
-    edges = apart(np.concatenate(parts))
     place = np.broadcast_to(np.asarray(carriers, dtype=float), (robot.k,))
-
-    def parked(times: Array) -> CarrierMotion:
-        return CarrierMotion.parked(len(times), robot.k, place)
-
-    off = np.zeros(len(edges) - 1, dtype=bool)
-    return _build(robot, edges, source.sample_at, parked, {}, off, np.zeros(robot.k))
-
-
-def _build(
-    robot: Robot,
-    edges: Array,
-    platform: Callable[[Array], PlatformMotion],
-    carriers: Callable[[Array], CarrierMotion],
-    known: dict[float, Array],
-    off: BoolArray,
-    lag: Array,
-) -> MotionReference:
-    """Evaluate inverse dynamics at the nodes of all pieces at once and turn them into series."""
-    nodes = np.sort(chebyshev.chebpts1(DEGREE + 1))
-    to_series = np.linalg.inv(chebyshev.chebvander(nodes, DEGREE))
-    left, right = edges[:-1], edges[1:]
-    times = (0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * nodes).ravel()
-    motion, along = platform(times), carriers(times)
-    found = inverse_dynamics(robot, motion, along)
-    efforts = distribute(found.reduced).tau
-    shape = (len(left), DEGREE + 1, -1)
-
-    def series(*parts: Array) -> Array:
-        values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1).reshape(shape)
-        return read_only(np.einsum("dn,pnc->pdc", to_series, values))
-
-    tau = efforts.reshape(len(left), DEGREE + 1, robot.m).copy()
-    tau[off] = 0.0
-    of_tau = np.einsum("dn,pnc->pdc", to_series, tau)
-    for t, value in known.items():
-        for piece in np.flatnonzero((left == t) | (right == t)):
-            if not off[piece]:
-                of_tau[piece] = _beside(nodes, tau[piece], value, at_left=bool(left[piece] == t))
-    _require_finite(of_tau, left)
-    of_force = np.einsum("dn,pnc->pdc", to_series, found.reduced.carrier_force.reshape(shape))
-    return MotionReference(
-        robot,
-        read_only(edges),
-        {
-            "loads": read_only(np.concatenate([of_tau, of_force], axis=2)),
-            "carriers": series(along.s, along.sd, along.sdd),
-            "platform": series(motion.x, motion.xd, motion.xdd),
-            "tree": series(found.q, found.v, found.a),
-        },
-        motion.is_pose,
-        lag,
-        float("nan"),
-    )
-
-
-def _beside(nodes: Array, tau: Array, value: Array, *, at_left: bool) -> Array:
-    """Return (d, m) the series of τ in a piece with a singular instant at one end, from the rest of it and τ there."""
-    end = -1.0 if at_left else 1.0
-    kept = np.abs(nodes - end) > 2.0 * BESIDE
-    x = np.append(nodes[kept], end)
-    fitted = chebyshev.chebfit(x, np.vstack([tau[kept], value]), DEGREE_BESIDE)
-    result = np.zeros((DEGREE + 1, tau.shape[1]))
-    result[: DEGREE_BESIDE + 1] = fitted
-    return result
-
-
-def _require_finite(series: Array, left: Array) -> None:
-    size = np.abs(series).max(initial=0.0, where=np.isfinite(series))
-    bad = ~np.isfinite(series).all(axis=(1, 2)) | (np.abs(series[:, -2:]).max(axis=(1, 2)) > POLE * size)
-    if bad.any():
-        t = float(left[int(np.flatnonzero(bad)[0])])
-        raise InfeasiblePlanError(
-            f"In the step from t = {t:.6g} s on, the motion has no finite efforts.",
-            remedy="It meets a type II singularity that it may not cross: plan it with plan_whole_trajectory.",
-            constraint="effort",
-            time=t,
-        )
-
-
-def _beside_jump(t: Array) -> BoolArray:
-    """Return (N,) which samples are one of two at the same instant."""
-    same = np.diff(t) == 0.0
-    result: BoolArray = np.append(same, False) | np.append(False, same)
-    return result
+    parked = PiecewisePolynomial.constant(place, source.start, source.end)
+    return MotionReference(robot, PlanFunctions(source, parked), apart(np.concatenate(parts)))

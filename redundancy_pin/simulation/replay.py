@@ -20,7 +20,7 @@ from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
 from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
-from redundancy_pin.trajectory.continuous import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 
 Drive = Literal["open loop", "open loop, samples", "carriers by motion", "computed torque", "LQR"]
 

@@ -58,7 +58,7 @@ def test_every_parameter_of_the_planners_can_be_written() -> None:
     for planner, known in (
         (plan_switch_off, set(SWITCH_OFF)),
         (plan_stepwise, {*STEPWISE, "baseline"}),
-        (plan_whole_trajectory, {*WHOLE_TRAJECTORY, "baseline", "progress"}),
+        (plan_whole_trajectory, {*WHOLE_TRAJECTORY, "baseline", "progress", "limits", "mesh", "solver"}),
     ):
         keywords = {
             name

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
-from redundancy_pin.trajectory.piecewise import CarrierPath
+from redundancy_pin.trajectory.functions_of_time import carriers_at
 
 ROBOT = zoo.robot_of("2rpr")
 TRACK, SPEED, ACCELERATION = 0.2, 2.5, 10.0
@@ -53,18 +53,15 @@ def test_boundary_conditions_and_path():
     polynomial = return_polynomial(state, 0.3, datum)
     for t, expected in ((1.0, (state.s, state.sd, state.sdd, 0.0)), (1.3, (datum, 0.0, 0.0, 0.0))):
         for order, value in enumerate(expected):
-            np.testing.assert_allclose(polynomial(t, order), np.broadcast_to(value, 2), atol=1e-9)
-    path, t = CarrierPath.of_polynomial(polynomial), np.linspace(1.0, 1.3, 101)
-    motion = path(t)
-    for part, order in ((motion.s, 0), (motion.sd, 1), (motion.sdd, 2)):
-        np.testing.assert_allclose(part, polynomial(t, order), atol=1e-12)
+            np.testing.assert_allclose(polynomial.derivative(order)([t])[0], np.broadcast_to(value, 2), atol=1e-9)
 
 
 def test_extremes_are_found():
     state = state_of([-0.1, 0.05], [-0.4, 0.3], [-1.0, 2.0])
-    path = CarrierPath.of_polynomial(return_polynomial(state, 0.3, np.zeros(2)))
-    dense = path(np.linspace(path.start, path.end, 200_001))
-    at = path(np.concatenate([[path.start, path.end], path.extremes()]))
+    path = return_polynomial(state, 0.3, np.zeros(2))
+    dense = carriers_at(path, np.linspace(*path.edges, 200_001))
+    extremes = [path.derivative(order).extremes() for order in range(3)]
+    at = carriers_at(path, np.concatenate([path.edges, *extremes]))
     for name in ("s", "sd", "sdd"):
         ours, theirs = getattr(at, name), getattr(dense, name)
         np.testing.assert_allclose(ours.max(axis=0), theirs.max(axis=0), rtol=1e-8, atol=1e-12)
@@ -130,8 +127,8 @@ def test_forces_count():
     limited, use = shortest_return(ROBOT, force, state, np.zeros(2), AVAILABLE)
     assert limited > free
     assert use.quantity == "force"
-    path = CarrierPath.of_polynomial(return_polynomial(state, limited, np.zeros(2)))
-    dense = path(np.linspace(path.start, path.end, 20_001))
+    path = return_polynomial(state, limited, np.zeros(2))
+    dense = carriers_at(path, np.linspace(*path.edges, 20_001))
     assert 150.0 * np.abs(dense.sdd).max() == pytest.approx(1000.0, rel=1e-6)
 
 

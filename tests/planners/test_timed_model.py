@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from redundancy_pin import PlatformMotion, VirtualWork
-from redundancy_pin.planners.carrier_model import TimedActuation, TimedModel, carrier_model
-from redundancy_pin.planners.switch_off.windows import below_zero, minima
+from redundancy_pin.planners.actuation import Actuation
+from redundancy_pin.planners.carrier_model import TimedModel, carrier_model
+from redundancy_pin.singularities.roots import below_zero, minima
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.continuous import continuous_motion
-from redundancy_pin.trajectory.piecewise import fit
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion
 
 
 def test_model_is_that_of_the_backend():
@@ -24,7 +24,7 @@ def test_model_is_that_of_the_backend():
     for name in ("W", "f0", "f_terms", "force0", "force_terms"):
         ours, theirs = getattr(model, name), getattr(exact, name)
         assert np.abs(ours - theirs).max() <= 1e-11 * np.abs(theirs).max()
-    W = TimedActuation.of(dynamics, motion).at(times)
+    W = Actuation.along(dynamics, motion).at(times)
     assert np.abs(W - exact.W).max() <= 1e-10
 
 
@@ -43,7 +43,7 @@ def test_undeclared_kink_is_resolved():
     def function(t):
         return np.stack([np.abs(t - 0.3217), np.exp(t)], axis=1)
 
-    found = fit(function, np.array([0.0, 1.0]), np.empty(0), lambda v: np.abs(v).max(axis=0), 1e-12)
+    found = PiecewisePolynomial.fit(function, np.array([0.0, 1.0]), np.empty(0), lambda v: np.abs(v).max(axis=0), 1e-12)
     t = np.linspace(0.0, 1.0, 10_001)
     assert np.abs(found(t) - function(t)).max() < 1e-7  # the width of the narrowest piece
     away = np.abs(t - 0.3217) > 1e-6

@@ -13,7 +13,8 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, InputError, PlanFileError
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.reference import motion_reference, plan_reference, planned_carriers
+from redundancy_pin.simulation.reference import motion_reference, plan_reference
+from redundancy_pin.trajectory.functions_of_time import carriers_at
 
 SERIES = 1e-10
 """m, m/s: ten nodes in 5 ms of a smooth motion leave rounding, magnified by differentiation to 1e-11."""
@@ -51,13 +52,14 @@ def inside(plan: Plan, seed: int = 0) -> Array:
 @pytest.mark.parametrize("plan", [stepwise_plan, whole_plan, off_plan])
 def test_planned_carriers_are_one_continuous_motion(plan) -> None:
     plan = plan()
-    carriers = planned_carriers(plan)
-    edges = carriers.edges[1:-1]
+    position = plan.functions_of_time.carriers
+    carriers = functools.partial(carriers_at, position)
+    edges = position.edges[1:-1]
     before, after = carriers(edges - 1e-9), carriers(edges + 1e-9)
     np.testing.assert_allclose(after.s, before.s, atol=1e-7)  # 2 ns at the largest speeds, 5 m/s
     np.testing.assert_allclose(after.sd, before.sd, atol=2e-6)
     # s, ṡ and s̈ are derivatives of each other: differences inside the steps
-    times = 0.5 * (carriers.edges[:-1] + carriers.edges[1:])
+    times = 0.5 * (position.edges[:-1] + position.edges[1:])
     h = 1e-4
     at, low, high = carriers(times), carriers(times - h), carriers(times + h)
     np.testing.assert_allclose((high.s - low.s) / (2 * h), at.sd, atol=1e-4)
@@ -67,17 +69,15 @@ def test_planned_carriers_are_one_continuous_motion(plan) -> None:
 def test_carriers_of_a_whole_trajectory_plan_pass_through_its_samples_and_stepwise_ones_lag() -> None:
     plan = whole_plan()
     kept = np.append(np.diff(plan.t) > 0.0, True)
-    found = planned_carriers(plan)
-    np.testing.assert_allclose(found(plan.t[kept]).s, plan.carriers.s[kept], atol=1e-10)
-    assert found.lag.max() < 1e-9
+    found = plan.functions_of_time.carriers
+    np.testing.assert_allclose(found(plan.t[kept]), plan.carriers.s[kept], atol=1e-10)
     stepped = stepwise_plan()
-    lagging = planned_carriers(stepped)
-    again = lagging(stepped.t)
+    lagging = stepped.functions_of_time.carriers
+    again = carriers_at(lagging, stepped.t)
     np.testing.assert_allclose(again.sd, stepped.carriers.sd, atol=1e-10)
     lag = stepped.carriers.s - again.s
     # a step of backward differences gains h/2 of the new speed: half a step at the speed of the moment
     np.testing.assert_allclose(lag, 0.5 * 0.005 * stepped.carriers.sd, atol=1e-4)
-    np.testing.assert_allclose(lagging.lag, np.abs(lag).max(axis=0), rtol=1e-9)
 
 
 def test_the_reference_of_a_whole_trajectory_plan_has_its_efforts() -> None:
@@ -87,7 +87,7 @@ def test_the_reference_of_a_whole_trajectory_plan_has_its_efforts() -> None:
     times = inside(plan)
     # between the samples: W⁻¹ f of the exact trajectory by the other backend
     dynamics = rp.VirtualWork(zoo.robot_of("3rrr"))
-    reduced = dynamics.reduce(corner().sample_at(times), planned_carriers(plan)(times), check_track=False)
+    reduced = dynamics.reduce(corner().sample_at(times), plan.carriers_at(times), check_track=False)
     tau = rp.distribute(reduced).tau
     np.testing.assert_allclose([reference.loads(t)[0] for t in times], tau, atol=EFFORTS)
     np.testing.assert_allclose([reference.loads(t)[1] for t in times], reduced.carrier_force, atol=EFFORTS)

@@ -8,8 +8,8 @@ from typing import Protocol
 from redundancy_pin.experiments.beyond.tasks import Task
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.planners.whole_trajectory.options import End
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
-from redundancy_pin.planners.whole_trajectory.settings import End, Objective
 
 RETURN_TIME = 0.4
 """Duration of the carriers' return after switching off, s, as in the chapter on the thesis."""
@@ -76,7 +76,7 @@ class Whole:
     """
 
     task: Task
-    objective: tuple[tuple[Objective, float], ...]
+    objective: tuple[tuple[str, float], ...]
     coarser: float = 1.0
     end: End = "datum"
     starts: int = 1
@@ -111,6 +111,6 @@ class Whole:
         )
 
 
-def whole(task: Task, objective: Objective, coarser: float = 1.0) -> Whole:
+def whole(task: Task, objective: str, coarser: float = 1.0) -> Whole:
     """Return the plan of a task with a single objective."""
     return Whole(task, ((objective, 1.0),), coarser)

@@ -17,7 +17,6 @@ from redundancy_pin.experiments.beyond.settings import BeyondSettings
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import Task
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.whole_trajectory.settings import Objective
 
 GROWTH = 1.3
 """Factor on the speed until it is too high."""
@@ -209,7 +208,7 @@ def _suffices(store: BeyondStore, case: Whole, verdict: Trial) -> bool | None:
 
 def _at(task: Task, speed: float, settings: BeyondSettings, effort: float, starts: int = 1) -> Whole:
     limit = None if math.isinf(effort) else effort
-    objective: tuple[tuple[Objective, float], ...] = (("effort", 1.0),)
+    objective: tuple[tuple[str, float], ...] = (("effort", 1.0),)
     return Whole(replace(task, speed=speed), objective, settings.coarser, starts=starts, refinements=1, effort=limit)
 
 

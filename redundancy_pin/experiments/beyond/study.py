@@ -17,7 +17,7 @@ from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS, TASKS, T
 from redundancy_pin.experiments.beyond.tradeoff import Trade, trade
 from redundancy_pin.experiments.beyond.ways import EFFORT, PEAK, SWITCH_OFF, case_of, corner_rows, crossing_rows
 from redundancy_pin.experiments.planned.store import PlanStore
-from redundancy_pin.planners.whole_trajectory.program import casadi
+from redundancy_pin.planners.whole_trajectory.objectives import casadi
 
 Told = Callable[[str], None]
 """Called after each part with what was done."""

@@ -11,7 +11,6 @@ from redundancy_pin.experiments.beyond.rows import Row, dense_peak, row_of, row_
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import Task
 from redundancy_pin.experiments.planned import cases as planned
-from redundancy_pin.planners.whole_trajectory.settings import Objective
 
 NONE = "no carriers"
 PARKED = "carriers parked"
@@ -28,7 +27,7 @@ SMOOTH = "whole trajectory: smooth effort"
 SMOOTHING = 0.01
 """Weight of ∫ Σ τ̇² dt beside the effort in smooth plans."""
 
-OBJECTIVES: dict[str, tuple[tuple[Objective, float], ...]] = {
+OBJECTIVES: dict[str, tuple[tuple[str, float], ...]] = {
     EFFORT: (("effort", 1.0),),
     PEAK: (("peak", 1.0),),
     PEAK_FREE: (("peak", 1.0),),

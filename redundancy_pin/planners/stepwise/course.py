@@ -13,12 +13,14 @@ from redundancy_pin.planners.carrier_return import (
     CarrierState,
     braked_speeds,
     braking_times,
+    no_return,
     return_polynomial,
     shortest_return,
 )
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, optimise
-from redundancy_pin.planners.stepwise.settings import StepwiseSettings
+from redundancy_pin.planners.stepwise.settings import Settings
 from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 PHASES = ("parked", "optimise", "return", "brake")
 """What the carriers do: stand, follow the optimiser, follow the degree-seven polynomial, are braked."""
@@ -38,6 +40,7 @@ class Course:
         stretches: first step and result of each run of the optimiser.
         returns: start and end of each return, s; the end is that of its polynomial.
         between: for each return, times densely along it, s, and the motion there: its extremes lie between the steps.
+        parts: positions as a function of time, one after the other, up to ``brake_from``.
         brake_from: instant from which the carriers are only braked; the motion is not filled in after it.
     """
 
@@ -49,11 +52,12 @@ class Course:
     stretches: list[tuple[int, Stretch]] = field(default_factory=list)
     returns: list[tuple[float, float]] = field(default_factory=list)
     between: list[tuple[Array, CarrierMotion]] = field(default_factory=list)
+    parts: list[PiecewisePolynomial] = field(default_factory=list)
     brake_from: int = -1
 
 
 def run_course(
-    robot: Robot, settings: StepwiseSettings, problems: StepProblems, active: BoolArray, at_rest: BoolArray
+    robot: Robot, settings: Settings, problems: StepProblems, active: BoolArray, at_rest: BoolArray
 ) -> Course:
     """Plan the carriers from the first instant to the last, but for the braking.
 
@@ -78,12 +82,14 @@ def run_course(
         steps = slice(first + 1, last + 1)
         if active[first]:
             state = CarrierState(float(t[first]), s[first], sd[first], sdd[first])
-            found = optimise(problems, int(first), int(last), state, settings.limits)
+            found = optimise(problems, int(first), int(last), state, settings.box)
             s[steps], sd[steps], sdd[steps] = found.s, found.sd, found.sdd
             course.phase[steps] = OPTIMISE
             course.stretches.append((int(first), found))
+            course.parts.append(_steps(course, int(first), int(last)))
         elif first == 0:
             s[steps] = settings.start
+            course.parts.append(PiecewisePolynomial.constant(settings.start, t[0], t[last]))
         elif last == len(active) and at_rest[first:last].all():
             return replace(course, brake_from=int(first))
         else:
@@ -91,46 +97,49 @@ def run_course(
     return replace(course, brake_from=len(active))
 
 
-def _follow_return(robot: Robot, settings: StepwiseSettings, course: Course, first: int, last: int) -> None:
+def _follow_return(robot: Robot, settings: Settings, course: Course, first: int, last: int) -> None:
     """Fill in the way back to the datum from instant ``first``, as far as instant ``last``."""
     state = CarrierState(float(course.t[first]), course.s[first], course.sd[first], course.sdd[first])
     duration = _return_duration(robot, settings, state, float(course.t[-1]))
-    polynomial = return_polynomial(state, duration, settings.datum)
+    back = return_polynomial(state, duration, settings.datum)
     steps = np.arange(first + 1, last + 1)
-    on_way = steps[course.t[steps] < polynomial.t1]
+    on_way = steps[course.t[steps] < back.end]
     for order, part in enumerate((course.s, course.sd, course.sdd)):
-        part[on_way] = polynomial(course.t[on_way], order)
+        part[on_way] = back.derivative(order)(course.t[on_way])
     arrived = steps[len(on_way) :]
     course.s[arrived] = settings.datum
     course.phase[on_way] = RETURN
-    course.returns.append((state.t, polynomial.t1))
-    dense = np.linspace(state.t, min(polynomial.t1, float(course.t[last])), _DENSE)
-    course.between.append((dense, CarrierMotion(*(polynomial(dense, order) for order in range(3)))))
+    course.returns.append((state.t, back.end))
+    followed = back.until(min(back.end, float(course.t[last])))
+    course.parts.append(followed)
+    if followed.end < course.t[last]:
+        course.parts.append(PiecewisePolynomial.constant(settings.datum, followed.end, course.t[last]))
+    dense = np.linspace(followed.start, followed.end, _DENSE)
+    course.between.append((dense, carriers_at(back, dense)))
+
+
+def _steps(course: Course, first: int, last: int) -> PiecewisePolynomial:
+    """Return the positions in the steps between two instants, each with the s̈ of its end."""
+    here = slice(first, last + 1)
+    return PiecewisePolynomial.constant_acceleration(course.t[here], course.s[here], course.sd[here], course.sdd[here])
 
 
 _DENSE = 2001
 """Points along a return at which its limits are judged: a peak of a polynomial of degree seven is missed by 1e-6."""
 
 
-def _return_duration(robot: Robot, settings: StepwiseSettings, state: CarrierState, end: float) -> float:
+def _return_duration(robot: Robot, settings: Settings, state: CarrierState, end: float) -> float:
     if settings.return_time != "shortest":
         return settings.return_time
-    limited = replace(robot, carrier_limits=settings.limits.limits)
+    limited = replace(robot, carrier_limits=settings.box.limits)
 
     def no_force(times: Array, *_: Array) -> Array:
         return np.zeros((len(times), robot.k))
 
     duration, use = shortest_return(limited, no_force, state, settings.datum, end - state.t)
     if duration is None:
-        raise InfeasiblePlanError(
-            f"No return of the carriers from t = {state.t:.6g} s keeps their limits: the best one breaks the "
-            f"{use.quantity} limit {use.limit:g} of {use.carrier} by {use.amount:.4g} at t = {use.t:.6g} s.",
-            remedy="Use a larger lam, higher limits, or a return_time and accept a plan that violates limits.",
-            constraint=use.quantity,
-            carrier=use.carrier,
-            time=use.t,
-            amount=use.amount,
-        )
+        remedy = "Use a larger lam, higher limits, or a return_time and accept a plan that violates limits."
+        raise no_return(use, state.t, end - state.t, remedy)
     return duration
 
 
@@ -149,6 +158,7 @@ class Braking:
         t: (E,) instants added after the motion, s; none where the carriers rest by its end.
         s, sd, sdd: (B, k) motion at the instants after ``Course.brake_from``, the added ones included.
         phase: (B,) index into ``PHASES``.
+        position: positions as a function of time from the first of them on; none where nothing is left of the motion.
         start, end: s; NaN where no carrier moved.
     """
 
@@ -157,11 +167,12 @@ class Braking:
     sd: Array
     sdd: Array
     phase: IntArray
+    position: tuple[PiecewisePolynomial, ...]
     start: float
     end: float
 
 
-def brake(settings: StepwiseSettings, course: Course, step: float, platform_rests: bool) -> Braking:
+def brake(settings: Settings, course: Course, step: float, platform_rests: bool) -> Braking:
     """Brake the carriers from ``course.brake_from`` until all are at rest.
 
     Each is braked by a constant deceleration within ``brake_time``, sooner where its track is too short for that.
@@ -192,35 +203,36 @@ def brake(settings: StepwiseSettings, course: Course, step: float, platform_rest
     _require_on_track(settings, times, path, sd)
     moving = np.abs(before).max(axis=1, initial=0.0) > 0.0
     none = longest == 0.0
+    deceleration = (speeds - before) / h
+    at = [np.vstack(pair) for pair in ((s[None], path), (sd[None], speeds), (np.zeros((1, len(sd))), deceleration))]
     return Braking(
         extra,
         path,
         speeds,
-        (speeds - before) / h,
+        deceleration,
         np.where(moving, BRAKE, PARKED).astype(np.intp),
+        (PiecewisePolynomial.constant_acceleration(times, *at),) if len(times) > 1 else (),
         float("nan") if none else start,
         float("nan") if none else start + longest,
     )
 
 
-def _stopping_times(settings: StepwiseSettings, s: Array, sd: Array, left: float) -> Array:
-    limits = settings.limits.limits
+def _stopping_times(settings: Settings, s: Array, sd: Array, left: float) -> Array:
+    limits = settings.box.limits
     room = [(b.upper - x) if v > 0.0 else (x - b.lower) for b, x, v in zip(limits, s, sd, strict=True)]
     deceleration = np.array([limit.acceleration for limit in limits])
     wanted = settings.brake_time if settings.stop == "after" else min(settings.brake_time, left)
     return braking_times(sd, np.maximum(room, 0.0), deceleration, wanted)
 
 
-def _require_time(
-    settings: StepwiseSettings, course: Course, stopping: Array, left: float, platform_rests: bool
-) -> None:
+def _require_time(settings: Settings, course: Course, stopping: Array, left: float, platform_rests: bool) -> None:
     j = int(np.argmax(stopping))
     if stopping[j] == 0.0 or (settings.stop == "after" and platform_rests):
         return
     late = float(stopping[j] - left)
     if late <= _ON_TRACK * stopping[j]:
         return
-    carrier, end = settings.limits.carriers[j], float(course.t[-1])
+    carrier, end = settings.box.carriers[j], float(course.t[-1])
     why = (
         "and the platform moves on, so it cannot be held while they stop"
         if settings.stop == "after"
@@ -237,13 +249,13 @@ def _require_time(
     )
 
 
-def _require_on_track(settings: StepwiseSettings, times: Array, path: Array, sd: Array) -> None:
-    for j, limit in enumerate(settings.limits.limits):
+def _require_on_track(settings: Settings, times: Array, path: Array, sd: Array) -> None:
+    for j, limit in enumerate(settings.box.limits):
         beyond = np.maximum(path[:, j] - limit.upper, limit.lower - path[:, j])
         if not len(beyond) or beyond.max() <= _ON_TRACK * (limit.upper - limit.lower):
             continue
         worst = int(np.argmax(beyond))
-        carrier = settings.limits.carriers[j]
+        carrier = settings.box.carriers[j]
         raise InfeasiblePlanError(
             f"{carrier} cannot be stopped: braked by {limit.acceleration:g} m/s² from {sd[j]:.6g} m/s at "
             f"t = {times[0]:.6g} s it is {beyond[worst]:.3g} m beyond the end of its track at "

@@ -13,11 +13,14 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import effort_model
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics, require_motion
 from redundancy_pin.planners.stepwise.course import PHASES, RETURN, Braking, Course, brake, run_course
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, step_problems
 from redundancy_pin.planners.stepwise.report import between_samples, diagnostics
 from redundancy_pin.planners.stepwise.settings import Active, Stop, checked_settings, is_dynamics, target_effort
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion, is_timed
 
 LEAST_MARGIN = 1e-3
 """Smallest margin of W that is accepted: efforts grow with its inverse."""
@@ -63,6 +66,7 @@ def plan_stepwise(
     track: ArrayLike | None = None,
     least_margin: float = LEAST_MARGIN,
     between: int = 0,
+    limits: Limits | None = None,
 ) -> Plan:
     """Plan the carriers so that each time step has the least main effort (Parsa 2014, section 4.1).
 
@@ -109,6 +113,8 @@ def plan_stepwise(
         least_margin: smallest margin of W along the motion.
         between: number of points inside each step at which the efforts of the continuous motion are checked as well
             (``diagnostics["between_samples"]``, see ``between_samples``); 0 for none.
+        limits: track, speed and acceleration as one value in place of the three keywords; the planner keeps to no
+            others.
 
     Returns:
         A plan with the phases "parked", "optimise", "return", "brake". ṡ and s̈ are backward differences but for
@@ -124,6 +130,7 @@ def plan_stepwise(
     require_dynamics(dynamics)
     require_motion(motion, "sample")
     robot = dynamics.robot
+    trajectory = motion
     if not isinstance(motion, PlatformMotion):
         motion = motion.sample(dt=dt)
     if 1 < len(motion) < _FEWEST_SAMPLES:
@@ -135,6 +142,7 @@ def plan_stepwise(
     settings = checked_settings(
         robot,
         motion,
+        grouped("limits", limits, Limits, {"track": track, "speed": speed, "acceleration": acceleration}),
         lam=lam,
         active=active,
         start=start,
@@ -143,9 +151,6 @@ def plan_stepwise(
         stop=stop,
         brake_time=brake_time,
         anticipate=anticipate,
-        speed=speed,
-        acceleration=acceleration,
-        track=track,
         least_margin=least_margin,
         between=between,
     )
@@ -162,7 +167,7 @@ def plan_stepwise(
     held = _held(motion, ending.t)
     if len(ending.t):
         along = dynamics.along(held)
-    found = diagnostics(problems, course, ending, settings.limits)
+    found = diagnostics(problems, course, ending, settings.box)
     if reference is not None:
         found["baseline_peak"] = tuple(np.abs(reference).max(axis=0).tolist())
     plan = finish_plan(
@@ -173,14 +178,26 @@ def plan_stepwise(
         phases=PHASES,
         parameters={**settings.parameters, "baseline": _baseline_name(baseline)},
         diagnostics=found,
-        carrier_limits=settings.limits.limits,
+        carrier_limits=settings.box.limits,
         between=course.between,
+        functions=_functions(trajectory, motion, course, ending),
     )
     if settings.between:
         found["between_samples"] = between_samples(dynamics, plan, settings.between)
     peaks = {name: plan.tau[plan.phase == i] for i, name in enumerate(PHASES) if (plan.phase == i).any()}
     found["peak_effort"] = {name: tuple(np.abs(tau).max(axis=0).tolist()) for name, tau in peaks.items()}
     return replace(plan, diagnostics=found)
+
+
+def _functions(
+    trajectory: PlatformMotion | SampledOnDemand, motion: PlatformMotion, course: Course, ending: Braking
+) -> PlanFunctions | None:
+    """Return what the plan is between its samples; None for poses of which there are samples only."""
+    if motion.is_pose and not is_timed(trajectory):
+        return None
+    platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
+    position = PiecewisePolynomial.joined([*course.parts, *ending.position]).made_continuous()
+    return PlanFunctions(platform.held_until(position.end), position)
 
 
 def _moving(motion: PlatformMotion, problems: StepProblems) -> tuple[BoolArray, BoolArray]:

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.arrays import BoolArray
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.stepwise.course import BRAKE, OPTIMISE, Braking, Course
+from redundancy_pin.planners.stepwise.box import AccelerationBox
+from redundancy_pin.planners.stepwise.course import OPTIMISE, Braking, Course
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, definiteness, optimality
-from redundancy_pin.planners.stepwise.settings import StepLimits
-from redundancy_pin.trajectory.continuous import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 
 _MET = 1e-9
 """Relative distance from a bound that counts as met; the solver puts what is bound exactly on it."""
 
 
-def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits: StepLimits) -> dict[str, object]:
+def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits: AccelerationBox) -> dict[str, object]:
     """Return what the planner found, as plain data.
 
     Keys: ``steps`` and ``optimised_steps``; ``iterations`` (sum) and ``most_iterations``; ``largest_gradient``, the
@@ -46,7 +44,7 @@ def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits:
     }
 
 
-def _bounds_met(course: Course, limits: StepLimits) -> list[dict[str, object]]:
+def _bounds_met(course: Course, limits: AccelerationBox) -> list[dict[str, object]]:
     found: list[dict[str, object]] = []
     for first, stretch in course.stretches:
         t = course.t[first + 1 : first + 1 + len(stretch.s)]
@@ -62,7 +60,7 @@ def _bounds_met(course: Course, limits: StepLimits) -> list[dict[str, object]]:
     return sorted(found, key=lambda event: (event["start"], event["carrier"]))
 
 
-def _which(stretch: Stretch, limits: StepLimits, j: int, side: str) -> dict[str, BoolArray]:
+def _which(stretch: Stretch, limits: AccelerationBox, j: int, side: str) -> dict[str, BoolArray]:
     """Return for each kind of bound the steps at which it would be the one that binds on a side."""
     limit, sign = limits.limits[j], 1.0 if side == "upper" else -1.0
     end = limit.upper if side == "upper" else limit.lower
@@ -79,9 +77,9 @@ def between_samples(
 ) -> dict[str, object]:
     """Return the largest efforts of a stepwise plan between its samples.
 
-    Samples alone flatter the method: the accelerations are chosen for them. The motion between them is the one with
-    piecewise constant s̈ and the plan's ṡ at the samples; its positions lag behind the plan's by up to half a step,
-    because backward differences move a carrier by its new speed. On returns it is the quintic through s, ṡ, s̈.
+    Samples alone flatter the method: the accelerations are chosen for them. Between them s̈ is constant and ṡ meets the
+    plan's at the samples; the positions lag behind the plan's by up to half a step, because backward differences move a
+    carrier by its new speed.
 
     Args:
         dynamics: either backend, of the robot of the plan.
@@ -102,60 +100,17 @@ def between_samples(
         left = left[plan.t[left + 1] <= trajectory.duration]
     fraction = np.arange(1, points + 1) / (points + 1)
     times = plan.t[left, None] + np.diff(plan.t)[left, None] * fraction
-    source = continuous_motion(plan.motion if trajectory is None else trajectory)
-    motion = source.sample_at(times.ravel())
-    carriers, lag = _between(plan, left, fraction)
-    efforts = np.abs(distribute(dynamics.reduce(motion, carriers, check_track=False)).tau)
+    functions = plan.functions_of_time if trajectory is None else plan.functions_along(trajectory)
+    reduced = dynamics.along(functions.platform.sample_at(times.ravel())).reduce(functions.carriers_at(times.ravel()))
+    efforts = np.abs(functions.efforts(reduced))
     optimised = np.repeat(plan.phase[left + 1] == OPTIMISE, points)
     at_samples = np.abs(plan.tau[plan.phase == OPTIMISE])
     worst = efforts.argmax(axis=0)
     return {
         "points": points,
         "peak_effort": tuple(efforts.max(axis=0).tolist()),
-        "time_of_peak": tuple(motion.t[worst].tolist()),
+        "time_of_peak": tuple(times.ravel()[worst].tolist()),
         "optimised_peak": tuple(efforts[optimised].max(axis=0, initial=0.0).tolist()),
         "optimised_peak_at_samples": tuple(at_samples.max(axis=0, initial=0.0).tolist()),
-        "largest_lag": lag,
+        "largest_lag": float(np.abs(functions.carriers(plan.t) - plan.carriers.s).max(initial=0.0)),
     }
-
-
-def _between(plan: Plan, left: IntArray, fraction: Array) -> tuple[CarrierMotion, float]:
-    """Return the carriers inside the steps from samples ``left``, and the largest lag of their positions, m."""
-    s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
-    right = left + 1
-    h = (plan.t[right] - plan.t[left])[:, None]
-    stepped = np.isin(plan.phase[right], (OPTIMISE, BRAKE))
-    # the lag grows by -h² u / 2 a step and starts anew after steps that are not of this kind
-    grown = np.cumsum(np.where(stepped[:, None], -0.5 * h * h * sdd[right], 0.0), axis=0)
-    last_exact = np.maximum.accumulate(np.where(stepped, -1, np.arange(len(left))))
-    offset = np.where((last_exact >= 0)[:, None], grown[np.maximum(last_exact, 0)], 0.0)
-    lag = np.where(stepped[:, None], grown - offset, 0.0)
-    begins = np.vstack([np.zeros_like(lag[:1]), lag[:-1]]) * stepped[:, None]
-    x = fraction[:, None] * h[:, None, :]
-    position, speed, acceleration = s[left][:, None], sd[left][:, None], sdd[right][:, None]
-    constant = (
-        position + begins[:, None] + speed * x + 0.5 * acceleration * x * x,
-        speed + acceleration * x,
-        np.broadcast_to(acceleration, (*x.shape[:1], len(fraction), s.shape[1])),
-    )
-    smooth = _hermite(fraction, h, [part[left] for part in (s, sd, sdd)], [part[right] for part in (s, sd, sdd)])
-    chosen = (
-        np.where(stepped[:, None, None], a, b).reshape(-1, s.shape[1]) for a, b in zip(constant, smooth, strict=True)
-    )
-    return CarrierMotion(*chosen), float(np.abs(lag).max(initial=0.0))
-
-
-def _hermite(fraction: Array, h: Array, start: list[Array], end: list[Array]) -> tuple[Array, Array, Array]:
-    """Return value, rate and second rate (I, F, k) of the quintics between interval ends with (I, k) s, ṡ, s̈."""
-    kappa = fraction[None, :, None]
-    h = h[:, None]
-    s0, v0, a0 = (part[:, None] for part in start)
-    s1, v1, a1 = (part[:, None] for part in end)
-    d = s1 - s0 - h * v0 - 0.5 * h * h * a0
-    dv, da = h * (v1 - v0 - h * a0), h * h * (a1 - a0)
-    c3, c4, c5 = 10.0 * d - 4.0 * dv + 0.5 * da, -15.0 * d + 7.0 * dv - da, 6.0 * d - 3.0 * dv + 0.5 * da
-    x = kappa * h
-    value = s0 + v0 * x + 0.5 * a0 * x * x + kappa**3 * (c3 + kappa * (c4 + kappa * c5))
-    rate = v0 + a0 * x + kappa**2 * (3.0 * c3 + kappa * (4.0 * c4 + 5.0 * kappa * c5)) / h
-    second = a0 + kappa * (6.0 * c3 + kappa * (12.0 * c4 + 20.0 * kappa * c5)) / h**2
-    return value, rate, second

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, IntArray
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.actuation import Actuation, Measure
+from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.plan import Plan, finish_plan
-from redundancy_pin.planners.switch_off.backward_differences import CarrierSamples
 from redundancy_pin.planners.switch_off.crossing import Crossing
-from redundancy_pin.planners.switch_off.windows import Measure, Measured
-from redundancy_pin.trajectory.continuous import ContinuousMotion
-from redundancy_pin.trajectory.piecewise import CarrierPath
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, carriers_at
 
 PHASES = ("parked", "ramp_down", "off", "return")
 
@@ -40,53 +39,62 @@ class Leg:
     """A crossing and the return of the carriers after it."""
 
     crossing: Crossing
-    back: CarrierPath
+    back: PiecewisePolynomial
 
 
 def assemble_plan(
-    dynamics: Dynamics, source: ContinuousMotion, legs: list[Leg], settings: Settings, measured: Measured
+    dynamics: Dynamics, source: ContinuousMotion, legs: list[Leg], settings: Settings, actuation: Actuation
 ) -> Plan:
     """Sample the crossings and returns, let the backend judge them, and report."""
     times = _grid(source, legs, settings)
-    left = np.append(times[1:] == times[:-1], False)
-    s = np.tile(settings.datum, (len(times), 1))
-    sd, sdd = np.zeros_like(s), np.zeros_like(s)
+    position = _position(source, legs, settings)
+    before, after = (carriers_at(position, times, side) for side in ("left", "right"))
+    s, sd, sdd = (np.array(part) for part in (after.s, after.sd, after.sdd))
+    first_of_two = np.flatnonzero(times[1:] == times[:-1])
+    sdd[first_of_two] = before.sdd[first_of_two]
     prescribed = np.full((len(times), dynamics.robot.m), np.nan)
     phase = np.zeros(len(times), dtype=np.intp)
     for leg in legs:
-        ramp, off, back = leg.crossing.path.start, leg.crossing.window.start, leg.crossing.path.end
-        for path, there in (
-            (leg.crossing.path, (times >= ramp) & (times <= back)),
-            (leg.back, (times > back) & (times <= leg.back.end)),
-        ):
-            for side, chosen in (("left", there & left), ("right", there & ~left)):
-                at = path(times[chosen], side)  # type: ignore[arg-type]
-                s[chosen], sd[chosen], sdd[chosen] = at.s, at.sd, at.sdd
+        ramp, off, back = leg.crossing.start, leg.crossing.window.start, leg.crossing.end
+        driven = (times >= ramp) & (times <= back)
+        if leg.crossing.samples is not None:  # backward differences, not the derivatives of the position
+            at = leg.crossing.carriers(times[driven])
+            s[driven], sd[driven], sdd[driven] = at.s, at.sd, at.sdd
         phase[(times >= ramp) & (times < off)] = 1
         phase[(times >= off) & (times <= back)] = 2
         phase[(times > back) & (times <= leg.back.end)] = 3
-        driven = (times >= ramp) & (times <= back)
         prescribed[driven] = leg.crossing.ramp(times[driven])
-    along = dynamics.along(source.sample_at(times))
-    carriers = CarrierMotion(s, sd, sdd)
-    return finish_plan(
-        along,
-        carriers,
+    # only inside the windows: on a ramp W⁻¹ f of the carriers' motion is what was prescribed, but for backward
+    # differences, where it is what keeps the platform on its path between the samples
+    off_windows = [(leg.crossing.window.start, leg.crossing.end) for leg in legs]
+    none = tuple(PiecewisePolynomial.constant(np.zeros(dynamics.robot.m), *window) for window in off_windows)
+    plan = finish_plan(
+        dynamics.along(source.sample_at(times)),
+        CarrierMotion(s, sd, sdd),
         planner="switch_off",
         phase=phase,
         phases=PHASES,
-        parameters={
-            "threshold": settings.threshold,
-            "measure": settings.measure,
-            "ramp_down": settings.ramp_down,
-            "return_time": settings.return_time,
-            "datum": settings.datum.tolist(),
-            "dt": settings.dt,
-            "scheme": settings.scheme,
-        },
-        diagnostics=_diagnostics(dynamics, source, along, carriers, prescribed, phase, legs, measured, settings),
+        parameters={**asdict(settings), "datum": settings.datum.tolist()},
+        diagnostics={},
         prescribed=prescribed,
+        functions=PlanFunctions(source, position.made_continuous(), none),
     )
+    return replace(plan, diagnostics=_diagnostics(dynamics, plan, legs, actuation, settings))
+
+
+def _position(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> PiecewisePolynomial:
+    """Return the positions of the carriers: parked, through a window, back, and so on."""
+    parts: list[PiecewisePolynomial] = []
+    free = source.start
+    starts = [*(leg.crossing.start for leg in legs), source.end]
+    for leg, following in zip(legs, starts[1:], strict=True):
+        if leg.crossing.start > free:
+            parts.append(PiecewisePolynomial.constant(settings.datum, free, leg.crossing.start))
+        parts += [leg.crossing.position, leg.back.until(min(leg.back.end, following))]
+        free = parts[-1].end
+    if source.end > free:
+        parts.append(PiecewisePolynomial.constant(settings.datum, free, source.end))
+    return PiecewisePolynomial.joined(parts)
 
 
 def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Array:
@@ -96,8 +104,9 @@ def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Arra
     extra: list[ArrayLike] = [source.breaks]
     for leg in legs:
         crossing = leg.crossing
-        extra += [[crossing.path.start, crossing.window.start, crossing.path.end, min(leg.back.end, source.end)]]
-        extra += [crossing.path.peaks(), leg.back.peaks()]
+        extra += [[crossing.start, crossing.window.start, crossing.end, min(leg.back.end, source.end)]]
+        moved = [leg.back] if crossing.samples is not None else [crossing.position, leg.back]
+        extra += [position.derivative(order).peaks() for position in moved for order in range(3)]
     events = np.unique(np.concatenate([np.asarray(part, dtype=float) for part in extra]))
     # a sample that differs from an event by rounding only would make a step as short as rounding
     near = np.abs(uniform[:, None] - events[None, :]).min(axis=1, initial=np.inf) < 1e-9 * settings.dt
@@ -106,40 +115,28 @@ def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Arra
     grid: Array = np.sort(np.concatenate([np.union1d(uniform[~near], inner), source.breaks]))
     if settings.scheme == "backward_differences":  # has no motion between its own samples
         for leg in legs:
-            path = leg.crossing.path
-            own = np.isin(grid, path.t) if isinstance(path, CarrierSamples) else np.ones(len(grid), dtype=bool)
-            grid = np.unique(grid[own | (grid < path.start) | (grid > path.end)])
+            crossing = leg.crossing
+            own = np.isin(grid, crossing.samples[0]) if crossing.samples else np.ones(len(grid), dtype=bool)
+            grid = np.unique(grid[own | (grid < crossing.start) | (grid > crossing.end)])
     return grid
 
 
 def _diagnostics(
-    dynamics: Dynamics,
-    source: ContinuousMotion,
-    along: DynamicsAlongMotion,
-    carriers: CarrierMotion,
-    prescribed: Array,
-    phase: IntArray,
-    legs: list[Leg],
-    measured: Measured,
-    settings: Settings,
+    dynamics: Dynamics, plan: Plan, legs: list[Leg], actuation: Actuation, settings: Settings
 ) -> dict[str, object]:
-    reduced = along.reduce(carriers)
-    tau = np.where(np.isfinite(prescribed), prescribed, distribute(reduced).tau)
-    balance = (np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f) / reduced.row_scale
-    imbalance = np.linalg.norm(balance, axis=1)
     efforts, positions = (
-        {name: np.nanmax(np.abs(part[phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
-        for part in (tau, carriers.s)
+        {name: np.nanmax(np.abs(part[plan.phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
+        for part in (plan.tau, plan.carriers.s)
     )
-    singular = measured.singular_instants()
+    singular = actuation.singular_instants()
     return {
-        "windows": [_window(dynamics, source, leg, singular, settings) for leg in legs],
+        "windows": [_window(dynamics, plan.functions_of_time.platform, leg, singular, settings) for leg in legs],
         "no_window": not legs,
-        "worst_measure": measured.worst(),
+        "worst_measure": actuation.worst(settings.measure),
         "singular_instants": singular,
         "peak_effort": efforts,
         "peak_position": positions,
-        "largest_imbalance": float(np.nanmax(imbalance, initial=0.0)),
+        "largest_imbalance": float(np.nanmax(plan.residual, initial=0.0)),
     }
 
 
@@ -147,11 +144,11 @@ def _window(
     dynamics: Dynamics, source: ContinuousMotion, leg: Leg, singular: list[float], settings: Settings
 ) -> dict[str, object]:
     crossing = leg.crossing
-    start, end = crossing.path.start, crossing.path.end
+    start, end = crossing.start, crossing.end
     state = crossing.exit
     after = np.array([end, min(end + settings.dt, leg.back.end)])
     along = dynamics.along(source.sample_at(after))
-    tau = distribute(along.reduce(leg.back(after))).tau
+    tau = distribute(along.reduce(carriers_at(leg.back, after))).tau
     return {
         "ramp_start": start,
         "entry": crossing.window.start,

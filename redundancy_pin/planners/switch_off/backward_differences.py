@@ -9,8 +9,6 @@ to reproduce the thesis and to show where its jumps come from.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from redundancy_pin.arrays import Array, read_only
@@ -20,47 +18,14 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation
 from redundancy_pin.planners.switch_off.crossing import Crossing, crossing_equation
-from redundancy_pin.planners.switch_off.windows import Interval
-from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.continuous import ContinuousMotion
+from redundancy_pin.singularities.roots import Interval
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
 
 STEP_TOLERANCE = 1e-9
 """Largest imbalance at a sample, relative to the largest f along the crossing. A position rounded to 1e-17 m is an
 acceleration of 1e-11 m/s² at a step of a millisecond."""
 
 _MOST_ITERATIONS = 20
-
-
-@dataclass(frozen=True, eq=False)
-class CarrierSamples:
-    """Carriers at the samples of a uniform grid, with backward differences for speed and acceleration.
-
-    Attributes:
-        t: (N,) time, s.
-        motion: carrier motion there.
-    """
-
-    t: Array
-    motion: CarrierMotion
-
-    @property
-    def start(self) -> float:
-        """First time, s."""
-        return float(self.t[0])
-
-    @property
-    def end(self) -> float:
-        """Last time, s."""
-        return float(self.t[-1])
-
-    def __call__(self, times: Array, side: Side = "right") -> CarrierMotion:
-        """Return the motion at samples of the grid; of another time that of the nearest sample."""
-        at = np.abs(np.asarray(times)[:, None] - self.t).argmin(axis=1)
-        return CarrierMotion(self.motion.s[at], self.motion.sd[at], self.motion.sdd[at])
-
-    def peaks(self) -> Array:
-        """Return nothing: between the samples there is no motion."""
-        return np.empty(0)
 
 
 def cross_stepwise(
@@ -92,7 +57,9 @@ def cross_stepwise(
         s[i + 2] = _position(equation, model, i, load[i], s[i + 1], s[i], dt)
     sd = np.diff(s, axis=0) / dt
     carriers = CarrierMotion(s[2:], sd[1:], np.diff(sd, axis=0) / dt)
-    return Crossing(snapped, equation.effort, CarrierSamples(read_only(t), carriers), lost)
+    # s̈ of a sample is that of the step which ends there; the first sample only starts one
+    position = PiecewisePolynomial.constant_acceleration(t, s[2:], carriers.sd, carriers.sdd)
+    return Crossing(snapped, equation.effort, position.made_continuous(), lost, (read_only(t), carriers))
 
 
 def _position(

@@ -23,8 +23,7 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import TimedModel
 from redundancy_pin.trajectory import Polynomial, boundary_polynomial
-from redundancy_pin.trajectory.continuous import ContinuousMotion
-from redundancy_pin.trajectory.piecewise import CarrierPath, preferred_middle
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, preferred_middle
 
 _NODES = 16
 """Nodes of the interpolant from which the parked efforts are differentiated."""
@@ -149,7 +148,7 @@ class CarrierEquation:
     row_scale: Array
     size: float
 
-    def solve(self, start: float, end: float, s: Array, sd: Array) -> CarrierPath:
+    def solve(self, start: float, end: float, s: Array, sd: Array) -> PiecewisePolynomial:
         """Integrate from a state (k,), (k,) at ``start`` to ``end``.
 
         Raises:
@@ -173,7 +172,7 @@ class CarrierEquation:
                     pending.append(preferred_middle(t, pending[-1], self.model.knots))
                 else:
                     raise StepGivenUpError(t, s, sd, defect)
-        return CarrierPath(read_only(np.array(edges)), read_only(np.array(series)))
+        return PiecewisePolynomial.from_series(np.array(edges), np.array(series), legendre.Legendre)
 
     def _step(self, a: float, b: float, s0: Array, sd0: Array) -> tuple[Array, float, float]:
         """Return the Legendre series (d, k) of s on one step, the largest defect and the largest F s̈, N."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -13,13 +12,12 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import null_directions, spectrum_of
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.actuation import dense
 from redundancy_pin.planners.carrier_model import TimedModel
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, RampDown, StepGivenUpError, ramp_down
-from redundancy_pin.planners.switch_off.windows import Interval, minima, sampling
-from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.continuous import ContinuousMotion
-from redundancy_pin.trajectory.piecewise import CarrierPath
+from redundancy_pin.singularities.roots import Interval, minima
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, carriers_at
 
 RANK_LOSS = 1e-8
 """Smallest singular value of F, as a fraction of its largest, that counts as zero at a minimum found by search."""
@@ -68,7 +66,7 @@ def lost_directions(equation: CarrierEquation, start: float, end: float) -> list
         InfeasiblePlanError: F lacks rank all along.
     """
     model = equation.model
-    times = sampling(model.interpolant.edges, start, end)
+    times = dense(model.interpolant.edges)
     n = len(equation.row_scale)
 
     def forces(t: Array) -> Array:
@@ -141,24 +139,6 @@ def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> 
     )
 
 
-class CarriersOverTime(Protocol):
-    """Carrier motion from a start to an end, at any time or at the samples it has."""
-
-    @property
-    def start(self) -> float:
-        """First time, s."""
-
-    @property
-    def end(self) -> float:
-        """Last time, s."""
-
-    def __call__(self, times: Array, side: Side = "right") -> CarrierMotion:
-        """Return the motion at (N,) times."""
-
-    def peaks(self) -> Array:
-        """Return the inner times, s, at which some s, ṡ or s̈ is largest or smallest."""
-
-
 @dataclass(frozen=True, eq=False)
 class Crossing:
     """Carriers and efforts from the start of a ramp-down to the switch-on.
@@ -166,21 +146,41 @@ class Crossing:
     Attributes:
         window: when the actuators are off.
         ramp: the main efforts.
-        path: the carriers, continuous in time or as samples.
+        position: positions of the carriers (k,) as a function of time.
         lost: instants at which the carriers cannot act in some direction.
+        samples: times (N,) and carriers there in backward differences, which the position lags behind; None where the
+            rates are those of the position.
     """
 
     window: Interval
     ramp: RampDown
-    path: CarriersOverTime
+    position: PiecewisePolynomial
     lost: tuple[LostDirection, ...]
+    samples: tuple[Array, CarrierMotion] | None = None
+
+    @property
+    def start(self) -> float:
+        """Start of the ramp-down, s."""
+        return self.position.start
+
+    @property
+    def end(self) -> float:
+        """Switch-on, s."""
+        return self.position.end
 
     @property
     def exit(self) -> CarrierState:
         """The carriers at switch-on."""
-        end = self.path.end
-        motion = self.path(np.array([end]))
-        return CarrierState(end, *(np.array(part[0]) for part in (motion.s, motion.sd, motion.sdd)))
+        motion = self.carriers(np.array([self.end]))
+        return CarrierState(self.end, *(np.array(part[0]) for part in (motion.s, motion.sd, motion.sdd)))
+
+    def carriers(self, times: Array) -> CarrierMotion:
+        """Return the carriers at (N,) times, or at the nearest samples."""
+        if self.samples is None:
+            return carriers_at(self.position, times)
+        t, motion = self.samples
+        at = np.abs(np.asarray(times)[:, None] - t).argmin(axis=1)
+        return CarrierMotion(motion.s[at], motion.sd[at], motion.sdd[at])
 
 
 def cross(
@@ -196,12 +196,11 @@ def cross(
     zero = np.zeros_like(datum)
     try:
         down = equation.solve(start, window.start, datum, zero)
-        at_entry = down(np.array([window.start]), "left")
+        at_entry = carriers_at(down, [window.start])
         off = equation.solve(window.start, window.end, np.array(at_entry.s[0]), np.array(at_entry.sd[0]))
     except StepGivenUpError as stuck:
         raise _unbounded(equation, lost, stuck) from stuck
-    path = CarrierPath(np.append(down.edges, off.edges[1:]), np.concatenate([down.series, off.series]))
-    return Crossing(window, equation.effort, path, lost)
+    return Crossing(window, equation.effort, PiecewisePolynomial.joined([down, off]), lost)
 
 
 def crossing_equation(

@@ -10,8 +10,8 @@ from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.planners.limits import LimitEvent
-from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse
-from redundancy_pin.planners.whole_trajectory.problem import Task, WholeProblem
+from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 FINER = 20
 """Points in a step."""
@@ -76,17 +76,18 @@ class DenseCheck:
         }
 
 
-def dense_check(task: Task, problem: WholeProblem, course: CarrierCourse, tau: Array) -> DenseCheck:
+def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau: Array) -> DenseCheck:
     """Evaluate the backend on a grid finer than the nodes, and right beside the singular ones.
 
     Args:
         task: robot and motion.
         problem: the nodes.
-        course: the planned carriers.
+        position: of the planned carriers, m.
         tau: (M, m) planned efforts at the nodes, N or N·m.
     """
     grid = problem.grid
-    fine, _ = course.inside(FINER)
+    left = np.flatnonzero(grid.h > 0.0)
+    fine = (grid.t[left, None] + grid.h[left, None] * np.arange(1, FINER) / FINER).ravel()
     beside: list[float] = []
     for i in grid.singular:
         for side in (-1, 0):
@@ -94,7 +95,7 @@ def dense_check(task: Task, problem: WholeProblem, course: CarrierCourse, tau: A
                 beside += [float(grid.t[i]) + (1.0 if side == 0 else -1.0) * f * float(grid.h[i + side]) for f in CLOSE]
     # nodes were judged already; between them no acceleration jumps, so every time may stand once
     times = np.setdiff1d(np.concatenate([fine, beside]), grid.t)
-    carriers = course.at(times)
+    carriers = carriers_at(position, times)
     reduced = task.dynamics.along(task.source.sample_at(times)).reduce(carriers)
     found = _efforts(reduced, grid.t, tau)
     efforts = np.where(np.isfinite(found), np.abs(found), np.inf)

@@ -5,90 +5,42 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import BoolArray, read_only
+from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus
-from redundancy_pin.errors import UnsupportedRobotError
+from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
-from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan, PlanStatus, finish_plan
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.planners.whole_trajectory.curved_tracks import search_curved
+from redundancy_pin.planners.whole_trajectory.coefficients import Task, read_coefficients
+from redundancy_pin.planners.whole_trajectory.constraint_generation import solve
+from redundancy_pin.planners.whole_trajectory.curved_tracks import fit_and_solve
 from redundancy_pin.planners.whole_trajectory.dense_check import DenseCheck, dense_check, limits_broken
-from redundancy_pin.planners.whole_trajectory.mesh import Grid, grid_of, singular_instants, with_middles
-from redundancy_pin.planners.whole_trajectory.multistart import Found, search
-from redundancy_pin.planners.whole_trajectory.problem import Task, WholeProblem, prepare
-from redundancy_pin.planners.whole_trajectory.settings import End, Objective, checked_settings
-from redundancy_pin.planners.whole_trajectory.transcription import value
-from redundancy_pin.trajectory.continuous import TimedTrajectory, continuous_motion
+from redundancy_pin.planners.whole_trajectory.infeasibility import relax
+from redundancy_pin.planners.whole_trajectory.mesh import (
+    Grid,
+    grid_of,
+    singular_instants,
+    with_middles,
+)
+from redundancy_pin.planners.whole_trajectory.multistart import Multistart, Outcome, first_guess, multistart
+from redundancy_pin.planners.whole_trajectory.options import End, Mesh, Objective, Solver, checked_settings
+from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME
+from redundancy_pin.planners.whole_trajectory.transcription import objective_values
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, TimedTrajectory, continuous_motion
 
 PHASES = ("optimised",)
 
 ROUNDING = 1e-6
 """Relative excess of an effort at a node over its limit that counts as rounding."""
-
-
-def assemble(task: Task, problem: WholeProblem, found: Found, checks: list[DenseCheck], seconds: float) -> Plan:
-    """Let the backend judge the solution at the nodes, and report.
-
-    At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
-    actuators as coordinates, W τ = f leaves no choice.
-    """
-    robot, best = task.dynamics.robot, found.best
-    starts = found.summary
-    tau = best.tau(problem)
-    prescribed = tau.copy()
-    if robot.m <= robot.n:
-        decided = np.ones(len(tau), dtype=bool)
-        decided[problem.grid.singular] = False
-        prescribed[decided] = np.nan
-    plan = finish_plan(
-        task.dynamics.along(task.source.sample_at(problem.grid.t)),
-        best.course(problem).at_nodes(),
-        planner="whole_trajectory",
-        phase=np.zeros(len(tau), dtype=np.intp),
-        phases=PHASES,
-        parameters=task.settings.parameters,
-        diagnostics={
-            "optimal": best.optimal,
-            "solver": best.message,
-            "iterations": best.iterations,
-            "violation": best.violation,
-            "cost": best.cost,
-            "starts": starts,
-            "costs": starts["costs"],
-            "solver_messages": starts["messages"],
-            "objective": value(problem, best.values),
-            "fits": list(found.fits),
-            "nodes": len(problem.grid.t),
-            "singular_instants": np.unique(problem.grid.t[problem.grid.singular]).tolist(),
-            "singular_nodes": [int(i) for i in problem.grid.singular],
-            "smooth_nodes": [int(i) for i in np.flatnonzero(problem.grid.smooth)],
-            "dense_check": checks[-1].summary,
-            "dense_ratios": [check.ratio for check in checks],
-            "solver_seconds": best.seconds,
-            "seconds": seconds,
-        },
-        prescribed=prescribed,
-        carrier_limits=task.settings.limits,
-    )
-    status = np.array(plan.sample_status)
-    at = problem.grid.singular
-    status[at] = np.where(status[at] == SampleStatus.REGULAR, SampleStatus.SINGULAR_CONSISTENT, status[at])
-    at_nodes = limits_broken("effort", robot.actuated, plan.t, plan.tau, task.settings.effort, 1.0 + ROUNDING)
-    broken = (*plan.limits.violated, *at_nodes, *checks[-1].broken)
-    verdict = plan.status
-    if verdict is PlanStatus.WITHIN_LIMITS and broken:
-        verdict = PlanStatus.VIOLATES_LIMITS
-    elif verdict is PlanStatus.WITHIN_LIMITS and not best.optimal:
-        verdict = PlanStatus.STOPPED_EARLY
-    limits = replace(plan.limits, violated=tuple(sorted(broken, key=lambda event: event.start)))
-    return replace(plan, sample_status=read_only(status), status=verdict, limits=limits)
-
 
 NEAR = 0.2
 """Smallest over largest singular value of W below which the steps get a middle node from the start: there a kink in s̈
@@ -99,7 +51,7 @@ def plan_whole_trajectory(
     dynamics: Dynamics,
     motion: PlatformMotion | TimedTrajectory,
     *,
-    objective: Objective | Mapping[Objective, float] = "effort",
+    objective: str | Mapping[str, float] | Objective = "effort",
     lam: float = 0.0,
     baseline: Dynamics | None = None,
     start: ArrayLike | None = None,
@@ -117,18 +69,21 @@ def plan_whole_trajectory(
     seconds: float = 60.0,
     refinements: int = 3,
     progress: Callable[[str], None] | None = None,
+    limits: Limits | None = None,
+    mesh: Mesh | None = None,
+    solver: Solver | None = None,
 ) -> Plan:
     """Plan the carriers' motion and the main efforts together, over the whole motion of the platform.
 
     The efforts τ are unknowns and W τ = f(s, ṡ, s̈) is a constraint, so W may lose rank. Type II singularities on the
     way are found exactly and lie on nodes. There f has to lie in the range of W (compatibility), τ is what W⁻¹ f tends
-    to (``whole_trajectory_singular``), and the carriers' jerk is continuous, which makes both limits the same.
+    to (``whole_trajectory.coefficients``), and the carriers' jerk is continuous, which makes both limits the same.
 
     s̈ is linear between the nodes and may jump only where the reference acceleration jumps; s and ṡ follow exactly.
     Track and speed limits hold between the nodes as well, by their Bézier hulls where they are met. For carriers on
     straight tracks f is quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone
     (``carrier_model``): they are read off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
-    For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory_curved``).
+    For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory.curved_tracks``).
 
     The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
     included. Where efforts between the nodes exceed the peak at the nodes, or efforts or carrier forces their limits,
@@ -139,7 +94,8 @@ def plan_whole_trajectory(
     Args:
         dynamics: either backend.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
-        objective: what to minimise, or weights of several, each in its own unit: "effort" ∫ Σ τ² dt, "peak" max |τ|,
+        objective: what to minimise, or weights of several, each in its own unit (``whole_trajectory.objectives``; or
+            ``Objective``, with ``lam`` and ``baseline``): "effort" ∫ Σ τ² dt, "peak" max |τ|,
             "tracking" ∫ Σ (τ − λ τ̂)² dt, "carrier_force" ∫ Σ F² dt, "carrier_acceleration" ∫ Σ s̈² dt,
             "effort_rate" ∫ Σ τ̇² dt (0.01 of it beside "effort" calms the efforts next to singularities), "energy"
             ∫ Σ |τ q̇| + Σ |F ṡ| dt.
@@ -163,13 +119,16 @@ def plan_whole_trajectory(
         refinements: how often the grid may be refined.
         progress: called with a line of text at each stage, and during it where the plan has 1000 nodes or more. What it
             raises ends the planning.
+        limits: track, speed, acceleration, jerk, effort and carrier_force as one group in place of the keywords.
+        mesh: dt and refinements, the same.
+        solver: starts, seconds and progress, the same.
 
     Returns:
         A plan whose samples are the nodes. ``status`` is stopped_early where the solver stopped before the conditions
         of a minimum held, with every limit kept; ``diagnostics["optimal"]`` says the same.
 
     Raises:
-        InputError: a setting out of its domain.
+        InputError: a setting out of its domain, or given both ways.
         UnsupportedRobotError: no carriers.
         InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, carrier, time, amount and
             the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
@@ -177,70 +136,162 @@ def plan_whole_trajectory(
         RedundancyPinError: casadi is not installed.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    robot = dynamics.robot
+    began = time.perf_counter()
     settings = checked_settings(
-        robot,
-        objective=objective,
-        lam=lam,
-        baseline=baseline is not None,
+        dynamics.robot,
+        _objective(objective, lam, baseline),
+        grouped(
+            "limits",
+            limits,
+            Limits,
+            {
+                "track": track,
+                "speed": speed,
+                "acceleration": acceleration,
+                "jerk": jerk,
+                "carrier_force": carrier_force,
+                "effort": effort,
+            },
+        ),
+        grouped("mesh", mesh, Mesh, {"dt": dt, "refinements": refinements}),
+        grouped("solver", solver, Solver, {"starts": starts, "seconds": seconds, "progress": progress}),
         start=start,
         start_speed=start_speed,
         end=end,
         datum=datum,
-        track=track,
-        speed=speed,
-        acceleration=acceleration,
-        jerk=jerk,
-        effort=effort,
-        carrier_force=carrier_force,
-        dt=dt,
-        starts=starts,
-        seconds=seconds,
-        refinements=refinements,
     )
-    say = progress or _silent
-    began = time.perf_counter()
-    task = Task(dynamics, continuous_motion(motion), settings, baseline)
-    instants = singular_instants(dynamics, task.source)
-    grid = _watched(task, grid_of(task.source, instants, settings.dt))
-    warm, curved = None, False
+    report = settings.solver.progress or (lambda line: None)
+    task = Task(dynamics, continuous_motion(motion), settings)
+    nodes = grid_of(task.source, singular_instants(dynamics, task.source), settings.mesh.dt)
+    nodes = with_middles(nodes, _near_singular(task, nodes))
+    position: PiecewisePolynomial | None = None
     checks: list[DenseCheck] = []
     while True:
-        say(f"{len(grid.t)} nodes, {len(grid.singular)} of them singular: solving")
-        problem = None if curved else _straight(task, grid)
-        if problem is None:
-            curved = True
-            problem, found = search_curved(task, grid, warm, progress)
-        else:
-            found = search(problem, robot_record(robot), warm, settings.seconds, progress)
-        warm, tau = found.best.course(problem), found.best.tau(problem)
-        checks.append(dense_check(task, problem, warm, tau))
-        say(f"peak effort {checks[-1].peak_at_nodes:.4g} at the nodes, {checks[-1].peak:.4g} between them")
-        if checks[-1].passed or len(checks) > settings.refinements or not found.best.optimal:
-            break
-        grid = with_middles(grid, checks[-1].exceeding)
-    return assemble(task, problem, found, checks, time.perf_counter() - began)
+        report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
+        result = _solve(task, nodes, position)
+        problem, solution = result.best.problem, result.best.solution
+        position = solution.position(problem)
+        check = dense_check(task, problem, position, solution.tau(problem))
+        checks.append(check)
+        report(f"peak effort {check.peak_at_nodes:.4g} at the nodes, {check.peak:.4g} between them")
+        if check.passed or len(checks) > settings.mesh.refinements or not solution.optimal:
+            return _plan(task, result, checks, time.perf_counter() - began)
+        nodes = with_middles(nodes, check.exceeding)
 
 
-def _straight(task: Task, grid: Grid) -> WholeProblem | None:
-    """Return the problem of carriers on straight tracks; None where f is not the polynomial it is for them."""
-    try:
-        return prepare(task, grid)
-    except UnsupportedRobotError as error:
-        if "deviation" in error.details:
-            return None
-        raise
+def _objective(objective: str | Mapping[str, float] | Objective, lam: float, baseline: Dynamics | None) -> Objective:
+    if not isinstance(objective, Objective):
+        return Objective(objective, lam, baseline)
+    return grouped("objective", objective, Objective, {"lam": lam, "baseline": baseline})
 
 
-def _watched(task: Task, grid: Grid) -> Grid:
-    """Return the grid with a middle node in every step near a singularity."""
-    reduced = task.dynamics.along(task.source.sample_at(grid.t)).reduce()
+def _near_singular(task: Task, nodes: Grid) -> BoolArray:
+    """Return (M − 1,) the steps near a singularity."""
+    reduced = task.dynamics.along(task.source.sample_at(nodes.t)).reduce()
     values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
     # the only singular value of a single freedom is compared with what it is elsewhere
     size = values[:, 0] if values.shape[1] > 1 else values.max()
     near: BoolArray = values[:, -1] < NEAR * size
-    return with_middles(grid, np.logical_or(near[1:], near[:-1]))
+    return np.logical_or(near[1:], near[:-1])
 
 
-def _silent(text: str) -> None:
-    """Say nothing."""
+def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:
+    """Solve on a mesh from all first guesses, the first of which is a motion that is known.
+
+    Raises:
+        InfeasiblePlanError: no motion keeps every limit, or none was found in time; says which limit is in the way,
+            where, and how much would suffice.
+    """
+    try:
+        problem = read_coefficients(task, nodes)
+    except UnsupportedRobotError as error:
+        if "deviation" not in error.details:
+            raise
+        # f is not the polynomial that it is for carriers on straight tracks
+        parked = np.tile(task.settings.start, (len(nodes.t), 1))
+        first = read_coefficients(task, nodes, CarrierMotion(parked, 0.0 * parked, 0.0 * parked))
+        return multistart(first, warm, partial(fit_and_solve, task, first))
+
+    def solve_from(guess: dict[str, Array], seconds: float) -> Outcome:
+        return Outcome(problem, solve(problem, guess, seconds))
+
+    result = multistart(problem, warm, solve_from)
+    if result.feasible:
+        return result
+    # raises where limits are in the way; else what it returns keeps them, and the solver can begin there
+    message = result.outcomes[0].solution.message
+    relaxed = relax(problem, robot_record(task.dynamics.robot), first_guess(problem, warm, 0), message)
+    seconds = task.settings.solver.seconds
+    last = solve(problem, relaxed.values, seconds)
+    if not last.feasible:
+        late = last.message == OUT_OF_TIME
+        raise InfeasiblePlanError(
+            f"No plan was found{f' within {seconds:g} s' if late else ''} (the solver says {last.message}), "
+            "although none of the limits is known to be in the way.",
+            remedy="Allow more seconds, or a longer dt." if late else "Widen the limits a little, or start elsewhere.",
+            constraint="seconds",
+            time=float(nodes.t[0]),
+            amount=seconds,
+        )
+    return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
+
+
+def _plan(task: Task, result: Multistart, checks: list[DenseCheck], seconds: float) -> Plan:
+    """Let the backend judge the solution at the nodes, and report.
+
+    At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
+    actuators as coordinates, W τ = f leaves no choice.
+    """
+    problem, solution = result.best.problem, result.best.solution
+    robot, settings, nodes, starts = task.dynamics.robot, task.settings, problem.grid, result.summary
+    prescribed = solution.tau(problem)
+    if robot.m <= robot.n:
+        prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
+    plan = finish_plan(
+        task.dynamics.along(task.source.sample_at(nodes.t)),
+        problem.carriers(solution.values),
+        planner="whole_trajectory",
+        phase=np.zeros(len(nodes.t), dtype=np.intp),
+        phases=PHASES,
+        parameters=settings.parameters,
+        diagnostics={
+            "optimal": solution.optimal,
+            "solver": solution.message,
+            "iterations": solution.iterations,
+            "violation": solution.violation,
+            "cost": solution.cost,
+            "starts": starts,
+            "costs": starts["costs"],
+            "solver_messages": starts["messages"],
+            "objective": objective_values(problem, solution.values),
+            "fits": [outcome.fits for outcome in result.outcomes if outcome.fits],
+            "nodes": len(nodes.t),
+            "singular_instants": np.unique(nodes.t[nodes.singular]).tolist(),
+            "singular_nodes": nodes.singular.tolist(),
+            "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
+            "dense_check": checks[-1].summary,
+            "dense_ratios": [check.ratio for check in checks],
+            "solver_seconds": solution.seconds,
+            "seconds": seconds,
+        },
+        prescribed=prescribed,
+        carrier_limits=settings.limits,
+        functions=PlanFunctions(
+            task.source,
+            solution.position(problem).made_continuous(),
+            preferred=PiecewisePolynomial.linear(nodes.t, solution.tau(problem)),
+        ),
+    )
+    sample_status = np.array(plan.sample_status)
+    at = nodes.singular
+    # the efforts there are finite and known to be the limits from both sides, however well W τ = f looks at one instant
+    sample_status[at] = np.where(
+        sample_status[at] == SampleStatus.REGULAR, SampleStatus.SINGULAR_CONSISTENT, sample_status[at]
+    )
+    at_nodes = limits_broken("effort", robot.actuated, plan.t, plan.tau, settings.effort, 1.0 + ROUNDING)
+    broken = sorted((*plan.limits.violated, *at_nodes, *checks[-1].broken), key=lambda event: event.start)
+    status = plan.status
+    if status is PlanStatus.WITHIN_LIMITS and (broken or not solution.optimal):
+        status = PlanStatus.VIOLATES_LIMITS if broken else PlanStatus.STOPPED_EARLY
+    limits = replace(plan.limits, violated=tuple(broken))
+    return replace(plan, sample_status=read_only(sample_status), status=status, limits=limits)

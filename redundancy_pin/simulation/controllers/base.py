@@ -17,7 +17,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.simulation.state import State, closed_state, tree_state
-from redundancy_pin.trajectory.continuous import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 
 CarrierLaw = Callable[[float], tuple[Array, Array, Array]]
 """From time to carrier positions, speeds and accelerations, each (k,); smooth between the controller's ``breaks``."""

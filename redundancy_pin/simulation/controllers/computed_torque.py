@@ -31,7 +31,7 @@ from redundancy_pin.simulation.controllers.base import (
 from redundancy_pin.simulation.derivatives import state_error
 from redundancy_pin.simulation.reference import MotionReference, ReferencePoint
 from redundancy_pin.simulation.state import Manifold, State
-from redundancy_pin.trajectory.continuous import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 
 
 @dataclass(frozen=True, eq=False)

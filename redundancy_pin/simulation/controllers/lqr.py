@@ -32,7 +32,7 @@ from redundancy_pin.simulation.controllers.base import (
 from redundancy_pin.simulation.derivatives import linearise, state_error
 from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.state import State
-from redundancy_pin.trajectory.continuous import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 
 LEAST_SHARE = 0.05
 """An actuator that a plan hardly uses may still deviate by this share of the largest of its kind."""

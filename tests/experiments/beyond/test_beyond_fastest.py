@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from redundancy_pin import plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.experiments.beyond.cases import Whole, whole
 from redundancy_pin.experiments.beyond.fastest import GROWTH, attempt, fastest
@@ -18,7 +17,6 @@ from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import CROSSINGS
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.whole_trajectory.solver import Solver
 
 CIRCLE, LINE = CROSSINGS[0], CROSSINGS[4]
 SETTINGS = replace(QUICK, tolerance=0.01, starts=3)
@@ -101,22 +99,6 @@ def test_an_unsound_plan_is_none(plan: Plan) -> None:
     trial = attempt(Border(broken, lambda case: True), whole(CIRCLE, "effort"))
     assert not trial.feasible
     assert trial.status == "violates_limits"
-
-
-def test_the_planner_tries_every_first_guess_before_it_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried: set[bytes] = set()
-    original = Solver.solve
-
-    def watched(self: Solver, guess: Any, *others: Any, **named: Any) -> Any:
-        if set(guess) <= {"s", "sd", "sdd"}:  # later ones start from solutions, which have efforts as well
-            tried.add(np.asarray(guess["s"]).tobytes())
-        return original(self, guess, *others, **named)
-
-    monkeypatch.setattr(Solver, "solve", watched)
-    fast = replace(CIRCLE, speed=2.5)
-    with pytest.raises(InfeasiblePlanError):
-        plan_whole_trajectory(fast.machine.dynamics(), fast.trajectory(), dt=0.03, starts=3)
-    assert len(tried) == 3
 
 
 def test_the_real_border_of_the_circle() -> None:

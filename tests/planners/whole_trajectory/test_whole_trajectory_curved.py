@@ -159,6 +159,6 @@ def test_straight_tracks_are_not_fitted(monkeypatch):
     def never(*arguments, **settings):
         raise AssertionError("carriers on straight tracks were fitted")
 
-    monkeypatch.setattr(planner, "search_curved", never)
+    monkeypatch.setattr(planner, "fit_and_solve", never)
     dynamics = VirtualWork(load_robot("2rpr"))
     assert plan_whole_trajectory(dynamics, reference.circle(), dt=0.05, refinements=0).diagnostics["optimal"]

@@ -10,23 +10,24 @@ import zoo
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import PlanStatus
-from redundancy_pin.planners.whole_trajectory.mesh import CarrierCourse
-from redundancy_pin.planners.whole_trajectory.singular import singular_node
+from redundancy_pin.planners.whole_trajectory.coefficients import Task, singular_node
+from redundancy_pin.planners.whole_trajectory.options import Mesh, checked_settings
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
-from redundancy_pin.trajectory.continuous import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at, continuous_motion
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line
 
 HEAVY = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
 MODELS = Path(__file__).parents[3] / "models"
 
 
-def course_of(plan):
-    return CarrierCourse(plan.t, plan.carriers.s, plan.carriers.sd, plan.carriers.sdd)
+def carriers_between(plan, times):
+    c = plan.carriers
+    return carriers_at(PiecewisePolynomial.linear_acceleration(plan.t, c.s, c.sd, c.sdd), times)
 
 
 def efforts_at(dynamics, trajectory, plan, times):
     times = np.asarray(times)
-    carriers = course_of(plan).at(times)
+    carriers = carriers_between(plan, times)
     return distribute(dynamics.reduce(trajectory.sample_at(times), carriers, check_track=False)).tau
 
 
@@ -88,7 +89,7 @@ def test_carrier_forces_are_looked_at_between_the_nodes():
             refinements=refinements,
         )
         times = np.setdiff1d(np.linspace(plan.t[0], plan.t[-1], 5000), plan.t)
-        reduced = dynamics.reduce(trajectory.sample_at(times), course_of(plan).at(times))
+        reduced = dynamics.reduce(trajectory.sample_at(times), carriers_between(plan, times))
         most = float(np.abs(reduced.carrier_force).max())
         if refinements:
             assert plan.status is PlanStatus.WITHIN_LIMITS
@@ -189,8 +190,9 @@ def test_rates_of_a_fit_beside_a_jump_are_one_sided(side):
     """For curved tracks they come from differences, which must not reach across; for straight ones from elsewhere."""
     dynamics, source = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), continuous_motion(through_a_jump(0.0))
     (t,) = source.breaks
+    task = Task(dynamics, source, checked_settings(dynamics.robot, mesh=Mesh(0.01)))
     parked = CarrierMotion.parked(1, 2)
-    exact, fitted = (singular_node(dynamics, source, 0, t, 0.01, around, side).rate for around in (None, parked))
+    exact, fitted = (singular_node(task, 0, t, around, side).rate for around in (None, parked))
     for name in ("W", "f0"):
         expected = getattr(exact, name)
         # differences of order four over a millisecond

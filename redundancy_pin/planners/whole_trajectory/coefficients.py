@@ -1,0 +1,298 @@
+"""What a backend contributes to the programme: coefficients of W, f and the carrier forces at the nodes, as numbers.
+
+On straight tracks f is exactly a sum over the carriers of s, s², ṡ, s ṡ and s̈ (``carrier_model``); on curved ones it is
+fitted to second order around a motion, which adds ṡ² and s s̈. The actuation matrix loses rank at a type II singularity,
+and the efforts there need the rates of these coefficients as well. At a singular instant there are directions u with
+uᵀ W = 0. Then W τ = f requires uᵀ f = 0, whatever τ is (compatibility), and leaves the part of τ in the null space of W
+open. Differentiating W τ = f in time and projecting on u determines it, since uᵀ W τ̇ = 0:
+
+    uᵀ Ẇ τ = uᵀ ḟ,    ḟ = ∂f/∂t + ∂f/∂s ṡ + ∂f/∂ṡ s̈ + ∂f/∂s̈ s⃛.
+
+Where the motion crosses the singularity at a rate, (W; uᵀ Ẇ) has full rank, and both equations together give the one
+τ that W⁻¹ f tends to. The jerk of the carriers enters: that it is the same on both sides makes the limits the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.kinematics.spectrum import scaled
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model
+from redundancy_pin.planners.stepwise.settings import target_effort
+from redundancy_pin.planners.whole_trajectory.mesh import Grid
+from redundancy_pin.planners.whole_trajectory.objectives import Scales
+from redundancy_pin.planners.whole_trajectory.options import Settings
+from redundancy_pin.trajectory import Side
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
+
+S, S2, SD, S_SD, SDD = range(5)
+"""Places of s, s², ṡ, s ṡ and s̈ among the terms of a ``CarrierModel``."""
+
+LOST = 1e-6
+"""Singular values below this fraction of the largest are lost at a singular instant; one that is only touched is known
+to the square root of rounding."""
+
+CROSSED = 1e-3
+"""Change of the vanishing singular value over the whole motion, at its rate at the singular instant and relative to the
+largest, from which the singularity is crossed. A touch leaves what rounding makes of it, 1e-6; on the circle of the
+2-RPR it is 4."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A planning task: what does not depend on the nodes."""
+
+    dynamics: Dynamics
+    source: ContinuousMotion
+    settings: Settings
+
+
+@dataclass(frozen=True, eq=False)
+class SingularNode:
+    """A node on a type II singularity; r directions are lost.
+
+    Attributes:
+        index: its number among the nodes.
+        lost: (r, n) rows u with u W = 0.
+        rate: time derivatives of the coefficients of W, f and the carrier forces, one sample.
+    """
+
+    index: int
+    lost: Array
+    rate: CarrierModel
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The numbers of the programme; M nodes, n coordinates, m main actuators, k carriers.
+
+    Attributes:
+        grid: the nodes.
+        model: coefficients of W, f and the carrier forces at the nodes; on curved tracks ``f_terms`` has two more
+            terms, ṡ² and s s̈, in the end.
+        singular: the nodes on type II singularities.
+        actuated_rate: (M, m) rates of the main actuators.
+        target: (M, m) efforts that the objective "tracking" aims at.
+        settings: limits, ends and objective.
+        scales: sizes.
+    """
+
+    grid: Grid
+    model: CarrierModel
+    singular: tuple[SingularNode, ...]
+    actuated_rate: Array
+    target: Array
+    settings: Settings
+    scales: Scales
+
+    def carriers(self, values: Mapping[str, Array]) -> CarrierMotion:
+        """Return the motion at the nodes, in units, of scaled s, ṡ and s̈; what is left out is zero."""
+        u, zero = self.scales, np.zeros((len(self.grid.t), self.model.k))
+        return CarrierMotion(*(values.get(name, zero) * getattr(u, name) for name in ("s", "sd", "sdd")))
+
+    def scaled(self, carriers: CarrierMotion) -> dict[str, Array]:
+        """Return scaled s, ṡ and s̈ of a motion at the nodes."""
+        return {name: getattr(carriers, name) / getattr(self.scales, name) for name in ("s", "sd", "sdd")}
+
+
+def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = None) -> Problem:
+    """Read the coefficients at all nodes off the backend.
+
+    Args:
+        task: robot, motion and settings.
+        grid: the nodes.
+        around: for carriers on curved tracks, the motion at the nodes around which f is fitted.
+
+    Raises:
+        UnsupportedRobotError: carriers on curved tracks, and nothing to fit around.
+        InfeasiblePlanError: the baseline robot has no finite efforts somewhere, or the motion does not cross a
+            singularity that it meets.
+    """
+    settings, motion = task.settings, task.source.sample_at(grid.t)
+    along = task.dynamics.along(motion)
+    model = carrier_model(along) if around is None else second_order_fit(along, around)
+    singular = tuple(
+        singular_node(
+            task,
+            int(i),
+            float(grid.t[i]),
+            None if around is None else around[int(i) : int(i) + 1],
+            # of a jump, which has two nodes, the first one
+            "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right",
+        )
+        for i in grid.singular
+    )
+    lam = settings.lam if "tracking" in settings.objective else 0.0
+    target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
+    rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
+    scales = _scales(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
+    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, scales)
+
+
+def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
+    """Return sizes from the limits, and from the parked robot where there are none."""
+    limits = settings.limits
+    s = np.array([_finite(0.5 * (bounds.upper - bounds.lower), 1.0) for bounds in limits])
+    sd = np.array([_finite(bounds.speed, 10.0 * s[i] / duration) for i, bounds in enumerate(limits)])
+    sdd = np.array([_finite(bounds.acceleration, 10.0 * sd[i] / duration) for i, bounds in enumerate(limits)])
+    size = float(np.abs(model.f0 / row_scale).max())
+    if size == 0.0:
+        size = float(np.abs(model.f_terms[..., SDD] / row_scale[:, None] * sdd).max()) or 1.0
+    largest = np.linalg.svd(model.W / row_scale[:, None], compute_uv=False)[:, 0]
+    tau = size / float(np.median(largest))
+    force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., SDD]).max(axis=0) * sdd
+    power = tau * (float(np.abs(rate).max()) or 1.0)
+    return Scales(s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration)
+
+
+def _finite(value: float, otherwise: float) -> float:
+    return value if np.isfinite(value) else otherwise
+
+
+def singular_node(
+    task: Task, index: int, t: float, around: CarrierMotion | None = None, side: Side = "right"
+) -> SingularNode:
+    """Read the derivatives of the model at a singular instant off the backend.
+
+    Args:
+        task: robot, motion and settings.
+        index: number of the node.
+        t: the instant, s.
+        around: for carriers on curved tracks, the motion (one sample) around which the model is fitted.
+        side: from which the derivatives are taken; "left" for the node before a jump of the reference acceleration.
+
+    Raises:
+        UnsupportedRobotError: see ``carrier_model``.
+        InfeasiblePlanError: the motion touches the singularity, rests in it or stays in it: (W; uᵀ Ẇ) lacks rank.
+    """
+    dynamics, source, dt = task.dynamics, task.source, task.settings.mesh.dt
+    if around is None:
+        model = TimedModel.of(dynamics, source, max(source.start, t - dt), min(source.end, t + dt))
+        rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)
+    else:
+        rate = _rate_of_fit(dynamics, source, t, around, side)
+    reduced = dynamics.along(source.sample_at(np.array([t]))).reduce()
+    u, values, v = np.linalg.svd(scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0])
+    size = float(values[0])
+    if len(values) == 1:  # the only one vanishes: it is small beside what it is elsewhere
+        usual = dynamics.along(source.sample_at(_spread(source))).reduce()
+        size = float(np.linalg.norm(scaled(usual.W, usual.row_scale, usual.column_scale), axis=(1, 2)).max())
+    kept = int((values > LOST * size).sum())
+    turning = scaled(rate.W, reduced.row_scale, reduced.column_scale)[0]
+    _require_crossing(u[:, kept:].T @ turning @ v[kept:].T / size, source, t)
+    return SingularNode(index, read_only(u[:, kept:].T / reduced.row_scale), rate)
+
+
+def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
+    """Check that the singular values that vanish do so at a rate; ``rate`` (r, r or more), 1/s, is that of W there."""
+    slowest = float(np.linalg.svd(rate, compute_uv=False)[-1]) if rate.size else 0.0
+    changed = slowest * (source.end - source.start)
+    if changed > CROSSED:
+        return
+    speed, most = (float(np.abs(source.sample_at(at).xd).max()) for at in (np.array([t]), _spread(source)))
+    how = "rests in" if speed <= CROSSED * most else "touches, or follows,"
+    raise InfeasiblePlanError(
+        f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: what f and its rate say there "
+        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite beside it.",
+        remedy="Lead the motion across the singularity with a speed, or keep a distance from it.",
+        constraint="singular_touch",
+        time=t,
+        amount=changed,
+        at_rest=speed <= CROSSED * most,
+    )
+
+
+def _spread(source: ContinuousMotion) -> Array:
+    times: Array = np.linspace(source.start, source.end, 101)
+    return times
+
+
+STEP = 1e-4
+"""Of the differences of the exact derivatives, m or rad, and per second: second derivatives to 1e-8 of themselves."""
+
+
+def second_order_fit(along: DynamicsAlongMotion, carriers: CarrierMotion) -> CarrierModel:
+    """Fit f to second order around a motion of the carriers, with exact derivatives and differences of them.
+
+    f is affine in s̈ and, to second order, a sum over the carriers: seven terms. The force of a carrier is fitted to
+    first order in its own motion; what the others do to it is taken as it is.
+
+    Args:
+        along: dynamics along a platform motion, N samples.
+        carriers: motion to fit around, N samples.
+    """
+    model = _first_order_fit(along, carriers)
+    s, sd, sdd = carriers.s, carriers.sd, carriers.sdd
+
+    def slope(ds: float, dsd: float) -> list[Array]:
+        ahead, behind = (
+            along.carrier_derivatives(CarrierMotion(s + sign * ds, sd + sign * dsd, sdd)) for sign in (1.0, -1.0)
+        )
+        return [(getattr(ahead, by) - getattr(behind, by)) / (2.0 * (ds + dsd)) for by in ("f_s", "f_sd", "f_sdd")]
+
+    ss, ssd, ssdd = slope(STEP, 0.0)
+    _, sdsd, _ = slope(0.0, STEP)
+    # the quadratic form is expanded about zero: what it adds at the motion goes into the lower terms
+    at = [part[:, None, :] for part in (s, sd, sdd)]
+    f0 = model.f0 + (0.5 * ss * at[0] ** 2 + ssd * at[0] * at[1] + 0.5 * sdsd * at[1] ** 2 + ssdd * at[0] * at[2]).sum(
+        2
+    )
+    by_term = list(np.moveaxis(model.f_terms, -1, 0))
+    by_term[S] = by_term[S] - (ss * at[0] + ssd * at[1] + ssdd * at[2])
+    by_term[SD] = by_term[SD] - (ssd * at[0] + sdsd * at[1])
+    by_term[SDD] = by_term[SDD] - ssdd * at[0]
+    by_term[S2], by_term[S_SD] = 0.5 * ss, ssd
+    return replace(model, f0=read_only(f0), f_terms=read_only(np.stack([*by_term, 0.5 * sdsd, ssdd], axis=-1)))
+
+
+def _first_order_fit(along: DynamicsAlongMotion, carriers: CarrierMotion) -> CarrierModel:
+    reduced, slopes = along.reduce(carriers), along.carrier_derivatives(carriers)
+    zero = np.zeros_like(slopes.f_s)
+    f_terms = np.stack([slopes.f_s, zero, slopes.f_sd, zero, slopes.f_sdd], axis=-1)
+    own = [np.diagonal(part, axis1=1, axis2=2) for part in (slopes.force_s, slopes.force_sd, slopes.force_sdd)]
+    nothing = np.zeros_like(own[0])
+    force_terms = np.stack([own[0], nothing, own[1], nothing, own[2]], axis=-1)
+    at = np.stack([carriers.s, nothing, carriers.sd, nothing, carriers.sdd], axis=-1)
+    f0 = np.asarray(reduced.f) - np.einsum("nikj,nkj->ni", f_terms, at)
+    force0 = np.asarray(reduced.carrier_force) - np.einsum("nkj,nkj->nk", force_terms, at)
+    return CarrierModel(along.motion.t, reduced.W, *(read_only(part) for part in (f0, f_terms, force0, force_terms)))
+
+
+APART = 1e-3
+"""Distance of the times from which derivatives are formed, s, where the motion is smooth for so long."""
+
+_CENTRAL = ((-2.0, 1.0 / 12.0), (-1.0, -2.0 / 3.0), (1.0, 2.0 / 3.0), (2.0, -1.0 / 12.0))
+"""Offsets and weights of a derivative of order four."""
+
+_AHEAD = ((1.0, -77.0 / 12.0), (2.0, 107.0 / 6.0), (3.0, -39.0 / 2.0), (4.0, 61.0 / 6.0), (5.0, -25.0 / 12.0))
+"""The same from one side, where the other is another piece of the motion."""
+
+
+def _rate_of_fit(
+    dynamics: Dynamics, source: ContinuousMotion, t: float, carriers: CarrierMotion, side: Side
+) -> CarrierModel:
+    """Return derivatives by time of the first-order coefficients, fitted around one sample of a motion throughout."""
+    kinks = np.concatenate([[source.start, source.end], source.breaks, source.knots if source.exact else []])
+    distance = np.abs(kinks - t)
+    apart = float(distance[distance > 0.0].min())
+    if (distance == 0.0).any():
+        sign = 1.0 if t == source.start or (side == "right" and t < source.end) else -1.0
+        # times have to increase on the left as well
+        offsets, weights = (sign * np.array(part)[:: int(sign)] for part in zip(*_AHEAD, strict=True))
+        apart = min(APART, 0.19 * apart)  # five offsets within the piece
+    else:
+        offsets, weights = (np.array(part) for part in zip(*_CENTRAL, strict=True))
+        apart = min(APART, 0.49 * apart)  # two
+    fixed = CarrierMotion(*(np.repeat(part, len(offsets), axis=0) for part in (carriers.s, carriers.sd, carriers.sdd)))
+    model = _first_order_fit(dynamics.along(source.sample_at(t + apart * offsets)), fixed)
+    parts = (model.W, model.f0, model.f_terms, model.force0, model.force_terms)
+    return CarrierModel(
+        np.array([t]), *(read_only(np.einsum("n,n...->...", weights / apart, part)[None]) for part in parts)
+    )

@@ -1,0 +1,203 @@
+"""The options of the whole-trajectory planner, in groups, and checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, frozen, positive
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.planners.limits import Limits, as_typed
+from redundancy_pin.planners.whole_trajectory.objectives import OBJECTIVES
+from redundancy_pin.robot import CarrierLimits, Robot
+
+End = Literal["free", "rest", "datum", "periodic"]
+"""How the carriers end: anyhow; at rest; at rest where they park; or as they began (s, ṡ and s̈)."""
+
+Progress = Callable[[str], None]
+"""Takes one line of text."""
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """What a plan minimises.
+
+    Attributes:
+        weights: name of an objective (``objectives.OBJECTIVES``), or weights of several.
+        lam: λ of "tracking", 0 to 1.
+        baseline: backend of the robot whose efforts are τ̂.
+    """
+
+    weights: str | Mapping[str, float] = "effort"
+    lam: float = 0.0
+    baseline: Dynamics | None = None
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """The nodes of a plan.
+
+    Attributes:
+        dt: largest step between nodes, s.
+        refinements: how often the mesh may be refined where efforts between the nodes exceed those at the nodes.
+    """
+
+    dt: float = 0.005
+    refinements: int = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """How long and from where the solver works.
+
+    Attributes:
+        starts: number of first guesses.
+        seconds: time bound of each solution, s.
+        progress: called with a line of text at each stage.
+    """
+
+    starts: int = 1
+    seconds: float = 60.0
+    progress: Progress | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """Checked options of ``plan_whole_trajectory``; see there.
+
+    Attributes:
+        objective: weight of each objective that has one.
+        lam, baseline: of "tracking".
+        limits: (k,) limits of the carriers.
+        jerk: (k,) largest |s⃛|, m/s³.
+        effort: (m,) largest |τ|, N or N·m.
+        start, start_speed: (k,) state of the carriers at the start, m and m/s.
+        end: how they end.
+        datum: (k,) where they park, m.
+        mesh, solver: as given.
+    """
+
+    objective: Mapping[str, float]
+    lam: float
+    baseline: Dynamics | None
+    limits: tuple[CarrierLimits, ...]
+    jerk: Array
+    effort: Array
+    start: Array
+    start_speed: Array
+    end: End
+    datum: Array
+    mesh: Mesh
+    solver: Solver
+
+    @property
+    def parameters(self) -> dict[str, object]:
+        """The settings as plain data, for the plan."""
+        return {
+            "objective": dict(self.objective),
+            "lam": self.lam,
+            "track": [(limit.lower, limit.upper) for limit in self.limits],
+            "speed": [limit.speed for limit in self.limits],
+            "acceleration": [limit.acceleration for limit in self.limits],
+            "carrier_force": [limit.force for limit in self.limits],
+            "jerk": self.jerk.tolist(),
+            "effort": self.effort.tolist(),
+            "start": self.start.tolist(),
+            "start_speed": self.start_speed.tolist(),
+            "end": self.end,
+            "datum": self.datum.tolist(),
+            "dt": self.mesh.dt,
+            "starts": self.solver.starts,
+            "seconds": self.solver.seconds,
+            "refinements": self.mesh.refinements,
+        }
+
+
+def checked_settings(
+    robot: Robot,
+    objective: Objective = Objective(),  # frozen
+    limits: Limits = Limits(),  # noqa: B008 # frozen
+    mesh: Mesh = Mesh(),  # frozen
+    solver: Solver = Solver(),  # frozen
+    *,
+    start: ArrayLike | None = None,
+    start_speed: ArrayLike = 0.0,
+    end: End = "datum",
+    datum: ArrayLike = 0.0,
+) -> Settings:
+    """Return the settings after checking every option.
+
+    Raises:
+        InputError: an option out of its domain; names it.
+        UnsupportedRobotError: no carriers.
+        InfeasiblePlanError: a start or datum off the track.
+    """
+    if robot.k == 0:
+        raise UnsupportedRobotError(
+            f"{robot.name} has no carriers to plan for.", remedy="Load it with carriers, or declare some."
+        )
+    if end not in get_args(End):
+        raise InputError(f"end is {end!r}.", remedy=f"Use one of {', '.join(get_args(End))}.", end=end)
+    weights, lam = _weights(objective.weights), objective.lam
+    if not (isinstance(lam, (int, float)) and 0.0 <= lam <= 1.0):
+        raise InputError(f"lam is {lam}, expected a number in [0, 1].", lam=lam)
+    if "tracking" in weights and lam > 0.0 and objective.baseline is None:
+        raise InputError(
+            f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
+            remedy='Pass baseline=RneaDynamics(load_robot("3rrr", carriers=False)).',
+        )
+    resolved = limits.resolved(robot)
+    park = resolved.on_track(datum, "datum")
+    return Settings(
+        objective=weights,
+        lam=float(lam),
+        baseline=objective.baseline,
+        limits=resolved.of_carriers,
+        jerk=resolved.jerk,
+        effort=resolved.effort,
+        start=park if start is None else resolved.on_track(start, "start"),
+        start_speed=_vector(start_speed, "start_speed", robot.k),
+        end=end,
+        datum=park,
+        mesh=Mesh(positive(mesh.dt, "dt", "s"), _whole(mesh.refinements, "refinements", 0)),
+        solver=Solver(_whole(solver.starts, "starts", 1), positive(solver.seconds, "seconds", "s"), solver.progress),
+    )
+
+
+def _whole(value: object, name: str, least: int) -> int:
+    number = isinstance(value, (int, float, np.integer)) and math.isfinite(value)
+    if not number or int(value) != value or value < least:  # type: ignore[call-overload, operator]
+        raise InputError(f"{name} is {value}, expected a whole number from {least} up.", name=name, value=value)
+    return int(value)  # type: ignore[call-overload, no-any-return]
+
+
+def _weights(objective: str | Mapping[str, float]) -> dict[str, float]:
+    given = {objective: 1.0} if isinstance(objective, str) else objective
+    if not isinstance(given, Mapping) or not set(given) <= set(OBJECTIVES):
+        unknown = [name for name in given if name not in OBJECTIVES] if isinstance(given, Mapping) else objective
+        raise InputError(
+            f"objective is {unknown!r}.", remedy=f"Use {', '.join(OBJECTIVES)}, or weights of them.", objective=unknown
+        )
+    for weight in given.values():
+        if not (isinstance(weight, (int, float)) and math.isfinite(weight) and weight >= 0.0):
+            raise InputError(f"A weight of the objective is {weight!r}.", remedy="Weights are positive.", weight=weight)
+    kept = {name: float(weight) for name, weight in given.items() if weight > 0.0}
+    if not kept:
+        raise InputError("Nothing to minimise: every weight is zero.", remedy="Give one objective a weight.")
+    return kept
+
+
+def _vector(values: ArrayLike, name: str, length: int) -> Array:
+    try:
+        vector = np.broadcast_to(np.asarray(values, dtype=float), (length,))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is {as_typed(values)!r}, expected {length} numbers or one.", name=name) from error
+    if not np.isfinite(vector).all():
+        raise InputError(f"{name} is {as_typed(values)!r}, expected finite numbers.", name=name)
+    return frozen(vector)

@@ -1,0 +1,110 @@
+"""Options in groups or flat, nodes, and an objective of one's own."""
+
+import numpy as np
+import pytest
+import zoo
+
+from redundancy_pin import VirtualWork, plan_whole_trajectory
+from redundancy_pin.errors import InputError
+from redundancy_pin.planners.whole_trajectory import OBJECTIVES, Limits, Mesh, Objective, ObjectiveTerm, Solver
+from redundancy_pin.trajectory import reference
+
+CIRCLE = reference.circle(0.5, 0.2, 0.05)
+
+
+def plan_of(**options):
+    return plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), CIRCLE, **options)
+
+
+FLAT = {"objective": {"effort": 1.0, "peak": 0.1}, "lam": 0.0, "speed": 1.0, "jerk": 300.0, "effort": [0.3, 0.3]}
+FLAT |= {"dt": 0.03, "refinements": 0, "starts": 2, "seconds": 30.0}
+
+
+def test_options_in_groups_give_the_plan_of_flat_ones():
+    flat = plan_of(**FLAT)
+    lines = []
+    grouped = plan_of(
+        objective=Objective(FLAT["objective"]),
+        limits=Limits(speed=1.0, jerk=300.0, effort=[0.3, 0.3]),
+        mesh=Mesh(0.03, refinements=0),
+        solver=Solver(starts=2, seconds=30.0, progress=lines.append),
+    )
+    assert grouped.parameters == flat.parameters
+    np.testing.assert_array_equal(grouped.tau, flat.tau)
+    assert lines
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"limits": Limits(speed=1.0), "speed": 1.0}, "speed"),
+        ({"limits": Limits(), "effort": [1.0, 1.0]}, "effort"),
+        ({"mesh": Mesh(0.01), "dt": 0.02}, "dt"),
+        ({"solver": Solver(), "starts": 2}, "starts"),
+        ({"objective": Objective("tracking"), "lam": 0.5}, "lam"),
+        ({"mesh": 0.01}, "mesh"),
+        ({"limits": {"speed": 1.0}}, "limits"),
+    ],
+)
+def test_options_given_twice_or_of_another_kind_are_named(options, name):
+    with pytest.raises(InputError, match=name):
+        plan_of(**options)
+
+
+def test_groups_are_checked_as_flat_options_are():
+    for options in ({"mesh": Mesh(0.0)}, {"solver": Solver(starts=0)}, {"limits": Limits(speed=-1.0)}):
+        with pytest.raises(InputError):
+            plan_of(**options)
+
+
+def test_an_objective_is_added_by_its_formula(monkeypatch):
+    """The mean square of the carriers' speeds, and the largest of them: one integral, one largest value."""
+    added = {
+        "carrier_speed": ObjectiveTerm(lambda q: q.integral(q.sd**2), lambda u: u.duration * float(u.sd.max()) ** 2),
+        "fastest_carrier": ObjectiveTerm(
+            lambda q: q.largest(q.sd, float(q.scales.sd.max())), lambda u: float(u.sd.max()), flat=True
+        ),
+    }
+    for name, term in added.items():
+        monkeypatch.setitem(OBJECTIVES, name, term)
+    options = {"dt": 0.03, "refinements": 0, "effort": 0.3}
+    plans = {name: plan_of(objective=name, **options) for name in ("effort", *added)}
+    half = 0.5 * np.diff(plans["effort"].t)
+    weights = (np.append(half, 0.0) + np.append(0.0, half))[:, None]
+    measures = {
+        "carrier_speed": lambda plan: (weights * plan.carriers.sd**2).sum(),
+        "fastest_carrier": lambda plan: np.abs(plan.carriers.sd).max(),
+    }
+    for name, measure in measures.items():
+        assert plans[name].diagnostics["optimal"]
+        assert plans[name].diagnostics["objective"][name] == pytest.approx(measure(plans[name]), rel=1e-9)
+        assert all(measure(plans[name]) <= (1.0 + 1e-3) * measure(other) for other in plans.values())
+    assert measures["fastest_carrier"](plans["fastest_carrier"]) < 0.9 * measures["fastest_carrier"](plans["effort"])
+
+
+@pytest.mark.parametrize("term", ["absolute", "rate"])
+def test_formulas_may_bound_and_differentiate(monkeypatch, term):
+    formulas = {
+        "absolute": (lambda q: q.integral(q.absolute(q.sd, float(q.scales.sd.max()))), lambda u: u.duration),
+        "rate": (lambda q: q.integral_over_steps(q.rate(q.sdd) ** 2), lambda u: 1e3 * u.duration),
+    }
+    monkeypatch.setitem(OBJECTIVES, term, ObjectiveTerm(*formulas[term], flat=True))
+    options = {"dt": 0.03, "refinements": 0, "effort": 0.3}
+    plan, usual = (plan_of(objective=weights, **options) for weights in (term, {"effort": 1.0, term: 1e-9}))
+    assert plan.diagnostics["objective"][term] < 0.9 * usual.diagnostics["objective"][term]
+
+
+@pytest.mark.parametrize("trajectory", [reference.corner(), CIRCLE], ids=["corner", "circle"])
+def test_nodes_have_every_event_and_smooth_nodes_one_jerk(trajectory):
+    corner = len(trajectory.breaks) > 0
+    dynamics = VirtualWork(zoo.robot_of("3rrr" if corner else "2rpr"))
+    plan = plan_whole_trajectory(dynamics, trajectory, dt=0.03, refinements=1)
+    h = np.diff(plan.t)
+    assert h.max() <= 0.03 * (1.0 + 1e-9)
+    np.testing.assert_array_equal(plan.t[1:][h == 0.0], trajectory.breaks)
+    assert np.isin(plan.diagnostics["singular_instants"], plan.t).all()
+    smooth = np.array(plan.diagnostics["smooth_nodes"], dtype=int)
+    assert len(plan.diagnostics["singular_instants"]) == (0 if corner else 2)
+    assert np.isin(plan.diagnostics["singular_nodes"], smooth).all()
+    jerk = np.diff(plan.carriers.sdd, axis=0) / np.where(h > 0.0, h, np.inf)[:, None]
+    np.testing.assert_allclose(jerk[smooth - 1], jerk[smooth], atol=1e-6 * np.abs(jerk).max())
