@@ -15,6 +15,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem
+from redundancy_pin.planners.whole_trajectory.mesh import widened
 from redundancy_pin.planners.whole_trajectory.solver import (
     LEAST_SECONDS,
     Options,
@@ -97,7 +98,7 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
             leaves = _leaves_limits(problem, solution)
         if not leaves.any():
             return _with_totals(solution, attempts)
-        new = _widened(leaves) & ~np.any([np.zeros_like(leaves), *groups], axis=0)
+        new = widened(leaves, AROUND) & ~np.any([np.zeros_like(leaves), *groups], axis=0)
         if len(groups) == ROUNDS or not new.any():
             return _with_totals(replace(solution, optimal=False, feasible=False), attempts)
         groups.append(new)
@@ -122,12 +123,6 @@ def _exceeds_force(problem: Problem, solution: Solution) -> bool:
     carriers, (low, high) = problem.carriers(solution.values), scaled_bounds(problem)["force"]
     force = problem.model.carrier_force(carriers.s, carriers.sd, carriers.sdd) / problem.scales.force
     return bool(((force > high) | (force < low)).any())
-
-
-def _widened(steps: BoolArray) -> BoolArray:
-    """Return the steps and ``AROUND`` more on both sides."""
-    wider: BoolArray = np.convolve(steps, np.ones(2 * AROUND + 1)) > 0.5
-    return wider[AROUND:-AROUND]
 
 
 def _with_totals(chosen: Solution, attempts: list[Solution]) -> Solution:
