@@ -23,6 +23,7 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedD
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.actuation import SAMPLED_TOLERANCE, smooth_edges
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
 
@@ -241,46 +242,12 @@ def _require_regular(model: CarrierModel, margin: Array, least_margin: float) ->
             )
 
 
-ACTUATION_TOLERANCE = 1e-11
-"""Of the interpolated W, relative to its largest entry: the times of a window are then exact to about 1e-11 of it."""
-
 MODEL_TOLERANCE = 1e-12
 """Of each group of coefficients, relative to its largest entry."""
-
-SAMPLED_TOLERANCE = 1e-9
-"""Of the same where the motion was sampled: the quintics between samples a few milliseconds apart meet with kinks below
-this, and resolving every one of them would be of no use."""
 
 _LEAST_GROUP = 1e-4
 """A group smaller than this fraction of the largest is held to the tolerance of this size: the rounding of a backend
 does not shrink with the group."""
-
-
-@dataclass(frozen=True, eq=False)
-class TimedActuation:
-    """W as a function of time."""
-
-    interpolant: PiecewisePolynomial
-    shape: tuple[int, int]
-
-    @staticmethod
-    def of(dynamics: Dynamics, motion: ContinuousMotion) -> TimedActuation:
-        """Read W off a backend along a whole motion."""
-
-        def values(times: Array) -> Array:
-            W = np.asarray(dynamics.along(motion.sample_at(times)).reduce().W)
-            return W.reshape(len(times), -1)
-
-        edges = _edges(motion, motion.start, motion.end)
-        tolerance = ACTUATION_TOLERANCE if motion.exact else SAMPLED_TOLERANCE
-        found = PiecewisePolynomial.fit(
-            values, edges, motion.knots, lambda v: np.full(v.shape[1], np.abs(v).max()), tolerance
-        )
-        return TimedActuation(found, (dynamics.robot.n, dynamics.robot.m))
-
-    def at(self, times: Array) -> Array:
-        """Return W (N, n, m) at (N,) times."""
-        return self.interpolant(times).reshape(len(times), *self.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,7 +294,7 @@ class TimedModel:
             return limited
 
         tolerance = MODEL_TOLERANCE if motion.exact else SAMPLED_TOLERANCE
-        interpolant = PiecewisePolynomial.fit(values, _edges(motion, start, end), motion.knots, scale, tolerance)
+        interpolant = PiecewisePolynomial.fit(values, smooth_edges(motion, start, end), motion.knots, scale, tolerance)
         inner = motion.breaks[(motion.breaks > start) & (motion.breaks < end)]
         knots = np.setdiff1d(interpolant.edges[1:-1], inner)
         return TimedModel(start, end, inner, knots, interpolant, tolerance, robot.n, robot.m, robot.k)
@@ -347,14 +314,6 @@ class TimedModel:
             force0,
             force_terms.reshape(count, self.k, TERMS),
         )
-
-
-def _edges(motion: ContinuousMotion, start: float, end: float) -> Array:
-    """Return the ends of the first pieces: jumps, and the few kinks of a trajectory."""
-    inner = np.concatenate([motion.breaks, motion.knots]) if motion.exact else motion.breaks
-    inner = np.unique(inner[(inner > start) & (inner < end)])
-    edges: Array = np.concatenate([[start], inner, [end]])
-    return edges
 
 
 def _sizes(n: int, m: int, k: int) -> list[int]:

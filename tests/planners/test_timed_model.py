@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from redundancy_pin import PlatformMotion, VirtualWork
-from redundancy_pin.planners.carrier_model import TimedActuation, TimedModel, carrier_model
-from redundancy_pin.planners.switch_off.windows import below_zero, minima
+from redundancy_pin.planners.actuation import Actuation
+from redundancy_pin.planners.carrier_model import TimedModel, carrier_model
+from redundancy_pin.singularities.roots import below_zero, minima
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion
 
@@ -23,7 +24,7 @@ def test_model_is_that_of_the_backend():
     for name in ("W", "f0", "f_terms", "force0", "force_terms"):
         ours, theirs = getattr(model, name), getattr(exact, name)
         assert np.abs(ours - theirs).max() <= 1e-11 * np.abs(theirs).max()
-    W = TimedActuation.of(dynamics, motion).at(times)
+    W = Actuation.along(dynamics, motion).at(times)
     assert np.abs(W - exact.W).max() <= 1e-10
 
 

@@ -1,9 +1,11 @@
 """Least squares of a slightly curved function over a box: min ‖r(u)‖² with lower ≤ u ≤ upper.
 
 Gauss–Newton on r, which is a quadratic of u with no mixed terms: r(u + d) = r + J d + C (d ∘ d). Each step is a convex
-quadratic programme over the box, solved exactly: without the bounds first, and by pivoting (Júdice and Pires 1992)
-where that leaves the box. What a step misses is known from the sizes of d, r and C, and decides whether one more is
-needed. The problems are tiny and solved by the thousand: plain floats where they are faster than arrays.
+quadratic programme over the box: without the bounds first, and by DAQP (an active-set solver, so exact) where that
+leaves the box. What a step misses is known from the sizes of d, r and C, and decides whether one more is needed. The
+problems are tiny and solved by the thousand, so that calls count: lists of floats where they are faster than arrays,
+and LAPACK's own Cholesky. Measured with three unknowns, in the same minute: DAQP 40 µs, quadprog 80, pivoting in Python
+240, ``scipy.optimize.lsq_linear`` 970.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from dataclasses import dataclass
 from operator import add, mul, sub
 from typing import TypeAlias
 
+import daqp
 import numpy as np
 from scipy.linalg.lapack import dposv
 
@@ -33,11 +36,11 @@ _DAMPING = 1e-13
 """Relative to the squared slope, to which it is added. It changes the rate at which the minimum is reached, not the
 minimum, and makes a component that r does not feel stay where it is."""
 
-_ROUNDING = 1e-13
-"""Relative; below it a bound counts as met and a multiplier as zero when the pivoting decides."""
+_TOLERANCES = {"primal_tol": 1e-11, "dual_tol": 1e-13}
+"""Of DAQP: m/s², and the gradient divided by the squared slope."""
 
-_PATIENCE = 10
-"""Rounds in which all wrong guesses are changed at once may fail this often before they are changed one by one."""
+_NO_ROWS = np.empty((0, 64))
+"""DAQP's matrix of constraints other than bounds."""
 
 
 def minimise(
@@ -78,11 +81,8 @@ def minimise(
         step = [-d for d in dposv(hessian, gradient)[1].tolist()]
         reached = list(map(add, u, step))
         if _outside(reached, lower, upper):
-            low, high = list(map(sub, lower, u)), list(map(sub, upper, u))
-            step = minimise_quadratic(hessian.tolist(), gradient.tolist(), low, high, step)
-            # a bound is met bit by bit, not up to the rounding of a difference
-            ends = zip(u, step, lower, upper, low, high, strict=True)
-            reached = [a if d == least else b if d == most else x + d for x, d, a, b, least, most in ends]
+            reached = _within(hessian / slope**2, gradient / slope**2, u, lower, upper)
+            step = list(map(sub, reached, u))
         u = reached
         largest, remains = max(map(abs, step)), math.sqrt(squared.item(k, k))
         if curvature * largest * (largest + 2.0 * remains / slope) <= tolerance:
@@ -107,72 +107,20 @@ def _outside(values: list[float], lower: list[float], upper: list[float]) -> boo
     return False
 
 
-def minimise_quadratic(
-    hessian: list[list[float]], gradient: list[float], lower: list[float], upper: list[float], guess: list[float]
-) -> list[float]:
-    """Return the minimum of ½ dᵀ H d + gᵀ d over lower ≤ d ≤ upper, H positive definite.
-
-    Every component is free or at one of its bounds. A choice is solved; components outside their bounds are moved to
-    them, those whose multiplier has the wrong sign are freed. Changing all at once is fast, changing the last one only
-    is certain to end (Murty's rule).
-
-    Args:
-        hessian: (k, k) H, symmetric positive definite.
-        gradient: (k,) g.
-        lower: (k,) lower bounds.
-        upper: (k,) upper bounds.
-        guess: (k,) where it lies outside the box a component starts at its bound: the minimum without bounds.
-    """
-    H, g, low, high = hessian, gradient, lower, upper
-    every = range(len(g))
-    side = [(x > b) - (x < a) for x, a, b in zip(guess, low, high, strict=True)]
-    fewest, patience = len(g) + 1, _PATIENCE
-    for _ in range(MOST_ITERATIONS * 3 ** len(g)):
-        d = [low[i] if side[i] < 0 else high[i] if side[i] > 0 else 0.0 for i in every]
-        free = [i for i in every if side[i] == 0]
-        right = [-g[i] - sum(map(mul, H[i], d)) for i in free]
-        for i, x in zip(free, _solved([[H[i][j] for j in free] for i in free], right), strict=True):
-            d[i] = x
-        wanted = [_side(H[i], g[i], d, d[i], low[i], high[i], side[i]) for i in every]
-        wrong = [i for i in every if wanted[i] != side[i]]
-        if not wrong:
-            return [min(max(x, a), b) for x, a, b in zip(d, low, high, strict=True)]
-        if len(wrong) < fewest:
-            fewest, patience = len(wrong), _PATIENCE
-        else:
-            patience -= 1
-        for i in wrong if patience > 0 else wrong[-1:]:
-            side[i] = wanted[i]
-    raise RedundancyPinError(
-        "The pivoting of a box-constrained quadratic programme did not end.",
-        remedy="Check the efforts along the motion: they must not be NaN.",
+def _within(hessian: Array, gradient: Array, u: list[float], lower: list[float], upper: list[float]) -> list[float]:
+    """Return the minimum over the box of ½ dᵀ H d + gᵀ d, d the distance from u."""
+    here = np.array(u)
+    d, _, flag, info = daqp.solve(
+        hessian, gradient, _NO_ROWS[:, : len(u)], np.array(upper) - here, np.array(lower) - here, **_TOLERANCES
     )
-
-
-def _side(row: list[float], g: float, d: list[float], x: float, low: float, high: float, side: int) -> int:
-    """Return where a component belongs: −1 at its lower bound, 0 free, 1 at its upper bound."""
-    if side == 0:
-        room = _ROUNDING * abs(x)
-        return (x > high + room) - (x < low - room)
-    terms = list(map(mul, row, d))
-    slope, size = sum(terms) + g, _ROUNDING * (sum(map(abs, terms)) + abs(g))
-    return 0 if side * slope > size else side
-
-
-def _solved(matrix: list[list[float]], right: list[float]) -> list[float]:
-    """Return the solution of a small positive definite system, by elimination."""
-    n = len(right)
-    for i in range(n):
-        for j in range(i + 1, n):
-            factor = matrix[j][i] / matrix[i][i]
-            for q in range(i + 1, n):
-                matrix[j][q] -= factor * matrix[i][q]
-            right[j] -= factor * right[i]
-    for i in range(n - 1, -1, -1):
-        for j in range(i + 1, n):
-            right[i] -= matrix[i][j] * right[j]
-        right[i] /= matrix[i][i]
-    return right
+    if flag < 1:
+        raise RedundancyPinError(
+            f"The quadratic programme of one step was not solved (DAQP: {flag}).",
+            remedy="Check the efforts along the motion: they must not be NaN.",
+        )
+    # a bound with a multiplier is met bit by bit, not up to the rounding of a difference
+    sides = zip((here + d).tolist(), info["lam"].tolist(), lower, upper, strict=True)
+    return [b if force > 0.0 else a if force < 0.0 else min(max(x, a), b) for x, force, a, b in sides]
 
 
 def optimality(residual: Array, jacobian: Array, lower: Array, upper: Array, u: Array) -> Array:

@@ -13,10 +13,10 @@ from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.actuation import Actuation, Measure
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.plan import Plan, finish_plan
 from redundancy_pin.planners.switch_off.crossing import Crossing
-from redundancy_pin.planners.switch_off.windows import Measure, Measured
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, carriers_at
 
 PHASES = ("parked", "ramp_down", "off", "return")
@@ -44,7 +44,7 @@ class Leg:
 
 
 def assemble_plan(
-    dynamics: Dynamics, source: ContinuousMotion, legs: list[Leg], settings: Settings, measured: Measured
+    dynamics: Dynamics, source: ContinuousMotion, legs: list[Leg], settings: Settings, actuation: Actuation
 ) -> Plan:
     """Sample the crossings and returns, let the backend judge them, and report."""
     times = _grid(source, legs, settings)
@@ -84,7 +84,7 @@ def assemble_plan(
             "dt": settings.dt,
             "scheme": settings.scheme,
         },
-        diagnostics=_diagnostics(dynamics, source, along, carriers, prescribed, phase, legs, measured, settings),
+        diagnostics=_diagnostics(dynamics, source, along, carriers, prescribed, phase, legs, actuation, settings),
         prescribed=prescribed,
         functions=_functions(source, legs, settings),
     )
@@ -142,7 +142,7 @@ def _diagnostics(
     prescribed: Array,
     phase: IntArray,
     legs: list[Leg],
-    measured: Measured,
+    actuation: Actuation,
     settings: Settings,
 ) -> dict[str, object]:
     reduced = along.reduce(carriers)
@@ -153,11 +153,11 @@ def _diagnostics(
         {name: np.nanmax(np.abs(part[phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
         for part in (tau, carriers.s)
     )
-    singular = measured.singular_instants()
+    singular = actuation.singular_instants()
     return {
         "windows": [_window(dynamics, source, leg, singular, settings) for leg in legs],
         "no_window": not legs,
-        "worst_measure": measured.worst(),
+        "worst_measure": actuation.worst(settings.measure),
         "singular_instants": singular,
         "peak_effort": efforts,
         "peak_position": positions,

@@ -18,7 +18,7 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation
 from redundancy_pin.planners.switch_off.crossing import Crossing, crossing_equation
-from redundancy_pin.planners.switch_off.windows import Interval
+from redundancy_pin.singularities.roots import Interval
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
 
 STEP_TOLERANCE = 1e-9

@@ -12,10 +12,11 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import null_directions, spectrum_of
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.actuation import dense
 from redundancy_pin.planners.carrier_model import TimedModel
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, RampDown, StepGivenUpError, ramp_down
-from redundancy_pin.planners.switch_off.windows import Interval, minima, sampling
+from redundancy_pin.singularities.roots import Interval, minima
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, carriers_at
 
@@ -66,7 +67,7 @@ def lost_directions(equation: CarrierEquation, start: float, end: float) -> list
         InfeasiblePlanError: F lacks rank all along.
     """
     model = equation.model
-    times = sampling(model.interpolant.edges, start, end)
+    times = dense(model.interpolant.edges)
     n = len(equation.row_scale)
 
     def forces(t: Array) -> Array:

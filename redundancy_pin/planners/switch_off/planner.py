@@ -11,14 +11,15 @@ from redundancy_pin.arrays import Array, checked, positive
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.carrier_model import TimedActuation, TimedModel
+from redundancy_pin.planners.actuation import Actuation, Measure
+from redundancy_pin.planners.carrier_model import TimedModel
 from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.plan import Plan, require_dynamics, require_motion
 from redundancy_pin.planners.switch_off.assembly import Leg, Settings, assemble_plan
 from redundancy_pin.planners.switch_off.backward_differences import cross_stepwise
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross
-from redundancy_pin.planners.switch_off.windows import Interval, Measure, Measured, require_inside
 from redundancy_pin.robot import Robot
+from redundancy_pin.singularities.roots import Interval
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, TimedTrajectory, continuous_motion
 
 Scheme = Literal["integration", "backward_differences"]
@@ -74,20 +75,18 @@ def plan_switch_off(
     require_motion(motion, "duration", "breaks", "sample_at")
     settings = _settings(dynamics, threshold, measure, ramp_down, return_time, datum, dt, scheme)
     source = continuous_motion(motion)
-    actuation = TimedActuation.of(dynamics, source)
-    sample = dynamics.along(source.sample_at(np.array([source.start]))).reduce()
-    measured = Measured(actuation, sample, measure, settings.threshold)
-    windows = measured.windows()
+    actuation = Actuation.along(dynamics, source)
+    windows = actuation.windows(measure, settings.threshold)
     legs: list[Leg] = []
     while windows:
         window = windows.pop(0)
-        require_inside(window, source.start, source.end, settings.ramp_down)
-        leg = _leg(dynamics, source, window, settings, windows, sample.row_scale)
+        _require_inside(window, source.start, source.end, settings.ramp_down)
+        leg = _leg(dynamics, source, window, settings, windows, actuation.row_scale)
         if leg is None:  # no room before the next window: both are one
             windows[0] = Interval(window.start, windows[0].end, window.open_start, windows[0].open_end)
             continue
         legs.append(leg)
-    return assemble_plan(dynamics, source, legs, settings, measured)
+    return assemble_plan(dynamics, source, legs, settings, actuation)
 
 
 def _settings(
@@ -196,3 +195,38 @@ def _crossing(
     if settings.scheme == "backward_differences":
         return cross_stepwise(dynamics, source, window, settings.ramp_down, settings.datum, row_scale, settings.dt)
     return cross(dynamics, source, window, settings.ramp_down, settings.datum, row_scale)
+
+
+def _require_inside(window: Interval, start: float, end: float, ramp_down: float) -> None:
+    """Check that a window begins late enough for its ramp-down, and ends before the motion does.
+
+    Raises:
+        InfeasiblePlanError: it does not; carries the constraint, the time and the amount.
+    """
+    if window.open_start:
+        raise InfeasiblePlanError(
+            f"The motion begins at t = {start:.6g} s inside the region in which the actuators have to be off.",
+            remedy="Start the motion further from the singularity, or move the threshold.",
+            constraint="ramp_down",
+            time=start,
+            amount=ramp_down,
+        )
+    earliest = window.start - ramp_down
+    if earliest < start:
+        missing = start - earliest
+        raise InfeasiblePlanError(
+            f"The actuators have to be off from t = {window.start:.6g} s and need {ramp_down:g} s to ramp down, "
+            f"but the motion begins at {start:.6g} s: {missing:.3g} s are missing.",
+            remedy="Start the motion further from the singularity, shorten ramp_down, or move the threshold.",
+            constraint="ramp_down",
+            time=window.start,
+            amount=missing,
+        )
+    if window.open_end:
+        raise InfeasiblePlanError(
+            f"The motion ends at t = {end:.6g} s inside the region in which the actuators have to be off.",
+            remedy="End the motion further from the singularity, or move the threshold.",
+            constraint="window_end",
+            time=end,
+            amount=end - window.start,
+        )

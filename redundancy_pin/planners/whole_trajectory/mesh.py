@@ -10,8 +10,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
-from redundancy_pin.planners.carrier_model import TimedActuation
-from redundancy_pin.planners.switch_off.windows import Measured
+from redundancy_pin.planners.actuation import Actuation
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
 
 LEAST_STEPS = 2
@@ -20,9 +19,6 @@ LEAST_STEPS = 2
 NEAR = 0.2
 """Smallest over largest singular value of W below which the steps get a middle node from the start: there a kink in s̈
 that is harmless elsewhere makes efforts between the nodes that the nodes do not show."""
-
-_NO_THRESHOLD = 5.0
-"""``Measured`` wants a threshold of its windows, which are not needed here."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +44,7 @@ class Grid:
 
 def singular_instants(dynamics: Dynamics, source: ContinuousMotion) -> list[float]:
     """Return the times, s, at which the motion crosses or touches a type II singularity."""
-    actuation = TimedActuation.of(dynamics, source)
-    sample = dynamics.along(source.sample_at(np.array([source.start]))).reduce()
-    return Measured(actuation, sample, "condition", _NO_THRESHOLD).singular_instants()
+    return Actuation.along(dynamics, source).singular_instants()
 
 
 def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:

@@ -15,7 +15,6 @@ from redundancy_pin.planners.stepwise.optimiser import (
     damping_of,
     definiteness,
     minimise,
-    minimise_quadratic,
     optimality,
 )
 
@@ -87,33 +86,7 @@ def test_quadratic_programme_against_all_faces(seed, k, extra, stiffness, half):
         upper[rng.integers(k)] = np.inf
     H, g = B.T @ B, B.T @ c
     expected = best_of_all_faces(H, g, lower, upper)
-    guess = np.linalg.solve(H, -g)
-    got = minimise_quadratic(H.tolist(), g.tolist(), lower.tolist(), upper.tolist(), guess.tolist())
-    np.testing.assert_allclose(got, expected, atol=SAME * np.linalg.cond(H), rtol=0)
-
-
-@pytest.mark.parametrize(
-    ("A", "g", "lower", "upper"),
-    [
-        ([[3, 1, 1], [-3, -1, 0], [3, 3, 2]], [4, -6, -3], [0, -1, -2], [2, 1, 0]),
-        ([[-2, -1, 3], [-1, 1, 3], [2, 0, -3]], [9, -7, -6], [0, 0, 0], [2, 1, 2]),
-        (
-            [[0, 1, 0, -2], [-1, -2, -2, 2], [-1, -3, 0, 2], [0, 2, 0, 3]],
-            [-7, -3, 4, 4],
-            [-1, -2, 0, 0],
-            [1, -1, 2, 1],
-        ),
-    ],
-)
-def test_programmes_on_which_changing_all_wrong_guesses_at_once_never_ends(A, g, lower, upper):
-    # found by random search
-    H, g, lower, upper = (
-        np.array(A) @ np.transpose(A) * 1.0,
-        *(np.array(part, dtype=float) for part in (g, lower, upper)),
-    )
-    expected = best_of_all_faces(H, g, lower, upper)
-    guess = np.linalg.solve(H, -g)
-    got = minimise_quadratic(H.tolist(), g.tolist(), lower.tolist(), upper.tolist(), guess.tolist())
+    got, _ = solve(c, B, np.zeros_like(B), lower, upper)
     np.testing.assert_allclose(got, expected, atol=SAME * np.linalg.cond(H), rtol=0)
 
 

@@ -1,0 +1,209 @@
+"""Zeros, touches and minima of a function of time: the one finder of singular instants and of windows around them.
+
+A function here takes (N,) increasing times, s, and returns (N,) values; it is continuous, and the times at which it is
+sampled are so dense that between two of them it has one dip at most, which then shows in the samples beside it. A value
+that is not finite belongs to no step. Sign changes are found by Brent's method; zeros of even multiplicity, and pairs
+of zeros within one step, by the minimum of the function's size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from redundancy_pin.arrays import Array, BoolArray
+
+Function = Callable[[Array], Array]
+
+_ZOOM = 32
+"""Subdivisions of a bracket in the search of a minimum; each round narrows it sixteenfold, in one call."""
+
+_SAME = 1e-9
+"""Minima nearer than this, relative to all time, are one, found from two samples of equal value."""
+
+
+@dataclass(frozen=True)
+class Zero:
+    """A zero of a function.
+
+    Attributes:
+        t: time, s: to rounding where the sign changes, to its square root where the function only touches zero.
+        until: equal to ``t``, or the time until which the function stays at zero.
+        crosses: whether the sign changes.
+    """
+
+    t: float
+    until: float
+    crosses: bool
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An interval of time in which a function is below zero.
+
+    Attributes:
+        start, end: s.
+        open_start, open_end: whether the function is below zero already at the start, or still at the end, of all time.
+    """
+
+    start: float
+    end: float
+    open_start: bool = False
+    open_end: bool = False
+
+
+def zeros(function: Function, times: Array, tolerance: float) -> list[Zero]:
+    """Return the zeros of a function in order of time: crossed, touched, or stayed at.
+
+    Args:
+        function: see the module; with a sign where its zeros are to be told apart from touches.
+        times: (N,) increasing times that sample it densely.
+        tolerance: size at which a minimum, or a sample, counts as zero.
+    """
+    value = function(times)
+    finite = np.isfinite(value)
+    zero = finite & (np.abs(value) <= tolerance)
+    runs = (_at_samples(function, times, value, first, last, tolerance) for first, last in _runs(zero))
+    found = [one for run in runs for one in run]
+    inside = finite & ~zero
+    same = inside[:-1] & inside[1:] & (np.sign(value[:-1]) == np.sign(value[1:]))
+    for k in np.flatnonzero(inside[:-1] & inside[1:] & ~same):
+        found.append(_crossed(function, times[k], times[k + 1]))
+    for low, high in _brackets(np.where(finite, np.abs(value), np.inf), same, tolerance):
+        t, lowest = _minimum(function, times[low], times[high], float(np.sign(value[low])))
+        if lowest < -tolerance:
+            found += [_crossed(function, times[low], t), _crossed(function, t, times[high])]
+        elif lowest <= tolerance:
+            found.append(Zero(t, t, False))
+    return _distinct(sorted(found, key=lambda one: one.t), _SAME * (times[-1] - times[0]))
+
+
+def minima(function: Function, times: Array, interesting: float) -> list[tuple[float, float]]:
+    """Return (time, value) of the local minima of a function that may fall below ``interesting``.
+
+    A dip whose samples lie so far above it that the slopes beside it cannot reach it is left alone. A minimum is exact
+    to rounding also where it is sharp, as of a singular value at zero.
+
+    Args:
+        function: see the module.
+        times: (N,) increasing times that sample it densely.
+        interesting: minima above this value are not needed.
+    """
+    value = function(times)
+    found: list[tuple[float, float]] = []
+    for low, high in _brackets(value, np.ones(len(times) - 1, dtype=bool), interesting):
+        best = _minimum(function, times[low], times[high])
+        if not found or best[0] > found[-1][0]:
+            found.append(best)
+    return found
+
+
+def below_zero(function: Function, times: Array) -> list[Interval]:
+    """Return the intervals over which a function is below zero, their ends by Brent's method.
+
+    Args:
+        function: see the module.
+        times: (N,) increasing times that sample it densely.
+    """
+    dips = np.array([t for t, value in minima(function, times, 0.0) if value < 0.0])
+    grid = np.union1d(times, dips)
+    intervals = []
+    for first, last in _runs(function(grid) < 0.0):
+        open_start, open_end = first == 0, last == len(grid) - 1
+        start = float(grid[0]) if open_start else root(function, grid[first - 1], grid[first])
+        end = float(grid[-1]) if open_end else root(function, grid[last], grid[last + 1])
+        intervals.append(Interval(start, end, open_start, open_end))
+    return intervals
+
+
+def root(function: Function, a: float, b: float) -> float:
+    """Return the time between ``a`` and ``b`` at which a function changes sign, to rounding."""
+    return float(brentq(lambda t: float(function(np.array([t]))[0]), a, b, xtol=1e-15, rtol=1e-15))
+
+
+def _crossed(function: Function, a: float, b: float) -> Zero:
+    t = root(function, a, b)
+    return Zero(t, t, True)
+
+
+def _at_samples(function: Function, times: Array, value: Array, first: int, last: int, tolerance: float) -> list[Zero]:
+    """Turn consecutive samples at zero into a crossing that hit a sample, a touch, a stay, or a pair of crossings."""
+    before = value[first - 1] if first > 0 else np.nan
+    after = value[last + 1] if last + 1 < len(times) else np.nan
+    crosses = bool(before * after < 0.0)
+    if last - first < 2:
+        if crosses:
+            return [_crossed(function, times[first - 1], times[last + 1])]
+        at = float(times[first + int(np.argmin(np.abs(value[first : last + 1])))])
+        touch = Zero(at, at, False)
+        a, b = (float(times[i]) for i in (max(first - 1, 0), min(last + 1, len(times) - 1)))
+        t, lowest = _minimum(function, a, b, float(np.sign(before if np.isfinite(before) else after)))
+        if not lowest < -tolerance:
+            return [touch]
+        # a second zero lies between this sample and its neighbour
+        start = _crossed(function, a, t) if np.isfinite(before) else touch
+        return [start, _crossed(function, t, b) if np.isfinite(after) else touch]
+
+    def excess(at: Array) -> Array:
+        return np.abs(function(at)) - tolerance
+
+    entered, left = float(times[first]), float(times[last])
+    if np.isfinite(before) and abs(value[first]) < tolerance:
+        entered = root(excess, times[first - 1], entered)
+    if np.isfinite(after) and abs(value[last]) < tolerance:
+        left = root(excess, left, times[last + 1])
+    return [Zero(entered, left, crosses)]
+
+
+def _brackets(value: Array, joined: BoolArray, interesting: float) -> Iterator[tuple[int, int]]:
+    """Yield the samples on both sides of each local minimum that may fall below ``interesting``.
+
+    Args:
+        value: (N,) samples.
+        joined: (N − 1,) whether the step between two samples may be searched.
+        interesting: see ``minima``.
+    """
+    # beside a sign change there is no dip to search for: the function goes on falling through zero
+    left = np.append(np.inf, np.where(joined | np.isinf(value[:-1]), value[:-1], -np.inf))
+    right = np.append(np.where(joined | np.isinf(value[1:]), value[1:], -np.inf), np.inf)
+    for i in np.flatnonzero(np.isfinite(value) & (value <= left) & (value <= right)).tolist():
+        low, high = i - int(np.isfinite(left[i])), i + int(np.isfinite(right[i]))
+        # by convexity of a dip: between two samples it falls by less than twice what it falls outside of them
+        if value[i] - 2.0 * (max(value[low], value[high]) - value[i]) <= interesting:
+            yield low, high
+
+
+def _minimum(function: Function, a: float, b: float, sign: float = 1.0) -> tuple[float, float]:
+    """Return time and value of the minimum of ``sign`` times a function, by zooming in on the lowest of many samples.
+
+    (Parabolic searches stop at the square root of rounding, which is right for smooth minima only.)
+    """
+    best = (a, np.inf)
+    while True:
+        times = np.unique(np.linspace(a, b, _ZOOM + 1))
+        values = sign * function(times)
+        i = int(np.where(np.isfinite(values), values, np.inf).argmin())
+        if values[i] < best[1]:
+            best = (float(times[i]), float(values[i]))
+        narrower = (float(times[max(i - 1, 0)]), float(times[min(i + 1, len(times) - 1)]))
+        if not narrower[1] - narrower[0] < b - a or b - a < 1e-15 * max(abs(a), abs(b)):
+            return best
+        a, b = narrower
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Return first and last index of each run of true values."""
+    edges = np.diff(np.concatenate([[0], np.asarray(flags, dtype=np.intp), [0]]))
+    return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))
+
+
+def _distinct(found: list[Zero], apart: float) -> list[Zero]:
+    """Return zeros without the touches that repeat the one before."""
+    return [
+        one
+        for k, one in enumerate(found)
+        if k == 0 or one.crosses or found[k - 1].crosses or one.t - found[k - 1].until > apart
+    ]
