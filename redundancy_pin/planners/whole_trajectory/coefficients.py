@@ -138,10 +138,13 @@ def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = Non
 
 def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
     """Return sizes from the limits, and from the parked robot where there are none."""
-    limits = settings.limits
-    s = np.array([_finite(0.5 * (bounds.upper - bounds.lower), 1.0) for bounds in limits])
-    sd = np.array([_finite(bounds.speed, 10.0 * s[i] / duration) for i, bounds in enumerate(limits)])
-    sdd = np.array([_finite(bounds.acceleration, 10.0 * sd[i] / duration) for i, bounds in enumerate(limits)])
+    lower, upper, speed, acceleration = (
+        np.array([getattr(limit, name) for limit in settings.limits])
+        for name in ("lower", "upper", "speed", "acceleration")
+    )
+    s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0)
+    sd = np.where(np.isfinite(speed), speed, 10.0 * s / duration)
+    sdd = np.where(np.isfinite(acceleration), acceleration, 10.0 * sd / duration)
     size = float(np.abs(model.f0 / row_scale).max())
     if size == 0.0:
         size = float(np.abs(model.f_terms[..., SDD] / row_scale[:, None] * sdd).max()) or 1.0
@@ -150,10 +153,6 @@ def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration:
     force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., SDD]).max(axis=0) * sdd
     power = tau * (float(np.abs(rate).max()) or 1.0)
     return Scales(s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration)
-
-
-def _finite(value: float, otherwise: float) -> float:
-    return value if np.isfinite(value) else otherwise
 
 
 def singular_node(

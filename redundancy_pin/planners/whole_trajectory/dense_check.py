@@ -42,8 +42,8 @@ class DenseCheck:
         peak: largest |τ| between the nodes, N or N·m.
         time: where, s.
         peak_at_nodes: largest |τ| at the nodes.
-        ratio: of both, or of the effort of an actuator between the nodes and its limit where that is lower than the
-            peak at the nodes; efforts that are nothing beside those of the parked robot count as equal.
+        ratio: of both, or of the effort of an actuator and its limit where that is lower than the peak at the nodes;
+            efforts that are nothing beside those of the parked robot count as equal.
         points: number of points.
         exceeding: (M − 1,) steps in which the efforts exceed those at the nodes, or carrier forces their limits, by
             what is worth a middle node, and those beside them.
