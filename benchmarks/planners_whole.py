@@ -11,7 +11,7 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "planners"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 import symbolic_mechanisms
 import symbolic_plans
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
@@ -156,7 +155,7 @@ def _each(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
 Group = TypeVar("Group", bound=Any)
 
 
-def grouped(name: str, group: Group | None, kind: type[Group], keywords: Mapping[str, Any]) -> Group:
+def grouped(name: str, group: Group | None, kind: type[Group], **keywords: Any) -> Group:
     """Return a group of options, given as such or as flat keywords of the planner.
 
     Args:

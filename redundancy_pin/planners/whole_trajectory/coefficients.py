@@ -30,7 +30,7 @@ from redundancy_pin.planners.whole_trajectory.mesh import Grid
 from redundancy_pin.planners.whole_trajectory.objectives import Scales
 from redundancy_pin.planners.whole_trajectory.options import Settings
 from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, chebyshev_times
 
 S, S2, SD, S_SD, SDD = range(5)
 """Places of s, s², ṡ, s ṡ and s̈ among the terms of a ``CarrierModel``."""
@@ -138,10 +138,13 @@ def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = Non
 
 def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
     """Return sizes from the limits, and from the parked robot where there are none."""
-    limits = settings.limits
-    s = np.array([_finite(0.5 * (bounds.upper - bounds.lower), 1.0) for bounds in limits])
-    sd = np.array([_finite(bounds.speed, 10.0 * s[i] / duration) for i, bounds in enumerate(limits)])
-    sdd = np.array([_finite(bounds.acceleration, 10.0 * sd[i] / duration) for i, bounds in enumerate(limits)])
+    lower, upper, speed, acceleration = (
+        np.array([getattr(limit, name) for limit in settings.limits])
+        for name in ("lower", "upper", "speed", "acceleration")
+    )
+    s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0)
+    sd = np.where(np.isfinite(speed), speed, 10.0 * s / duration)
+    sdd = np.where(np.isfinite(acceleration), acceleration, 10.0 * sd / duration)
     size = float(np.abs(model.f0 / row_scale).max())
     if size == 0.0:
         size = float(np.abs(model.f_terms[..., SDD] / row_scale[:, None] * sdd).max()) or 1.0
@@ -150,10 +153,6 @@ def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration:
     force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., SDD]).max(axis=0) * sdd
     power = tau * (float(np.abs(rate).max()) or 1.0)
     return Scales(s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration)
-
-
-def _finite(value: float, otherwise: float) -> float:
-    return value if np.isfinite(value) else otherwise
 
 
 def singular_node(
@@ -265,14 +264,11 @@ def _first_order_fit(along: DynamicsAlongMotion, carriers: CarrierMotion) -> Car
     return CarrierModel(along.motion.t, reduced.W, *(read_only(part) for part in (f0, f_terms, force0, force_terms)))
 
 
-APART = 1e-3
+APART = 2e-3
 """Distance of the times from which derivatives are formed, s, where the motion is smooth for so long."""
 
-_CENTRAL = ((-2.0, 1.0 / 12.0), (-1.0, -2.0 / 3.0), (1.0, 2.0 / 3.0), (2.0, -1.0 / 12.0))
-"""Offsets and weights of a derivative of order four."""
-
-_AHEAD = ((1.0, -77.0 / 12.0), (2.0, 107.0 / 6.0), (3.0, -39.0 / 2.0), (4.0, 61.0 / 6.0), (5.0, -25.0 / 12.0))
-"""The same from one side, where the other is another piece of the motion."""
+DEGREE = 5
+"""Of the polynomials in time whose derivatives they are."""
 
 
 def _rate_of_fit(
@@ -280,19 +276,19 @@ def _rate_of_fit(
 ) -> CarrierModel:
     """Return derivatives by time of the first-order coefficients, fitted around one sample of a motion throughout."""
     kinks = np.concatenate([[source.start, source.end], source.breaks, source.knots if source.exact else []])
-    distance = np.abs(kinks - t)
-    apart = float(distance[distance > 0.0].min())
-    if (distance == 0.0).any():
-        sign = 1.0 if t == source.start or (side == "right" and t < source.end) else -1.0
-        # times have to increase on the left as well
-        offsets, weights = (sign * np.array(part)[:: int(sign)] for part in zip(*_AHEAD, strict=True))
-        apart = min(APART, 0.19 * apart)  # five offsets within the piece
-    else:
-        offsets, weights = (np.array(part) for part in zip(*_CENTRAL, strict=True))
-        apart = min(APART, 0.49 * apart)  # two
-    fixed = CarrierMotion(*(np.repeat(part, len(offsets), axis=0) for part in (carriers.s, carriers.sd, carriers.sdd)))
-    model = _first_order_fit(dynamics.along(source.sample_at(t + apart * offsets)), fixed)
+    ahead = t == source.start or (side == "right" and t < source.end)
+    # beyond a kink, or the end, the motion is another
+    on_kink = bool((kinks == t).any())
+    start = t if on_kink and ahead else max(t - APART, float(kinks[kinks < t].max()))
+    end = t if on_kink and not ahead else min(t + APART, float(kinks[kinks > t].min()))
+    edges = np.array([start, end])
+    times = chebyshev_times(edges, DEGREE)
+    fixed = CarrierMotion(*(np.repeat(part, len(times), axis=0) for part in (carriers.s, carriers.sd, carriers.sdd)))
+    model = _first_order_fit(dynamics.along(source.sample_at(times)), fixed)
+
+    def rate(values: Array) -> Array:
+        polynomial = PiecewisePolynomial.from_values(edges, values.reshape(1, len(times), -1))
+        return read_only(polynomial.derivative().at(t).reshape(1, *values.shape[1:]))
+
     parts = (model.W, model.f0, model.f_terms, model.force0, model.force_terms)
-    return CarrierModel(
-        np.array([t]), *(read_only(np.einsum("n,n...->...", weights / apart, part)[None]) for part in parts)
-    )
+    return CarrierModel(np.array([t]), *(rate(np.asarray(part)) for part in parts))

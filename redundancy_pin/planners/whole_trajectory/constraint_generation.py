@@ -15,17 +15,13 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem
+from redundancy_pin.planners.whole_trajectory.mesh import widened
 from redundancy_pin.planners.whole_trajectory.solver import (
     LEAST_SECONDS,
     Options,
     Solution,
-    first_attempts,
-    is_flat,
-    last_steps,
-    later_attempts,
-    refined,
     solve_nlp,
-    with_more_rows,
+    strategies,
 )
 from redundancy_pin.planners.whole_trajectory.transcription import NLP, RESERVE, scaled_bounds, transcribe
 
@@ -50,7 +46,7 @@ def solve(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution
     deadline = time.perf_counter() + seconds
     attempts = [_with_needed_rows(problem, guess, deadline)]
     # the other strategy often ends where the first one crawls
-    for options in () if attempts[0].optimal else later_attempts(problem):
+    for options in () if attempts[0].optimal else strategies(problem).later:
         left = deadline - time.perf_counter()
         if attempts[-1].optimal or attempts[-1].infeasible or left <= 0.0:
             break
@@ -69,17 +65,18 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
         attempts.append(solve_nlp(nlp, start, left, options, problem.settings.solver.progress))
         return attempts[-1]
 
+    strategy = strategies(problem)
     groups: list[BoolArray] = []
     limit_force = False
     start: dict[str, Array] | Solution = guess
     while True:
         nlp = transcribe(problem, between=groups, limit_force=limit_force)
-        for options in (with_more_rows(problem),) if isinstance(start, Solution) else first_attempts(problem):
+        for options in (strategy.more_rows,) if isinstance(start, Solution) else strategy.first:
             solution = attempt(nlp, options, start)
             if solution.optimal or time.perf_counter() > deadline:
                 break
         if solution.acceptable:
-            solution = attempt(nlp, refined(problem), solution)
+            solution = attempt(nlp, strategy.refined, solution)
         if not solution.optimal:
             kept = not _leaves_limits(problem, solution).any() and not _exceeds_force(problem, solution)
             return _with_totals(replace(solution, feasible=solution.feasible and kept), attempts)
@@ -88,8 +85,8 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
             limit_force, start = True, solution.values
             continue
         leaves = _leaves_limits(problem, solution)
-        if not leaves.any() and is_flat(problem):
-            exact = attempt(nlp, last_steps(problem), solution)
+        if not leaves.any() and strategy.last_steps is not None:
+            exact = attempt(nlp, strategy.last_steps, solution)
             if not (exact.optimal or exact.acceptable):
                 return _with_totals(solution, attempts)
             # the barrier parameter stays, so that the solver cannot call it more than acceptable
@@ -97,7 +94,7 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
             leaves = _leaves_limits(problem, solution)
         if not leaves.any():
             return _with_totals(solution, attempts)
-        new = _widened(leaves) & ~np.any([np.zeros_like(leaves), *groups], axis=0)
+        new = widened(leaves, AROUND) & ~np.any([np.zeros_like(leaves), *groups], axis=0)
         if len(groups) == ROUNDS or not new.any():
             return _with_totals(replace(solution, optimal=False, feasible=False), attempts)
         groups.append(new)
@@ -122,12 +119,6 @@ def _exceeds_force(problem: Problem, solution: Solution) -> bool:
     carriers, (low, high) = problem.carriers(solution.values), scaled_bounds(problem)["force"]
     force = problem.model.carrier_force(carriers.s, carriers.sd, carriers.sdd) / problem.scales.force
     return bool(((force > high) | (force < low)).any())
-
-
-def _widened(steps: BoolArray) -> BoolArray:
-    """Return the steps and ``AROUND`` more on both sides."""
-    wider: BoolArray = np.convolve(steps, np.ones(2 * AROUND + 1)) > 0.5
-    return wider[AROUND:-AROUND]
 
 
 def _with_totals(chosen: Solution, attempts: list[Solution]) -> Solution:

@@ -11,6 +11,7 @@ from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task
+from redundancy_pin.planners.whole_trajectory.mesh import widened
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 FINER = 20
@@ -41,8 +42,8 @@ class DenseCheck:
         peak: largest |τ| between the nodes, N or N·m.
         time: where, s.
         peak_at_nodes: largest |τ| at the nodes.
-        ratio: of both, or of the effort of an actuator between the nodes and its limit where that is lower than the
-            peak at the nodes; efforts that are nothing beside those of the parked robot count as equal.
+        ratio: of both, or of the effort of an actuator and its limit where that is lower than the peak at the nodes;
+            efforts that are nothing beside those of the parked robot count as equal.
         points: number of points.
         exceeding: (M − 1,) steps in which the efforts exceed those at the nodes, or carrier forces their limits, by
             what is worth a middle node, and those beside them.
@@ -85,44 +86,32 @@ def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau
         position: of the planned carriers, m.
         tau: (M, m) planned efforts at the nodes, N or N·m.
     """
-    grid = problem.grid
+    grid, settings, robot = problem.grid, task.settings, task.dynamics.robot
     left = np.flatnonzero(grid.h > 0.0)
-    fine = (grid.t[left, None] + grid.h[left, None] * np.arange(1, FINER) / FINER).ravel()
-    beside: list[float] = []
-    for i in grid.singular:
-        for side in (-1, 0):
-            if 0 <= i + side < len(grid.h):
-                beside += [float(grid.t[i]) + (1.0 if side == 0 else -1.0) * f * float(grid.h[i + side]) for f in CLOSE]
+    inside = grid.t[left, None] + grid.h[left, None] * np.arange(1, FINER) / FINER
+    steps = [(i, i + side) for i in grid.singular for side in (-1, 0) if 0 <= i + side < len(grid.h)]
+    beside = [grid.t[i] + (1.0 if j == i else -1.0) * fraction * grid.h[j] for i, j in steps for fraction in CLOSE]
     # nodes were judged already; between them no acceleration jumps, so every time may stand once
-    times = np.setdiff1d(np.concatenate([fine, beside]), grid.t)
-    carriers = carriers_at(position, times)
-    reduced = task.dynamics.along(task.source.sample_at(times)).reduce(carriers)
-    found = _efforts(reduced, grid.t, tau)
-    efforts = np.where(np.isfinite(found), np.abs(found), np.inf)
-    at_nodes = float(np.abs(tau).max())
-    limit = task.settings.effort
+    times = np.setdiff1d(np.concatenate([inside.ravel(), beside]), grid.t)
+    reduced = task.dynamics.along(task.source.sample_at(times)).reduce(carriers_at(position, times))
+    efforts, forces = _efforts(reduced, grid.t, tau), np.asarray(reduced.carrier_force)
+    force_limit = np.array([limits.force for limits in settings.limits])
+    size, at_nodes = np.where(np.isfinite(efforts), np.abs(efforts), np.inf), float(np.abs(tau).max())
     # an actuator with a limit below the peak of the others is judged by its limit
-    least = np.maximum(np.minimum(at_nodes, limit), SMALL * problem.scales.tau)
-    relative = (efforts / least).max(axis=1)
-    robot, force = task.dynamics.robot, np.array([limits.force for limits in task.settings.limits])
-    forces = np.asarray(reduced.carrier_force)
-    step = np.searchsorted(grid.t, times, side="right") - 1
+    relative = (size / np.maximum(np.minimum(at_nodes, settings.effort), SMALL * problem.scales.tau)).max(axis=1)
+    marked = (relative > MARKED) | (np.abs(forces) > MARKED * force_limit).any(axis=1)
     exceeding = np.zeros(len(grid.h), dtype=bool)
-    marked = step[(relative > MARKED) | (np.abs(forces) > MARKED * force).any(axis=1), None] + np.arange(
-        -BESIDE, BESIDE + 1
-    )
-    exceeding[np.clip(marked, 0, len(grid.h) - 1)] = True
-    worst = int(efforts.max(axis=1).argmax())
-    broken = limits_broken("effort", robot.actuated, times, found, limit, ALLOWED)
-    broken += limits_broken("force", robot.carriers, times, forces, force, ALLOWED)
+    exceeding[np.searchsorted(grid.t, times[marked], side="right") - 1] = True
+    worst = int(size.max(axis=1).argmax())
     return DenseCheck(
-        peak=float(efforts[worst].max()),
+        peak=float(size[worst].max()),
         time=float(times[worst]),
         peak_at_nodes=at_nodes,
         ratio=max(float(relative.max()), 1.0),
         points=len(times),
-        exceeding=exceeding,
-        broken=broken,
+        exceeding=widened(exceeding, BESIDE),
+        broken=limits_broken("effort", robot.actuated, times, efforts, settings.effort, ALLOWED)
+        + limits_broken("force", robot.carriers, times, forces, force_limit, ALLOWED),
     )
 
 
@@ -157,9 +146,7 @@ def _efforts(reduced: ReducedDynamics, nodes: Array, tau: Array) -> Array:
     n, m = reduced.W.shape[1:]
     if m <= n:
         return np.asarray(distribute(reduced).tau)
-    step = np.searchsorted(nodes, reduced.t, side="right") - 1
-    share = ((reduced.t - nodes[step]) / (nodes[step + 1] - nodes[step]))[:, None]
-    planned = (1.0 - share) * tau[step] + share * tau[step + 1]
+    planned = PiecewisePolynomial.linear(nodes, tau)(reduced.t)
     left = reduced.f - np.einsum("nim,nm->ni", reduced.W, planned)
     nearest: Array = planned + np.einsum("nmi,ni->nm", np.linalg.pinv(reduced.W), left)
     return nearest

@@ -90,23 +90,17 @@ def _touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str)
 
 
 def _nothing_helps(problem: Problem, elastic: Solution, message: str) -> InfeasiblePlanError:
-    start = float(problem.grid.t[0])
     if elastic.message == OUT_OF_TIME:
-        return InfeasiblePlanError(
-            "The time ran out before any plan was found, and before any limit was shown to be in the way.",
-            remedy="Allow more seconds, or a longer dt.",
-            constraint="seconds",
-            time=start,
-            amount=elastic.violation,
-        )
-    return InfeasiblePlanError(
-        "No plan was found, nor one with relaxed limits "
-        f"(the solver says {message}, then {elastic.message}; unbalanced by {elastic.violation:.2g} of f).",
-        remedy="The actuators and carriers cannot balance this motion at all: lead the platform elsewhere.",
-        constraint="balance",
-        time=start,
-        amount=elastic.violation,
-    )
+        constraint = "seconds"
+        text = "The time ran out before any plan was found, and before any limit was shown to be in the way."
+        remedy = "Allow more seconds, or a longer dt."
+    else:
+        constraint = "balance"
+        ends = f"the solver says {message}, then {elastic.message}; unbalanced by {elastic.violation:.2g} of f"
+        text = f"No plan was found, nor one with relaxed limits ({ends})."
+        remedy = "The actuators and carriers cannot balance this motion at all: lead the platform elsewhere."
+    amount, start = elastic.violation, float(problem.grid.t[0])
+    return InfeasiblePlanError(text, remedy=remedy, constraint=constraint, time=start, amount=amount)
 
 
 def _event(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> dict[str, object]:

@@ -9,11 +9,16 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.planners.actuation import Actuation
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
 
 LEAST_STEPS = 2
 """Steps between two events; fewer would tie the carriers' jerk to the distance of the events."""
+
+NEAR = 0.2
+"""Smallest over largest singular value of W below which the steps get a middle node from the start: there a kink in s̈
+that is harmless elsewhere makes efforts between the nodes that the nodes do not show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +41,6 @@ class Grid:
         """(M − 1,) lengths of the steps, s; zero across a jump."""
         return read_only(np.diff(self.t))
 
-    @property
-    def weights(self) -> Array:
-        """(M,) weights of the trapezoidal rule, s; they add up to the duration."""
-        half = 0.5 * np.diff(self.t)
-        return read_only(np.append(half, 0.0) + np.append(0.0, half))
-
 
 def singular_instants(dynamics: Dynamics, source: ContinuousMotion) -> list[float]:
     """Return the times, s, at which the motion crosses or touches a type II singularity."""
@@ -58,16 +57,26 @@ def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
     """
     least = 1e-9 * (source.end - source.start)
     # one that rounding keeps from a jump is on it, or the jump would have no node of its own
-    on = [_snapped(t, source.breaks, least) for t in singular if source.start <= t <= source.end]
-    kinks = source.knots if source.exact else np.empty(0)
-    others = [float(t) for t in [source.start, *source.breaks, *kinks, source.end] if _apart(t, on, least)]
-    events = np.unique(np.array([*on, *others]))
+    inside = [t for t in singular if source.start <= t <= source.end]
+    on = [next((jump for jump in source.breaks if abs(jump - t) <= least), t) for t in inside]
+    kinks = [source.start, *source.breaks, *(source.knots if source.exact else []), source.end]
+    events = np.unique([*on, *(t for t in kinks if all(abs(t - other) > least for other in on))])
     pieces = [
         np.linspace(a, b, max(int(np.ceil((b - a) / dt - 1e-9)), LEAST_STEPS) + 1)[:-1] for a, b in pairwise(events)
     ]
     times = np.concatenate([*pieces, events[-1:]])
     t = np.repeat(times, 1 + np.isin(times, source.breaks))
     return _grid(t, np.isin(t, on), np.zeros(len(t), dtype=bool))
+
+
+def near_singular(dynamics: Dynamics, source: ContinuousMotion, grid: Grid) -> BoolArray:
+    """Return (M − 1,) the steps near a type II singularity."""
+    reduced = dynamics.along(source.sample_at(grid.t)).reduce()
+    values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
+    # the only singular value of a single freedom is compared with what it is elsewhere
+    size = values[:, 0] if values.shape[1] > 1 else values.max()
+    near: BoolArray = values[:, -1] < NEAR * size
+    return np.logical_or(near[1:], near[:-1])
 
 
 def with_middles(grid: Grid, steps: BoolArray) -> Grid:
@@ -94,10 +103,7 @@ def _grid(t: Array, singular: BoolArray, smooth: BoolArray) -> Grid:
     return Grid(read_only(t), read_only(np.flatnonzero(singular)), read_only((smooth | singular) & inner))
 
 
-def _snapped(t: float, breaks: Array, least: float) -> float:
-    near = breaks[np.abs(breaks - t) <= least]
-    return float(near[0]) if len(near) else t
-
-
-def _apart(t: float, others: list[float], least: float) -> bool:
-    return all(abs(t - other) > least for other in others)
+def widened(steps: BoolArray, by: int) -> BoolArray:
+    """Return the steps (M − 1,) and so many more on both sides of each."""
+    wider: BoolArray = np.convolve(steps, np.ones(2 * by + 1)) > 0.5
+    return wider[by:-by]

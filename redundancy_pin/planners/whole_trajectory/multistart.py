@@ -69,19 +69,16 @@ class Multistart:
         for number, solution in enumerate(solutions):
             if solution.optimal:
                 same = next((group for group in optima if _is_same(solutions[group[0]], solution)), None)
-                if same is None:
-                    optima.append([number])
-                else:
-                    same.append(number)
-        costs = [solution.cost if solution.feasible else float("nan") for solution in solutions]
-        described = [{"cost": min(costs[i] for i in group), "starts": group} for group in optima]
+                optima += [] if same else [[]]
+                (same or optima[-1]).append(number)
+        optima.sort(key=lambda group: min(solutions[i].cost for i in group))
         return {
             "asked": self.asked,
             "tried": len(solutions),
             "converged": sum(len(group) for group in optima),
             "won": self.outcomes.index(self.best),
-            "optima": sorted(described, key=lambda optimum: optimum["cost"]),  # type: ignore[arg-type, return-value]
-            "costs": costs,
+            "optima": [{"cost": min(solutions[i].cost for i in group), "starts": group} for group in optima],
+            "costs": [solution.cost if solution.feasible else float("nan") for solution in solutions],
             "messages": [solution.message for solution in solutions],
         }
 

@@ -83,8 +83,7 @@ class Quantities(ABC):
 
     def rate(self, values: Any) -> Any:
         """Return the time derivative in each step of what is linear in a step; jumps of the reference are no steps."""
-        change = values[(self._steps + 1).tolist(), :] - values[self._steps.tolist(), :]
-        return change / casadi().repmat(casadi().DM(self._h[self._steps]), 1, values.shape[1])
+        return (values[self._steps + 1, :] - values[self._steps, :]) / self._h[self._steps, None]
 
     def integral_over_steps(self, integrand: Any) -> Any:
         """Return ∫ Σ integrand dt of what is constant in each step, as ``rate`` is."""

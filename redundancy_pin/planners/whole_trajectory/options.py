@@ -69,19 +69,7 @@ class Solver:
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """Checked options of ``plan_whole_trajectory``; see there.
-
-    Attributes:
-        objective: weight of each objective that has one.
-        lam, baseline: of "tracking".
-        limits: (k,) limits of the carriers.
-        jerk: (k,) largest |s⃛|, m/s³.
-        effort: (m,) largest |τ|, N or N·m.
-        start, start_speed: (k,) state of the carriers at the start, m and m/s.
-        end: how they end.
-        datum: (k,) where they park, m.
-        mesh, solver: as given.
-    """
+    """Checked options of ``plan_whole_trajectory``, see there: weights by name, one number a carrier or actuator."""
 
     objective: Mapping[str, float]
     lam: float
@@ -106,10 +94,7 @@ class Settings:
             "speed": [limit.speed for limit in self.limits],
             "acceleration": [limit.acceleration for limit in self.limits],
             "carrier_force": [limit.force for limit in self.limits],
-            "jerk": self.jerk.tolist(),
-            "effort": self.effort.tolist(),
-            "start": self.start.tolist(),
-            "start_speed": self.start_speed.tolist(),
+            **{name: getattr(self, name).tolist() for name in ("jerk", "effort", "start", "start_speed")},
             "end": self.end,
             "datum": self.datum.tolist(),
             "dt": self.mesh.dt,

@@ -10,11 +10,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, read_only
+from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
-from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.limits import Limits, grouped
@@ -28,6 +27,7 @@ from redundancy_pin.planners.whole_trajectory.infeasibility import relax
 from redundancy_pin.planners.whole_trajectory.mesh import (
     Grid,
     grid_of,
+    near_singular,
     singular_instants,
     with_middles,
 )
@@ -41,10 +41,6 @@ PHASES = ("optimised",)
 
 ROUNDING = 1e-6
 """Relative excess of an effort at a node over its limit that counts as rounding."""
-
-NEAR = 0.2
-"""Smallest over largest singular value of W below which the steps get a middle node from the start: there a kink in s̈
-that is harmless elsewhere makes efforts between the nodes that the nodes do not show."""
 
 
 def plan_whole_trajectory(
@@ -132,7 +128,7 @@ def plan_whole_trajectory(
         UnsupportedRobotError: no carriers.
         InfeasiblePlanError: no motion of the carriers keeps every limit; carries constraint, carrier, time, amount and
             the limit that would suffice. Or the motion touches a type II singularity, rests in it or stays in it
-            (constraint "singular_touch"), where no finite efforts can be told.
+            (constraint "singular_touch"), where no finite efforts are determined.
         RedundancyPinError: casadi is not installed.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
@@ -144,17 +140,15 @@ def plan_whole_trajectory(
             "limits",
             limits,
             Limits,
-            {
-                "track": track,
-                "speed": speed,
-                "acceleration": acceleration,
-                "jerk": jerk,
-                "carrier_force": carrier_force,
-                "effort": effort,
-            },
+            track=track,
+            speed=speed,
+            acceleration=acceleration,
+            jerk=jerk,
+            carrier_force=carrier_force,
+            effort=effort,
         ),
-        grouped("mesh", mesh, Mesh, {"dt": dt, "refinements": refinements}),
-        grouped("solver", solver, Solver, {"starts": starts, "seconds": seconds, "progress": progress}),
+        grouped("mesh", mesh, Mesh, dt=dt, refinements=refinements),
+        grouped("solver", solver, Solver, starts=starts, seconds=seconds, progress=progress),
         start=start,
         start_speed=start_speed,
         end=end,
@@ -163,7 +157,7 @@ def plan_whole_trajectory(
     report = settings.solver.progress or (lambda line: None)
     task = Task(dynamics, continuous_motion(motion), settings)
     nodes = grid_of(task.source, singular_instants(dynamics, task.source), settings.mesh.dt)
-    nodes = with_middles(nodes, _near_singular(task, nodes))
+    nodes = with_middles(nodes, near_singular(dynamics, task.source, nodes))
     position: PiecewisePolynomial | None = None
     checks: list[DenseCheck] = []
     while True:
@@ -182,17 +176,7 @@ def plan_whole_trajectory(
 def _objective(objective: str | Mapping[str, float] | Objective, lam: float, baseline: Dynamics | None) -> Objective:
     if not isinstance(objective, Objective):
         return Objective(objective, lam, baseline)
-    return grouped("objective", objective, Objective, {"lam": lam, "baseline": baseline})
-
-
-def _near_singular(task: Task, nodes: Grid) -> BoolArray:
-    """Return (M − 1,) the steps near a singularity."""
-    reduced = task.dynamics.along(task.source.sample_at(nodes.t)).reduce()
-    values = spectrum_of(scaled(reduced.W, reduced.row_scale, reduced.column_scale)).singular_values
-    # the only singular value of a single freedom is compared with what it is elsewhere
-    size = values[:, 0] if values.shape[1] > 1 else values.max()
-    near: BoolArray = values[:, -1] < NEAR * size
-    return np.logical_or(near[1:], near[:-1])
+    return grouped("objective", objective, Objective, lam=lam, baseline=baseline)
 
 
 def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:

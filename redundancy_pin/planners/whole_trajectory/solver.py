@@ -247,60 +247,43 @@ LAST_STEPS, LAST_STEPS_OF_MANY = 2, 4
 """Numbers of these steps within tolerance. At 3000 nodes two leave 3e-5 of the efforts, four 3e-12."""
 
 
-def is_flat(problem: Problem) -> bool:
-    """Return whether an optimum has to be finished with exact steps to be the same from either backend."""
-    return any(OBJECTIVES[name].flat for name in problem.settings.objective)
+@dataclass(frozen=True, eq=False)
+class Strategies:
+    """Options of the solver for a problem, by what it is to do.
 
-
-def first_attempts(problem: Problem) -> tuple[Options, ...]:
-    """Return what to try on a problem in turn, before it is built with every row."""
-    if _is_kinked(problem):
-        return (_refined_steps(problem),)
-    return tuple({**_fast_steps(problem), **strategy} for strategy in (PREDICTED, {}))
-
-
-def with_more_rows(problem: Problem) -> Options:
-    """Return the options for a solution that is begun from that of a programme with fewer rows."""
-    return {**_fast_steps(problem), **WARM}
-
-
-def refined(problem: Problem) -> Options:
-    """Return the options for going on, with refined steps, from a point that is near an optimum and no further."""
-    return {**_refined_steps(problem), **WARM}
-
-
-def last_steps(problem: Problem) -> Options:
-    """Return the options for the exact steps that end on a flat optimum."""
-    steps = LAST_STEPS_OF_MANY if _is_long(problem) else LAST_STEPS
-    return {**_scaling(problem), **LINEAR_SYSTEM, **FINISH, "ipopt.acceptable_iter": steps}
-
-
-def later_attempts(problem: Problem) -> tuple[Options, ...]:
-    """Return what to try in turn on a problem with every row, where the first attempts did not end at an optimum."""
-    return tuple({**_refined_steps(problem), **strategy} for strategy in ({}, ADAPTIVE))
-
-
-def _scaling(problem: Problem) -> Options:
-    """Return what makes the objective as large as the number of nodes, of which it is a mean.
-
-    The multipliers of the equations are then of size one whatever the number of nodes; else the barrier, which starts
-    at one size for all problems, outweighs the objective, and the tolerance of the conditions hides what is left of it.
+    Attributes:
+        first: what to try in turn, before the problem is built with every row.
+        more_rows: to go on from the solution of a programme with fewer rows.
+        refined: to go on, with refined steps, from a point that is near an optimum and no further.
+        later: what to try in turn with every row, where the first ones did not end at an optimum.
+        last_steps: the exact steps that end on a flat optimum; None where the optimum is sharp.
     """
-    return {} if _is_kinked(problem) else {"ipopt.obj_scaling_factor": float(len(problem.grid.t))}
+
+    first: tuple[Options, ...]
+    more_rows: Options
+    refined: Options
+    later: tuple[Options, ...]
+    last_steps: Options | None
 
 
-def _fast_steps(problem: Problem) -> Options:
-    return {**_scaling(problem), **LINEAR_SYSTEM, **({} if _is_long(problem) else UNREFINED)}
-
-
-def _refined_steps(problem: Problem) -> Options:
-    # the linear solver's own scaling only where the number of nodes leaves time for it
-    return {**_scaling(problem), **(LINEAR_SYSTEM if _is_long(problem) else {})}
-
-
-def _is_long(problem: Problem) -> bool:
-    return len(problem.grid.t) >= MANY
-
-
-def _is_kinked(problem: Problem) -> bool:
-    return any(OBJECTIVES[name].kinked for name in problem.settings.objective)
+def strategies(problem: Problem) -> Strategies:
+    """Return how the solver goes about a problem."""
+    terms = [OBJECTIVES[name] for name in problem.settings.objective]
+    kinked, flat = any(term.kinked for term in terms), any(term.flat for term in terms)
+    nodes = len(problem.grid.t)
+    many = nodes >= MANY
+    # An objective as large as the number of nodes, of which it is a mean: the multipliers of the equations are then of
+    # size one whatever the number. Else the barrier, which starts at one size for all problems, outweighs the
+    # objective, and the tolerance of the conditions hides what is left of it.
+    scaling: Options = {} if kinked else {"ipopt.obj_scaling_factor": float(nodes)}
+    fast = {**scaling, **LINEAR_SYSTEM, **({} if many else UNREFINED)}
+    # with the linear solver's own scaling only where the number of nodes leaves time for it
+    careful = {**scaling, **(LINEAR_SYSTEM if many else {})}
+    steps = {"ipopt.acceptable_iter": LAST_STEPS_OF_MANY if many else LAST_STEPS}
+    return Strategies(
+        first=(careful,) if kinked else ({**fast, **PREDICTED}, fast),
+        more_rows={**fast, **WARM},
+        refined={**careful, **WARM},
+        later=(careful, {**careful, **ADAPTIVE}),
+        last_steps={**scaling, **LINEAR_SYSTEM, **FINISH, **steps} if flat else None,
+    )

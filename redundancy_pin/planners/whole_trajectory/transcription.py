@@ -93,21 +93,14 @@ class NLP:
 
     def split(self, x: Array) -> dict[str, Array]:
         """Return the blocks of a vector of all variables by name."""
-        ends = np.cumsum([block.numel() for block in self.blocks.values()])
-        parts = np.split(x, ends[:-1])
-        return {
-            name: part.reshape(block.shape, order="F")
-            for (name, block), part in zip(self.blocks.items(), parts, strict=True)
-        }
+        parts = np.split(x, np.cumsum([block.numel() for block in self.blocks.values()])[:-1])
+        named = zip(self.blocks.items(), parts, strict=True)
+        return {name: part.reshape(block.shape, order="F") for (name, block), part in named}
 
     def join(self, values: dict[str, Array]) -> Array:
         """Return the vector of all variables from blocks; those left out are zero."""
-        return np.concatenate(
-            [
-                np.broadcast_to(values.get(name, 0.0), block.shape).ravel(order="F")
-                for name, block in self.blocks.items()
-            ]
-        )
+        filled = (np.broadcast_to(values.get(name, 0.0), block.shape) for name, block in self.blocks.items())
+        return np.concatenate([part.ravel(order="F") for part in filled])
 
 
 def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
@@ -164,7 +157,7 @@ class Transcription(Quantities):
             self.limit(KIND_OF[name], block, *self._bounds[name])
         else:
             block = self.nlp.variable(name, shape, *self._bounds[name])
-        return block * _spread(size, shape)
+        return block * _rows(size, shape)
 
     def _copies(self, name: str, count: int) -> Any:
         """Add copies of one variable, all equal: a single one in every row would fill the solver's factors."""
@@ -177,15 +170,13 @@ class Transcription(Quantities):
         """The forces of the carriers' actuators, which become variables once something needs them."""
         model, terms = self._problem.model, _terms(self.s, self.sd, self.sdd)
         force = self._variable("force", model.k, self.scales.force)
-        own = sum(
-            casadi().DM(by) * term for by, term in zip(np.moveaxis(model.force_terms, -1, 0), terms, strict=False)
-        )
+        own = sum(model.force_terms[..., j] * terms[j] for j in range(model.force_terms.shape[2]))
         self.equal(force - own, model.force0, self.scales.force)
         return force
 
     def equal(self, expression: Any, value: Any, size: Any) -> None:
         """Require expression = value, over a size."""
-        self.nlp.within(expression / _spread(size, expression.shape), value / size, value / size)
+        self.nlp.within(expression / _rows(size, expression.shape), value / size, value / size)
 
     def limit(self, kind: str, expression: Any, lower: Any, upper: Any) -> None:
         """Keep lower ≤ expression ≤ upper, all of them scaled; in an elastic programme let out by its fraction."""
@@ -195,8 +186,8 @@ class Transcription(Quantities):
         lower, upper = (np.broadcast_to(bound, expression.shape) for bound in (lower, upper))
         half = np.where(np.isfinite(upper - lower) & (upper > lower), 0.5 * (upper - lower), 1.0)
         slack = casadi().repmat(self._slack[kind][: expression.shape[0]], 1, expression.shape[1])
-        self.nlp.within(expression + casadi().DM(half) * slack, lower, np.inf)
-        self.nlp.within(expression - casadi().DM(half) * slack, -np.inf, upper)
+        self.nlp.within(expression + half * slack, lower, np.inf)
+        self.nlp.within(expression - half * slack, -np.inf, upper)
 
     def dynamics(self) -> None:
         """Require W τ = f at every node, whatever the rank of W, and its rate at the singular ones."""
@@ -212,10 +203,10 @@ class Transcription(Quantities):
         # one row for each lost direction u
         nodes = [node for node in self._problem.singular for _ in node.lost]
         u = np.concatenate([node.lost for node in self._problem.singular])
-        at = [node.index for node in nodes]
+        at = np.array([node.index for node in nodes])
         # both steps beside a node have one jerk, but where the reference jumps: there each node has a step of its own
-        step = [i if i < len(h) and h[i] > 0.0 else i - 1 for i in at]
-        jerk = (self.sdd[[i + 1 for i in step], :] - self.sdd[step, :]) / _spread(h[step][:, None], (len(at), k))
+        step = np.array([i if i < len(h) and h[i] > 0.0 else i - 1 for i in at])
+        jerk = (self.sdd[step + 1, :] - self.sdd[step, :]) / h[step, None]
 
         def along_u(values: Array) -> Array:
             projected: Array = np.einsum("ri,ri...->r...", u, values)[:, None]
@@ -234,28 +225,28 @@ class Transcription(Quantities):
     def motion(self) -> None:
         """Integrate s̈, which is linear in a step, so that ṡ is quadratic and s cubic; keep jerks, start and end."""
         grid, settings, u = self._problem.grid, self._problem.settings, self.scales
-        s, sd, sdd, h = self.s, self.sd, self.sdd, casadi().DM(grid.h)
-        reached = s[:-1, :] + _times(h, sd[:-1, :]) + _times(h**2, 2.0 * sdd[:-1, :] + sdd[1:, :]) / 6.0
-        self.equal(reached - s[1:, :], 0.0, u.s)
-        self.equal(sd[:-1, :] + _times(h, sdd[:-1, :] + sdd[1:, :]) / 2.0 - sd[1:, :], 0.0, u.sd)
-        change = (sdd[1:, :] - sdd[:-1, :]) / _spread(u.sdd, (len(grid.h), len(u.sdd)))
-        most = np.multiply.outer(grid.h, settings.jerk / u.sdd) if np.isfinite(settings.jerk).any() else np.inf
-        self.limit("jerk", change, -most, most)
-        # the jerk is the same on both sides of some nodes
+        s, sd, sdd, h = self.s, self.sd, self.sdd, grid.h[:, None]
+        # the nodes at both ends of each step
+        s0, s1, sd0, sd1, sdd0, sdd1 = (part for x in (s, sd, sdd) for part in (x[:-1, :], x[1:, :]))
+        self.equal(s0 + h * sd0 + h**2 / 6.0 * (2.0 * sdd0 + sdd1) - s1, 0.0, u.s)
+        self.equal(sd0 + h / 2.0 * (sdd0 + sdd1) - sd1, 0.0, u.sd)
+        if np.isfinite(settings.jerk).any():
+            most = h * settings.jerk / u.sdd
+            self.limit("jerk", (sdd1 - sdd0) / _rows(u.sdd, sdd0.shape), -most, most)
+        # the jerk is the same on both sides of smooth nodes
         at = np.flatnonzero(grid.smooth)
-        if len(at):
-            before, after = (grid.h[i] / (grid.h[at - 1] + grid.h[at]) for i in (at - 1, at))
-            mean = _times(after, sdd[(at - 1).tolist(), :]) + _times(before, sdd[(at + 1).tolist(), :])
-            self.equal(mean - sdd[at.tolist(), :], 0.0, u.sdd)
-        self.equal(s[0, :], settings.start[None], u.s[None])
-        self.equal(sd[0, :], settings.start_speed[None], u.sd[None])
+        share = h[at - 1] / (h[at - 1] + h[at])
+        self.equal((1.0 - share) * sdd[at - 1, :] + share * sdd[at + 1, :] - sdd[at, :], 0.0, u.sdd)
+        self.equal(s[0, :], settings.start[None], u.s)
+        self.equal(sd[0, :], settings.start_speed[None], u.sd)
+        first, last = ({name: self.nlp.blocks[name][i, :] for name in ("s", "sd", "sdd")} for i in (0, -1))
         if settings.end in ("rest", "datum"):
-            self.limit("end", self.nlp.blocks["sd"][-1, :], 0.0, 0.0)
+            self.limit("end", last["sd"], 0.0, 0.0)
         if settings.end == "datum":
-            self.limit("end", self.nlp.blocks["s"][-1, :], settings.datum[None] / u.s, settings.datum[None] / u.s)
+            self.limit("end", last["s"], settings.datum[None] / u.s, settings.datum[None] / u.s)
         if settings.end == "periodic":
-            for name in ("s", "sd", "sdd"):
-                self.limit("end", self.nlp.blocks[name][-1, :] - self.nlp.blocks[name][0, :], 0.0, 0.0)
+            for name in first:
+                self.limit("end", last[name] - first[name], 0.0, 0.0)
 
     def limits_between_nodes(self, steps: BoolArray) -> None:
         """Keep track and speed limits inside some of the steps, (M − 1,).
@@ -263,29 +254,21 @@ class Transcription(Quantities):
         ṡ is quadratic and s cubic in a step: each lies in the hull of its Bézier points, of which the inner ones are
         added here.
         """
-        u, grid = self.scales, self._problem.grid
-        at = np.flatnonzero(steps & (grid.h > 0.0))
-        if len(at) == 0:
-            return
-        here, there, h = at.tolist(), (at + 1).tolist(), grid.h[at]
-        speed = self.sd[here, :] + _times(h, self.sdd[here, :]) / 2.0
-        first = self.s[here, :] + _times(h, self.sd[here, :]) / 3.0
-        second = self.s[there, :] - _times(h, self.sd[there, :]) / 3.0
-        for name, kind, size, inner in (
-            ("sd", "speed", u.sd, speed),
-            ("s", "track", u.s, first),
-            ("s", "track", u.s, second),
+        at = np.flatnonzero(steps & (self._h > 0.0))
+        h = self._h[at, None]
+        for name, inner in (
+            ("sd", self.sd[at, :] + h / 2.0 * self.sdd[at, :]),
+            ("s", self.s[at, :] + h / 3.0 * self.sd[at, :]),
+            ("s", self.s[at + 1, :] - h / 3.0 * self.sd[at + 1, :]),
         ):
-            self.limit(kind, inner / _spread(size, inner.shape), *self._bounds[name])
+            self.limit(KIND_OF[name], inner / _rows(getattr(self.scales, name), inner.shape), *self._bounds[name])
 
     def objective(self) -> None:
-        """Add the weighted objectives, each over its size, and the regularisation."""
-        problem, u = self._problem, self.scales
-        weights = problem.settings.objective
-        sizes = {name: OBJECTIVES[name].size(u) for name in weights}
-        whole = sum(weight * sizes[name] for name, weight in weights.items())
-        gentle = self.integral((self.sdd / _spread(u.sdd, self.sdd.shape)) ** 2) / u.duration
-        cost = sum(weight * OBJECTIVES[name].formula(self) for name, weight in weights.items()) / whole
+        """Add the weighted objectives over their common size, and the regularisation."""
+        terms = [(weight, OBJECTIVES[name]) for name, weight in self._problem.settings.objective.items()]
+        size = sum(weight * term.size(self.scales) for weight, term in terms)
+        cost = sum(weight * term.formula(self) for weight, term in terms) / size
+        gentle = self.integral(self.nlp.blocks["sdd"] ** 2) / self.scales.duration
         self.nlp.cost += (ELASTIC_OBJECTIVE if self._slack else 1.0) * (cost + REGULARISATION * gentle)
 
     def absolute(self, values: Any, size: float) -> Any:
@@ -298,7 +281,7 @@ class Transcription(Quantities):
     def largest(self, values: Any, size: float) -> Any:
         """Bound all |values| by one variable, of which there is a copy every few nodes."""
         copies = self._copies(f"largest_{len(self.nlp.blocks)}", -(-values.shape[0] // SHARED))
-        top = casadi().repmat(copies[[i // SHARED for i in range(values.shape[0])]], 1, values.shape[1])
+        top = casadi().repmat(copies[np.arange(values.shape[0]) // SHARED], 1, values.shape[1])
         for sign in (1.0, -1.0):
             self.nlp.within(sign * values / size - top, -np.inf, 0.0)
         # the mean, so that all copies have a slope: the solver scales the whole objective by the largest one
@@ -379,10 +362,8 @@ def _product(coefficients: Array, values: Any) -> Any:
     return ca.horzcat(*(ca.sum2(ca.sparsify(ca.DM(row)) * values) for row in np.moveaxis(coefficients, 1, 0)))
 
 
-def _spread(size: Any, shape: tuple[int, int]) -> Any:
-    return casadi().DM(np.array(np.broadcast_to(size, shape)))
-
-
-def _times(column: Any, matrix: Any) -> Any:
-    """Return a matrix with each row times a number."""
-    return casadi().repmat(casadi().DM(column), 1, matrix.shape[1]) * matrix
+def _rows(size: Any, shape: tuple[int, int]) -> Any:
+    """Return a size for each column as a matrix with equal rows (columns the library broadcasts by itself)."""
+    size = np.asarray(size)
+    # one number, as where all carriers have one limit, is handed over twenty times faster
+    return float(size.flat[0]) if np.all(size == size.flat[0]) else np.broadcast_to(size, shape)
