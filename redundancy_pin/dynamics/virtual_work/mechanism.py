@@ -1,19 +1,112 @@
-"""Sums over rigid bodies that move in the plane z = 0: what they do to the base, and their energy.
-
-What the virtual-work backend asks of a mechanism: a pose test, and the dynamics once the pose has passed it.
+"""What virtual work asks of a mechanism, and sums over its bodies, which move in the plane z = 0.
 
 Arrays are leg-major, (legs, N): one row a leg (or a platform coordinate), one column a sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError
+
+Parameters = Mapping[str, float | bool | str]
+"""The parameters of a shipped model."""
+
+Partials = tuple[Array, Array, Array]
+"""Derivatives by s, ṡ, s̈."""
+
+_Lengths = TypeVar("_Lengths", bound="Lengths")
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """Lengths that fix the kinematics of a mechanism, m.
+
+    Raises:
+        InputError: a length is not positive and finite.
+    """
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            length = getattr(self, field.name)
+            if not (np.isfinite(length) and length > 0.0):
+                raise InputError(
+                    f"{field.name} is {length}.", remedy="Pass a positive length in metres.", name=field.name
+                )
+
+    @classmethod
+    def from_parameters(cls: type[_Lengths], parameters: Parameters) -> _Lengths:
+        """Read the lengths off the parameters of the shipped model."""
+        return cls(**{field.name: float(parameters[field.name]) for field in fields(cls)})
+
+
+def signs(mode: Sequence[int], legs: int) -> Array:
+    """Return (legs, 1) the signs of a working mode.
+
+    Raises:
+        InputError: not one sign, 1 or -1, for each leg.
+    """
+    if len(mode) != legs or any(sign not in (1, -1) for sign in mode):
+        raise InputError(f"mode is {tuple(mode)}.", remedy=f"Pass one sign, 1 or -1, for each of the {legs} legs.")
+    return np.array(mode, dtype=float)[:, None]
+
+
+class Legs(Protocol):
+    """The inverse displacement at sampled poses: enough to sort out bad poses before any rate is computed."""
+
+    @property
+    def gap(self) -> Array:
+        """(legs, N) what each leg lacks to close, m."""
+
+    @property
+    def margin(self) -> Array:
+        """(legs, N) distance of each leg from its type I singularity."""
+
+    @property
+    def jacobian(self) -> Array:
+        """(N, m, n) J with q̇_a = J ẋ."""
+
+
+class MechanismAlongMotion(Protocol):
+    """The dynamics of a mechanism along a motion of its platform, for any motion of its carriers, (legs, N) each."""
+
+    def efforts(self, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
+        """Return f, (n, N), and the carrier forces, (legs, N)."""
+
+    def effort_derivatives(self, s: Array, sd: Array, sdd: Array) -> tuple[Partials, Partials]:
+        """Return the derivatives of f, (n, legs, N), and of each carrier's force, (legs, N), by the carrier of the leg.
+
+        Carrier i rides on leg i and acts on no other leg.
+        """
+
+    def bodies(self, s: Array, sd: Array, sdd: Array) -> Iterable[PlanarBodies]:
+        """Return every body with its motion."""
+
+
+class Mechanism(Protocol):
+    """A mechanism with closed-form kinematics, in one working mode.
+
+    Attributes:
+        angular_rows: (n,) whether each platform coordinate is an angle.
+        angular_columns: (m,) whether each main actuator is revolute.
+        least_margin: margin of a leg at or below which a pose counts as singular (type I).
+    """
+
+    angular_rows: tuple[bool, ...]
+    angular_columns: tuple[bool, ...]
+    least_margin: float
+
+    def legs(self, x: Array) -> Any:
+        """Solve the inverse displacement at platform coordinates (N, n); returns ``Legs``. NaN passes through."""
+
+    def along(self, legs: Any, x: Array, xd: Array, xdd: Array) -> MechanismAlongMotion:
+        """Return the dynamics along a motion (N, n) through poses whose legs are solved."""
+
 
 Coordinate = tuple[Array | float, Array | float, Array | float]
 """A coordinate of a point in a moving frame, its rate and its second rate; m, m/s, m/s²."""
@@ -146,73 +239,3 @@ def energy(bodies: Iterable[PlanarBodies], gravity: Array) -> Array:
         potential = -body.mass * (gravity[0] * body.x + gravity[1] * body.y)
         total = total + (kinetic + potential).sum(axis=0)
     return np.asarray(total)
-
-
-@dataclass(frozen=True, eq=False)
-class EffortDerivatives:
-    """Derivatives of the generalised force and of the carrier forces by the carrier motion.
-
-    Carrier i rides on leg i and acts on no other leg, so the derivatives of the carrier forces are diagonal.
-
-    Attributes:
-        f_s, f_sd, f_sdd: (n, legs, N) of f by s, ṡ, s̈ of the carrier of each leg.
-        force_s, force_sd, force_sdd: (legs, N) of the force of each carrier by its own s, ṡ, s̈.
-    """
-
-    f_s: Array
-    f_sd: Array
-    f_sdd: Array
-    force_s: Array
-    force_sd: Array
-    force_sdd: Array
-
-
-class MechanismAlongMotion(Protocol):
-    """The dynamics of a mechanism along a motion of its platform, for any motion of its carriers."""
-
-    @property
-    def jacobian(self) -> Array:
-        """(N, m, n) J with q̇_a = J ẋ."""
-
-    def efforts(self, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
-        """Return f, (n, N), and the carrier forces, (legs, N), for carrier motions (legs, N)."""
-
-    def effort_derivatives(self, s: Array, sd: Array, sdd: Array) -> EffortDerivatives:
-        """Return the derivatives of both."""
-
-    def bodies(self, s: Array, sd: Array, sdd: Array) -> Iterable[PlanarBodies]:
-        """Return every body with its motion."""
-
-
-class MechanismLegs(Protocol):
-    """The inverse displacement at sampled poses: enough to sort out bad poses before any rate is computed."""
-
-    @property
-    def gap(self) -> Array:
-        """(legs, N) what each leg lacks to close, m."""
-
-    @property
-    def margin(self) -> Array:
-        """(legs, N) distance of each leg from its type I singularity."""
-
-    @property
-    def least_margin(self) -> float:
-        """Margin at or below which the pose counts as singular; in the unit of ``margin``."""
-
-    def along(self, velocity: Array, acceleration: Array) -> MechanismAlongMotion:
-        """Return the dynamics along a motion through these poses, (N, n) each."""
-
-
-class Mechanism(Protocol):
-    """A mechanism with closed-form kinematics, in one working mode."""
-
-    @property
-    def angular_rows(self) -> tuple[bool, ...]:
-        """(n,) whether each platform coordinate is an angle."""
-
-    @property
-    def angular_columns(self) -> tuple[bool, ...]:
-        """(m,) whether each main actuator is revolute."""
-
-    def legs(self, x: Array) -> MechanismLegs:
-        """Solve the inverse displacement at platform coordinates (N, n); NaN passes through."""
