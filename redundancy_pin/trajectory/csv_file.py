@@ -37,10 +37,9 @@ def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
     x, xd, xdd = (_columns(table, name, path) for name in ("x", "xd", "xdd"))
     if x.shape[1] == 7 and xd.shape[1] == 6:
         x = _poses(x, path)
-    elif x.shape[1] != xd.shape[1]:
-        raise _mismatch(path, "x", x, "xd", xd)
-    if xdd.shape[1] != xd.shape[1]:
-        raise _mismatch(path, "xd", xd, "xdd", xdd)
+    else:
+        _require_as_many(path, x=x, xd=xd)
+    _require_as_many(path, xd=xd, xdd=xdd)
     return PlatformMotion(table["t"], x, xd, xdd)
 
 
@@ -60,10 +59,8 @@ def carriers_from_csv(path: str | os.PathLike[str]) -> CarrierMotion | None:
     if not any(re.fullmatch(r"s(d|dd)?\d+", name) for name in table):
         return None
     s, sd, sdd = (_columns(table, name, path) for name in ("s", "sd", "sdd"))
-    if s.shape[1] != sd.shape[1]:
-        raise _mismatch(path, "s", s, "sd", sd)
-    if sdd.shape[1] != sd.shape[1]:
-        raise _mismatch(path, "sd", sd, "sdd", sdd)
+    _require_as_many(path, s=s, sd=sd)
+    _require_as_many(path, sd=sd, sdd=sdd)
     return CarrierMotion(s, sd, sdd)
 
 
@@ -107,11 +104,9 @@ def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: 
             )
     try:
         values = np.array([row for _, row in rows], dtype=np.float64)
-        bad = np.argwhere(~np.isfinite(values))
     except ValueError:
-        bad = np.array(
-            [[r, c] for r, (_, row) in enumerate(rows) for c, cell in enumerate(row) if not _is_finite(cell)]
-        )
+        values = np.array([[_number(cell) for cell in row] for _, row in rows])
+    bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         r, c = (int(i) for i in bad[0])
         raise InputError(
@@ -124,11 +119,11 @@ def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: 
     return values
 
 
-def _is_finite(cell: str) -> bool:
+def _number(cell: str) -> float:
     try:
-        return bool(np.isfinite(float(cell)))
+        return float(cell)
     except ValueError:
-        return False
+        return float("nan")
 
 
 def _columns(table: dict[str, Array], prefix: str, path: str | os.PathLike[str]) -> Array:
@@ -150,12 +145,14 @@ def _missing(path: str | os.PathLike[str], name: str, seen: Sequence[str]) -> In
     )
 
 
-def _mismatch(path: str | os.PathLike[str], first: str, a: Array, second: str, b: Array) -> InputError:
-    return InputError(
-        f"{os.fspath(path)} has {a.shape[1]} columns {first}0, ... and {b.shape[1]} columns {second}0, ....",
-        remedy="Give as many of each; only poses have seven x (position and quaternion) for six rates.",
-        path=str(path),
-    )
+def _require_as_many(path: str | os.PathLike[str], **columns: Array) -> None:
+    (first, a), (second, b) = ((name, array.shape[1]) for name, array in columns.items())
+    if a != b:
+        raise InputError(
+            f"{os.fspath(path)} has {a} columns {first}0, ... and {b} columns {second}0, ....",
+            remedy="Give as many of each; only poses have seven x (position and quaternion) for six rates.",
+            path=str(path),
+        )
 
 
 def _poses(x: Array, path: str | os.PathLike[str]) -> Array:
