@@ -1,5 +1,9 @@
 """Closed-chain (parallel-robot) dynamics and planning on Pinocchio."""
 
+from redundancy_pin import _moved
+
+_moved.install()
+
 from redundancy_pin import simulation, trajectory
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.reactions import joint_reactions

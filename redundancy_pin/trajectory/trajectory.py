@@ -239,6 +239,7 @@ class PoseTrajectory(TimedMotion):
         timing: the timing law; only the fraction p / length of it is used, so its length may be
             one, the distance in metres, or the angle in radians.
         screw: (6,) displacement d, m, and rotation vector φ, rad, world axes.
+        breaks: (0,) the acceleration does not jump.
 
     Raises:
         InputError: not homogeneous poses, or poses half a turn apart.
@@ -248,6 +249,7 @@ class PoseTrajectory(TimedMotion):
     end: Array
     timing: TimingLaw
     screw: Array
+    breaks: Array
 
     def __init__(self, start: ArrayLike, end: ArrayLike, timing: TimingLaw) -> None:
         poses = np.stack([checked(start, "start", (4, 4)), checked(end, "end", (4, 4))])
@@ -262,17 +264,12 @@ class PoseTrajectory(TimedMotion):
                 angle=angle,
             )
         screw = frozen(np.concatenate([poses[1, :3, 3] - poses[0, :3, 3], turn]))
-        assign(self, start=frozen(poses[0]), end=frozen(poses[1]), timing=timing, screw=screw)
+        assign(self, start=frozen(poses[0]), end=frozen(poses[1]), timing=timing, screw=screw, breaks=frozen([]))
 
     @property
     def dimension(self) -> int:
         """Number of rates: six."""
         return 6
-
-    @property
-    def breaks(self) -> Array:
-        """(0,) the acceleration does not jump."""
-        return frozen([])
 
     def evaluate(self, t: ArrayLike, side: Side = "right") -> TrajectoryPoint:
         """Return poses (..., 4, 4), twists (..., 6) and their rates (..., 6) at times t, s.

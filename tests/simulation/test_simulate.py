@@ -351,7 +351,7 @@ def test_efforts_are_checked_whenever_they_are_asked_for(answer: object, samplin
         rp.simulate(
             robot, From(0.07, answer), duration=0.2, sampling=sampling, effort_limit=5.0, carrier_force_limit=5.0
         )
-    assert caught.value.details["t"] == pytest.approx(0.07, abs=1e-9)
+    assert caught.value.details["time"] == pytest.approx(0.07, abs=1e-9)
 
 
 def test_a_controller_without_an_answer_to_a_trial_step_alone_does_no_harm() -> None:

@@ -144,7 +144,7 @@ def _require_on_track(robot: Robot, place: Array) -> None:
                 remedy="Park the carriers on their tracks.",
                 constraint="track",
                 carrier=name,
-                t=0.0,
+                time=0.0,
                 amount=beyond,
             )
 
@@ -185,7 +185,7 @@ def _leg(
             f"{source.end:.6g} s: {duration - room:.4g} s are missing.",
             remedy="Shorten return_time, or end the motion further from the singularity.",
             constraint="return_time",
-            t=state.t,
+            time=state.t,
             amount=duration - room,
         )
     back = CarrierPath.of_polynomial(return_polynomial(state, duration, settings.datum))

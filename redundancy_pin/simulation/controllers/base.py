@@ -129,7 +129,7 @@ class Drive:
         return InputError(
             f"{type(self.controller).__name__}.effort returned {said} at t = {t:.6g} s.",
             remedy=f"Return main efforts ({m},) and carrier forces ({k},), finite numbers.",
-            t=t,
+            time=t,
         )
 
     def _saturated(self, tau: Array, force: Array) -> tuple[Array, Array]:
