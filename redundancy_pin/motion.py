@@ -117,15 +117,11 @@ class CarrierMotion:
             InputError: ``at`` does not fit k carriers, or a count is negative or no whole number.
         """
         for count in (samples, carriers):
-            if not isinstance(count, (int, np.integer)):
+            if not isinstance(count, (int, np.integer)) or count < 0:
                 raise InputError(
-                    f"The numbers of samples and of carriers are whole, not {type(count).__name__}.",
+                    f"The numbers of samples and of carriers are whole and not negative; one is {count!r}.",
                     remedy="Pass len(motion) of a sampled motion, and robot.k.",
                 )
-        if min(samples, carriers) < 0:
-            raise InputError(
-                f"The number of samples ({samples}) or of carriers ({carriers}) is negative.", remedy="Pass counts."
-            )
         place = checked(np.atleast_1d(at) if _dimensions(at) == 0 else at, "at", ("k",))
         if len(place) not in (1, carriers):
             raise InputError(
