@@ -58,7 +58,7 @@ def run(
         robots: names or paths; all shipped robots when left out.
         samples: random states for each robot.
         seed: seed of the random states; the same seed gives the same report.
-        progress: told how far it is.
+        progress: called as batches get ready.
         jobs: processes that share the work; the report does not depend on it.
 
     Raises:

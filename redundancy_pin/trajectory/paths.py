@@ -86,7 +86,7 @@ class SmoothPath:
 
 
 _UNIT_TOLERANCE = 1e-9
-"""How far from orthonormal the axes of an arc may be: a vector typed with nine digits passes."""
+"""How far from orthonormal the axes of an arc may be: a vector written with nine digits passes."""
 
 
 @dataclass(frozen=True, init=False, eq=False)

@@ -69,7 +69,7 @@ def _sample_times(duration: float, breaks: Array, dt: float | None, times: Array
 
 
 _LENGTH_TOLERANCE = 1e-9
-"""How far, relative to the path, the length of a timing law may be off: a length typed with nine digits passes."""
+"""How far, relative to the path, the length of a timing law may be off: a length written with nine digits passes."""
 
 
 class TrajectoryPoint(NamedTuple):
@@ -129,7 +129,7 @@ class TimedMotion:
         return self.sample_at(_sample_times(self.duration, self.breaks, dt, times, two_sided))
 
     def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
-        """Return x, ẋ, ẍ at (N,) times; ``before`` (N,) asks for the left limit where a time is a break."""
+        """Return x, ẋ, ẍ at (N,) times; ``before`` (N,) selects the left limit where a time is a break."""
         raise NotImplementedError
 
 
@@ -204,7 +204,7 @@ class Trajectory(TimedMotion):
         return Trajectory(self.path, self.timing.scaled(factor))
 
     def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
-        """Evaluate at (N,) times; ``before`` (N,) asks for the left limit where a time is a break.
+        """Evaluate at (N,) times; ``before`` (N,) selects the left limit where a time is a break.
 
         The segment of the path is chosen by the time, not by the arc length: p(t) is only as exact as
         its rounding, and must not slip across a break.

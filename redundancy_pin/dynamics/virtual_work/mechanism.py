@@ -10,12 +10,16 @@ from dataclasses import dataclass, fields
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 
 Parameters = Mapping[str, float | bool | str]
 """The parameters of a shipped model."""
+
+ComplexArray = NDArray[np.complex128]
+Complex = ComplexArray | Array | complex
 
 Partials = tuple[Array, Array, Array]
 """Derivatives by s, ṡ, s̈."""
@@ -108,90 +112,67 @@ class Mechanism(Protocol):
         """Return the dynamics along a motion (N, n) through poses whose legs are solved."""
 
 
-Coordinate = tuple[Array | float, Array | float, Array | float]
-"""A coordinate of a point in a moving frame, its rate and its second rate; m, m/s, m/s²."""
-
-
 @dataclass(frozen=True, eq=False)
 class PlanarBodies:
-    """Alike bodies (one a leg) that move in the plane; every array is (legs, N), in the base frame.
+    """Alike bodies (one a leg) that move in the plane; vectors are complex, x + iy in the base frame, (legs, N) each.
 
     Attributes:
         mass: of each body, kg.
         inertia: of each about its centre of mass, kg·m².
-        x, y: centre of mass, m.
-        vx, vy: its velocity, m/s.
-        ax, ay: its acceleration, m/s².
+        place, velocity, acceleration: of the centre of mass, m, m/s, m/s².
         spin, spin_rate: angular velocity and acceleration, rad/s and rad/s².
     """
 
     mass: float
     inertia: float
-    x: Array
-    y: Array
-    vx: Array
-    vy: Array
-    ax: Array
-    ay: Array
+    place: ComplexArray
+    velocity: ComplexArray
+    acceleration: ComplexArray
     spin: Array
     spin_rate: Array
 
 
 @dataclass(frozen=True, eq=False)
 class LinkFrames:
-    """Frames that move with the links of the legs; every array is (legs, N), in the base frame.
+    """Frames that move with the links of the legs; vectors are complex, x + iy in the base frame, (legs, N) each.
 
     Attributes:
-        x, y: origin, m.
-        vx, vy: its velocity, m/s.
-        ax, ay: its acceleration, m/s².
-        ux, uy: unit vector u along the link; n = (-uy, ux) points across it.
+        origin, velocity, acceleration: of the frame's origin, m, m/s, m/s².
+        u: unit vector along the link; iu points across it.
         spin, spin_rate: angular velocity and acceleration, rad/s and rad/s².
     """
 
-    x: Array
-    y: Array
-    vx: Array
-    vy: Array
-    ax: Array
-    ay: Array
-    ux: Array
-    uy: Array
+    origin: ComplexArray
+    velocity: ComplexArray
+    acceleration: ComplexArray
+    u: ComplexArray
     spin: Array
     spin_rate: Array
 
     def bodies(
-        self, mass: float, inertia: float, along: Coordinate, across: Coordinate = (0.0, 0.0, 0.0)
+        self, mass: float, inertia: float, zeta: Complex, rate: Complex = 0.0, second_rate: Complex = 0.0
     ) -> PlanarBodies:
-        """Return bodies that turn with the links, their centre of mass at ``along`` u + ``across`` n.
+        """Return bodies that turn with the links, their centre of mass at ζ = (along) + i (across) the link.
 
-        With ξ along and η across, u̇ = ω n and ṅ = -ω u give
-        v = v_O + (ξ̇ - η ω) u + (η̇ + ξ ω) n,
-        a = a_O + (ξ̈ - 2 η̇ ω - η ω̇ - ξ ω²) u + (η̈ + 2 ξ̇ ω + ξ ω̇ - η ω²) n.
+        With u̇ = iω u: z = z_O + ζ u, v = v_O + (ζ̇ + iω ζ) u, a = a_O + (ζ̈ + 2iω ζ̇ + (iω̇ - ω²) ζ) u.
 
         Args:
             mass: of each body, kg.
             inertia: of each about its centre of mass, kg·m².
-            along: coordinate of the centre of mass along the link and its two rates; (legs, N) or numbers.
-            across: the same across the link.
+            zeta: ζ, (legs, N) or a number, m.
+            rate: ζ̇, m/s.
+            second_rate: ζ̈, m/s².
         """
-        (xi, xi_d, xi_dd), (eta, eta_d, eta_dd) = along, across
-        w, wd = self.spin, self.spin_rate
-        ux, uy = self.ux, self.uy
-        v_along, v_across = xi_d - eta * w, eta_d + xi * w
-        a_along = xi_dd - 2.0 * eta_d * w - eta * wd - xi * w * w
-        a_across = eta_dd + 2.0 * xi_d * w + xi * wd - eta * w * w
+        turn, u = 1j * self.spin, self.u
+        curl = 1j * self.spin_rate - self.spin**2
         return PlanarBodies(
             mass=mass,
             inertia=inertia,
-            x=self.x + xi * ux - eta * uy,
-            y=self.y + xi * uy + eta * ux,
-            vx=self.vx + v_along * ux - v_across * uy,
-            vy=self.vy + v_along * uy + v_across * ux,
-            ax=self.ax + a_along * ux - a_across * uy,
-            ay=self.ay + a_along * uy + a_across * ux,
-            spin=w,
-            spin_rate=wd,
+            place=self.origin + zeta * u,
+            velocity=self.velocity + (rate + turn * zeta) * u,
+            acceleration=self.acceleration + (second_rate + 2.0 * turn * rate + curl * zeta) * u,
+            spin=self.spin,
+            spin_rate=self.spin_rate,
         )
 
 
@@ -209,20 +190,11 @@ def base_wrench(bodies: Iterable[PlanarBodies], gravity: Array) -> Array:
     """
     rows: Array | float = 0.0
     for body in bodies:
-        force_x = body.mass * (gravity[0] - body.ax)
-        force_y = body.mass * (gravity[1] - body.ay)
-        weight_z = body.mass * gravity[2]
-        rows = rows + np.stack(
-            [
-                force_x.sum(axis=0),
-                force_y.sum(axis=0),
-                np.full(body.x.shape[1], weight_z * len(body.x)),
-                (body.y * weight_z).sum(axis=0),
-                (-body.x * weight_z).sum(axis=0),
-                (body.x * force_y - body.y * force_x - body.inertia * body.spin_rate).sum(axis=0),
-            ],
-            axis=1,
-        )
+        force = body.mass * (complex(gravity[0], gravity[1]) - body.acceleration)
+        weight_z = np.full(body.place.shape, body.mass * gravity[2])
+        moment = (np.conj(body.place) * force).imag - body.inertia * body.spin_rate
+        parts = (force.real, force.imag, weight_z, body.place.imag * weight_z, -body.place.real * weight_z, moment)
+        rows = rows + np.stack([part.sum(axis=0) for part in parts], axis=1)
     return np.asarray(rows)
 
 
@@ -235,7 +207,7 @@ def energy(bodies: Iterable[PlanarBodies], gravity: Array) -> Array:
     """
     total: Array | float = 0.0
     for body in bodies:
-        kinetic = 0.5 * body.mass * (body.vx**2 + body.vy**2) + 0.5 * body.inertia * body.spin**2
-        potential = -body.mass * (gravity[0] * body.x + gravity[1] * body.y)
+        kinetic = 0.5 * body.mass * np.abs(body.velocity) ** 2 + 0.5 * body.inertia * body.spin**2
+        potential = -body.mass * (complex(gravity[0], -gravity[1]) * body.place).real
         total = total + (kinetic + potential).sum(axis=0)
     return np.asarray(total)

@@ -301,7 +301,7 @@ class ThreeRrrAlongMotion:
     ) -> None:
         self._p = p = mechanism
         self._legs = legs
-        self._pose, self._velocity, self._acceleration = pose, velocity, acceleration
+        self._motion = pose, velocity, acceleration
         self._rates = rates = leg_rates(legs, velocity, acceleration)
         gx, gy, _ = p.gravity
         l1, l2 = p.geometry.proximal_length, p.geometry.distal_length
@@ -348,7 +348,7 @@ class ThreeRrrAlongMotion:
         np.sum(Ry, axis=0, out=f[1])
         np.sum(self._legs.arm_x * Ry - self._legs.arm_y * Rx, axis=0, out=f[2])
         gx, gy, _ = p.gravity
-        a = self._acceleration
+        a = self._motion[2]
         f[0] += p.platform_mass * (a[:, 0] - gx)
         f[1] += p.platform_mass * (a[:, 1] - gy)
         f[2] += p.platform_inertia * a[:, 2]
@@ -365,15 +365,15 @@ class ThreeRrrAlongMotion:
 
     def bodies(self, s: Array, sd: Array, sdd: Array) -> tuple[PlanarBodies, ...]:
         """Return proximal links, distal links, carriers and the platform."""
-        p = self._p
-        l1 = p.geometry.proximal_length
-        proximal, distal = self._frames
-        x, v, a = (np.ascontiguousarray(array.T)[:, None] for array in (self._pose, self._velocity, self._acceleration))
+        p, length = self._p, self._p.geometry.proximal_length
+        proximal, distal = self._links
+        x, v, a = (part[None, :, 0] + 1j * part[None, :, 1] for part in self._motion)
+        spin, spin_rate = (part[None, :, 2] for part in self._motion[1:])
         return (
-            proximal.bodies(p.proximal_mass, p.proximal_mass * l1**2 / 12.0, (l1 / 2.0, 0.0, 0.0)),
-            distal.bodies(p.distal_mass, p.distal_inertia, (p.distal_centre, 0.0, 0.0)),
-            distal.bodies(p.carrier_mass, 0.0, (s, sd, sdd)),
-            PlanarBodies(p.platform_mass, p.platform_inertia, x[0], x[1], v[0], v[1], a[0], a[1], v[2], a[2]),
+            proximal.bodies(p.proximal_mass, p.proximal_mass * length**2 / 12.0, 0.5 * length),
+            distal.bodies(p.distal_mass, p.distal_inertia, p.distal_centre),
+            distal.bodies(p.carrier_mass, 0.0, s, sd, sdd),
+            PlanarBodies(p.platform_mass, p.platform_inertia, x, v, a, spin, spin_rate),
         )
 
     def _corner_force(self, T_theta: Array, T_beta: Array) -> tuple[Array, Array]:
@@ -387,19 +387,15 @@ class ThreeRrrAlongMotion:
         return np.stack([Rx, Ry, self._legs.arm_x * Ry - self._legs.arm_y * Rx])
 
     @cached_property
-    def _frames(self) -> tuple[LinkFrames, LinkFrames]:
-        """The frames of the proximal links, at the base hinges, and of the distal links, at the elbows."""
+    def _links(self) -> tuple[LinkFrames, LinkFrames]:
+        """The proximal links, their origins at the base hinges, and the distal links, theirs at the elbows."""
         legs, rates, geometry = self._legs, self._rates, self._p.geometry
-        G = geometry.base_points
-        zero = np.zeros_like(legs.c)
         l1, l2 = geometry.proximal_length, geometry.distal_length
-        w, wd = rates.theta_rate, rates.theta_acceleration
-        proximal = LinkFrames(
-            G[:, :1] + zero, G[:, 1:] + zero, zero, zero, zero, zero, legs.bx / l1, legs.by / l1, w, wd
+        still = np.zeros(legs.c.shape, dtype=complex)
+        hinge = geometry.base_points @ np.array([[1.0], [1j]]) + still
+        u, e = (legs.bx + 1j * legs.by) / l1, (legs.ex + 1j * legs.ey) / l2
+        proximal = LinkFrames(hinge, still, still, u, rates.theta_rate, rates.theta_acceleration)
+        elbow = proximal.bodies(0.0, 0.0, l1)
+        return proximal, LinkFrames(
+            elbow.place, elbow.velocity, elbow.acceleration, e, rates.beta_rate, rates.beta_acceleration
         )
-        elbow = proximal.bodies(0.0, 0.0, (l1, 0.0, 0.0))
-        distal = LinkFrames(
-            elbow.x, elbow.y, elbow.vx, elbow.vy, elbow.ax, elbow.ay,
-            legs.ex / l2, legs.ey / l2, rates.beta_rate, rates.beta_acceleration,
-        )  # fmt: skip
-        return proximal, distal

@@ -144,11 +144,11 @@ def _positions(geometry: ThreeRrrGeometry, elbows: Array, alpha: float) -> list[
     phi = alpha + np.array(CORNER_ANGLES)
     centres = elbows + geometry.platform_radius * np.stack([np.cos(phi), np.sin(phi)], axis=1)
     i, j = max(combinations(range(3), 2), key=lambda pair: float(np.hypot(*(centres[pair[0]] - centres[pair[1]]))))
-    middle, side = (centres[i] + centres[j]) / 2.0, centres[j] - centres[i]
-    length = float(np.hypot(*side))
+    middle, chord = (centres[i] + centres[j]) / 2.0, centres[j] - centres[i]
+    length = float(np.hypot(*chord))
     height = np.sqrt(max(geometry.distal_length**2 - length**2 / 4.0, 0.0))
-    across = np.array([-side[1], side[0]]) * (height / length)
-    return [np.append(middle + way * across, alpha) for way in (1.0, -1.0)]
+    across = np.array([-chord[1], chord[0]]) * (height / length)
+    return [np.append(middle + side * across, alpha) for side in (1.0, -1.0)]
 
 
 def _closure(geometry: ThreeRrrGeometry, elbows: Array, poses: Array) -> tuple[Array, Array, Array]:

@@ -195,7 +195,7 @@ class TwoRprAlongMotion:
     ) -> None:
         self._p = p = mechanism
         self._legs = legs
-        self._point, self._velocity, self._acceleration = point, velocity, acceleration
+        self._motion = point, velocity, acceleration
         self._rates = rates = leg_rates(legs, velocity, acceleration)
         gx, gy, _ = p.gravity
         ux, uy, d = legs.ux, legs.uy, legs.d
@@ -242,32 +242,26 @@ class TwoRprAlongMotion:
 
     def bodies(self, s: Array, sd: Array, sdd: Array) -> tuple[PlanarBodies, ...]:
         """Return cylinders, pistons, carriers and the end-effector."""
-        p, frames = self._p, self._frames
-        d, rates = self._legs.d, self._rates
-        x, v, a = self._point, self._velocity, self._acceleration
-        still = np.zeros((1, len(x)))
+        p, links, rates = self._p, self._links, self._rates
+        piston = self._legs.d - 0.5 * p.piston_length
+        x, v, a = (part[None, :, 0] + 1j * part[None, :, 1] for part in self._motion)
+        still = np.zeros(x.shape)
         return (
-            frames.bodies(p.cylinder_mass, p.cylinder_mass * p.cylinder_length**2 / 12.0, _at(p.cylinder_length / 2.0)),
-            frames.bodies(
+            links.bodies(p.cylinder_mass, p.cylinder_mass * p.cylinder_length**2 / 12.0, 0.5 * p.cylinder_length),
+            links.bodies(
                 p.piston_mass,
                 p.piston_mass * p.piston_length**2 / 12.0,
-                (d - 0.5 * p.piston_length, rates.d_rate, rates.d_acceleration),
+                piston,
+                rates.d_rate,
+                rates.d_acceleration,
             ),
-            frames.bodies(p.carrier_mass, 0.0, _at(p.track_offset), (SIDE * s, SIDE * sd, SIDE * sdd)),
-            PlanarBodies(
-                p.end_effector_mass, 0.0, x[None, :, 0], x[None, :, 1], v[None, :, 0], v[None, :, 1],
-                a[None, :, 0], a[None, :, 1], still, still,
-            ),
-        )  # fmt: skip
+            links.bodies(p.carrier_mass, 0.0, p.track_offset + 1j * SIDE * s, 1j * SIDE * sd, 1j * SIDE * sdd),
+            PlanarBodies(p.end_effector_mass, 0.0, x, v, a, still, still),
+        )
 
     @cached_property
-    def _frames(self) -> LinkFrames:
-        zero = np.zeros_like(self._legs.d)
-        return LinkFrames(
-            self._p.geometry.base_x + zero, zero, zero, zero, zero, zero,
-            self._legs.ux, self._legs.uy, self._rates.theta_rate, self._rates.theta_acceleration,
-        )  # fmt: skip
-
-
-def _at(position: float) -> tuple[float, float, float]:
-    return position, 0.0, 0.0
+    def _links(self) -> LinkFrames:
+        """The legs, their origins at the base hinges."""
+        u, still = self._legs.ux + 1j * self._legs.uy, np.zeros(self._legs.d.shape, dtype=complex)
+        base = self._p.geometry.base_x + still
+        return LinkFrames(base, still, still, u, self._rates.theta_rate, self._rates.theta_acceleration)
