@@ -29,8 +29,8 @@ def test_an_old_path_is_the_new_module_and_warns_where_it_is_imported() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
-        "DeprecationWarning <string> redundancy_pin.kinematics.singularity is now redundancy_pin.singularities.classify.",
-        "DeprecationWarning <string> redundancy_pin.files is now redundancy_pin.io.files.",
+        f"DeprecationWarning <string> redundancy_pin.{old} is now redundancy_pin.{new}."
+        for old, new in (("kinematics.singularity", "singularities.classify"), ("files", "io.files"))
     ]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
 from redundancy_pin.crosscheck.checks import (
@@ -31,7 +31,8 @@ Progress = Callable[[int, int], None]
 """Called with the states done and the states in all."""
 
 
-class _Batch(NamedTuple):
+@dataclass(frozen=True)
+class _Batch:
     """One case that a worker draws and checks."""
 
     robot: str

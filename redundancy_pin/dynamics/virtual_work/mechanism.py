@@ -112,6 +112,11 @@ class Mechanism(Protocol):
         """Return the dynamics along a motion (N, n) through poses whose legs are solved."""
 
 
+def planar(x: Array, y: Array) -> ComplexArray:
+    """Return vectors of the plane as x + iy."""
+    return np.asarray(x + 1j * y, dtype=np.complex128)
+
+
 @dataclass(frozen=True, eq=False)
 class PlanarBodies:
     """Alike bodies (one a leg) that move in the plane; vectors are complex, x + iy in the base frame, (legs, N) each.

@@ -41,6 +41,7 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
     Parameters,
     Partials,
     PlanarBodies,
+    planar,
     signs,
 )
 from redundancy_pin.errors import InputError
@@ -367,7 +368,7 @@ class ThreeRrrAlongMotion:
         """Return proximal links, distal links, carriers and the platform."""
         p, length = self._p, self._p.geometry.proximal_length
         proximal, distal = self._links
-        x, v, a = (part[None, :, 0] + 1j * part[None, :, 1] for part in self._motion)
+        x, v, a = (planar(part[None, :, 0], part[None, :, 1]) for part in self._motion)
         spin, spin_rate = (part[None, :, 2] for part in self._motion[1:])
         return (
             proximal.bodies(p.proximal_mass, p.proximal_mass * length**2 / 12.0, 0.5 * length),
@@ -391,9 +392,9 @@ class ThreeRrrAlongMotion:
         """The proximal links, their origins at the base hinges, and the distal links, theirs at the elbows."""
         legs, rates, geometry = self._legs, self._rates, self._p.geometry
         l1, l2 = geometry.proximal_length, geometry.distal_length
-        still = np.zeros(legs.c.shape, dtype=complex)
-        hinge = geometry.base_points @ np.array([[1.0], [1j]]) + still
-        u, e = (legs.bx + 1j * legs.by) / l1, (legs.ex + 1j * legs.ey) / l2
+        still = np.zeros(legs.c.shape, dtype=np.complex128)
+        hinge = planar(geometry.base_points[:, :1], geometry.base_points[:, 1:]) + still
+        u, e = planar(legs.bx / l1, legs.by / l1), planar(legs.ex / l2, legs.ey / l2)
         proximal = LinkFrames(hinge, still, still, u, rates.theta_rate, rates.theta_acceleration)
         elbow = proximal.bodies(0.0, 0.0, l1)
         return proximal, LinkFrames(

@@ -28,6 +28,7 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
     Parameters,
     Partials,
     PlanarBodies,
+    planar,
     signs,
 )
 from redundancy_pin.errors import InputError
@@ -244,7 +245,7 @@ class TwoRprAlongMotion:
         """Return cylinders, pistons, carriers and the end-effector."""
         p, links, rates = self._p, self._links, self._rates
         piston = self._legs.d - 0.5 * p.piston_length
-        x, v, a = (part[None, :, 0] + 1j * part[None, :, 1] for part in self._motion)
+        x, v, a = (planar(part[None, :, 0], part[None, :, 1]) for part in self._motion)
         still = np.zeros(x.shape)
         return (
             links.bodies(p.cylinder_mass, p.cylinder_mass * p.cylinder_length**2 / 12.0, 0.5 * p.cylinder_length),
@@ -262,6 +263,6 @@ class TwoRprAlongMotion:
     @cached_property
     def _links(self) -> LinkFrames:
         """The legs, their origins at the base hinges."""
-        u, still = self._legs.ux + 1j * self._legs.uy, np.zeros(self._legs.d.shape, dtype=complex)
-        base = self._p.geometry.base_x + still
+        u, still = planar(self._legs.ux, self._legs.uy), np.zeros(self._legs.d.shape, dtype=np.complex128)
+        base = planar(self._p.geometry.base_x, np.zeros((2, 1))) + still
         return LinkFrames(base, still, still, u, self._rates.theta_rate, self._rates.theta_acceleration)
