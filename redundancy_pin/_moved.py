@@ -39,9 +39,11 @@ class _Finder(MetaPathFinder, Loader):
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         new = _new_name(fullname)
-        if new is None or importlib.util.find_spec(new) is None:
-            return None
-        return ModuleSpec(fullname, self)
+        try:
+            there = new is not None and importlib.util.find_spec(new) is not None
+        except ModuleNotFoundError:  # not even the package it would be in
+            there = False
+        return ModuleSpec(fullname, self) if there else None
 
     def exec_module(self, module: ModuleType) -> None:
         new = _new_name(module.__name__)
