@@ -51,12 +51,7 @@ class RneaDynamics(Dynamics):
         return self._robot
 
     def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> RneaAlongMotion:
-        """Solve the kinematics of a platform motion once, for many carrier motions.
-
-        Raises:
-            InputError: the motion does not have the robot's coordinates.
-            UnreachablePoseError, SingularPoseError, WorkingModeError: see ``kinematics.lift.lift``.
-        """
+        """Solve the kinematics of a platform motion once; raises as ``kinematics.lift.lift``."""
         require_choice(unreachable)
         return RneaAlongMotion(lift(self._robot, motion, mark_unreachable=unreachable == "mark"), self._threads)
 

@@ -20,14 +20,7 @@ _XACRO = "{http://www.ros.org/wiki/xacro}"
 
 
 def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argument]:
-    """Check arguments against what a file declares, and return those whose values need no evaluation.
-
-    Args:
-        path: a ``.urdf`` or ``.xacro`` file.
-        arguments: values by name.
-
-    Returns:
-        The given arguments, and the declared ones whose defaults are plain text.
+    """Check arguments against what a file declares; return them, and the declared ones that need no evaluation.
 
     Raises:
         ModelFileError: missing file or broken XML.
@@ -208,10 +201,7 @@ def shipped_robots() -> tuple[str, ...]:
 
 
 def declaration_path(source: str | Path) -> Path:
-    """Return the path of a robot's declaration.
-
-    Args:
-        source: name of a shipped robot, path of a ``robot.yaml``, or of the folder that holds one.
+    """Return the path of a declaration, given the name of a shipped robot, that path, or the folder that holds it.
 
     Raises:
         ModelFileError: there is no such robot or file.
@@ -247,14 +237,10 @@ def source_of(path: Path) -> str:
 
 
 def render(path: Path, arguments: Mapping[str, object]) -> tuple[str, dict[str, Argument]]:
-    """Render a URDF or xacro file.
+    """Return the URDF that a ``.urdf`` or ``.xacro`` file gives, and every xacro argument with the value that was used.
 
-    Args:
-        path: a ``.urdf`` or ``.xacro`` file; what it includes is found relative to it.
-        arguments: xacro arguments by name, checked by ``known_values``; those left out keep their defaults.
-
-    Returns:
-        The URDF, and every xacro argument with the value that was used.
+    What it includes is found relative to it. Arguments are checked by ``known_values``; those left out keep their
+    defaults.
 
     Raises:
         ModelFileError: missing file, broken XML, a xacro expression that fails, masses and inertias that are none, or a

@@ -182,11 +182,8 @@ class Arc(SmoothPath):
 def circle_path(centre: ArrayLike, radius: float, start_angle: float = 0.0, sweep: float = 2.0 * np.pi) -> Arc:
     """Return a circle, or a part of one, in the plane.
 
-    Args:
-        centre: (2,) m.
-        radius: m.
-        start_angle: angle of the start seen from the centre, rad, from the x axis.
-        sweep: signed angle travelled, rad; positive is counter-clockwise, more than 2π is more than one turn.
+    It starts at ``start_angle``, rad, seen from the centre; ``sweep``, rad, is positive counter-clockwise, and may be
+    more than one turn.
 
     Raises:
         InputError: radius not positive, no sweep, wrong shapes.

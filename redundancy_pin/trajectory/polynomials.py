@@ -108,11 +108,7 @@ def boundary_polynomial(t0: float, t1: float, start: Sequence[ArrayLike], end: S
 def rest_to_rest_345(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> Polynomial:
     """Return the 3-4-5 polynomial: at rest without acceleration at both ends (Parsa 2014, eq. 1.10).
 
-    Args:
-        t0: start of the interval, s.
-        t1: end of the interval, s, after t0.
-        start: scalar or (k,) value at t0.
-        end: the same at t1.
+    ``start`` and ``end`` are the values, scalar or (k,), at t0 and t1, s.
 
     Raises:
         InputError: as ``boundary_polynomial``.
@@ -126,15 +122,7 @@ def rest_to_rest_4567(t0: float, t1: float, start: ArrayLike, end: ArrayLike) ->
 
 
 def time_of_value(law: Polynomial, p: float) -> float:
-    """Return the time at which an increasing scalar polynomial takes a value.
-
-    Args:
-        law: the polynomial.
-        p: the value; beyond the range of the polynomial the nearer end of its interval is returned.
-
-    Returns:
-        Time, s.
-    """
+    """Return the time, s, at which an increasing scalar polynomial takes a value; beyond its range the nearer end."""
     if p <= float(law(law.t0)):
         return law.t0
     if p >= float(law(law.t1)):

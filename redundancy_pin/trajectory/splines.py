@@ -95,11 +95,7 @@ class SplinePath(SmoothPath):
 
 
 def through_points(points: ArrayLike, *, closed: bool = False) -> SplinePath:
-    """Return a smooth path through points, in order.
-
-    Args:
-        points: (N, n) points, m, in any dimension; two of them give a straight line.
-        closed: whether to return to the first point, which is not repeated.
+    """Return a smooth path through (N, n) points, m, in order; closed, it returns to the first, which is not repeated.
 
     Raises:
         InputError: too few points, two consecutive ones that coincide, or a spline with a cusp.

@@ -176,15 +176,10 @@ class Trajectory(TimedMotion):
         return self.path.dimension
 
     def evaluate(self, t: ArrayLike, side: Side = "right") -> TrajectoryPoint:
-        """Return x, ẋ, ẍ at times t.
+        """Return x, ẋ, ẍ at times t, s, of any shape: arrays of that shape followed by (n,).
 
-        Args:
-            t: time, s, scalar or any shape.
-            side: which acceleration to give at a break: that before ("left") or after ("right").
-                x and ẋ are bit-equal from both sides.
-
-        Returns:
-            Arrays of the shape of ``t`` followed by (n,).
+        At a break the acceleration is that before ("left") or after it ("right"); x and ẋ are bit-equal from both
+        sides.
 
         Raises:
             InputError: t outside [0, duration].
@@ -204,11 +199,8 @@ class Trajectory(TimedMotion):
         return Trajectory(self.path, self.timing.scaled(factor))
 
     def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
-        """Evaluate at (N,) times; ``before`` (N,) selects the left limit where a time is a break.
-
-        The segment of the path is chosen by the time, not by the arc length: p(t) is only as exact as
-        its rounding, and must not slip across a break.
-        """
+        # The segment of the path is chosen by the time, not by the arc length: p(t) is only as exact as its
+        # rounding, and must not slip across a break.
         law = self.timing.evaluate(times)
         passed = np.searchsorted(self._break_time, times, side="right")
         lower = np.concatenate([[0.0], self._break_length])[passed]

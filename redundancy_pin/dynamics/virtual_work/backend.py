@@ -49,13 +49,8 @@ class VirtualWork(Dynamics):
         The closed form keeps the robot's working mode by construction, so no ``WorkingModeError`` can arise; a
         motion up to the edge of its mode meets the type I singularity there.
 
-        Args:
-            motion: N samples of the platform coordinates, base frame, m and rad.
-            unreachable: raise on the first pose that is out of reach or singular (type I), or mark all of them.
-
         Raises:
-            InputError: the motion has the wrong number of coordinates, or holds poses, or ``unreachable`` is neither
-                "raise" nor "mark".
+            InputError: the motion does not have the robot's coordinates, or a wrong ``unreachable``.
             UnreachablePoseError: a leg does not reach (unless marked).
             SingularPoseError: a leg is at a type I singularity (unless marked).
         """

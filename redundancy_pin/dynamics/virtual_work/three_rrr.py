@@ -212,10 +212,7 @@ def leg_rates(legs: ThreeRrrLegs, velocity: ArrayLike, acceleration: ArrayLike) 
     e·(v_A - v_B) = 0 and e·(a_A - a_B) + l2² β̇² = 0, with v_B = θ̇ b⊥, a_B = θ̈ b⊥ - θ̇² b and e·b⊥ = -c.
     Across the distal link, l2² β̇ = e⊥·(v_A - v_B) and l2² β̈ = e⊥·(a_A - a_B).
 
-    Args:
-        legs: the poses.
-        velocity: (N, 3) rate of (x, y, α) in the base frame, m/s and rad/s.
-        acceleration: (N, 3) its rate, m/s² and rad/s².
+    Velocity and acceleration are (N, 3), those of the platform's coordinates in the base frame.
 
     Raises:
         InputError: wrong shapes.

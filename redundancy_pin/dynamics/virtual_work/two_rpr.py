@@ -132,10 +132,7 @@ def leg_rates(legs: TwoRprLegs, velocity: ArrayLike, acceleration: ArrayLike) ->
 
     From B = A + d u: v = ḋ u + d θ̇ n and a = (d̈ - d θ̇²) u + (d θ̈ + 2 ḋ θ̇) n, read along u and n.
 
-    Args:
-        legs: the pose.
-        velocity: (N, 2) of the end-effector in the base frame, m/s.
-        acceleration: (N, 2) of the end-effector, m/s².
+    Velocity and acceleration are (N, 2), those of the end-effector's coordinates in the base frame.
 
     Raises:
         InputError: wrong shapes.
