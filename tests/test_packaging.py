@@ -53,7 +53,7 @@ def test_wheel_ships_every_module_and_the_typing_marker(contents: set[str]) -> N
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "redundancy_pin").rglob("*.py")}
     assert modules <= contents
     assert "redundancy_pin/py.typed" in contents
-    assert "redundancy_pin/visualisation.viewer.page.html" in contents
+    assert "redundancy_pin/visualisation/viewer/page.html" in contents
 
 
 def test_wheel_holds_the_package_and_nothing_else(contents: set[str]) -> None:

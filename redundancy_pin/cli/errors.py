@@ -26,7 +26,7 @@ _NO_ENGLISH = ("dt", "lam")
 _VALUES = ("carrier_force",)
 """Names of parameters that are also words given to another one, here to the objective."""
 
-_SAID = "reworded"
+_REWORDED = "reworded"
 """Detail of an error that is in the user's words already."""
 
 _MARKED = re.compile(r", or (?:pass unreachable=|ask for unreachable samples).*$")
@@ -62,18 +62,18 @@ class Wording:
     def reword(self, error: RedundancyPinError) -> RedundancyPinError:
         """Return an error of the same kind that says the same in these words.
 
-        Said once in the user's words, it is left alone further up.
+        Once it is in the user's words it is left alone further up.
         """
-        if _SAID in error.details:
+        if _REWORDED in error.details:
             return error
         message, remedy = _answer(error, self) or (error.message, error.remedy)
-        return type(error)(self._translated(message), remedy=self._translated(remedy), **{_SAID: True})
+        return type(error)(self._translated(message), remedy=self._translated(remedy), **{_REWORDED: True})
 
     def _translated(self, text: str) -> str:
         """Replace names: those with a value (``lam = 0``), at the beginning, and those that can be nothing else."""
         for name, written in self.names.items():
             with_value = rf"""(?<![\w-]){name} ?= ?(?:"([^"]*)"|'([^']*)'|(-?\w+(?:\.\w+)*))"""
-            text = re.sub(with_value, lambda found, name=name: self.write(name, _value(found)), text)  # type: ignore[misc]
+            text = re.sub(with_value, lambda match, name=name: self.write(name, _value(match)), text)  # type: ignore[misc]
             flag = written.partition("/")[0]
             text = re.sub(rf"^{name}\b(?!-)", flag, text)
             if ("_" in name and name not in _VALUES) or name in _NO_ENGLISH:
@@ -90,7 +90,7 @@ KEYS = Wording({"backend": "backend", "working_mode": "mode"}, ": ")
 
 @contextmanager
 def in_words(wording: Wording) -> Iterator[None]:
-    """Have errors raised in the block say what they say in these words.
+    """Errors raised in the block are reworded.
 
     Raises:
         RedundancyPinError: the error of the block, reworded.
@@ -101,18 +101,18 @@ def in_words(wording: Wording) -> Iterator[None]:
         raise wording.reword(error) from error
 
 
-def _value(found: re.Match[str]) -> str:
-    return next(part for part in found.groups() if part is not None)
+def _value(match: re.Match[str]) -> str:
+    return next(part for part in match.groups() if part is not None)
 
 
 def _answer(error: RedundancyPinError, wording: Wording) -> tuple[str, str] | None:
     """Return message and remedy of errors that need other words than the package's; None for all others."""
-    found: Mapping[str, Any] = error.details
-    if "axes" in found:
-        return _other_motion(found)
-    if "legs" in found:
-        return _other_mode(found, wording)
-    if "closed_form" in found:
+    details: Mapping[str, Any] = error.details
+    if "axes" in details:
+        return _other_motion(details)
+    if "legs" in details:
+        return _other_mode(details, wording)
+    if "closed_form" in details:
         return error.message, f"Write {wording.write('backend', 'rnea')}, which covers every robot."
     if isinstance(error, (UnreachablePoseError, SingularPoseError)):
         mark = f", or write {wording.write('unreachable', 'mark')}." if "unreachable" in wording.names else "."
@@ -122,11 +122,11 @@ def _answer(error: RedundancyPinError, wording: Wording) -> tuple[str, str] | No
     return None
 
 
-def _other_motion(found: Mapping[str, Any]) -> tuple[str, str]:
-    axes, robot = found["axes"], found["robot"]
-    given = "poses" if found["given_poses"] else f"{found['given']} coordinates"
-    moves = "through poses" if found["poses"] else f"in {len(axes)} ({', '.join(axes)})"
-    return f"The motion has {given}, but {robot} moves {moves}.", _motions(len(axes), is_pose=found["poses"])
+def _other_motion(details: Mapping[str, Any]) -> tuple[str, str]:
+    axes, robot = details["axes"], details["robot"]
+    given = "poses" if details["given_poses"] else f"{details['given']} coordinates"
+    moves = "through poses" if details["poses"] else f"in {len(axes)} ({', '.join(axes)})"
+    return f"The motion has {given}, but {robot} moves {moves}.", _motions(len(axes), is_pose=details["poses"])
 
 
 def _motions(coordinates: int, *, is_pose: bool) -> str:
@@ -140,9 +140,9 @@ def _motions(coordinates: int, *, is_pose: bool) -> str:
     return f"Choose the trajectory {', '.join([*fitting, own])}{alpha}, or a file with the columns t, {columns}."
 
 
-def _other_mode(found: Mapping[str, Any], wording: Wording) -> tuple[str, str]:
-    mode, legs = wording.names["working_mode"], int(found["legs"])
-    signs = "".join("+" if sign == 1 else "-" for sign in found["working_mode"])
+def _other_mode(details: Mapping[str, Any], wording: Wording) -> tuple[str, str]:
+    mode, legs = wording.names["working_mode"], int(details["legs"])
+    signs = "".join("+" if sign == 1 else "-" for sign in details["working_mode"])
     if not legs:
         return f"{mode} is {signs}, but the robot declares no working modes.", "Leave it out."
     example = wording.write("working_mode", "+" * legs)
@@ -179,16 +179,16 @@ class OneLineErrors(click.Group):
         except click.exceptions.Exit as leaving:
             sys.exit(leaving.exit_code)
         except click.ClickException as error:
-            _say(error.format_message(), hint=_where_to_look(error))
+            _print_line(error.format_message(), hint=_where_to_look(error))
             sys.exit(BAD_INPUT)
         except CrossCheckError as error:
-            _say(str(error))
+            _print_line(str(error))
             sys.exit(FAILED_CHECK)
         except RedundancyPinError as error:
-            _say(str(OPTIONS.reword(error)))
+            _print_line(str(OPTIONS.reword(error)))
             sys.exit(BAD_INPUT)
         except (click.Abort, KeyboardInterrupt):
-            _say("interrupted.")
+            _print_line("interrupted.")
             sys.exit(INTERRUPTED)
         except BrokenPipeError:
             # the reader of a pipe has seen enough (`redundancy-pin info | head`): not an error
@@ -196,7 +196,7 @@ class OneLineErrors(click.Group):
             sys.exit(0)
 
 
-def _say(message: str, hint: str = "") -> None:
+def _print_line(message: str, hint: str = "") -> None:
     line = " ".join(f"{message} {hint}".split())
     click.echo(f"error: {line}", err=True)
 

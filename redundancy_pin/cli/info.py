@@ -43,11 +43,11 @@ def info(robot: str | None, settings: tuple[str, ...], mode: str | None, gravity
             raise InputError("--set, --mode and --gravity need a robot.", remedy="Add --robot.")
         _list_robots(as_json)
         return
-    found = describe(options.load(), declaration_path(robot))
+    facts = describe(options.load(), declaration_path(robot))
     if as_json:
-        print_json(found)
+        print_json(facts)
     else:
-        console().print(_tables(found))
+        console().print(_tables(facts))
 
 
 def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
@@ -137,69 +137,69 @@ def _list_robots(as_json: bool) -> None:
     console().print(table_of("shipped robots", ("robot", "description"), robots))
 
 
-def _tables(found: dict[str, Any]) -> Group:
-    return Group(_general(found), _joints(found), _closures(found), *_parameters(found), *_limits(found))
+def _tables(facts: dict[str, Any]) -> Group:
+    return Group(_general(facts), _joints(facts), _closures(facts), *_parameters(facts), *_limits(facts))
 
 
-def _general(found: dict[str, Any]) -> Table:
-    title = ": ".join(part for part in (found["name"], found["description"]) if part)
+def _general(facts: dict[str, Any]) -> Table:
+    title = ": ".join(part for part in (facts["name"], facts["description"]) if part)
     table = Table(title=title, show_header=False)
-    for name, count in found["counts"].items():
+    for name, count in facts["counts"].items():
         table.add_row(name, str(count))
-    independent = found["independent"]
+    independent = facts["independent"]
     axes = independent["axes"]
     table.add_row(
         "independent",
         f"{', '.join(axes)} of {independent['platform']}" if axes else ", ".join(independent["joints"]),
     )
-    table.add_row("gravity [m/s²]", ", ".join(f"{value:g}" for value in found["gravity"]))
-    if found["working_modes"]:
-        table.add_row("working mode", f"{found['working_mode']} of {', '.join(found['working_modes'])}")
-    table.add_row("characteristic length [m]", f"{found['characteristic_length']:.6g}")
-    table.add_row("closed form (virtual work)", found["closed_form"] or "none")
-    reference = found["reference"]
-    table.add_row(f"reference [{_unit(found)}]", _coordinates(reference["coordinates"]))
+    table.add_row("gravity [m/s²]", ", ".join(f"{value:g}" for value in facts["gravity"]))
+    if facts["working_modes"]:
+        table.add_row("working mode", f"{facts['working_mode']} of {', '.join(facts['working_modes'])}")
+    table.add_row("characteristic length [m]", f"{facts['characteristic_length']:.6g}")
+    table.add_row("closed form (virtual work)", facts["closed_form"] or "none")
+    reference = facts["reference"]
+    table.add_row(f"reference [{_unit(facts)}]", _coordinates(reference["coordinates"]))
     table.add_row("type I margin there (lower bound)", f"{reference['type_i_margin']:.4g}")
     table.add_row("type II margin there", f"{reference['type_ii_margin']:.4g}")
     table.add_row("condition number there", f"{reference['condition']:.4g}")
     return table
 
 
-def _joints(found: dict[str, Any]) -> Table:
-    rows = [(joint["name"], joint["type"], joint["role"]) for joint in found["joints"]]
+def _joints(facts: dict[str, Any]) -> Table:
+    rows = [(joint["name"], joint["type"], joint["role"]) for joint in facts["joints"]]
     return table_of("joints of the tree", ("joint", "type", "role"), rows)
 
 
-def _closures(found: dict[str, Any]) -> Table:
-    rows = [(closure["frame_a"], closure["frame_b"], ", ".join(closure["axes"])) for closure in found["closures"]]
+def _closures(facts: dict[str, Any]) -> Table:
+    rows = [(closure["frame_a"], closure["frame_b"], ", ".join(closure["axes"])) for closure in facts["closures"]]
     return table_of("closures", ("frame a", "frame b", "axes"), rows)
 
 
-def _parameters(found: dict[str, Any]) -> list[Table]:
-    rows = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in found["parameters"].items()]
+def _parameters(facts: dict[str, Any]) -> list[Table]:
+    rows = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
     title, headings = "parameters (--set NAME=VALUE)", ("parameter", "value", "default")
     return [table_of(title, headings, rows, numbers=True)] if rows else []
 
 
-def _limits(found: dict[str, Any]) -> list[Table]:
+def _limits(facts: dict[str, Any]) -> list[Table]:
     rows = [
         (
             name,
             " … ".join(f"{end:g}" for end in limits["position"]),
             *(f"{limits[key]:g}" for key in ("speed", "acceleration", "force")),
         )
-        for name, limits in found["carrier_limits"].items()
+        for name, limits in facts["carrier_limits"].items()
     ]
     headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
     return [table_of("carrier limits", headings, rows, numbers=True)] if rows else []
 
 
-def _unit(found: dict[str, Any]) -> str:
+def _unit(facts: dict[str, Any]) -> str:
     """Return the unit of the reference coordinates; "m" of a pose, whose rotation matrix has none."""
-    axes, names = found["independent"]["axes"], found["independent"]["joints"] or ()
-    turning = [joint["type"] == "revolute" for joint in found["joints"] if joint["name"] in names]
+    axes, names = facts["independent"]["axes"], facts["independent"]["joints"] or ()
+    turning = [joint["type"] == "revolute" for joint in facts["joints"] if joint["name"] in names]
     turning = turning or [axis in ("rx", "ry", "rz") for axis in axes]
-    if isinstance(found["reference"]["coordinates"][0], list) or not any(turning):
+    if isinstance(facts["reference"]["coordinates"][0], list) or not any(turning):
         return "m"
     return "rad" if all(turning) else "m, rad"
 

@@ -78,20 +78,20 @@ def inverse_dynamics(
         distribution = distribute(reduced)
         advance(3, 4, "writing")
         write_text(out, efforts_csv(reduced, distribution))
-    found = _summary(reduced, distribution)
+    facts = _summary(reduced, distribution)
     if as_json:
-        print_json({"robot": loaded.name, "backend": backend, "motion": motion_path, "out": out, **found})
+        print_json({"robot": loaded.name, "backend": backend, "motion": motion_path, "out": out, **facts})
         return
     table = Table(title=f"{loaded.name}, {backend}: {len(motion)} samples", show_header=False)
-    for name, count in found["statuses"].items():
+    for name, count in facts["statuses"].items():
         table.add_row(f"{name} samples", str(count))
     record = robot_record(loaded)
     main, moved = record.effort_unit(*loaded.actuated), record.effort_unit(*loaded.carriers)
-    table.add_row(f"largest |tau| [{main}]", ", ".join(f"{value:.6g}" for value in found["largest_tau"]))
+    table.add_row(f"largest |tau| [{main}]", ", ".join(f"{value:.6g}" for value in facts["largest_tau"]))
     if loaded.k:
-        forces = ", ".join(f"{value:.6g}" for value in found["largest_carrier_force"])
+        forces = ", ".join(f"{value:.6g}" for value in facts["largest_carrier_force"])
         table.add_row(f"largest |carrier force| [{moved}]", forces)
-    table.add_row("smallest margin", f"{found['smallest_margin']:.6g}")
+    table.add_row("smallest margin", f"{facts['smallest_margin']:.6g}")
     table.add_row("written to", out)
     console().print(table)
 

@@ -133,8 +133,8 @@ def require_suffix(flag: str, path: str, suffix: str) -> None:
         )
 
 
-def _unseen(done: int, total: int, what: str = "") -> None:
-    """Take progress that nobody watches."""
+def _no_progress(done: int, total: int, what: str = "") -> None:
+    """Take progress that nobody looks at."""
 
 
 @contextmanager
@@ -145,7 +145,7 @@ def progress(title: str) -> Iterator[Advance]:
         A function to call with steps done, steps in all, and what is being done.
     """
     if not (sys.stderr.isatty() and sys.stdout.isatty()):
-        yield _unseen
+        yield _no_progress
         return
     bar = Progress(
         SpinnerColumn(),

@@ -87,11 +87,11 @@ def print_plan(plan: Plan, out: str | None, plot: str | None, *, as_json: bool) 
 
 
 def warn(plan: Plan) -> None:
-    """Say in one line on stderr what is wrong with a plan; nothing if it is within its limits."""
+    """Print in one line on stderr what is wrong with a plan; nothing if it is within its limits."""
     if plan.status is PlanStatus.VIOLATES_LIMITS:
-        said = "; ".join(_event(plan, event, broken=True) for event in plan.limits.violated[:_LISTED])
+        text = "; ".join(_event(plan, event, broken=True) for event in plan.limits.violated[:_LISTED])
         more = len(plan.limits.violated) - _LISTED
-        click.echo(f"warning: limits broken: {said}{f'; and {more} more' if more > 0 else ''}.", err=True)
+        click.echo(f"warning: limits broken: {text}{f'; and {more} more' if more > 0 else ''}.", err=True)
     if plan.status is PlanStatus.UNBOUNDED_EFFORT:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
         where = f" first at t = {plan.t[bad[0]]:.6g} s," if len(bad) else ""
@@ -144,10 +144,10 @@ def summary(plan: Plan) -> dict[str, Any]:
 
 def status_text(plan: Plan) -> str:
     """Return the status in words; of a plan that is no optimum, that as well."""
-    said = plan.status.value.replace("_", " ")
+    text = plan.status.value.replace("_", " ")
     if plan.diagnostics.get("optimal", True):
-        return said
-    return f"{said}: no optimum, the solver says {plan.diagnostics.get('solver')}"
+        return text
+    return f"{text}: no optimum, the solver says {plan.diagnostics.get('solver')}"
 
 
 def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
@@ -156,10 +156,10 @@ def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
         return
     weights: Any = plan.parameters["objective"]
     yield "minimised", ", ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights.items())
-    found: Any = plan.diagnostics
-    reached = "local optimum" if found["optimal"] else "NOT an optimum"
-    yield "reached", f"{reached} in {found['iterations']} iterations, {found['seconds']:.3g} s"
-    yield "nodes", f"{found['nodes']}, {len(found['singular_nodes'])} of them singular"
+    facts: Any = plan.diagnostics
+    reached = "local optimum" if facts["optimal"] else "NOT an optimum"
+    yield "reached", f"{reached} in {facts['iterations']} iterations, {facts['seconds']:.3g} s"
+    yield "nodes", f"{facts['nodes']}, {len(facts['singular_nodes'])} of them singular"
     yield "efforts between the nodes", f"at most {_ratio_between_nodes(plan):.6g} times those at the nodes"
 
 
@@ -192,22 +192,22 @@ def _phase_times(plan: Plan) -> list[dict[str, Any]]:
 
 
 def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
-    found = summary(plan)
+    facts = summary(plan)
     table = Table(
         title=f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {_BACKENDS.get(plan.backend, plan.backend)}",
         show_header=False,
     )
     table.add_row("status", status_text(plan))
-    table.add_row("time [s]", f"{found['start']:.6g} to {found['end']:.6g}, {found['samples']} samples")
-    table.add_row("phases [s]", _phases(found["phases"]))
+    table.add_row("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples")
+    table.add_row("phases [s]", _phases(facts["phases"]))
     main, moved = plan.robot.effort_unit(*plan.robot.actuated), plan.robot.effort_unit(*plan.robot.carriers)
-    table.add_row(f"peak main effort [{main}]", _row(found["peak_effort"]))
-    table.add_row(f"rms main effort [{main}]", _row(found["rms_effort"]))
-    table.add_row(f"reversals above {100.0 * SWING:g} % of the peak", _row(found["reversals"]))
-    table.add_row(f"peak carrier effort [{moved}]", _row(found["peak_carrier_force"]))
+    table.add_row(f"peak main effort [{main}]", _row(facts["peak_effort"]))
+    table.add_row(f"rms main effort [{main}]", _row(facts["rms_effort"]))
+    table.add_row(f"reversals above {100.0 * SWING:g} % of the peak", _row(facts["reversals"]))
+    table.add_row(f"peak carrier effort [{moved}]", _row(facts["peak_carrier_force"]))
     table.add_row("energy, main actuators [J]", number(plan.main_energy))
     table.add_row("energy, carriers [J]", number(plan.carrier_energy))
-    table.add_row("smallest margin", number(found["smallest_margin"]))
+    table.add_row("smallest margin", number(facts["smallest_margin"]))
     for name, text in _of_the_optimum(plan):
         table.add_row(name, text)
     table.add_row("limits broken", _events(plan, plan.limits.violated, broken=True))
@@ -387,11 +387,11 @@ def _run(
     require_outputs(out, plot, inputs)
     with progress("plan") as advance:
         advance(0, 3, "reading")
-        asked = read()
-        advance(1, 3, asked.planner)
-        found = asked.solve(lambda text: advance(1, 3, text))
+        task = read()
+        advance(1, 3, task.planner)
+        result = task.solve(lambda text: advance(1, 3, text))
         advance(2, 3, "writing")
-        write_outputs(found, out, plot)
-    print_plan(found, out, plot, as_json=as_json)
-    warn(found)
-    return EXIT_CODES.get(found.status, BREAKS_LIMITS)
+        write_outputs(result, out, plot)
+    print_plan(result, out, plot, as_json=as_json)
+    warn(result)
+    return EXIT_CODES.get(result.status, BREAKS_LIMITS)

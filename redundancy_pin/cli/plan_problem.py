@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +28,11 @@ from redundancy_pin.robot.urdf import shipped_robots
 from redundancy_pin.trajectory import Trajectory, from_csv
 
 Reader = Callable[[str, object], Any]
-"""From the name of a parameter and the value as written to the value the planner takes."""
+"""From the name of a parameter and the value as written to the value the planner takes; InputError where it is none."""
+
+
+def _refuse(name: str, value: object, expected: str, example: str) -> InputError:
+    return InputError(f"{name} is {value!r}, {expected}.", remedy=f"Write {example}.", name=name)
 
 
 def number(name: str, value: object) -> float:
@@ -38,12 +41,12 @@ def number(name: str, value: object) -> float:
     Raises:
         InputError: anything else.
     """
-    if not isinstance(value, bool) and isinstance(value, (int, float, str)):
-        try:
+    try:
+        if not isinstance(value, bool) and isinstance(value, (int, float, str)):
             return float(value)
-        except (ValueError, OverflowError):
-            pass
-    raise InputError(f"{name} is {value!r}, not a number.", remedy="Write a number, such as 0.5 (SI units).", name=name)
+    except (ValueError, OverflowError):
+        pass
+    raise _refuse(name, value, "not a number", "a number, such as 0.5 (SI units)")
 
 
 def numbers(name: str, value: object) -> Any:
@@ -58,7 +61,7 @@ def numbers(name: str, value: object) -> Any:
         return number(name, value)
     rows = [numbers(name, entry) for entry in value]
     if len({np.shape(row) for row in rows}) != 1:
-        raise InputError(f"{name} is {value!r}, not a row of numbers.", remedy="Write [0.1, -0.1].", name=name)
+        raise _refuse(name, value, "not a row of numbers", "[0.1, -0.1]")
     return frozen(rows)
 
 
@@ -68,24 +71,10 @@ def whole(name: str, value: object) -> int:
     Raises:
         InputError: anything else.
     """
-    found = number(name, value)
-    if not math.isfinite(found) or found != int(found):
-        raise InputError(f"{name} is {value!r}, not a whole number.", remedy="Write a number such as 4.", name=name)
-    return int(found)
-
-
-def number_or_word(name: str, value: object) -> float | str:
-    """Return a number, or the word as it stands (the planner knows which words it takes).
-
-    Raises:
-        InputError: neither.
-    """
-    if isinstance(value, str):
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return number(name, value)
+    result = number(name, value)
+    if not result.is_integer():
+        raise _refuse(name, value, "not a whole number", "a number such as 4")
+    return int(result)
 
 
 def word(name: str, value: object) -> str:
@@ -95,8 +84,22 @@ def word(name: str, value: object) -> str:
         InputError: no text.
     """
     if not isinstance(value, str):
-        raise InputError(f"{name} is {value!r}, not a word.", remedy="Write text.", name=name)
+        raise _refuse(name, value, "not a word", "text")
     return value
+
+
+def number_or_word(name: str, value: object) -> float | str:
+    """Return a number, or the word as it stands (the planner knows which words it takes).
+
+    Raises:
+        InputError: neither.
+    """
+    try:
+        return number(name, value)
+    except InputError:
+        if isinstance(value, str):
+            return value
+        raise
 
 
 def flag(name: str, value: object) -> bool:
@@ -106,7 +109,7 @@ def flag(name: str, value: object) -> bool:
         InputError: neither true nor false.
     """
     if not isinstance(value, bool):
-        raise InputError(f"{name} is {value!r}, neither true nor false.", remedy="Write true or false.", name=name)
+        raise _refuse(name, value, "neither true nor false", "true or false")
     return value
 
 
@@ -118,22 +121,18 @@ def weights(name: str, value: object) -> str | dict[str, float]:
     """
     if isinstance(value, Mapping):
         return {str(key): number(f"the weight of {key}", weight) for key, weight in value.items()}
-    if isinstance(value, str):
-        value = [value]
-    if not isinstance(value, Sequence) or not all(isinstance(entry, str) for entry in value):
-        raise InputError(
-            f"{name} is {value!r}, neither a word nor weights.", remedy="Write effort, or {effort: 1, peak: 2}."
-        )
-    if len(value) == 1 and "=" not in value[0]:
-        return str(value[0])
-    found: dict[str, float] = {}
-    for entry in value:
-        key, separator, weight = entry.partition("=")
-        key = key.strip()
-        if key in found:
+    words = [value] if isinstance(value, str) else value
+    if not isinstance(words, Sequence) or not all(isinstance(entry, str) for entry in words):
+        raise _refuse(name, value, "neither a word nor weights", "effort, or {effort: 1, peak: 2}")
+    if len(words) == 1 and "=" not in words[0]:
+        return str(words[0])
+    result: dict[str, float] = {}
+    for entry in words:
+        key, separator, weight = (part.strip() for part in entry.partition("="))
+        if key in result:
             raise InputError(f"{name} has {key!r} twice.", remedy="Leave one of them out.", name=name)
-        found[key] = number(f"the weight of {key}", weight) if separator else 1.0
-    return found
+        result[key] = number(f"the weight of {key}", weight) if separator else 1.0
+    return result
 
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -291,15 +290,15 @@ def _option(planner: str, name: str, parameter: Parameter) -> Callable[[_Command
     default = inspect.signature(PLANNERS[planner]).parameters[name].default
     written = _flag(name, parameter)
     if "/" in written:
-        said = written.partition("/")[0 if default else 2]
-        return click.option(written, f"{PREFIX}{name}", default=None, help=f"{parameter.text}  [default: {said}]")
-    said = "" if default is None else f"  [default: {default}]"
+        shown = written.partition("/")[0 if default else 2]
+        return click.option(written, f"{PREFIX}{name}", default=None, help=f"{parameter.text}  [default: {shown}]")
+    shown = "" if default is None else f"  [default: {default}]"
     return click.option(
         written,
         f"{PREFIX}{name}",
         metavar=parameter.metavar,
         multiple=parameter.multiple,
-        help=f"{parameter.text}{said}",
+        help=f"{parameter.text}{shown}",
     )
 
 
@@ -324,17 +323,14 @@ class Problem:
     parameters: Mapping[str, Any]
 
     def solve(self, progress: Callable[[str], None] | None = None) -> Plan:
-        """Return the plan.
-
-        Args:
-            progress: called with a line of text at each stage, by planners that have stages.
+        """Return the plan; planners that have stages call ``progress`` with a line of text at each.
 
         Raises:
             RedundancyPinError: as the planner.
         """
         make = PLANNERS[self.planner]
-        told = {"progress": progress} if progress and "progress" in inspect.signature(make).parameters else {}
-        return make(self.dynamics, self.motion, **self.parameters, **told)
+        extra = {"progress": progress} if progress and "progress" in inspect.signature(make).parameters else {}
+        return make(self.dynamics, self.motion, **self.parameters, **extra)
 
 
 def problem(
@@ -347,7 +343,7 @@ def problem(
     baseline: RobotOptions | None = None,
     step: float | None = None,
 ) -> Problem:
-    """Put a problem together.
+    """Put a problem together from what flags or a file say.
 
     Args:
         planner: a key of ``PLANNERS``.
@@ -372,13 +368,10 @@ def problem(
             f"lam = {values['lam']:g} asks for a fraction of the efforts of a baseline robot, and none is given.",
             remedy="Write --baseline carriers=false: the same robot without carriers.",
         )
-    if planner == "stepwise":
-        if isinstance(motion, Trajectory):
-            motion = motion.sample(STEP if step is None else step)
-        elif step is not None:
-            raise InputError(
-                "A motion from a file has its own steps.", remedy="Leave the step out, or resample the file."
-            )
+    if planner == "stepwise" and isinstance(motion, Trajectory):
+        motion = motion.sample(STEP if step is None else step)
+    elif step is not None:
+        raise InputError("A motion from a file has its own steps.", remedy="Leave the step out, or resample the file.")
     if baseline is not None:
         values["baseline"] = make(baseline.load())
     return Problem(planner, make(robot.load()), motion, values)
@@ -445,7 +438,7 @@ def _motion(data: Mapping[str, Any], path: Path) -> PlatformMotion | Trajectory:
 
 
 def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:
-    """Return the robot options of a mapping, from its typed values."""
+    """Return the robot options of a mapping."""
     mode, gravity = data.get("mode"), data.get("gravity")
     settings = _mapping(data.get("set", {}), "set")
     for name, value in settings.items():

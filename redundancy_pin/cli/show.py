@@ -56,16 +56,16 @@ def show(
         require_html(out)
         require_writable(out)
     options = RobotOptions(robot or "", settings, mode, gravity)
-    seen = _view(options, plan_path, motion_path, forces, force_scale)
+    picture = _view(options, plan_path, motion_path, forces, force_scale)
     if out:
-        seen.save(out)
-        _report(seen, out, as_json=as_json)
+        picture.save(out)
+        _report(picture, out, as_json=as_json)
         if open_browser:
             click.launch(out)
         return
-    live = seen.serve(open_browser=open_browser)
+    live = picture.serve(open_browser=open_browser)
     try:
-        _report(seen, live.url, as_json=as_json)
+        _report(picture, live.url, as_json=as_json)
         live.wait()
     except KeyboardInterrupt:
         pass  # how a live view is meant to end
@@ -98,8 +98,8 @@ def _robot_of(plan: Plan, options: RobotOptions) -> Robot:
     return load_robot_of(plan, options.source or None)
 
 
-def _report(seen: View, where: str, *, as_json: bool) -> None:
-    scene = seen.scene
+def _report(picture: View, where: str, *, as_json: bool) -> None:
+    scene = picture.scene
     if as_json:
         facts = {"title": scene.title, "frames": len(scene.t), "duration": scene.duration, "where": where}
         print_json(facts)

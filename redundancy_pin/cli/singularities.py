@@ -71,8 +71,8 @@ def singularities(
         if plot:
             _draw(loaded, followed, crossings, plot)
     if as_json:
-        found = [crossing_data(crossing) for crossing in crossings]
-        print_json({"robot": loaded.name, "crossings": found if followed is not None else None, "plot": plot})
+        data = [crossing_data(crossing) for crossing in crossings]
+        print_json({"robot": loaded.name, "crossings": data if followed is not None else None, "plot": plot})
         return
     if followed is not None:
         console().print(_table(loaded, crossings))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import pytest
@@ -110,7 +111,7 @@ def test_plan_alone_and_options_in_the_wrong_place(tmp_path: Path) -> None:
 
 
 def test_a_picture_that_fails_leaves_no_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from redundancy_pin.cli import plan as plan_output
+    plan_output = importlib.import_module("redundancy_pin.cli.plan")  # the package has the command by that name
     from redundancy_pin.errors import OutputError
 
     def fail(*_: object) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from matplotlib.figure import Figure
 
 from redundancy_pin.errors import OutputError, RedundancyPinError
 
@@ -23,17 +22,24 @@ _FINER = 1.6
 """Pixels of the picture per pixel of the page: lettering stays sharp on dense screens."""
 
 
-class Page(Figure):
-    """A figure that a notebook shows without pyplot or ``%matplotlib inline``.
+@functools.cache
+def _page_class() -> type[Figure]:
+    """Return the class of this package's figures; made when the first one is drawn, for it needs matplotlib."""
+    from matplotlib.figure import Figure
 
-    IPython only knows how to show figures that pyplot made; those of this package keep out of its global state.
-    """
+    class Page(Figure):
+        """A figure that a notebook shows without pyplot or ``%matplotlib inline``.
 
-    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
-        """Return the picture and the width, pixels, at which it is shown."""
-        buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=_FINER * self.dpi)
-        return buffer.getvalue(), {"width": round(self.dpi * self.get_size_inches()[0])}
+        IPython only knows how to show figures that pyplot made; those of this package keep out of its global state.
+        """
+
+        def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+            """Return the picture and the width, pixels, at which it is shown."""
+            buffer = io.BytesIO()
+            self.savefig(buffer, format="png", dpi=_FINER * self.dpi)
+            return buffer.getvalue(), {"width": round(self.dpi * self.get_size_inches()[0])}
+
+    return Page
 
 
 @dataclass(frozen=True)
@@ -121,10 +127,8 @@ def figure(width: float, height: float) -> Iterator[Figure]:
         RedundancyPinError: matplotlib is not installed.
     """
     require_matplotlib()
-    from redundancy_pin.visualisation.figures.style import Page
-
     with _styled():
-        yield Page(figsize=(width, height), layout="constrained")
+        yield _page_class()(figsize=(width, height), layout="constrained")
 
 
 @contextmanager

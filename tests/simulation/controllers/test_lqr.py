@@ -101,7 +101,7 @@ def test_open_loop_the_same_machine_drifts_away():
     start = perturbed(robot, motion, BEFORE, AWAY, SPEED)
     run = rp.simulate(
         robot,
-        rp.simulation.feed_forward.FeedForward(motion),
+        rp.simulation.FeedForward(motion),
         start=start,
         duration=0.8,
         rtol=1e-8,

@@ -1,0 +1,158 @@
+"""Files of version 0.1.0 are read without loss, and plans and simulations made anew are what they were."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import pytest
+from compatibility_cases import DATA, PLANS, REPLAYS, simulated
+
+import redundancy_pin as rp
+
+INTEGRATED = 1e-9
+"""Of the largest value: two ways through one motion, each integrated to some 1e-11 (``rtol``, ``atol`` of simulate)."""
+
+OPTIMISED = 1e-6
+"""Of the largest value: what the whole-trajectory planner promises of the same problem through both backends."""
+
+STEPPED = 1e-8
+"""Of the largest value: steps are solved to 1e-9 of the largest effort, and each starts where the last one ended."""
+
+TOLERANCES = {
+    "switch-off-integration": INTEGRATED,
+    "switch-off-differences": INTEGRATED,
+    "stepwise-corner": STEPPED,
+    "whole-line": OPTIMISED,
+    "whole-corner": OPTIMISED,
+}
+
+Saved = tuple[dict[str, np.ndarray], dict[str, Any]]
+
+
+@functools.cache
+def stored(name: str) -> Saved:
+    """Return the arrays of a file and what else is in it, read with numpy and json alone."""
+    with np.load(DATA / f"{name}.npz", allow_pickle=False) as archive:
+        arrays = dict(archive)
+    return arrays, decoded(json.loads(str(arrays.pop("metadata"))), arrays)
+
+
+def decoded(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    """Return what JSON has no word for: arrays by name, tuples, numbers that are not finite."""
+    if isinstance(value, list):
+        return [decoded(entry, arrays) for entry in value]
+    if not isinstance(value, dict):
+        return value
+    if set(value) == {"$array"}:
+        return arrays[value["$array"]]
+    if set(value) == {"$tuple"}:
+        return tuple(decoded(value["$tuple"], arrays))
+    if set(value) == {"$float"}:
+        return float(value["$float"])
+    return {key: decoded(entry, arrays) for key, entry in value.items()}
+
+
+def as_data(value: Any) -> Any:
+    """Return dataclasses as mappings, enums as their values, and arrays as lists, to be compared."""
+    if dataclasses.is_dataclass(value):
+        return {field.name: as_data(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Mapping):
+        return {key: as_data(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [as_data(entry) for entry in value] if isinstance(value, (tuple, list)) else value
+
+
+def require_kept(now: Any, then: Any) -> None:
+    """Everything that a file holds is in what was read from it; the program may know more by now."""
+    then = as_data(then)
+    if isinstance(then, dict):
+        now = as_data(now)
+        assert set(then) <= set(now)
+        for key, entry in then.items():
+            np.testing.assert_equal(now[key], entry, err_msg=key)
+    else:
+        np.testing.assert_equal(as_data(now), then)
+
+
+def attribute(value: Any, path: str) -> Any:
+    """Follow the name of an array, such as ``motion.x``."""
+    return functools.reduce(getattr, path.split("."), value)
+
+
+def require_near(now: Any, then: Any, tolerance: float, what: str) -> None:
+    then = np.asarray(then)
+    size = float(np.max(np.abs(then), initial=0.0, where=np.isfinite(then)))
+    np.testing.assert_allclose(now, then, rtol=0.0, atol=tolerance * size, err_msg=what)
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_saved_plan_is_read_without_loss(name: str) -> None:
+    arrays, content = stored(name)
+    plan, record = rp.load_plan(DATA / f"{name}.npz"), content["record"]
+    assert (content["format"], content["format_version"], content["package_version"]) == (
+        "redundancy_pin plan", 1, "0.1.0")  # fmt: skip
+    assert {"motion.t", "motion.x", "motion.xd", "motion.xdd", "carriers.s", "tau", "phase", "margin"} <= set(arrays)
+    for path, values in arrays.items():
+        np.testing.assert_array_equal(attribute(plan, path), values, err_msg=path)
+    for key in ("status", "planner", "backend", "phases", "limits", "robot", "parameters", "diagnostics"):
+        require_kept(getattr(plan, key), record[key])
+    assert rp.load_robot_of(plan).name == plan.robot.name
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_planned_anew_it_is_the_same(name: str) -> None:
+    then, now, tolerance = rp.load_plan(DATA / f"{name}.npz"), PLANS[name](), TOLERANCES[name]
+    np.testing.assert_allclose(now.t, then.t, rtol=0.0, atol=1e-9 * then.t[-1])
+    for path in ("motion.x", "motion.xd", "motion.xdd", "carriers.s", "carriers.sd", "carriers.sdd"):
+        require_near(attribute(now, path), attribute(then, path), tolerance, path)
+    for path in ("tau", "carrier_force", "actuated_rate"):
+        require_near(attribute(now, path), attribute(then, path), tolerance, path)
+    np.testing.assert_array_equal(now.sample_status, then.sample_status)
+    np.testing.assert_array_equal(now.phase, then.phase)
+    np.testing.assert_allclose(now.margin, then.margin, rtol=0.0, atol=1e-9)
+    assert (now.status, now.planner, now.backend, now.phases) == (then.status, then.planner, then.backend, then.phases)
+    require_kept(now.parameters, then.parameters)
+    assert set(then.diagnostics) <= set(now.diagnostics)
+    for kind in ("violated", "binding"):
+        ours, theirs = getattr(now.limits, kind), getattr(then.limits, kind)
+        assert [(one.carrier, one.quantity) for one in ours] == [(one.carrier, one.quantity) for one in theirs]
+        for one, other in zip(ours, theirs, strict=True):
+            require_near([one.value, one.limit], [other.value, other.limit], tolerance, f"{kind} {one.quantity}")
+
+
+@pytest.mark.parametrize("name", REPLAYS)
+def test_a_saved_simulation_is_read_without_loss(name: str) -> None:
+    arrays, content = stored(name)
+    run, record = rp.simulation.load_simulation(DATA / f"{name}.npz"), content["record"]
+    assert (content["format"], content["format_version"]) == ("redundancy_pin simulation", 1)
+    assert {"t", "q", "v", "a", "x", "xd", "s", "tau", "closure_force", "gap", "energy"} <= set(arrays)
+    for path, values in arrays.items():
+        np.testing.assert_array_equal(attribute(run, path), values, err_msg=path)
+    for key in ("status", "reason", "robot", "parameters", "statistics"):
+        require_kept(getattr(run, key), record[key])
+    assert as_data(run.events) == as_data(record["events"])
+
+
+@pytest.mark.parametrize("name", REPLAYS)
+def test_a_saved_plan_drives_a_robot_where_it_did(name: str) -> None:
+    then, now = rp.simulation.load_simulation(DATA / f"{name}.npz"), simulated(REPLAYS[name])
+    assert now.status.value == then.status.value
+    assert [(event.kind, event.name) for event in now.events] == [(event.kind, event.name) for event in then.events]
+    np.testing.assert_allclose(now.t, then.t, rtol=0.0, atol=INTEGRATED)
+    for path in ("q", "v", "x", "xd", "s", "sd"):
+        # where nothing moves the size of a motion is no measure: a metre, a radian
+        np.testing.assert_allclose(
+            getattr(now, path)[-1], getattr(then, path)[-1], rtol=0.0, atol=INTEGRATED, err_msg=path
+        )
+    for path in ("x", "tau", "carrier_force"):
+        require_near(getattr(now, path), getattr(then, path), 10.0 * INTEGRATED, path)
+    assert now.gap.max() < 1e-12
