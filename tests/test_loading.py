@@ -77,10 +77,10 @@ BAD_DECLARATIONS = {
     ),
     "misspelt platform": ({"independent": {"platform": "tipp", "axes": ["x", "y"]}}, "no link 'tipp'"),
     "misspelt indicator": ({"working_modes": {"joints": ["bb1"], "signs": [1]}}, "no moving joint 'bb1'"),
-    "unknown key": ({"acutated": ["a1"]}, "Unknown key `acutated`. Did you mean `actuated`?"),
+    "unknown key": ({"acutated": ["a1"]}, "Unknown key `acutated`. Did you mean 'actuated'?"),
     "unknown key inside": (
         {"closures": [{"frame": [], "axes": []}]},
-        r"Unknown key `frame` in `closures\[0\]`\. Did you mean `frames`",
+        r"Unknown key `frame` in `closures\[0\]`\. Did you mean 'frames'",
     ),
     "over-constrained": (
         {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "y", "z"]}]},

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
-from redundancy_pin.errors import DeclarationError
+from redundancy_pin.errors import DeclarationError, did_you_mean
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -66,12 +65,9 @@ def require_known_keys(given: Sequence[str] | Mapping[str, Any], known: Sequence
     """
     for key in given:
         if key not in known:
-            close = difflib.get_close_matches(key, known, n=1)
-            hint = f"Did you mean `{close[0]}`? " if close else ""
             place = f" in `{where}`" if where else ""
-            raise DeclarationError(
-                f"Unknown key `{key}`{place}.", remedy=f"{hint}Allowed: {', '.join(known)}.", key=key
-            )
+            remedy = f"{did_you_mean(key, known)}Allowed: {', '.join(known)}."
+            raise DeclarationError(f"Unknown key `{key}`{place}.", remedy=remedy, key=key)
 
 
 def _joined(key: str, path: Sequence[int | str]) -> str:

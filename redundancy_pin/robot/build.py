@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, checked, read_only
-from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean
 from redundancy_pin.robot.declaration import CarrierEntry, Declaration
 from redundancy_pin.robot.types import CarrierLimits, Robot
 from redundancy_pin.robot.urdf import Argument, source_of
@@ -84,11 +83,8 @@ def _joint(model: pin.Model, name: str) -> pin.JointModel:
 
 def _require_name(name: str, known: Sequence[str], what: str) -> None:
     if name not in known:
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f"Did you mean {close[0]!r}? " if close else ""
-        raise DeclarationError(
-            f"The URDF has no {what} {name!r}.", remedy=f"{hint}It has: {', '.join(known)}.", name=name
-        )
+        remedy = f"{did_you_mean(name, known)}It has: {', '.join(known)}."
+        raise DeclarationError(f"The URDF has no {what} {name!r}.", remedy=remedy, name=name)
 
 
 def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.Model) -> None:

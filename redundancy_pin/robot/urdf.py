@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import threading
 import xml.etree.ElementTree as ElementTree
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from redundancy_pin.errors import InputError, ModelFileError
+from redundancy_pin.errors import InputError, ModelFileError, did_you_mean
 
 Argument = float | bool | str
 """A xacro argument: a number, a flag, or text (such as ``"auto"``)."""
@@ -30,11 +29,9 @@ def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argum
     defaults, complete = _declared(path)
     unknown = [name for name in arguments if name not in defaults]
     if complete and unknown:
-        close = difflib.get_close_matches(unknown[0], defaults, n=1)
-        hint = f"Did you mean {close[0]!r}? " if close else ""
         raise InputError(
             f"{path.name} has no argument {unknown[0]!r}.",
-            remedy=f"{hint}Its arguments: {', '.join(defaults) or 'none'}.",
+            remedy=f"{did_you_mean(unknown[0], defaults)}Its arguments: {', '.join(defaults) or 'none'}.",
             argument=unknown[0],
         )
     values: dict[str, Argument] = {}
@@ -222,8 +219,7 @@ def declaration_path(source: str | Path) -> Path:
     elif path.suffix or len(path.parts) > 1:
         message, remedy = f"There is no file {path}.", f"Correct the path, or name a shipped robot: {names}."
     else:
-        close = difflib.get_close_matches(str(source).lower(), shipped_robots(), n=1)
-        hint = f"Did you mean {close[0]!r}? " if close else ""
+        hint = did_you_mean(str(source).lower(), shipped_robots())
         message = f"There is no robot {str(source)!r}."
         remedy = f"{hint}Shipped robots: {names}; or pass the path of your own robot.yaml."
     raise ModelFileError(message, remedy=remedy, source=str(source))
