@@ -1,6 +1,6 @@
 """Closed-chain (parallel-robot) dynamics and planning on Pinocchio."""
 
-from redundancy_pin import simulation, trajectory
+from redundancy_pin import _moved, simulation, trajectory
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.reactions import joint_reactions
 from redundancy_pin.dynamics.rnea import RneaDynamics
@@ -46,3 +46,5 @@ __all__ = [
     "trajectory",
 ]
 __version__ = "0.1.0"
+
+_moved.install()

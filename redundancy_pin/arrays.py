@@ -41,6 +41,12 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
+def assign(target: object, **values: object) -> None:
+    """Set the fields of a frozen dataclass, once, in an ``__init__`` that checks them first."""
+    for name, value in values.items():
+        object.__setattr__(target, name, value)
+
+
 def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     """Return a read-only float64 copy of ``values`` after checking shape and finiteness.
 
@@ -89,8 +95,7 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
 
 def largest(values: Array) -> Array:
     """Return (m,) the largest magnitude in each column of (N, m), NaN left out; zero where nothing is left."""
-    found: Array = np.nanmax(np.abs(values), axis=0, initial=0.0)
-    return found
+    return np.asarray(np.nanmax(np.abs(values), axis=0, initial=0.0))
 
 
 def peak(name: str, values: Array, unit: str) -> str:
@@ -127,8 +132,9 @@ def positive(value: float, name: str, unit: str) -> float:
         of = f" of {unit}" if unit else ""
         raise InputError(f"{name} is {value!r}, expected a number{of}.", name=name) from error
     if not (math.isfinite(number) and number > 0.0):
-        said = f"{number:g} {unit}".rstrip()
-        raise InputError(f"{name} is {said}, expected a positive number.", name=name, value=number)
+        raise InputError(
+            f"{name} is {f'{number:g} {unit}'.rstrip()}, expected a positive number.", name=name, value=number
+        )
     return number
 
 

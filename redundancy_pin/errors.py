@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
 
@@ -30,6 +31,12 @@ def _rebuild(
     kind: type[RedundancyPinError], message: str, remedy: str, details: dict[str, object]
 ) -> RedundancyPinError:
     return kind(message, remedy=remedy, **details)
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the start of a remedy that names the nearest known name; empty where none is near."""
+    close = difflib.get_close_matches(str(name), list(known), n=1)
+    return f"Did you mean {close[0]!r}? " if close else ""
 
 
 class InputError(RedundancyPinError, ValueError):

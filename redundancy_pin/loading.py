@@ -47,41 +47,41 @@ def load_robot(
     path = declaration_path(source)
     data = read_yaml(path)
     source_file = path.parent / data["urdf"]
+    # before xacro runs, which would make a cryptic error of a length that is negative; and after, on what it evaluated
     require_conditions(data, known_values(source_file, arguments))
     urdf, parameters = render(source_file, arguments)
     require_conditions(data, parameters)
-    declaration = parse(path, data, parameters)
-    robot = build(declaration, urdf, parameters, gravity, working_mode)
+    declaration = parse(data, parameters)
+    robot = build(declaration, path, urdf, parameters, gravity, working_mode)
     system = ConstraintSystem(robot)
     _check_mobility(system)
-    target = reference_coordinates(robot, declaration.reference)
-    listed = [robot.model.joints[robot.model.getJointId(name)] for name in declaration.guess]
-    known = np.array(
-        [column for joint in listed for column in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp
-    )
-    q_reference, gap, closed = multistart_nearest(system, np.array(robot.q_reference), target[0], known)
+    target = reference_coordinates(robot, declaration.coordinates(parameters))
+    listed = [robot.model.joints[robot.model.getJointId(name)] for name in declaration.reference.guess]
+    columns = [column for joint in listed for column in range(joint.idx_q, joint.idx_q + joint.nq)]
+    q, gap, closed = multistart_nearest(system, np.array(robot.q_reference), target[0], np.array(columns, dtype=np.intp))
     if not closed:
         raise DeclarationError(
-            _not_closed(robot, q_reference, gap),
+            _not_closed(robot, q, gap),
             remedy="Correct `reference` in the declaration, or the lengths given as arguments.",
             gap=gap,
         )
-    length = declaration.characteristic_length or characteristic_length(robot.model, q_reference, robot.carriers)
-    folder = str(source_file.resolve().parent)
-    robot = replace(robot, q_reference=frozen(q_reference), characteristic_length=length, urdf_folder=folder)
-    _check_reference_rank(robot)
+    robot = replace(
+        robot,
+        q_reference=frozen(q),
+        characteristic_length=declaration.characteristic_length
+        or characteristic_length(robot.model, q, robot.carriers),
+        urdf_folder=str(source_file.resolve().parent),
+    )
+    _check_reference_rank(ConstraintSystem(robot))
     return robot
 
 
 def _not_closed(robot: Robot, nearest: Array, gap: float) -> str:
+    mode = f" in working mode {mode_name(robot.working_mode)}" if robot.working_mode else ""
     if gap >= CLOSURE_TOLERANCE:
-        mode = f" in working mode {mode_name(robot.working_mode)}" if robot.working_mode else ""
         return f"The reference of {robot.name} does not close{mode}: the best of many starts leaves a gap of {gap:.3g}."
-    found = mode_name(tuple(working_modes(robot, nearest[None])[0]))
-    return (
-        f"The reference of {robot.name} does not close in working mode {mode_name(robot.working_mode)}, only in others "
-        f"such as {found}."
-    )
+    other = mode_name(tuple(working_modes(robot, nearest[None])[0]))
+    return f"The reference of {robot.name} does not close{mode}, only in others such as {other}."
 
 
 def _check_mobility(system: ConstraintSystem) -> None:
@@ -91,41 +91,36 @@ def _check_mobility(system: ConstraintSystem) -> None:
     freedoms = velocities - rows
     if freedoms == robot.n:
         return
-    loops = assemble(system, np.array(robot.q_reference)[None])
-    jacobian = loops.state.Jc[0][:, system.pose_columns] / velocity_scale(robot)[system.pose_columns]
-    rank, dependent = _dependent_rows(jacobian)
-    names = ", ".join(f"{axis} of {closure.name!r}" for closure, axis in _row_names(system, dependent))
+    rank, redundant = _rank(system, assemble(system, np.array(robot.q_reference)[None]).state)
     if freedoms < robot.n:
-        redundant = f" At the reference {len(dependent)} row(s) are redundant: {names}." if dependent else ""
-        raise DeclarationError(
-            f"{robot.name} is over-constrained: {velocities} joint velocities less {rows} closure rows leave "
-            f"{freedoms} freedoms, but {robot.n} independent velocities are declared.{redundant}",
-            remedy="Take the redundant axes out of the closures (a planar pin joint is [x, y]), or declare fewer "
-            "independent velocities.",
-            freedoms=freedoms,
-            declared=robot.n,
-            rank=rank,
+        kind, only = "over", ""
+        where = f" At the reference {len(redundant)} row(s) are redundant: {', '.join(redundant)}." if redundant else ""
+        remedy = (
+            "Take the redundant axes out of the closures (a planar pin joint is [x, y]), or declare fewer independent "
+            "velocities."
         )
+    else:
+        kind, only, where = "under", "only ", ""
+        remedy = "Add the missing closure axes, declare more independent velocities, or list carriers as carriers."
     raise DeclarationError(
-        f"{robot.name} is under-constrained: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
-        f"freedoms, but only {robot.n} independent velocities are declared.",
-        remedy="Add the missing closure axes, declare more independent velocities, or list carriers as carriers.",
+        f"{robot.name} is {kind}-constrained: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
+        f"freedoms, but {only}{robot.n} independent velocities are declared.{where}",
+        remedy=remedy,
         freedoms=freedoms,
         declared=robot.n,
         rank=rank,
     )
 
 
-def _check_reference_rank(robot: Robot) -> None:
-    system = ConstraintSystem(robot)
+def _check_reference_rank(system: ConstraintSystem) -> None:
+    robot = system.robot
     state = system.evaluate(np.array(robot.q_reference)[None])
-    scaled = state.Jc[0][:, system.pose_columns] / velocity_scale(robot)[system.pose_columns]
-    rank, dependent = _dependent_rows(scaled)
-    if dependent:
-        names = ", ".join(f"{axis} of {closure.name!r}" for closure, axis in _row_names(system, dependent))
+    rank, redundant = _rank(system, state)
+    if redundant:
         raise DeclarationError(
             f"Grübler's count gives {robot.name} {robot.n} freedoms, but its closure rows have rank {rank} of "
-            f"{len(system.rows)} at the reference: {len(system.pose_columns) - rank} freedoms. Redundant: {names}.",
+            f"{len(system.rows)} at the reference: {len(system.pose_columns) - rank} freedoms. Redundant: "
+            f"{', '.join(redundant)}.",
             remedy="Take the redundant axes out of the closures and add the ones that are missing.",
             rank=rank,
         )
@@ -161,16 +156,13 @@ _LEVEL_TOLERANCE = 1e-9
 """rad/s per unit of an independent velocity; rounding of the closed configuration stays below 1e-12."""
 
 
-def _dependent_rows(jacobian: Array) -> tuple[int, list[int]]:
-    """Return the rank of a matrix and the indices of rows that depend on the others (pivoted QR of its transpose)."""
+def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[str]]:
+    """Return the rank of the closure rows and the names of those that depend on the others (pivoted QR of Jᵀ)."""
+    jacobian = state.Jc[0][:, system.pose_columns] / velocity_scale(system.robot)[system.pose_columns]
     if min(jacobian.shape) == 0:
         return 0, []
     _, triangle, order = qr(jacobian.T, pivoting=True, mode="economic")
     diagonal = np.abs(np.diag(triangle))
     rank = int((diagonal > RANK_TOLERANCE * max(diagonal.max(initial=0.0), np.finfo(float).tiny)).sum())
-    return rank, sorted(int(i) for i in order[rank:])
-
-
-def _row_names(system: ConstraintSystem, rows: list[int]) -> list[tuple[Closure, str]]:
-    flat = [(closure, axis) for closure in system.robot.closures for axis in closure.axes]
-    return [flat[i] for i in rows]
+    names = [f"{axis} of {closure.name!r}" for closure in system.robot.closures for axis in closure.axes]
+    return rank, [names[row] for row in sorted(order[rank:])]

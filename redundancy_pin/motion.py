@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, checked, largest, read_only
+from redundancy_pin.arrays import Array, BoolArray, assign, checked, largest, read_only
 from redundancy_pin.errors import InputError
 
 
@@ -46,8 +46,7 @@ class PlatformMotion:
         if is_pose:
             _require_poses(position)
         _require_increasing(time, position, rate)
-        for name, value in (("t", time), ("x", position), ("xd", rate), ("xdd", acceleration)):
-            object.__setattr__(self, name, value)
+        assign(self, t=time, x=position, xd=rate, xdd=acceleration)
 
     def __repr__(self) -> str:
         """Return shape and times, not the arrays."""
@@ -94,8 +93,7 @@ class CarrierMotion:
         position = checked(s, "s", ("N", "k"))
         rate = checked(sd, "sd", position.shape)
         acceleration = checked(sdd, "sdd", position.shape)
-        for name, value in (("s", position), ("sd", rate), ("sdd", acceleration)):
-            object.__setattr__(self, name, value)
+        assign(self, s=position, sd=rate, sdd=acceleration)
 
     def __repr__(self) -> str:
         """Return shape and peaks, not the arrays."""
@@ -119,15 +117,11 @@ class CarrierMotion:
             InputError: ``at`` does not fit k carriers, or a count is negative or no whole number.
         """
         for count in (samples, carriers):
-            if not isinstance(count, (int, np.integer)):
+            if not isinstance(count, (int, np.integer)) or count < 0:
                 raise InputError(
-                    f"The numbers of samples and of carriers are whole, not {type(count).__name__}.",
+                    f"The numbers of samples and of carriers are whole and not negative; one is {count!r}.",
                     remedy="Pass len(motion) of a sampled motion, and robot.k.",
                 )
-        if min(samples, carriers) < 0:
-            raise InputError(
-                f"The number of samples ({samples}) or of carriers ({carriers}) is negative.", remedy="Pass counts."
-            )
         place = checked(np.atleast_1d(at) if _dimensions(at) == 0 else at, "at", ("k",))
         if len(place) not in (1, carriers):
             raise InputError(
@@ -169,12 +163,11 @@ def _require_increasing(t: Array, x: Array, xd: Array) -> None:
     step = np.diff(t)
     same_state = (x[1:] == x[:-1]).all(axis=tuple(range(1, x.ndim))) & (xd[1:] == xd[:-1]).all(axis=1)
     two_sided = (step == 0.0) & same_state
-    thrice = two_sided[1:] & two_sided[:-1]
-    bad = np.flatnonzero(~(step > 0.0) & ~two_sided)
-    if len(bad) == 0 and thrice.any():
-        bad = np.flatnonzero(thrice) + 1
-    if len(bad):
-        k = int(bad[0])
+    bad = ~(step > 0.0) & ~two_sided
+    if not bad.any():
+        bad[1:] = two_sided[1:] & two_sided[:-1]  # three of one instant
+    if bad.any():
+        k = int(bad.argmax())
         raise InputError(
             f"Time does not increase: t[{k}] = {t[k]:.9g}, t[{k + 1}] = {t[k + 1]:.9g}.",
             remedy="Sort the samples; an instant may appear twice only to give the acceleration before and "

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import pickle
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -50,3 +53,23 @@ def test_errors_survive_pickling(kind: type[RedundancyPinError]) -> None:
 def test_bad_arguments_are_value_errors_for_callers_who_know_python_only() -> None:
     with pytest.raises(ValueError, match="Wrong"):
         raise InputError("Wrong.")
+
+
+def _raised() -> Iterator[tuple[str, ast.Call]]:
+    """Give every place of the package where an error of ours is made."""
+    names = {kind.__name__ for kind in KINDS}
+    package = Path(errors.__file__).parent
+    for path in package.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:
+                yield f"{path.relative_to(package)}:{node.lineno}", node
+
+
+def test_every_error_is_raised_somewhere() -> None:
+    made = {node.func.id for _, node in _raised() if isinstance(node.func, ast.Name)}
+    assert {kind.__name__ for kind in KINDS} - made == {"RedundancyPinError"} - made
+
+
+def test_the_time_of_a_trouble_has_one_name_in_all_details() -> None:
+    others = {"t", "at", "when", "instant", "moment", "time_s", "seconds"}
+    assert [place for place, node in _raised() if others & {keyword.arg for keyword in node.keywords}] == []

@@ -77,8 +77,11 @@ BAD_DECLARATIONS = {
     ),
     "misspelt platform": ({"independent": {"platform": "tipp", "axes": ["x", "y"]}}, "no link 'tipp'"),
     "misspelt indicator": ({"working_modes": {"joints": ["bb1"], "signs": [1]}}, "no moving joint 'bb1'"),
-    "unknown key": ({"acutated": ["a1"]}, "Unknown key `acutated`. Did you mean `actuated`?"),
-    "unknown key inside": ({"closures": [{"frame": [], "axes": []}]}, "Unknown key `frame` in `closures"),
+    "unknown key": ({"acutated": ["a1"]}, "Unknown key `acutated`. Did you mean 'actuated'?"),
+    "unknown key inside": (
+        {"closures": [{"frame": [], "axes": []}]},
+        r"Unknown key `frame` in `closures\[0\]`\. Did you mean 'frames'",
+    ),
     "over-constrained": (
         {"closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "y", "z"]}]},
         "over-constrained: 4 joint velocities less 3 closure rows leave 1 freedoms, but 2 .*redundant: z of 'tip1",
@@ -106,7 +109,7 @@ BAD_DECLARATIONS = {
         {"independent": {"platform": "tip1", "axes": ["x"], "joints": ["a1"]}},
         "either `joints`, or `platform`",
     ),
-    "bad expression": ({"reference": {"platform": ["1 +", 0.7]}}, r"`reference.platform` is '1 \+'"),
+    "bad expression": ({"reference": {"platform": ["1 +", 0.7]}}, r"`reference.platform\[0\]` is '1 \+'"),
     "expression with unknown name": ({"reference": {"platform": ["radius", 0.7]}}, "'radius' is not defined"),
     "wrong number of coordinates": ({"reference": {"platform": [0.25]}}, "a list of 2"),
     "reference out of reach": ({"reference": {"platform": [0.25, 5.0]}}, "does not close.* leaves a gap of"),
@@ -114,15 +117,13 @@ BAD_DECLARATIONS = {
         {"reference": {"platform": [0.25, 0.7], "guess": {"elbow": 1.0}}},
         "no moving joint 'elbow'",
     ),
-    "guess of a carrier": (
-        {"reference": {"platform": [0.25, 0.7], "guess": {"slider": 0.1}}},
-        "`reference.guess` sets the carrier 'slider'",
+    "index error in an expression": (
+        {"reference": {"platform": ["'a'[5]", 0.7]}},
+        r"`reference.platform\[0\]` is \"'a'",
     ),
-    "index error in an expression": ({"reference": {"platform": ["'a'[5]", 0.7]}}, r"`reference.platform` is \"'a'"),
-    "number beyond floats": ({"reference": {"platform": [10**400, 0.7]}}, "a finite number"),
     "no actuator": ({"actuated": []}, "a list of names, not empty"),
-    "gravity": ({"gravity": [0, -9.81]}, "`gravity` is .* a list of 3"),
-    "gravity text": ({"gravity": [0, "down", 0]}, "`gravity` is 'down'"),
+    "gravity": ({"gravity": [0, -9.81]}, r"`gravity\[2\]` is None.* a list of 3"),
+    "gravity text": ({"gravity": [0, "down", 0]}, r"`gravity\[1\]` is 'down'"),
     "track turned round": ({"carriers": [{"joint": "slider", "position": [0.4, -0.2]}]}, "lower < upper"),
     "negative limit": ({"carriers": [{"joint": "slider", "speed": -1}]}, "positive, or left out"),
     "when": ({"carriers": [{"joint": "slider", "when": "carriers"}]}, "name of a xacro argument that is true or false"),
@@ -222,17 +223,6 @@ def test_the_size_of_a_machine_does_not_depend_on_the_guess_or_the_carriers(tmp_
     assert with_carriers.characteristic_length == pytest.approx(without.characteristic_length, rel=1e-12)
 
 
-def test_a_joint_may_have_the_name_of_its_link(tmp_path):
-    tree = FIVE_BAR.replace('<joint name="m1"', '<joint name="tip1"').replace('<joint name="m2"', '<joint name="tip2"')
-    assert rp.load_robot(write(tmp_path, tree=tree)).n == 2
-
-
-def test_coupled_joints_are_refused(tmp_path):
-    tree = FIVE_BAR.replace('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="a1"/>')
-    with pytest.raises(ModelFileError, match=r"'slider' of bar\.urdf mimics another"):
-        rp.load_robot(write(tmp_path, tree=tree))
-
-
 def test_limits_of_carriers_left_open_in_the_urdf(tmp_path):
     tree = FIVE_BAR.replace('velocity="9" effort="9"', 'velocity="0" effort="0"')
     limits = rp.load_robot(write(tmp_path, tree=tree)).carrier_limits[0]
@@ -271,25 +261,6 @@ def test_a_platform_may_be_mounted_any_way_round(tmp_path, turn):
     np.testing.assert_allclose(numeric, tree.v, atol=1e-5)
 
 
-def test_a_platform_that_tilts_is_refused(tmp_path):
-    arm = (
-        body("l1", "base", "px", kind="prismatic", axis="1 0 0")
-        + body("l2", "l1", "py", kind="prismatic", axis="0 1 0")
-        + body("l3", "l2", "pz", kind="prismatic", axis="0 0 1")
-        + body("ee", "l3", "turn", axis="0 0.6 0.8")
-    )
-    (tmp_path / "bar.urdf").write_text(URDF.format(links=arm))
-    declaration = {
-        "urdf": "bar.urdf",
-        "actuated": ["px", "py", "pz", "turn"],
-        "independent": {"platform": "ee", "axes": ["x", "y", "z", "rz"]},
-        "reference": {"platform": [0.0, 0.0, 0.0, 0.0]},
-    }
-    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(declaration))
-    with pytest.raises(DeclarationError, match=r"platform 'ee' of .* tilts"):
-        rp.load_robot(tmp_path)
-
-
 @pytest.mark.parametrize("guess", [{"a1": 2.0, "a2": 1.0}, {"a1": 2.05, "a2": 1.09}, {"a1": 0.3, "a2": 2.8}])
 def test_the_reference_is_the_configuration_nearest_to_the_guess(tmp_path, guess):
     """The joints left out start stretched, where Newton leaves the guess; four branches to choose from."""
@@ -310,11 +281,11 @@ def test_the_documented_declaration_shows_every_key_and_loads(tmp_path):
     """docs/robot.yaml with a five-bar made for it: every key that the loader knows occurs in it."""
     from pathlib import Path
 
-    from redundancy_pin.robot import declaration
+    from redundancy_pin.robot.declaration import Declaration
 
     text = (Path(__file__).resolve().parents[1] / "docs" / "robot.yaml").read_text(encoding="utf-8")
     data = yaml.safe_load(text)
-    assert set(declaration._KEYS) - {"closed_form"} == set(data)
+    assert set(Declaration.model_fields) - {"closed_form"} == set(data)
     names = {"a1": "left_base", "b1": "left_elbow", "a2": "right_base", "b2": "right_elbow", "slider": "carrier"}
     names |= {"tip1": "left_tip", "tip2": "right_tip"}
     tree = FIVE_BAR.replace(

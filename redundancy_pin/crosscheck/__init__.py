@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
 from redundancy_pin.crosscheck.checks import (
+    Deviation,
     check_derivatives,
     check_leg_momentum,
     check_parity,
@@ -15,7 +16,7 @@ from redundancy_pin.crosscheck.checks import (
     check_power,
     check_round_trip,
 )
-from redundancy_pin.crosscheck.report import CheckRow, CrossCheckReport, Tally
+from redundancy_pin.crosscheck.report import CheckRow, CrossCheckReport, checked_row, merged
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
@@ -58,31 +59,24 @@ def run(
         robots: names or paths; all shipped robots when left out.
         samples: random states for each robot.
         seed: seed of the random states; the same seed gives the same report.
-        progress: told how far it is.
+        progress: called as batches get ready.
         jobs: processes that share the work; the report does not depend on it.
 
     Raises:
         InputError: ``samples`` or ``jobs`` is not positive, or ``seed`` is negative.
         RedundancyPinError: a robot does not load, no reachable motion of it is found, or a process died.
     """
-    if samples < 1:
-        raise InputError(f"samples is {samples}.", remedy="Ask for at least one state.", samples=samples)
-    if seed < 0:
-        raise InputError(f"seed is {seed}.", remedy="Pass a whole number from zero up.", seed=seed)
-    if jobs < 1:
-        raise InputError(f"jobs is {jobs}.", remedy="Ask for at least one process.", jobs=jobs)
+    for name, value, least in (("samples", samples, 1), ("seed", seed, 0), ("jobs", jobs, 1)):
+        if value < least:
+            raise InputError(f"{name} is {value}.", remedy=f"Pass {least} or more.", name=name, value=value)
     work = list(_batches(tuple(robots) if robots else shipped_robots(), samples, seed))
     total = sum(batch.samples for batch in work)
-    found: dict[int, Tally] = {}
-    done = 0
-    for number, found[number] in _each(work, jobs):
-        done += work[number].samples
+    ready: dict[int, list[CheckRow]] = {}
+    for number, rows in _each(work, jobs):
+        ready[number] = rows
         if progress:
-            progress(done, total)
-    merged = Tally()
-    for number in sorted(found):
-        merged.merge(found[number])
-    return CrossCheckReport(merged.rows(), seed)
+            progress(sum(work[index].samples for index in ready), total)
+    return CrossCheckReport(merged(row for number in sorted(ready) for row in ready[number]), seed)
 
 
 def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[_Batch]:
@@ -95,8 +89,8 @@ def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[_Batch]:
             yield from (_Batch(name, index, size, seed + 7, vary, massless=True) for index, size in enumerate(sizes))
 
 
-def _each(work: Sequence[_Batch], jobs: int) -> Iterator[tuple[int, Tally]]:
-    """Yield the number of each batch with its tally, in the order they get ready."""
+def _each(work: Sequence[_Batch], jobs: int) -> Iterator[tuple[int, list[CheckRow]]]:
+    """Yield the number of each batch with its rows, in the order they get ready."""
     if jobs == 1 or len(work) == 1:
         yield from ((number, _checked(batch)) for number, batch in enumerate(work))
         return
@@ -106,31 +100,32 @@ def _each(work: Sequence[_Batch], jobs: int) -> Iterator[tuple[int, Tally]]:
             yield pending[ready], ready.result()
 
 
-def _checked(batch: _Batch) -> Tally:
+def _checked(batch: _Batch) -> list[CheckRow]:
     """Draw the case of a batch and check it."""
-    tally = Tally()
-    name, samples, seed, index = batch.robot, batch.samples, batch.seed, batch.index
-    if batch.massless:
-        _check_massless(tally, random_case(name, samples, seed, index, carriers=True, masses=Masses.ZERO_STAYS_ZERO))
+    if batch.massless:  # the 2-RPR of the thesis, whose only masses are the carriers
+        masses, carriers = Masses.ZERO_STAYS_ZERO, True
     else:
-        _check(tally, random_case(name, samples, seed, index, vary=batch.vary, masses=Masses.ALL))
-    return tally
+        masses, carriers = Masses.ALL, None
+    case = random_case(
+        batch.robot, batch.samples, batch.seed, batch.index, vary=batch.vary, carriers=carriers, masses=masses
+    )
+    deviations = _massless_deviations(case) if batch.massless else _deviations(case)
+    return [checked_row(case.robot.name, *deviation) for deviation in deviations]
 
 
-def _check(tally: Tally, case: Case) -> None:
+def _deviations(case: Case) -> Iterator[Deviation]:
     backends: dict[str, Dynamics] = {"rnea": RneaDynamics(case.robot)}
     if case.robot.closed_form is not None:
         backends["virtual work"] = VirtualWork(case.robot)
-        check_parity(tally, case)
-        check_parity_on_singularities(tally, case)
+        yield from check_parity(case)
+        yield from check_parity_on_singularities(case)
     for label, dynamics in backends.items():
-        check_power(tally, case, dynamics, label)
-        check_round_trip(tally, case, dynamics, label)
+        yield from check_power(case, dynamics, label)
+        yield from check_round_trip(case, dynamics, label)
         if case.robot.k:
-            check_derivatives(tally, case, dynamics.along(case.motion(case.t)), label)
+            yield from check_derivatives(case, dynamics.along(case.motion(case.t)), label)
 
 
-def _check_massless(tally: Tally, case: Case) -> None:
-    """Check the 2-RPR of the thesis, whose only masses are the carriers."""
-    for label, dynamics in (("rnea", RneaDynamics(case.robot)), ("virtual work", VirtualWork(case.robot))):
-        check_leg_momentum(tally, case, dynamics, label)
+def _massless_deviations(case: Case) -> Iterator[Deviation]:
+    yield from check_leg_momentum(case, RneaDynamics(case.robot), "rnea")
+    yield from check_leg_momentum(case, VirtualWork(case.robot), "virtual work")

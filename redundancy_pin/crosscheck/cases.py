@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import DeclarationError, RedundancyPinError, UnreachablePoseError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, row_scale
@@ -58,8 +58,7 @@ class Wave:
         """Return (N, n) values, or derivatives of the given order, at times (N,)."""
         angle = self.frequency[None, :, None] * t[:, None, None] + self.phase[None] + 0.5 * np.pi * order
         scaled = self.amplitude * (self.frequency**order)[:, None]
-        total: Array = (scaled[None] * np.sin(angle)).sum(axis=1)
-        return total + self.mean if order == 0 else total
+        return np.asarray((scaled[None] * np.sin(angle)).sum(axis=1) + (self.mean if order == 0 else 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,13 +174,6 @@ def random_robot(
 @lru_cache
 def _nominal(source: str) -> Robot:
     return load_robot(source)
-
-
-def regular(case: Case, motion: PlatformMotion, margin: float = 0.05) -> BoolArray:
-    """Return (N,) whether states lie away from type I singularities by a scaled margin."""
-    tree = lift(case.robot, motion)
-    result: BoolArray = tree.serial_margin_bound > margin
-    return result
 
 
 def _random_motion(robot: Robot, samples: int, rng: np.random.Generator, amplitude: float) -> Case:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray
 from redundancy_pin.crosscheck.cases import Case
-from redundancy_pin.crosscheck.report import Tally, relative
+from redundancy_pin.crosscheck.report import relative
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
@@ -16,19 +18,21 @@ from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
 
+Deviation = tuple[str, Array, float]
+"""What was compared, the deviation (N,) of each state, and the largest that passes."""
+
 PARITY = 1e-10
 """Rounding through two different routes: about 1e-14 times the condition of the closures, at most 1e3 here."""
 
 AWAY_FROM_TYPE_ONE = 0.05
 
 
-def check_parity(tally: Tally, case: Case) -> None:
+def check_parity(case: Case) -> Iterator[Deviation]:
     """Compare f, W, carrier forces, their derivatives, base wrench and energy of both backends on random states."""
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     rnea = RneaDynamics(case.robot).along(motion)
     manual = VirtualWork(case.robot).along(motion)
     keep = rnea.tree.serial_margin_bound > AWAY_FROM_TYPE_ONE
-    name = case.robot.name
     first, second = rnea.reduce(carriers), manual.reduce(carriers)
     for label, a, b in (
         ("f", first.f, second.f),
@@ -37,27 +41,23 @@ def check_parity(tally: Tally, case: Case) -> None:
         ("base wrench", rnea.base_wrench(carriers), manual.base_wrench(carriers)),
         ("energy", rnea.energy(carriers)[:, None], manual.energy(carriers)[:, None]),
     ):
-        tally.add(name, f"parity: {label}", relative(a[keep], b[keep]), PARITY)
+        yield f"parity: {label}", relative(a[keep], b[keep]), PARITY
     derivatives = rnea.carrier_derivatives(carriers), manual.carrier_derivatives(carriers)
     for block in ("f", "force"):
         a, b = (
             np.concatenate([getattr(d, f"{block}_{argument}")[keep] for argument in ("s", "sd", "sdd")], axis=2)
             for d in derivatives
         )
-        tally.add(
-            name, f"parity: derivatives of {'carrier ' if block == 'force' else ''}{block}", relative(a, b), PARITY
-        )
+        yield f"parity: derivatives of {'carrier ' if block == 'force' else ''}{block}", relative(a, b), PARITY
 
 
-def check_parity_on_singularities(tally: Tally, case: Case) -> None:
+def check_parity_on_singularities(case: Case) -> Iterator[Deviation]:
     """Compare f on poses where W has lost rank, found by root finding along lines between the states of the case."""
     poses = _singular_poses(case)[: len(case.t)]
     if len(poses) == 0:
         return
-    count = len(poses)
-    motion = case.motion(case.t[:count])
-    carriers = case.carriers(case.t[:count])
-    for k in range(count):
+    motion, carriers = case.motion(case.t[: len(poses)]), case.carriers(case.t[: len(poses)])
+    for k in range(len(poses)):
         # one sample each: singular poses of one case do not lie on one path
         here = PlatformMotion(motion.t[k : k + 1], poses[k : k + 1], motion.xd[k : k + 1], motion.xdd[k : k + 1])
         try:
@@ -70,13 +70,9 @@ def check_parity_on_singularities(tally: Tally, case: Case) -> None:
         second = VirtualWork(case.robot).along(here).reduce(carriers[k : k + 1])
         singular = np.linalg.svd(first.W[0], compute_uv=False)
         if singular[-1] < 1e-9 * singular[0]:
-            tally.add(case.robot.name, "parity: f at type II poses", relative(first.f, second.f), PARITY)
-            tally.add(
-                case.robot.name,
-                "parity: carrier force at type II poses",
-                relative(first.carrier_force, second.carrier_force),
-                PARITY,
-            )
+            yield "parity: f at type II poses", relative(first.f, second.f), PARITY
+            force = relative(first.carrier_force, second.carrier_force)
+            yield "parity: carrier force at type II poses", force, PARITY
 
 
 def _singular_poses(case: Case, wanted: int = 8) -> Array:
@@ -93,24 +89,22 @@ def _singular_poses(case: Case, wanted: int = 8) -> Array:
             value: Array = np.linalg.det(w.reduce().W)
         return value
 
-    found = []
+    def on_chord(u: float, start: Array, stop: Array) -> float:
+        return float(determinant((start + u * (stop - start))[None])[0])
+
+    poses: list[Array] = []
     values = np.stack([determinant(ends[:, 0]), determinant(ends[:, 1])])
-    for start, stop, (a, b) in zip(ends[:, 0], ends[:, 1], values.T, strict=True):
-        if not (np.isfinite(a) and np.isfinite(b) and a * b < 0.0):
-            continue
-
-        def along(u: float, start: Array = start, stop: Array = stop) -> float:
-            return float(determinant((start + u * (stop - start))[None])[0])
-
+    for k in np.flatnonzero(values[0] * values[1] < 0.0):
+        start, stop = ends[k]
         try:
-            u = brentq(along, 0.0, 1.0, xtol=1e-15, rtol=8.9e-16)
+            u = brentq(on_chord, 0.0, 1.0, args=(start, stop), xtol=1e-15, rtol=8.9e-16)
         except (ValueError, RuntimeError):
             continue  # the chord leaves the workspace, or jumps through a pole
-        if abs(along(u)) < 1e-10 * max(abs(a), abs(b)):
-            found.append(start + u * (stop - start))
-        if len(found) == wanted:
+        if abs(on_chord(u, start, stop)) < 1e-10 * np.abs(values[:, k]).max():
+            poses.append(start + u * (stop - start))
+        if len(poses) == wanted:
             break
-    return np.array(found).reshape(len(found), case.robot.n)
+    return np.array(poses).reshape(len(poses), case.robot.n)
 
 
 _STENCIL = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
@@ -131,7 +125,7 @@ DERIVATIVES = 1e-7
 """Central differences of a quadratic are exact but for rounding: 1e-16 over the step of 1e-3, and cancellation."""
 
 
-def check_power(tally: Tally, case: Case, dynamics: Dynamics, label: str) -> None:
+def check_power(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
     """Power of all actuators equals the rate of the energy: ẋᵀ f + ṡᵀ F = dE/dt (ẋᵀ f = q̇ₐᵀ τ)."""
     t = _apart(case.t)
     motion, carriers = case.motion(t), case.carriers(t)
@@ -143,10 +137,10 @@ def check_power(tally: Tally, case: Case, dynamics: Dynamics, label: str) -> Non
     size = np.maximum(np.abs(reduced.f * motion.xd).sum(axis=1), np.abs(energy).max(axis=1))
     keep = _away(case, t)
     deviation = np.abs(energy @ _ENERGY_WEIGHTS / _ENERGY_STEP - power) / np.maximum(size, 1e-3)
-    tally.add(case.robot.name, f"power balance ({label})", deviation[keep], POWER)
+    yield f"power balance ({label})", deviation[keep], POWER
 
 
-def check_leg_momentum(tally: Tally, case: Case, dynamics: Dynamics, label: str) -> None:
+def check_leg_momentum(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
     """Massless 2-RPR: f = Σ nᵢ Ḣᵢ / dᵢ, Hᵢ the angular momentum of carrier i about Aᵢ (Parsa 2014, eq. 2.17).
 
     The momentum comes from the carrier's position alone, differenced: r = L u + σ s n, H = m (r × ṙ).
@@ -179,12 +173,10 @@ def check_leg_momentum(tally: Tally, case: Case, dynamics: Dynamics, label: str)
         moment = place[:, 6, 0] * weight[1] - place[:, 6, 1] * weight[0]
         expected -= normal * moment[:, None] / length
     keep = _away(case, t)
-    tally.add(
-        robot.name, f"angular momentum of each leg ({label})", relative(reduced.f[keep], expected[keep]), 100 * MOMENTUM
-    )
+    yield f"angular momentum of each leg ({label})", relative(reduced.f[keep], expected[keep]), 100 * MOMENTUM
 
 
-def check_round_trip(tally: Tally, case: Case, dynamics: Dynamics, label: str) -> None:
+def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
     """Efforts from inverse dynamics, given to Pinocchio's constrained forward dynamics, return the accelerations."""
     robot = case.robot
     if not has_point_closures(robot):
@@ -200,10 +192,10 @@ def check_round_trip(tally: Tally, case: Case, dynamics: Dynamics, label: str) -
     effort[robot.carrier_velocity] = reduced.carrier_force.T
     solve = ConstraintDynamics(case.robot)
     forward = np.array([solve(q[:, k], v[:, k], effort[:, k]) for k in keep]).reshape(len(keep), len(v))
-    tally.add(robot.name, f"inverse -> forward ({label})", relative(forward, a.T[keep]), ROUND_TRIP)
+    yield f"inverse -> forward ({label})", relative(forward, a.T[keep]), ROUND_TRIP
 
 
-def check_derivatives(tally: Tally, case: Case, along: DynamicsAlongMotion, label: str) -> None:
+def check_derivatives(case: Case, along: DynamicsAlongMotion, label: str) -> Iterator[Deviation]:
     """Derivatives of f and carrier force by s, ṡ, s̈ against central differences (exact for a quadratic)."""
     carriers = case.carriers(case.t)
     exact = along.carrier_derivatives(carriers)
@@ -220,7 +212,7 @@ def check_derivatives(tally: Tally, case: Case, along: DynamicsAlongMotion, labe
                 whole = getattr(exact, f"{field}_{argument}")
                 size = np.maximum(np.abs(whole).max(axis=(1, 2)), np.abs(getattr(shifted[0], quantity)).max(axis=1))
                 deviation = np.abs(whole[:, :, k] - difference).max(axis=1) / np.maximum(size, 1.0)
-                tally.add(case.robot.name, f"derivatives by s, s', s'' ({label})", deviation, DERIVATIVES)
+                yield f"derivatives by s, s', s'' ({label})", deviation, DERIVATIVES
 
 
 def _differentiate(values: Array) -> Array:
@@ -236,14 +228,12 @@ def _apart(t: Array) -> Array:
     """Return the times that are far enough apart for stencils around them not to overlap."""
     spacing = 14.0 * _STEP
     slots = np.unique(np.round(t / spacing).astype(int))
-    result: Array = slots * spacing
-    return result
+    return np.asarray(slots * spacing)
 
 
 def _away(case: Case, t: Array) -> BoolArray:
     tree = RneaDynamics(case.robot).along(case.motion(t)).tree
-    result: BoolArray = tree.serial_margin_bound > NEAR_SINGULAR_MARGIN
-    return result
+    return np.asarray(tree.serial_margin_bound > NEAR_SINGULAR_MARGIN)
 
 
 def _efforts(reduced: ReducedDynamics) -> tuple[Array, BoolArray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -49,9 +50,7 @@ class CrossCheckReport:
 
     def table(self) -> Table:
         """Return the report as a table for the terminal."""
-        table = Table(title=f"cross-check, seed {self.seed}")
-        for heading in ("robot", "check"):
-            table.add_column(heading)
+        table = Table("robot", "check", title=f"cross-check, seed {self.seed}")
         for heading in ("states", "worst", "allowed", ""):
             table.add_column(heading, justify="right")
         for row in self.rows:
@@ -61,33 +60,22 @@ class CrossCheckReport:
         return table
 
 
-class Tally:
-    """Collects the worst deviation of each check over many cases."""
+def checked_row(robot: str, check: str, deviation: Array, tolerance: float) -> CheckRow:
+    """Return the row of one check from its deviations (N,); one that is not finite makes the worst NaN."""
+    worst = float(np.max(deviation, initial=0.0)) if np.isfinite(deviation).all() else float("nan")
+    return CheckRow(robot, check, len(deviation), worst, tolerance, bool(len(deviation) > 0 and worst <= tolerance))
 
-    def __init__(self) -> None:
-        self._worst: dict[tuple[str, str], tuple[int, float, float]] = {}
 
-    def add(self, robot: str, check: str, deviation: Array, tolerance: float) -> None:
-        """Add deviations (N,) of one check."""
-        here = float(np.max(deviation, initial=0.0)) if np.isfinite(deviation).all() else float("nan")
-        self._add(robot, check, len(deviation), here, tolerance)
-
-    def merge(self, other: Tally) -> None:
-        """Add everything another tally has collected."""
-        for (robot, check), collected in other._worst.items():
-            self._add(robot, check, *collected)
-
-    def _add(self, robot: str, check: str, samples: int, worst: float, tolerance: float) -> None:
-        before, worst_before, _ = self._worst.get((robot, check), (0, 0.0, tolerance))
-        combined = float(np.maximum(worst_before, worst))  # keeps a NaN
-        self._worst[robot, check] = (before + samples, combined, tolerance)
-
-    def rows(self) -> tuple[CheckRow, ...]:
-        """Return one row a check, in the order of first appearance."""
-        return tuple(
-            CheckRow(robot, check, samples, worst, tolerance, bool(samples > 0 and worst <= tolerance))
-            for (robot, check), (samples, worst, tolerance) in self._worst.items()
-        )
+def merged(rows: Iterable[CheckRow]) -> tuple[CheckRow, ...]:
+    """Return one row a check and robot, in the order of first appearance; a NaN stays."""
+    total: dict[tuple[str, str], CheckRow] = {}
+    for row in rows:
+        before = total.get((row.robot, row.check), row)
+        samples = row.samples + (before.samples if before is not row else 0)
+        worst = float(np.maximum(before.worst, row.worst))
+        passed = samples > 0 and worst <= row.tolerance
+        total[row.robot, row.check] = CheckRow(row.robot, row.check, samples, worst, row.tolerance, passed)
+    return tuple(total.values())
 
 
 def relative(first: Array, second: Array, floor: float = 1e-6) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, peak
 from redundancy_pin.errors import CarrierLimitError, InputError
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
 
 OnUnreachable = Literal["raise", "mark"]
@@ -75,7 +75,7 @@ class CarrierDerivatives:
 class DynamicsAlongMotion(Protocol):
     """Dynamics along one platform motion whose kinematics are already solved.
 
-    The pose does not depend on the carriers, so everything here can be asked again and again for new
+    The pose does not depend on the carriers, so everything here can be computed again and again for new
     carrier motions at the cost of the dynamics alone.
     """
 
@@ -105,7 +105,7 @@ class DynamicsAlongMotion(Protocol):
 
 
 class Dynamics(Protocol):
-    """A way from platform and carrier motion to W τ = f. Planners know this and nothing else."""
+    """From platform and carrier motion to W τ = f. Planners know this and nothing else; a backend defines ``along``."""
 
     @property
     def robot(self) -> Robot:
@@ -130,10 +130,20 @@ class Dynamics(Protocol):
     ) -> ReducedDynamics:
         """Return f, W and carrier forces along a platform motion and a carrier motion.
 
+        Args:
+            motion: N samples of the platform coordinates.
+            carriers: N samples of the carriers; parked at s = 0 when left out.
+            unreachable: as in ``along``.
+            check_track: refuse carriers that leave their tracks.
+
         Raises:
             CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
-            UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
+            InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
         """
+        require_sampled(motion)
+        if check_track:
+            require_on_track(self.robot, require_matching(self.robot, carriers, len(motion)), motion.t)
+        return self.along(motion, unreachable=unreachable).reduce(carriers)
 
 
 _TRACK_ROUNDING = 1e-12
@@ -189,5 +199,6 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
             remedy="Shorten the motion or lengthen the track; planners evaluate off the track with check_track=False.",
             carrier=robot.carriers[i],
             sample=k,
+            time=float(t[k]),
             amount=float(outside[k, i]),
         )

@@ -18,22 +18,22 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
+    Dynamics,
     OnUnreachable,
     ReducedDynamics,
     require_choice,
     require_matching,
-    require_on_track,
 )
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 
 _SAMPLES_PER_THREAD = 500
 """Below this a second thread costs more than it brings."""
 
 
-class RneaDynamics:
+class RneaDynamics(Dynamics):
     """Closed-chain dynamics through Pinocchio's RNEA and constraint Jacobians, for any declared robot.
 
     Args:
@@ -51,33 +51,9 @@ class RneaDynamics:
         return self._robot
 
     def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> RneaAlongMotion:
-        """Solve the kinematics of a platform motion once, for many carrier motions.
-
-        Raises:
-            InputError: the motion does not have the robot's coordinates.
-            UnreachablePoseError, SingularPoseError, WorkingModeError: see ``kinematics.lift.lift``.
-        """
+        """Solve the kinematics of a platform motion once; raises as ``kinematics.lift.lift``."""
         require_choice(unreachable)
         return RneaAlongMotion(lift(self._robot, motion, mark_unreachable=unreachable == "mark"), self._threads)
-
-    def reduce(
-        self,
-        motion: PlatformMotion,
-        carriers: CarrierMotion | None = None,
-        *,
-        unreachable: OnUnreachable = "raise",
-        check_track: bool = True,
-    ) -> ReducedDynamics:
-        """Return f, W and carrier forces; see the protocol in ``dynamics.base``.
-
-        Raises:
-            CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
-            InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
-        """
-        require_sampled(motion)
-        if check_track:
-            require_on_track(self._robot, require_matching(self._robot, carriers, len(motion)), motion.t)
-        return self.along(motion, unreachable=unreachable).reduce(carriers)
 
 
 class RneaAlongMotion:

@@ -33,17 +33,16 @@ def replacing_file(target: str | Path) -> Iterator[Path]:
     """
     path = Path(target).expanduser()
     require_writable(path)
-    try:
+    with _refusing(path):
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
         os.close(handle)
-    except OSError as error:
-        raise _unwritable(path, error) from error
     temporary = Path(name)
     try:
         yield temporary
-        # mkstemp makes a file for its owner alone; what the user asked for gets the usual permissions
-        temporary.chmod(0o666 & ~_umask())
-        _move(temporary, path)
+        with _refusing(path):
+            # mkstemp makes a file for its owner alone; what the user asked for gets the usual permissions
+            temporary.chmod(0o666 & ~_umask())
+            os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -66,11 +65,8 @@ def write_text(target: str | Path, text: str) -> None:
     Raises:
         OutputError: as ``replacing_file``.
     """
-    with replacing_file(target) as temporary:
-        try:
-            temporary.write_text(text, encoding="utf-8", newline="")
-        except OSError as error:
-            raise _unwritable(Path(target), error) from error
+    with replacing_file(target) as temporary, _refusing(Path(target)):
+        temporary.write_text(text, encoding="utf-8", newline="")
 
 
 @contextmanager
@@ -91,11 +87,9 @@ def replacing_folder(target: str | Path) -> Iterator[Path]:
     """
     path = Path(target).expanduser().resolve()
     require_replaceable(path)
-    try:
+    with _refusing(path):
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
         temporary.chmod(0o777 & ~_umask())
-    except OSError as error:
-        raise _unwritable(path, error) from error
     try:
         yield temporary
         _swap(temporary, path)
@@ -143,31 +137,30 @@ def _require_folder(path: Path) -> None:
         )
 
 
-def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(
-        f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
-    )
-
-
-def _move(source: Path, target: Path) -> None:
+@contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Turn what the disk refuses into an error that names the path."""
     try:
-        os.replace(source, target)
+        yield
     except OSError as error:
-        raise _unwritable(target, error) from error
+        raise OutputError(
+            f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
+        ) from error
 
 
 def _swap(new: Path, target: Path) -> None:
-    if not target.exists():
-        _move(new, target)
-        return
-    require_replaceable(target)  # once more: something may have been put there meanwhile
-    old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-    _move(target, old)
-    try:
-        _move(new, target)
-    except OutputError:
-        _move(old, target)
-        raise
+    with _refusing(target):
+        if not target.exists():
+            os.replace(new, target)
+            return
+        require_replaceable(target)  # once more: something may have been put there meanwhile
+        old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
+        os.replace(target, old)
+        try:
+            os.replace(new, target)
+        except OSError:
+            os.replace(old, target)
+            raise
     shutil.rmtree(old, ignore_errors=True)
 
 

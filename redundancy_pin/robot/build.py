@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, checked, read_only
-from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean
 from redundancy_pin.robot.declaration import CarrierEntry, Declaration
 from redundancy_pin.robot.types import CarrierLimits, Robot
 from redundancy_pin.robot.urdf import Argument, source_of
@@ -18,6 +18,7 @@ from redundancy_pin.robot.urdf import Argument, source_of
 
 def build(
     declaration: Declaration,
+    path: Path,
     urdf: str,
     parameters: Mapping[str, Argument],
     gravity: Sequence[float] | None,
@@ -37,35 +38,35 @@ def build(
         model = pin.buildModelFromXML(urdf)
     except (ValueError, RuntimeError) as error:
         raise ModelFileError(
-            f"Pinocchio cannot read the URDF of {declaration.path}: {error}",
+            f"Pinocchio cannot read the URDF of {path}: {error}",
             remedy="Check the file with `check_urdf` or yourdfpy.",
-            path=str(declaration.path),
+            path=str(path),
         ) from error
-    vector = declaration.gravity if gravity is None else checked(gravity, "gravity", (3,))
-    model.gravity.linear = np.array(vector, dtype=float)
-    carriers = tuple(entry.joint for entry in declaration.carriers)
-    _check_roles(declaration, model)
-    guess = _guess(model, declaration)
+    model.gravity.linear = np.array(declaration.gravity if gravity is None else checked(gravity, "gravity", (3,)))
+    entries = tuple(entry for entry in declaration.carriers if entry.when)
+    carriers = tuple(entry.joint for entry in entries)
+    _check_roles(declaration, carriers, model)
+    guess = _guess(model, declaration.reference.guess)
     robot = Robot(
-        name=declaration.name,
+        name=path.parent.name if declaration.name is None else str(declaration.name),
         parameters=MappingProxyType(dict(parameters)),
         urdf=urdf,
         model=model,
-        closures=declaration.closures,
+        closures=declaration.loops,
         platform=declaration.platform,
-        independent_joints=declaration.independent_joints,
+        independent_joints=declaration.independent.joints,
         actuated=declaration.actuated,
         carriers=carriers,
-        carrier_limits=tuple(_limits(model, entry) for entry in declaration.carriers),
+        carrier_limits=tuple(_limits(model, entry) for entry in entries),
         actuated_velocity=read_only(np.array([_joint(model, j).idx_v for j in declaration.actuated], dtype=np.intp)),
         carrier_velocity=read_only(np.array([_joint(model, j).idx_v for j in carriers], dtype=np.intp)),
         carrier_position=read_only(np.array([_joint(model, j).idx_q for j in carriers], dtype=np.intp)),
         q_reference=read_only(guess),
-        working_modes=declaration.working_modes,
+        working_modes=declaration.modes,
         working_mode=_mode(declaration, working_mode),
         characteristic_length=declaration.characteristic_length or characteristic_length(model, guess, carriers),
         closed_form=declaration.closed_form,
-        source=source_of(declaration.path),
+        source=source_of(path),
     )
     _check_carriers_carry(robot)
     return robot
@@ -82,48 +83,44 @@ def _joint(model: pin.Model, name: str) -> pin.JointModel:
 
 def _require_name(name: str, known: Sequence[str], what: str) -> None:
     if name not in known:
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f"Did you mean {close[0]!r}? " if close else ""
-        raise DeclarationError(
-            f"The URDF has no {what} {name!r}.", remedy=f"{hint}It has: {', '.join(known)}.", name=name
-        )
+        remedy = f"{did_you_mean(name, known)}It has: {', '.join(known)}."
+        raise DeclarationError(f"The URDF has no {what} {name!r}.", remedy=remedy, name=name)
 
 
-def _check_roles(declaration: Declaration, model: pin.Model) -> None:
+def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.Model) -> None:
     joints = tuple(str(name) for name in model.names)[1:]
-    frames = tuple(str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
-    carriers = tuple(entry.joint for entry in declaration.carriers)
-    named = [*declaration.actuated, *carriers, *declaration.independent_joints, *declaration.guess]
-    if declaration.working_modes:
-        named += declaration.working_modes.joints
-    for name in named:
+    links = tuple(str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
+    driven = (*declaration.actuated, *carriers, *declaration.independent.joints)
+    modes, guess = declaration.modes, declaration.reference.guess
+    for name in (*driven, *guess, *(modes.joints if modes else ())):
         _require_name(name, joints, "moving joint")
-    for name in (*declaration.actuated, *carriers, *declaration.independent_joints):
+    for name in driven:
         if _joint(model, name).nv != 1:
             raise DeclarationError(
                 f"Joint {name!r} has {_joint(model, name).nv} freedoms.",
                 remedy="Actuated, carrier and independent joints must have one.",
                 name=name,
             )
-    twice = [name for name in carriers if name in declaration.actuated or name in declaration.independent_joints]
-    if len(set(carriers)) != len(carriers) or twice:
+    twice = [name for name in carriers if driven.count(name) > 1]
+    if twice:
         raise DeclarationError(
-            f"Joint {(twice or list(carriers))[0]!r} is declared in two roles.",
+            f"Joint {twice[0]!r} is declared in two roles.",
             remedy="A carrier is neither a main actuator nor independent, and is listed once.",
+            name=twice[0],
         )
-    for closure in declaration.closures:
+    for closure in declaration.loops:
         for name in (closure.frame_a, closure.frame_b):
-            _require_name(name, frames, "link")
-        bodies = {_body_of(model, name) for name in (closure.frame_a, closure.frame_b)}
-        if len(bodies) == 1:
+            _require_name(name, links, "link")
+        if _body_of(model, closure.frame_a) == _body_of(model, closure.frame_b):
             raise DeclarationError(
                 f"The closure {closure.name!r} joins two frames of one rigid body.",
                 remedy="Name frames on the two bodies that meet there.",
+                name=closure.name,
             )
     if declaration.platform:
-        _require_name(declaration.platform.frame, frames, "link")
+        _require_name(declaration.platform.frame, links, "link")
     for name in carriers:
-        if name in declaration.guess:
+        if name in guess:
             raise DeclarationError(
                 f"`reference.guess` sets the carrier {name!r}.",
                 remedy="Leave it out: the reference has the carriers at zero.",
@@ -132,15 +129,16 @@ def _check_roles(declaration: Declaration, model: pin.Model) -> None:
 
 
 def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
+    """Return the declared limits, or those of the URDF, where a zero stands for "not known"."""
     joint = _joint(model, entry.joint)
     if joint.nq != 1:
         raise DeclarationError(
             f"The carrier {entry.joint!r} is a continuous joint.",
             remedy="Give it a bounded revolute or prismatic joint.",
+            name=entry.joint,
         )
     lower, upper = entry.position or (
-        float(model.lowerPositionLimit[joint.idx_q]),
-        float(model.upperPositionLimit[joint.idx_q]),
+        float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit)
     )
     if not lower < upper:
         raise DeclarationError(
@@ -148,28 +146,24 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
             remedy="Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`.",
             name=entry.joint,
         )
+    speed, force = (float(limit[joint.idx_v]) for limit in (model.upperVelocityLimit, model.upperEffortLimit))
+    unknown = float("inf")
     return CarrierLimits(
         lower,
         upper,
-        _first(entry.speed, float(model.upperVelocityLimit[joint.idx_v])),
-        _first(entry.acceleration, float("inf")),
-        _first(entry.force, float(model.upperEffortLimit[joint.idx_v])),
+        entry.speed or (speed if speed > 0.0 else unknown),
+        entry.acceleration or unknown,
+        entry.force or (force if force > 0.0 else unknown),
     )
 
 
-def _first(declared: float | None, from_urdf: float) -> float:
-    """Return the declared limit, or that of the URDF, where zero stands for "not known"."""
-    if declared is not None:
-        return declared
-    return from_urdf if from_urdf > 0.0 else float("inf")
-
-
 def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, ...]:
+    default = declaration.working_modes.default if declaration.working_modes else ()
     if wanted is None:
-        return declaration.default_mode
-    legs = len(declaration.default_mode)
+        return default
     mode = tuple(wanted) if isinstance(wanted, Sequence) else ()
-    if declaration.working_modes is None or len(mode) != legs or not all(sign in (1, -1) for sign in mode):
+    if not default or len(mode) != len(default) or not all(sign in (1, -1) for sign in mode):
+        legs = len(default)
         allowed = f"a tuple of {legs} signs, 1 or -1, one a leg" if legs else "left out: this robot declares no modes"
         raise InputError(
             f"The working mode is {wanted!r}.", remedy=f"It must be {allowed}.", working_mode=wanted, legs=legs
@@ -177,19 +171,18 @@ def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, 
     return tuple(int(sign) for sign in mode)
 
 
-def _guess(model: pin.Model, declaration: Declaration) -> Array:
+def _guess(model: pin.Model, positions: Mapping[str, float]) -> Array:
     q: Array = pin.neutral(model)
-    for name, value in declaration.guess.items():
+    for name, value in positions.items():
         joint = _joint(model, name)
-        if joint.nq == 2:
-            q[joint.idx_q : joint.idx_q + 2] = np.cos(value), np.sin(value)
-        elif joint.nq == 1:
-            q[joint.idx_q] = value
-        else:
+        if joint.nq > 2:
             raise DeclarationError(
                 f"`reference.guess` cannot set joint {name!r}: it has {joint.nq} coordinates.",
                 remedy="Leave it out: it starts at its neutral position.",
+                name=name,
             )
+        # a continuous joint has the cosine and the sine of its angle as coordinates
+        q[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
     return q
 
 
@@ -213,10 +206,8 @@ def _check_carriers_carry(robot: Robot) -> None:
     """A carrier may change the dynamics, never the pose."""
     model = robot.model
     frames = {name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)}
-    if robot.platform:
-        frames.add(robot.platform.frame)
-    for frame in sorted(frames):
-        support = [int(j) for j in model.supports[_body_of(model, frame)]]
+    for frame in sorted(frames | ({robot.platform.frame} if robot.platform else set())):
+        support = list(model.supports[_body_of(model, frame)])
         for carrier in robot.carriers:
             if model.getJointId(carrier) in support:
                 raise DeclarationError(

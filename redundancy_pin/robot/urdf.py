@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import threading
 import xml.etree.ElementTree as ElementTree
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from redundancy_pin.errors import InputError, ModelFileError
+from redundancy_pin.errors import InputError, ModelFileError, did_you_mean
 
 Argument = float | bool | str
 """A xacro argument: a number, a flag, or text (such as ``"auto"``)."""
@@ -20,14 +19,7 @@ _XACRO = "{http://www.ros.org/wiki/xacro}"
 
 
 def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argument]:
-    """Check arguments against what a file declares, and return those whose values need no evaluation.
-
-    Args:
-        path: a ``.urdf`` or ``.xacro`` file.
-        arguments: values by name.
-
-    Returns:
-        The given arguments, and the declared ones whose defaults are plain text.
+    """Check arguments against what a file declares; return them, and the declared ones that need no evaluation.
 
     Raises:
         ModelFileError: missing file or broken XML.
@@ -35,10 +27,15 @@ def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argum
             default.
     """
     defaults, complete = _declared(path)
-    if complete:
-        _require_known(arguments, tuple(defaults), path)
+    unknown = [name for name in arguments if name not in defaults]
+    if complete and unknown:
+        raise InputError(
+            f"{path.name} has no argument {unknown[0]!r}.",
+            remedy=f"{did_you_mean(unknown[0], defaults)}Its arguments: {', '.join(defaults) or 'none'}.",
+            argument=unknown[0],
+        )
     values: dict[str, Argument] = {}
-    for name in (*defaults, *(extra for extra in arguments if extra not in defaults)):
+    for name in (*defaults, *unknown):
         default = defaults.get(name)
         literal = None if default is None or "$" in default else from_text(default)
         if name in arguments:
@@ -84,13 +81,6 @@ def from_text(text: str) -> Argument:
     return number if math.isfinite(number) else text
 
 
-def as_text(value: object) -> str:
-    """Return an argument as xacro reads it; whole numbers keep the form they were given in."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return value if isinstance(value, str) else repr(value) if isinstance(value, (int, float)) else str(value)
-
-
 def _declared(path: Path) -> tuple[dict[str, str | None], bool]:
     """Return the arguments of a file and its includes with their defaults, and whether every include was found."""
     defaults: dict[str, str | None] = {}
@@ -114,35 +104,20 @@ def _declared(path: Path) -> tuple[dict[str, str | None], bool]:
     return defaults, complete
 
 
-def _require_known(arguments: Mapping[str, object], known: tuple[str, ...], path: Path) -> None:
-    for name in arguments:
-        if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
-            hint = f"Did you mean {close[0]!r}? " if close else ""
-            allowed = ", ".join(known) if known else "none"
-            raise InputError(
-                f"{path.name} has no argument {name!r}.", remedy=f"{hint}Its arguments: {allowed}.", argument=name
-            )
-
-
 def _as_argument(name: str, value: object, default: Argument | None) -> Argument:
     """Return a value of the kind of its default: xacro would write any text into the URDF."""
-    if isinstance(value, (bool, str)):
-        argument = from_text(value) if isinstance(value, str) else value
-    else:
-        try:
-            argument = float(value)  # type: ignore[arg-type]
-        except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(
-                f"The argument {name!r} cannot be {value!r}.",
-                remedy="Pass a number, True or False, or text.",
-                argument=name,
-            ) from error
-        if not math.isfinite(argument):
-            raise InputError(f"The argument {name!r} is {argument}.", remedy="Pass a finite number.", argument=name)
-    if default is None or isinstance(default, str):
-        return argument
-    if isinstance(argument, str) or isinstance(argument, bool) != isinstance(default, bool):
+    try:
+        argument = value if isinstance(value, bool) else from_text(value) if isinstance(value, str) else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"The argument {name!r} cannot be {value!r}.",
+            remedy="Pass a number, True or False, or text.",
+            argument=name,
+        ) from error
+    if isinstance(argument, float) and not math.isfinite(argument):
+        raise InputError(f"The argument {name!r} is {argument}.", remedy="Pass a finite number.", argument=name)
+    # text as default, such as "auto", allows anything
+    if default is not None and not isinstance(default, str) and type(argument) is not type(default):
         allowed = "true or false" if isinstance(default, bool) else "a finite number"
         raise InputError(
             f"The argument {name!r} is {argument!r}.",
@@ -152,83 +127,58 @@ def _as_argument(name: str, value: object, default: Argument | None) -> Argument
     return argument
 
 
-_MOMENTS = ("ixx", "iyy", "izz")
-_PRODUCTS = ("ixy", "ixz", "iyz")
-
 _TRIANGLE_TOLERANCE = 1e-6
 """A moment of inertia may exceed the sum of the other two by this fraction: files carry six digits."""
 
 
-def require_inertias(path: Path, urdf: str) -> None:
-    """Check every ``inertial`` element of a URDF.
-
-    Args:
-        path: the file it came from, for messages.
-        urdf: the rendered URDF.
+def _require_sound(path: Path, urdf: str) -> None:
+    """Check what Pinocchio takes as it is: masses, inertias, and joints that follow another.
 
     Raises:
-        ModelFileError: naming the link whose mass is negative or not a number, or whose inertia no body can have.
+        ModelFileError: naming the link whose mass is negative or not a number, or whose inertia no body can have, or
+            the joint that mimics another: the tree would be given a freedom it does not have.
     """
-    for link in ElementTree.fromstring(urdf).iter("link"):
-        inertial = link.find("inertial")
-        if inertial is None:
-            continue
-        name = link.get("name", "?")
-        mass = _number(path, name, "mass", inertial.find("mass"), "value")
-        if mass < 0.0:
-            raise _refuse(path, name, f"a negative mass, {mass:g} kg")
-        element = inertial.find("inertia")
-        if element is None:
-            raise _refuse(path, name, "no inertia")
-        xx, yy, zz = (_number(path, name, key, element, key) for key in _MOMENTS)
-        xy, xz, yz = (_number(path, name, key, element, key, 0.0) for key in _PRODUCTS)
-        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max())
-        if moments[0] < -allowed or moments[2] > moments[0] + moments[1] + allowed:
-            raise _refuse(
-                path,
-                name,
-                f"principal moments of inertia {np.array2string(moments, precision=4)} that no body can have",
-            )
-
-
-def require_no_mimics(path: Path, urdf: str) -> None:
-    """Check that no joint follows another: the tree would be given a freedom it does not have.
-
-    Raises:
-        ModelFileError: naming the joint.
-    """
-    for joint in ElementTree.fromstring(urdf).iter("joint"):
+    root = ElementTree.fromstring(urdf)
+    for joint in root.iter("joint"):
         if joint.find("mimic") is not None:
             raise ModelFileError(
                 f"The joint {joint.get('name')!r} of {path.name} mimics another, which closed chains do not cover.",
                 remedy="Build the coupling as a loop, or make the joint free or fixed.",
                 path=str(path),
             )
+    for link in root.iter("link"):
+        inertial = link.find("inertial")
+        fault = None if inertial is None else _fault(inertial)
+        if fault:
+            raise ModelFileError(
+                f"The link {link.get('name')!r} of {path.name} has {fault}.",
+                remedy="Correct the URDF, or the xacro arguments it is made from.",
+                path=str(path),
+                link=link.get("name"),
+            )
 
 
-def _number(
-    path: Path, link: str, what: str, element: ElementTree.Element | None, key: str, default: float | None = None
-) -> float:
-    text = None if element is None else element.get(key)
-    if text is None and default is not None:
-        return default
-    try:
-        value = float(text) if text is not None else math.nan
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise _refuse(path, link, f"the {what} {text!r}, which is not a finite number")
-    return value
-
-
-def _refuse(path: Path, link: str, what: str) -> ModelFileError:
-    return ModelFileError(
-        f"The link {link!r} of {path.name} has {what}.",
-        remedy="Correct the URDF, or the xacro arguments it is made from.",
-        path=str(path),
-        link=link,
-    )
+def _fault(inertial: ElementTree.Element) -> str:
+    """Return what is wrong with the mass or the moments of inertia of a link; empty where nothing is."""
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    if inertia is None:
+        return "no inertia"
+    texts = {"mass": None if mass is None else mass.get("value")}
+    texts |= {key: inertia.get(key) for key in ("ixx", "iyy", "izz")}
+    texts |= {key: inertia.get(key, "0") for key in ("ixy", "ixz", "iyz")}
+    numbers = {}
+    for key, text in texts.items():
+        number = from_text(text or "")
+        if type(number) is not float:
+            return f"the {key} {text!r}, which is not a finite number"
+        numbers[key] = number
+    if numbers["mass"] < 0.0:
+        return f"a negative mass, {numbers['mass']:g} kg"
+    moments = np.linalg.eigvalsh([[numbers["i" + "".join(sorted(a + b))] for b in "xyz"] for a in "xyz"])
+    allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max())
+    if moments[0] < -allowed or moments[2] > moments[0] + moments[1] + allowed:
+        return f"principal moments of inertia {np.array2string(moments, precision=4)} that no body can have"
+    return ""
 
 
 _XACRO_LOCK = threading.Lock()
@@ -248,10 +198,7 @@ def shipped_robots() -> tuple[str, ...]:
 
 
 def declaration_path(source: str | Path) -> Path:
-    """Return the path of a robot's declaration.
-
-    Args:
-        source: name of a shipped robot, path of a ``robot.yaml``, or of the folder that holds one.
+    """Return the path of a declaration, given the name of a shipped robot, that path, or the folder that holds it.
 
     Raises:
         ModelFileError: there is no such robot or file.
@@ -263,31 +210,19 @@ def declaration_path(source: str | Path) -> Path:
             f"A robot is named by text or a path, not by {source!r}.",
             remedy=f"Shipped robots: {', '.join(shipped_robots())}.",
         )
-    path = Path(source)
-    if path.is_dir() and (path / "robot.yaml").is_file():
-        return path / "robot.yaml"
-    if path.is_file():
-        return path
+    path, names = Path(source), ", ".join(shipped_robots())
+    if path.is_file() or (path / "robot.yaml").is_file():
+        return path if path.is_file() else path / "robot.yaml"
     if path.is_dir():
-        raise ModelFileError(
-            f"The folder {path} holds no robot.yaml.",
-            remedy="Name the declaration itself, or the folder that holds it.",
-            source=str(source),
-        )
-    names = ", ".join(shipped_robots())
-    if path.suffix or len(path.parts) > 1:
-        raise ModelFileError(
-            f"There is no file {path}.",
-            remedy=f"Correct the path, or name a shipped robot: {names}.",
-            source=str(source),
-        )
-    close = difflib.get_close_matches(str(source).lower(), shipped_robots(), n=1)
-    hint = f"Did you mean {close[0]!r}? " if close else ""
-    raise ModelFileError(
-        f"There is no robot {str(source)!r}.",
-        remedy=f"{hint}Shipped robots: {names}; or pass the path of your own robot.yaml.",
-        source=str(source),
-    )
+        message = f"The folder {path} holds no robot.yaml."
+        remedy = "Name the declaration itself, or the folder that holds it."
+    elif path.suffix or len(path.parts) > 1:
+        message, remedy = f"There is no file {path}.", f"Correct the path, or name a shipped robot: {names}."
+    else:
+        hint = did_you_mean(str(source).lower(), shipped_robots())
+        message = f"There is no robot {str(source)!r}."
+        remedy = f"{hint}Shipped robots: {names}; or pass the path of your own robot.yaml."
+    raise ModelFileError(message, remedy=remedy, source=str(source))
 
 
 def source_of(path: Path) -> str:
@@ -298,14 +233,10 @@ def source_of(path: Path) -> str:
 
 
 def render(path: Path, arguments: Mapping[str, object]) -> tuple[str, dict[str, Argument]]:
-    """Render a URDF or xacro file.
+    """Return the URDF that a ``.urdf`` or ``.xacro`` file gives, and every xacro argument with the value that was used.
 
-    Args:
-        path: a ``.urdf`` or ``.xacro`` file; what it includes is found relative to it.
-        arguments: xacro arguments by name, checked by ``arguments.known_values``; those left out keep their defaults.
-
-    Returns:
-        The URDF, and every xacro argument with the value that was used.
+    What it includes is found relative to it. Arguments are checked by ``known_values``; those left out keep their
+    defaults.
 
     Raises:
         ModelFileError: missing file, broken XML, a xacro expression that fails, masses and inertias that are none, or a
@@ -313,11 +244,14 @@ def render(path: Path, arguments: Mapping[str, object]) -> tuple[str, dict[str, 
     """
     parsed(path)
     if path.suffix == ".xacro":
-        urdf, parameters = _run_xacro(path, {name: as_text(value) for name, value in arguments.items()})
+        # as xacro reads them; whole numbers keep the form they were given in
+        texts = {
+            name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()
+        }
+        urdf, parameters = _run_xacro(path, texts)
     else:
         urdf, parameters = path.read_text(encoding="utf-8"), {}
-    require_inertias(path, urdf)
-    require_no_mimics(path, urdf)
+    _require_sound(path, urdf)
     return urdf, parameters
 
 

@@ -106,7 +106,7 @@ def _chain_between(start: Array, arcs: Sequence[Arc | None], vertices: Sequence[
     segments: list[Path] = []
     here = start
     scale = max(float(np.linalg.norm(vertex - start)) for vertex in [*vertices, end])
-    for arc, vertex in zip(arcs, vertices, strict=True):
+    for arc, vertex in zip([*arcs, None], [*vertices, end], strict=True):
         entry = vertex if arc is None else arc.evaluate(0.0).x
         if np.linalg.norm(entry - here) > ROUNDING * scale:
             segments.append(Line(here, entry))
@@ -114,8 +114,6 @@ def _chain_between(start: Array, arcs: Sequence[Arc | None], vertices: Sequence[
         if arc is not None:
             segments.append(arc)
             here = arc.evaluate(arc.length).x
-    if np.linalg.norm(end - here) > ROUNDING * scale:
-        segments.append(Line(here, end))
     return ChainedPath(segments)
 
 

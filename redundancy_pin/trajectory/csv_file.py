@@ -37,10 +37,9 @@ def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
     x, xd, xdd = (_columns(table, name, path) for name in ("x", "xd", "xdd"))
     if x.shape[1] == 7 and xd.shape[1] == 6:
         x = _poses(x, path)
-    elif x.shape[1] != xd.shape[1]:
-        raise _mismatch(path, "x", x, "xd", xd)
-    if xdd.shape[1] != xd.shape[1]:
-        raise _mismatch(path, "xd", xd, "xdd", xdd)
+    else:
+        _require_as_many(path, x=x, xd=xd)
+    _require_as_many(path, xd=xd, xdd=xdd)
     return PlatformMotion(table["t"], x, xd, xdd)
 
 
@@ -60,10 +59,8 @@ def carriers_from_csv(path: str | os.PathLike[str]) -> CarrierMotion | None:
     if not any(re.fullmatch(r"s(d|dd)?\d+", name) for name in table):
         return None
     s, sd, sdd = (_columns(table, name, path) for name in ("s", "sd", "sdd"))
-    if s.shape[1] != sd.shape[1]:
-        raise _mismatch(path, "s", s, "sd", sd)
-    if sdd.shape[1] != sd.shape[1]:
-        raise _mismatch(path, "sd", sd, "sdd", sdd)
+    _require_as_many(path, s=s, sd=sd)
+    _require_as_many(path, sd=sd, sdd=sdd)
     return CarrierMotion(s, sd, sdd)
 
 
@@ -79,19 +76,15 @@ def _read(path: str | os.PathLike[str]) -> dict[str, Array]:
             f"Cannot read {os.fspath(path)}: {error.strerror or error}.", remedy="Check the path.", path=str(path)
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{os.fspath(path)} is not a text file with columns: {error}.", path=str(path)) from error
+        raise _bad(path, f" is not a text file with columns: {error}.") from error
     if len(rows) < 2:
-        raise InputError(
-            f"{os.fspath(path)} has {max(len(rows) - 1, 0)} rows of numbers.",
-            remedy="Give a row of column names (t, x0, ..., xd0, ..., xdd0, ...) and at least one row of numbers.",
-            path=str(path),
-        )
+        remedy = "Give a row of column names (t, x0, ..., xd0, ..., xdd0, ...) and at least one row of numbers."
+        raise _bad(path, f" has {max(len(rows) - 1, 0)} rows of numbers.", remedy)
     names = [name.strip() for name in rows[0][1]]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InputError(f"{os.fspath(path)} has the column {twice[0]!r} more than once.", path=str(path))
-    numbers = _numbers(names, rows[1:], path)
-    table = dict(zip(names, numbers.T, strict=True))
+        raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
+    table = dict(zip(names, _numbers(names, rows[1:], path).T, strict=True))
     if "t" not in table:
         raise _missing(path, "t", names)
     return table
@@ -100,35 +93,25 @@ def _read(path: str | os.PathLike[str]) -> dict[str, Array]:
 def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: str | os.PathLike[str]) -> Array:
     for line, row in rows:
         if len(row) != len(names):
-            raise InputError(
-                f"{os.fspath(path)}, row {line}: {len(row)} cells under {len(names)} column names.",
-                path=str(path),
-                row=line,
-            )
+            raise _bad(path, f", row {line}: {len(row)} cells under {len(names)} column names.", row=line)
     try:
         values = np.array([row for _, row in rows], dtype=np.float64)
-        bad = np.argwhere(~np.isfinite(values))
     except ValueError:
-        bad = np.array(
-            [[r, c] for r, (_, row) in enumerate(rows) for c, cell in enumerate(row) if not _is_finite(cell)]
-        )
+        values = np.array([[_number(cell) for cell in row] for _, row in rows])
+    bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         r, c = (int(i) for i in bad[0])
-        raise InputError(
-            f"{os.fspath(path)}, row {rows[r][0]}, column {names[c]!r}: {rows[r][1][c]!r} is not a finite number.",
-            remedy="Use a decimal point and no unit.",
-            path=str(path),
-            row=rows[r][0],
-            column=names[c],
-        )
+        line, cell = rows[r][0], rows[r][1][c]
+        message = f", row {line}, column {names[c]!r}: {cell!r} is not a finite number."
+        raise _bad(path, message, "Use a decimal point and no unit.", row=line, column=names[c])
     return values
 
 
-def _is_finite(cell: str) -> bool:
+def _number(cell: str) -> float:
     try:
-        return bool(np.isfinite(float(cell)))
+        return float(cell)
     except ValueError:
-        return False
+        return float("nan")
 
 
 def _columns(table: dict[str, Array], prefix: str, path: str | os.PathLike[str]) -> Array:
@@ -140,35 +123,32 @@ def _columns(table: dict[str, Array], prefix: str, path: str | os.PathLike[str])
     return np.stack([table[f"{prefix}{k}"] for k in numbers], axis=1)
 
 
-def _missing(path: str | os.PathLike[str], name: str, seen: Sequence[str]) -> InputError:
-    return InputError(
-        f"{os.fspath(path)} has no column {name!r}; its columns are {', '.join(repr(s) for s in seen)}.",
-        remedy="Name the columns t, x0, ..., xd0, ..., xdd0, ..., separated by commas.",
-        path=str(path),
-        column=name,
-        seen=tuple(seen),
-    )
-
-
-def _mismatch(path: str | os.PathLike[str], first: str, a: Array, second: str, b: Array) -> InputError:
-    return InputError(
-        f"{os.fspath(path)} has {a.shape[1]} columns {first}0, ... and {b.shape[1]} columns {second}0, ....",
-        remedy="Give as many of each; only poses have seven x (position and quaternion) for six rates.",
-        path=str(path),
-    )
+def _require_as_many(path: str | os.PathLike[str], **columns: Array) -> None:
+    (first, a), (second, b) = ((name, array.shape[1]) for name, array in columns.items())
+    if a != b:
+        message = f" has {a} columns {first}0, ... and {b} columns {second}0, ...."
+        raise _bad(
+            path, message, "Give as many of each; only poses have seven x (position and quaternion) for six rates."
+        )
 
 
 def _poses(x: Array, path: str | os.PathLike[str]) -> Array:
     norms = np.linalg.norm(x[:, 3:], axis=1)
     k = int(np.argmax(np.abs(norms - 1.0)))
     if abs(norms[k] - 1.0) > _QUATERNION_TOLERANCE:
-        raise InputError(
-            f"{os.fspath(path)}: the quaternion x3..x6 of sample {k} has norm {norms[k]:.9g}.",
-            remedy="Give unit quaternions in the order x, y, z, w.",
-            path=str(path),
-            sample=k,
-        )
+        message = f": the quaternion x3..x6 of sample {k} has norm {norms[k]:.9g}."
+        raise _bad(path, message, "Give unit quaternions in the order x, y, z, w.", sample=k)
     pose = np.tile(np.eye(4), (len(x), 1, 1))
     pose[:, :3, :3] = Rotation.from_quat(x[:, 3:]).as_matrix()
     pose[:, :3, 3] = x[:, :3]
     return pose
+
+
+def _bad(path: str | os.PathLike[str], message: str, remedy: str = "", **details: object) -> InputError:
+    return InputError(f"{os.fspath(path)}{message}", remedy=remedy, path=str(path), **details)
+
+
+def _missing(path: str | os.PathLike[str], name: str, columns: Sequence[str]) -> InputError:
+    message = f" has no column {name!r}; its columns are {', '.join(repr(column) for column in columns)}."
+    remedy = "Name the columns t, x0, ..., xd0, ..., xdd0, ..., separated by commas."
+    return _bad(path, message, remedy, column=name, seen=tuple(columns))

@@ -10,7 +10,18 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, IntArray, Side, checked, frozen, inside, positive, read_only, require_side
+from redundancy_pin.arrays import (
+    Array,
+    IntArray,
+    Side,
+    assign,
+    checked,
+    frozen,
+    inside,
+    positive,
+    read_only,
+    require_side,
+)
 from redundancy_pin.errors import InputError
 
 
@@ -55,12 +66,31 @@ class Path(Protocol):
         """
 
 
+class SmoothPath:
+    """Base of the paths without breaks: they define ``length``, ``dimension`` and ``_at``."""
+
+    length: float
+
+    @property
+    def breaks(self) -> Array:
+        """(0,) the curvature is continuous."""
+        return frozen([])
+
+    def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
+        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``."""
+        require_side(side)
+        return self._at(inside(p, 0.0, self.length, "p", "m"))
+
+    def _at(self, p: Array) -> PathPoint:
+        raise NotImplementedError
+
+
 _UNIT_TOLERANCE = 1e-9
-"""How far from orthonormal the axes of an arc may be: a vector typed with nine digits passes."""
+"""How far from orthonormal the axes of an arc may be: a vector written with nine digits passes."""
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Line:
+class Line(SmoothPath):
     """A straight line in any dimension.
 
     Attributes:
@@ -85,37 +115,22 @@ class Line:
             raise InputError(
                 f"The line starts and ends at {first.tolist()}.", remedy="Pass two different points.", start=start
             )
-        object.__setattr__(self, "start", first)
-        object.__setattr__(self, "end", last)
-        object.__setattr__(self, "length", length)
-        object.__setattr__(self, "direction", frozen((last - first) / length))
+        assign(self, start=first, end=last, length=length, direction=frozen((last - first) / length))
 
     @property
     def dimension(self) -> int:
         """Number n of coordinates."""
         return len(self.start)
 
-    @property
-    def breaks(self) -> Array:
-        """(0,) a line has none."""
-        return frozen([])
-
-    def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
-        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``.
-
-        Raises:
-            InputError: p outside [0, length].
-        """
-        require_side(side)
-        along = inside(p, 0.0, self.length, "p", "m")[..., None]
+    def _at(self, p: Array) -> PathPoint:
         # The convex combination meets both ends exactly, which start + p * direction would not.
-        fraction = along / self.length
+        fraction = p[..., None] / self.length
         x = (1.0 - fraction) * self.start + fraction * self.end
         return PathPoint(x, np.broadcast_to(self.direction, x.shape).copy(), np.zeros(x.shape))
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Arc:
+class Arc(SmoothPath):
     """A circular arc in a plane of any dimension: x = c + r (u cos φ + w sin φ), φ = p / r.
 
     Attributes:
@@ -123,7 +138,8 @@ class Arc:
         radius: r, m.
         radial: (n,) unit vector u from the centre to the start.
         tangent: (n,) unit vector w of the motion at the start.
-        sweep: angle travelled, rad, positive; the sense of rotation is in ``tangent``.
+        sweep: angle travelled φ, rad, positive; the sense of rotation is in ``tangent``.
+        length: arc length r φ, m.
 
     Raises:
         InputError: radius or sweep not positive, axes not orthonormal, wrong shapes.
@@ -134,6 +150,7 @@ class Arc:
     radial: Array
     tangent: Array
     sweep: float
+    length: float
 
     def __init__(self, centre: ArrayLike, radius: float, radial: ArrayLike, tangent: ArrayLike, sweep: float) -> None:
         middle = checked(centre, "centre", ("n",))
@@ -145,35 +162,17 @@ class Arc:
                 remedy="Pass two perpendicular unit vectors.",
                 error=error,
             )
-        object.__setattr__(self, "centre", middle)
-        object.__setattr__(self, "radius", positive(radius, "radius", "m"))
-        object.__setattr__(self, "radial", frozen(axes[0]))
-        object.__setattr__(self, "tangent", frozen(axes[1]))
-        object.__setattr__(self, "sweep", positive(sweep, "sweep", "rad"))
-
-    @property
-    def length(self) -> float:
-        """Arc length r φ, m."""
-        return self.radius * self.sweep
+        r, turn = positive(radius, "radius", "m"), positive(sweep, "sweep", "rad")
+        assign(self, centre=middle, radius=r, radial=frozen(axes[0]), tangent=frozen(axes[1]))
+        assign(self, sweep=turn, length=r * turn)
 
     @property
     def dimension(self) -> int:
         """Number n of coordinates."""
         return len(self.centre)
 
-    @property
-    def breaks(self) -> Array:
-        """(0,) an arc has none."""
-        return frozen([])
-
-    def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
-        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``.
-
-        Raises:
-            InputError: p outside [0, length].
-        """
-        require_side(side)
-        angle = inside(p, 0.0, self.length, "p", "m")[..., None] / self.radius
+    def _at(self, p: Array) -> PathPoint:
+        angle = p[..., None] / self.radius
         cos, sin = np.cos(angle), np.sin(angle)
         outward = self.radial * cos + self.tangent * sin
         forward = self.tangent * cos - self.radial * sin
@@ -183,11 +182,8 @@ class Arc:
 def circle_path(centre: ArrayLike, radius: float, start_angle: float = 0.0, sweep: float = 2.0 * np.pi) -> Arc:
     """Return a circle, or a part of one, in the plane.
 
-    Args:
-        centre: (2,) m.
-        radius: m.
-        start_angle: angle of the start seen from the centre, rad, from the x axis.
-        sweep: signed angle travelled, rad; positive is counter-clockwise, more than 2π is more than one turn.
+    It starts at ``start_angle``, rad, seen from the centre; ``sweep``, rad, is positive counter-clockwise, and may be
+    more than one turn.
 
     Raises:
         InputError: radius not positive, no sweep, wrong shapes.
@@ -232,8 +228,7 @@ class ConstantAppended:
     values: Array
 
     def __init__(self, path: Path, values: ArrayLike) -> None:
-        object.__setattr__(self, "path", path)
-        object.__setattr__(self, "values", checked(np.atleast_1d(np.asarray(values, dtype=float)), "values", ("c",)))
+        assign(self, path=path, values=checked(np.atleast_1d(np.asarray(values, dtype=float)), "values", ("c",)))
 
     @property
     def length(self) -> float:
@@ -251,30 +246,15 @@ class ConstantAppended:
         return self.path.breaks
 
     def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
-        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``.
-
-        Raises:
-            InputError: p outside [0, length].
-        """
+        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``."""
         point = self.path.evaluate(p, side)
-        constant = np.broadcast_to(self.values, (*point.x.shape[:-1], len(self.values)))
-        zero = np.zeros(constant.shape)
-        x, tangent, curvature = (
-            np.concatenate(pair, axis=-1) for pair in zip(point, (constant, zero, zero), strict=True)
-        )
-        return PathPoint(x, tangent, curvature)
+        shape = (*point.x.shape[:-1], len(self.values))
+        appended = (np.broadcast_to(values, shape) for values in (self.values, 0.0, 0.0))
+        return PathPoint(*(np.concatenate(pair, axis=-1) for pair in zip(point, appended, strict=True)))
 
 
 def with_constant(path: Path, values: ArrayLike) -> ConstantAppended:
-    """Return ``path`` with constant coordinates appended: (x, y) and alpha become (x, y, alpha).
-
-    Args:
-        path: a path of n coordinates.
-        values: scalar or (c,) constants, m or rad.
-
-    Raises:
-        InputError: values that are not finite.
-    """
+    """Return ``path`` with constant coordinates (scalar or (c,), m or rad) appended: (x, y) becomes (x, y, alpha)."""
     return ConstantAppended(path, values)
 
 
@@ -309,10 +289,8 @@ class ChainedPath:
         jumps = _jumping_joints(segments, float(ends[-1]))
         starts = np.concatenate([[0.0], ends[:-1]])
         inner = [start + np.asarray(segment.breaks) for start, segment in zip(starts, segments, strict=True)]
-        object.__setattr__(self, "segments", tuple(segments))
-        object.__setattr__(self, "joints", frozen(ends[:-1]))
-        object.__setattr__(self, "length", float(ends[-1]))
-        object.__setattr__(self, "breaks", frozen(np.sort(np.concatenate([ends[:-1][jumps], *inner]))))
+        breaks = frozen(np.sort(np.concatenate([ends[:-1][jumps], *inner])))
+        assign(self, segments=tuple(segments), joints=frozen(ends[:-1]), length=float(ends[-1]), breaks=breaks)
 
     @property
     def dimension(self) -> int:
@@ -320,11 +298,7 @@ class ChainedPath:
         return self.segments[0].dimension
 
     def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
-        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``.
-
-        Raises:
-            InputError: p outside [0, length].
-        """
+        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``."""
         require_side(side)
         given = inside(p, 0.0, self.length, "p", "m")
         along = given.ravel()
@@ -336,8 +310,7 @@ class ChainedPath:
             at_joint = np.flatnonzero(before != after)
             left = self._on_segments(along[at_joint], before[at_joint], side)
             point.curvature[at_joint] = left.curvature
-        x, tangent, curvature = (part.reshape(*given.shape, self.dimension) for part in point)
-        return PathPoint(x, tangent, curvature)
+        return PathPoint(*(part.reshape(*given.shape, self.dimension) for part in point))
 
     def _on_segments(self, along: Array, index: IntArray, side: Side) -> PathPoint:
         """Evaluate each arc length (N,) on the segment of the given index (N,)."""

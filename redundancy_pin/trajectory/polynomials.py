@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import comb, factorial, perm
+from functools import cached_property
+from math import comb
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import BPoly
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array, checked, inside, read_only
@@ -39,8 +41,12 @@ class Polynomial:
     @property
     def coefficients(self) -> Array:
         """(degree + 1, ...) coefficients of κ⁰, κ¹, ... with κ = (t − t0)/(t1 − t0)."""
-        powers = [comb(self.degree, j) * _difference(self.control, j)[0] for j in range(self.degree + 1)]
-        return read_only(np.array(powers))
+        orders = range(self.degree + 1)
+        return read_only(np.array([comb(self.degree, j) * np.diff(self.control, n=j, axis=0)[0] for j in orders]))
+
+    @cached_property
+    def _bernstein(self) -> BPoly:
+        return BPoly(self.control[:, None], [self.t0, self.t1])
 
     def __call__(self, t: ArrayLike, derivative: int = 0) -> Array:
         """Return the value, or a derivative by time.
@@ -57,18 +63,10 @@ class Polynomial:
         """
         if derivative < 0:
             raise InputError(f"derivative is {derivative}, expected 0 or more.", derivative=derivative)
-        kappa = (inside(t, self.t0, self.t1, "t", "s") - self.t0) / (self.t1 - self.t0)
-        kappa = np.clip(kappa, 0.0, 1.0)
+        times = inside(t, self.t0, self.t1, "t", "s")
         if derivative > self.degree:
-            return np.zeros(kappa.shape + self.control.shape[1:])
-        left = self.degree - derivative
-        scale = perm(self.degree, derivative) / (self.t1 - self.t0) ** derivative
-        control = scale * _difference(self.control, derivative)
-        j = np.arange(left + 1)
-        binomials = np.array([comb(left, i) for i in j], dtype=np.float64)
-        basis = binomials * kappa[..., None] ** j * (1.0 - kappa[..., None]) ** (left - j)
-        value: Array = np.tensordot(basis, control, axes=1)
-        return value
+            return np.zeros(times.shape + self.control.shape[1:])
+        return np.asarray(self._bernstein(times, derivative))
 
 
 def boundary_polynomial(t0: float, t1: float, start: Sequence[ArrayLike], end: Sequence[ArrayLike]) -> Polynomial:
@@ -86,8 +84,7 @@ def boundary_polynomial(t0: float, t1: float, start: Sequence[ArrayLike], end: S
         InputError: t1 is not after t0, no condition at all, different shapes, or values that are not finite.
     """
     first, last = float(t0), float(t1)
-    duration = last - first
-    if not (np.isfinite(duration) and duration > 0.0):
+    if not (np.isfinite(last - first) and last > first):
         raise InputError(f"The interval [{first:.9g}, {last:.9g}] s is empty.", remedy="Pass t0 < t1.", t0=t0, t1=t1)
     if len(start) + len(end) == 0:
         raise InputError("No boundary condition.", remedy="Pass at least one value at t0 or t1.")
@@ -98,21 +95,20 @@ def boundary_polynomial(t0: float, t1: float, start: Sequence[ArrayLike], end: S
             remedy="Pass a scalar for each, or an array of one and the same length for each.",
         )
     shape = shapes.pop()
-    degree = len(start) + len(end) - 1
-    control = np.zeros((degree + 1, *shape))
-    control[: len(start)] = _end_control(start, degree, duration, "start", shape)
-    control[degree + 1 - len(end) :] = _end_control(end, degree, -duration, "end", shape)[::-1]
-    return Polynomial(first, last, read_only(control))
+    conditions = [
+        np.reshape([checked(np.ravel(y), f"{name}[{j}]", ("k",)) for j, y in enumerate(values)], (-1, *shape))
+        if len(values)
+        else np.zeros((0, *shape))
+        for name, values in (("start", start), ("end", end))
+    ]
+    control = BPoly.from_derivatives([first, last], conditions).c[:, 0]
+    return Polynomial(first, last, read_only(control.copy()))
 
 
 def rest_to_rest_345(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> Polynomial:
     """Return the 3-4-5 polynomial: at rest without acceleration at both ends (Parsa 2014, eq. 1.10).
 
-    Args:
-        t0: start of the interval, s.
-        t1: end of the interval, s, after t0.
-        start: scalar or (k,) value at t0.
-        end: the same at t1.
+    ``start`` and ``end`` are the values, scalar or (k,), at t0 and t1, s.
 
     Raises:
         InputError: as ``boundary_polynomial``.
@@ -121,30 +117,12 @@ def rest_to_rest_345(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> 
 
 
 def rest_to_rest_4567(t0: float, t1: float, start: ArrayLike, end: ArrayLike) -> Polynomial:
-    """Return the 4-5-6-7 polynomial: at rest without acceleration or jerk at both ends.
-
-    Args:
-        t0: start of the interval, s.
-        t1: end of the interval, s, after t0.
-        start: scalar or (k,) value at t0.
-        end: the same at t1.
-
-    Raises:
-        InputError: as ``boundary_polynomial``.
-    """
+    """Return the 4-5-6-7 polynomial: at rest without acceleration or jerk at both ends; see ``rest_to_rest_345``."""
     return _rest_to_rest(t0, t1, start, end, zeros=3)
 
 
 def time_of_value(law: Polynomial, p: float) -> float:
-    """Return the time at which an increasing scalar polynomial takes a value.
-
-    Args:
-        law: the polynomial.
-        p: the value; beyond the range of the polynomial the nearer end of its interval is returned.
-
-    Returns:
-        Time, s.
-    """
+    """Return the time, s, at which an increasing scalar polynomial takes a value; beyond its range the nearer end."""
     if p <= float(law(law.t0)):
         return law.t0
     if p >= float(law(law.t1)):
@@ -155,22 +133,3 @@ def time_of_value(law: Polynomial, p: float) -> float:
 def _rest_to_rest(t0: float, t1: float, start: ArrayLike, end: ArrayLike, zeros: int) -> Polynomial:
     rest = [np.zeros(np.shape(start))] * zeros
     return boundary_polynomial(t0, t1, [start, *rest], [end, *rest])
-
-
-def _end_control(
-    derivatives: Sequence[ArrayLike], degree: int, step: float, name: str, shape: tuple[int, ...]
-) -> Array:
-    """Bernstein coefficients next to one end, counted from that end; ``step`` is negative at t1.
-
-    The j-th forward difference at the end is Δʲc_0 = step^j y⁽ʲ⁾ (degree − j)!/degree!, and c_j = Σ_i C(j, i) Δⁱc_0.
-    """
-    conditions = [checked(np.ravel(np.asarray(y)), f"{name}[{j}]", ("k",)) for j, y in enumerate(derivatives)]
-    differences = np.array(
-        [step**j * y * (factorial(degree - j) / factorial(degree)) for j, y in enumerate(conditions)]
-    )
-    control = [sum(comb(j, i) * differences[i] for i in range(j + 1)) for j in range(len(conditions))]
-    return np.array(control).reshape(len(conditions), *shape)
-
-
-def _difference(control: Array, order: int) -> Array:
-    return np.diff(control, n=order, axis=0)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from redundancy_pin.arrays import Array, Side, checked, frozen, inside, require_side
+from redundancy_pin.arrays import Array, assign, checked, frozen
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory.paths import PathPoint, straight_pieces
+from redundancy_pin.trajectory.paths import PathPoint, SmoothPath, straight_pieces
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LENGTH_TOLERANCE = 1e-14
@@ -27,7 +27,7 @@ _MOST_STEPS = 60
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class SplinePath:
+class SplinePath(SmoothPath):
     """A cubic spline through points, parametrised by its own arc length.
 
     The spline r(u) takes the distance between points as its parameter; its second derivative is continuous,
@@ -61,34 +61,16 @@ class SplinePath:
         knots = np.concatenate([[0.0], np.cumsum(chords)])
         spline = CubicSpline(knots, ring, bc_type="periodic" if closed else "natural")
         edges, arc_at_edges = _arc_length_table(spline, knots)
-        for name, value in (
-            ("points", given),
-            ("closed", closed),
-            ("length", float(arc_at_edges[-1])),
-            ("_spline", spline),
-            ("_edges", frozen(edges)),
-            ("_arc_at_edges", frozen(arc_at_edges)),
-        ):
-            object.__setattr__(self, name, value)
+        assign(self, points=given, closed=closed, length=float(arc_at_edges[-1]))
+        assign(self, _spline=spline, _edges=frozen(edges), _arc_at_edges=frozen(arc_at_edges))
 
     @property
     def dimension(self) -> int:
         """Number n of coordinates."""
         return int(self.points.shape[1])
 
-    @property
-    def breaks(self) -> Array:
-        """(0,) the curvature is continuous."""
-        return frozen([])
-
-    def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
-        """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``.
-
-        Raises:
-            InputError: p outside [0, length].
-        """
-        require_side(side)
-        u = self._parameter(inside(p, 0.0, self.length, "p", "m"))
+    def _at(self, p: Array) -> PathPoint:
+        u = self._parameter(p)
         first, second = self._spline(u, 1), self._spline(u, 2)
         speed = np.linalg.norm(first, axis=-1, keepdims=True)
         tangent = first / speed
@@ -113,11 +95,7 @@ class SplinePath:
 
 
 def through_points(points: ArrayLike, *, closed: bool = False) -> SplinePath:
-    """Return a smooth path through points, in order.
-
-    Args:
-        points: (N, n) points, m, in any dimension; two of them give a straight line.
-        closed: whether to return to the first point, which is not repeated.
+    """Return a smooth path through (N, n) points, m, in order; closed, it returns to the first, which is not repeated.
 
     Raises:
         InputError: too few points, two consecutive ones that coincide, or a spline with a cusp.

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import ROUNDING, Array, inside, positive
+from redundancy_pin.arrays import ROUNDING, Array, assign, inside, positive
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.polynomials import (
     Polynomial,
@@ -176,15 +176,8 @@ class SpeedProfile:
                 ramp_length=up,
                 end_ramp_length=down,
             )
-        for name, value in (
-            ("length", total),
-            ("speed", v),
-            ("ramp_time", time_up),
-            ("ramp_length", up),
-            ("end_ramp_time", time_down),
-            ("end_ramp_length", down),
-        ):
-            object.__setattr__(self, name, value)
+        assign(self, length=total, speed=v, ramp_time=time_up, ramp_length=up)
+        assign(self, end_ramp_time=time_down, end_ramp_length=down)
 
     @property
     def cruise_time(self) -> float:
@@ -202,13 +195,8 @@ class SpeedProfile:
 
         p̈ ∝ κ (1 − κ) [(60 λ − 24) − (120 λ − 60) κ], whose last root is the peak.
         """
-        return (
-            max(
-                _peak(self.ramp_length / (self.speed * self.ramp_time)),
-                _peak(self.end_ramp_length / (self.speed * self.end_ramp_time)),
-            )
-            * self.speed
-        )
+        up = _peak(self.ramp_length / (self.speed * self.ramp_time))
+        return max(up, _peak(self.end_ramp_length / (self.speed * self.end_ramp_time))) * self.speed
 
     def evaluate(self, t: ArrayLike) -> TimingPoint:
         """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``."""

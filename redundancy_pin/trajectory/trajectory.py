@@ -9,7 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import ROUNDING, Array, BoolArray, Side, checked, frozen, inside, positive, require_side
+from redundancy_pin.arrays import (
+    ROUNDING,
+    Array,
+    BoolArray,
+    Side,
+    assign,
+    checked,
+    frozen,
+    inside,
+    positive,
+    require_side,
+)
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory.paths import Path
@@ -19,19 +30,12 @@ MOST_SAMPLES = 10_000_000
 """Samples made at once; more would fill the memory of a usual computer in the dynamics that follow."""
 
 
-def sample_times(duration: float, breaks: Array, dt: float | None, times: ArrayLike | None, two_sided: bool) -> Array:
+def _sample_times(duration: float, breaks: Array, dt: float | None, times: ArrayLike | None, two_sided: bool) -> Array:
     """Return the times to sample at, s; a break occurs twice when it is to be two-sided.
 
     With ``dt``: 0, dt, 2 dt, ... and the duration, exactly. With ``times``: those. Two-sided, all breaks
     from the first time to the last are inserted twice, in place of a time that differs from one by rounding only,
     so that no step is as short as a rounding error.
-
-    Args:
-        duration: of the trajectory, s.
-        breaks: (b,) times at which the acceleration jumps, s.
-        dt: sampling interval, s, or None.
-        times: (N,) strictly increasing times, s, or None.
-        two_sided: whether to insert the breaks.
 
     Raises:
         InputError: both or none of ``dt`` and ``times``, a dt that makes too many samples, times that
@@ -64,13 +68,8 @@ def sample_times(duration: float, breaks: Array, dt: float | None, times: ArrayL
     return np.sort(np.concatenate([grid[apart.all(axis=1)], within, within]))
 
 
-def before_jump(times: Array) -> BoolArray:
-    """Return (N,) true at the first half of each pair of equal consecutive times."""
-    return np.append(times[1:] == times[:-1], False)
-
-
 _LENGTH_TOLERANCE = 1e-9
-"""How far, relative to the path, the length of a timing law may be off: a length typed with nine digits passes."""
+"""How far, relative to the path, the length of a timing law may be off: a length written with nine digits passes."""
 
 
 class TrajectoryPoint(NamedTuple):
@@ -87,8 +86,55 @@ class TrajectoryPoint(NamedTuple):
     xdd: Array
 
 
+class TimedMotion:
+    """What a motion with a timing law offers besides its own ``evaluate``."""
+
+    timing: TimingLaw
+    breaks: Array
+
+    @property
+    def duration(self) -> float:
+        """Total time, s."""
+        return self.timing.duration
+
+    def sample_at(self, times: ArrayLike) -> PlatformMotion:
+        """Return the motion at given times; nothing is inserted.
+
+        Args:
+            times: (N,) increasing times, s. An instant may occur twice if it is one of ``breaks``: the first gets
+                the acceleration before the jump, the second that after it. A single one gets that after it.
+
+        Raises:
+            InputError: times outside [0, duration] or not increasing.
+        """
+        instants = inside(checked(np.asarray(times), "times", ("N",)), 0.0, self.duration, "times", "s")
+        before_jump = np.append(instants[1:] == instants[:-1], False)
+        return PlatformMotion(instants, *self._evaluate(instants, before_jump))
+
+    def sample(
+        self, dt: float | None = None, *, times: ArrayLike | None = None, two_sided: bool = True
+    ) -> PlatformMotion:
+        """Return the motion sampled every ``dt`` seconds or at given times, jumps included.
+
+        Args:
+            dt: sampling interval, s; the last sample falls on the duration, with a shorter last interval
+                where dt does not divide it.
+            times: (N,) strictly increasing times, s, instead of dt.
+            two_sided: whether to insert every break between the first and the last sample as a
+                two-sided sample: the same instant twice, equal x and ẋ, ẍ before and after the jump.
+
+        Raises:
+            InputError: both or none of ``dt`` and ``times``, or times outside [0, duration] or not increasing.
+        """
+        return self.sample_at(_sample_times(self.duration, self.breaks, dt, times, two_sided))
+
+    def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
+        """Return x, ẋ, ẍ at (N,) times; ``before`` (N,) selects the left limit where a time is a break."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, init=False, eq=False)
-class Trajectory:
+class Trajectory(TimedMotion):
     """A path travelled by a timing law: x(p(t)), ẋ = x' ṗ, ẍ = x' p̈ + x'' ṗ².
 
     Where x'' jumps by Δ (a straight meets an arc) and the speed is not zero, the acceleration jumps by
@@ -121,19 +167,8 @@ class Trajectory:
         instants = frozen([timing.time_at(min(float(p), timing.length)) for p in lengths])
         change = path.evaluate(lengths, "right").curvature - path.evaluate(lengths, "left").curvature
         jump = np.abs(change).max(axis=1, initial=0.0) * timing.evaluate(instants).pd ** 2
-        for name, value in (
-            ("path", path),
-            ("timing", timing),
-            ("breaks", frozen(instants[jump > 0.0])),
-            ("_break_length", lengths),
-            ("_break_time", instants),
-        ):
-            object.__setattr__(self, name, value)
-
-    @property
-    def duration(self) -> float:
-        """Total time, s."""
-        return self.timing.duration
+        assign(self, path=path, timing=timing, breaks=frozen(instants[jump > 0.0]))
+        assign(self, _break_length=lengths, _break_time=instants)
 
     @property
     def dimension(self) -> int:
@@ -141,15 +176,10 @@ class Trajectory:
         return self.path.dimension
 
     def evaluate(self, t: ArrayLike, side: Side = "right") -> TrajectoryPoint:
-        """Return x, ẋ, ẍ at times t.
+        """Return x, ẋ, ẍ at times t, s, of any shape: arrays of that shape followed by (n,).
 
-        Args:
-            t: time, s, scalar or any shape.
-            side: which acceleration to give at a break: that before ("left") or after ("right").
-                x and ẋ are bit-equal from both sides.
-
-        Returns:
-            Arrays of the shape of ``t`` followed by (n,).
+        At a break the acceleration is that before ("left") or after it ("right"); x and ẋ are bit-equal from both
+        sides.
 
         Raises:
             InputError: t outside [0, duration].
@@ -160,36 +190,6 @@ class Trajectory:
         point = self._evaluate(flat, np.full(flat.shape, side == "left"))
         return TrajectoryPoint(*(part.reshape(*times.shape, self.dimension) for part in point))
 
-    def sample_at(self, times: ArrayLike) -> PlatformMotion:
-        """Return the motion at given times; nothing is inserted.
-
-        Args:
-            times: (N,) increasing times, s. An instant may occur twice if it is one of ``breaks``: the first gets
-                the acceleration before the jump, the second that after it. A single one gets that after it.
-
-        Raises:
-            InputError: times outside [0, duration] or not increasing.
-        """
-        instants = inside(checked(np.asarray(times), "times", ("N",)), 0.0, self.duration, "times", "s")
-        return PlatformMotion(instants, *self._evaluate(instants, before_jump(instants)))
-
-    def sample(
-        self, dt: float | None = None, *, times: ArrayLike | None = None, two_sided: bool = True
-    ) -> PlatformMotion:
-        """Return the motion sampled every ``dt`` seconds or at given times, jumps included.
-
-        Args:
-            dt: sampling interval, s; the last sample falls on the duration, with a shorter last interval
-                where dt does not divide it.
-            times: (N,) strictly increasing times, s, instead of dt.
-            two_sided: whether to insert every break between the first and the last sample as a
-                two-sided sample: the same instant twice, equal x and ẋ, ẍ before and after the jump.
-
-        Raises:
-            InputError: both or none of ``dt`` and ``times``, or times outside [0, duration] or not increasing.
-        """
-        return self.sample_at(sample_times(self.duration, self.breaks, dt, times, two_sided))
-
     def scaled(self, factor: float) -> Trajectory:
         """Return the same path travelled ``factor`` times as fast; inertial forces grow with factor².
 
@@ -199,11 +199,8 @@ class Trajectory:
         return Trajectory(self.path, self.timing.scaled(factor))
 
     def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
-        """Evaluate at (N,) times; ``before`` (N,) asks for the left limit where a time is a break.
-
-        The segment of the path is chosen by the time, not by the arc length: p(t) is only as exact as
-        its rounding, and must not slip across a break.
-        """
+        # The segment of the path is chosen by the time, not by the arc length: p(t) is only as exact as its
+        # rounding, and must not slip across a break.
         law = self.timing.evaluate(times)
         passed = np.searchsorted(self._break_time, times, side="right")
         lower = np.concatenate([[0.0], self._break_length])[passed]
@@ -223,7 +220,7 @@ pose) would tilt it by 1e-3."""
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class PoseTrajectory:
+class PoseTrajectory(TimedMotion):
     """The position moves on a straight line while the platform turns about an axis fixed in the world.
 
     With κ = p(t)/length: position p0 + κ d, rotation exp(κ [φ]×) R0, twist κ̇ (d, φ) and its rate κ̈ (d, φ), in
@@ -234,6 +231,7 @@ class PoseTrajectory:
         timing: the timing law; only the fraction p / length of it is used, so its length may be
             one, the distance in metres, or the angle in radians.
         screw: (6,) displacement d, m, and rotation vector φ, rad, world axes.
+        breaks: (0,) the acceleration does not jump.
 
     Raises:
         InputError: not homogeneous poses, or poses half a turn apart.
@@ -243,6 +241,7 @@ class PoseTrajectory:
     end: Array
     timing: TimingLaw
     screw: Array
+    breaks: Array
 
     def __init__(self, start: ArrayLike, end: ArrayLike, timing: TimingLaw) -> None:
         poses = np.stack([checked(start, "start", (4, 4)), checked(end, "end", (4, 4))])
@@ -256,25 +255,13 @@ class PoseTrajectory:
                 remedy="Go through a pose in between.",
                 angle=angle,
             )
-        object.__setattr__(self, "start", frozen(poses[0]))
-        object.__setattr__(self, "end", frozen(poses[1]))
-        object.__setattr__(self, "timing", timing)
-        object.__setattr__(self, "screw", frozen(np.concatenate([poses[1, :3, 3] - poses[0, :3, 3], turn])))
-
-    @property
-    def duration(self) -> float:
-        """Total time, s."""
-        return self.timing.duration
+        screw = frozen(np.concatenate([poses[1, :3, 3] - poses[0, :3, 3], turn]))
+        assign(self, start=frozen(poses[0]), end=frozen(poses[1]), timing=timing, screw=screw, breaks=frozen([]))
 
     @property
     def dimension(self) -> int:
         """Number of rates: six."""
         return 6
-
-    @property
-    def breaks(self) -> Array:
-        """(0,) the acceleration does not jump."""
-        return frozen([])
 
     def evaluate(self, t: ArrayLike, side: Side = "right") -> TrajectoryPoint:
         """Return poses (..., 4, 4), twists (..., 6) and their rates (..., 6) at times t, s.
@@ -295,24 +282,8 @@ class PoseTrajectory:
             (acceleration * self.screw).reshape(shape),
         )
 
-    def sample_at(self, times: ArrayLike) -> PlatformMotion:
-        """Return the motion at (N,) strictly increasing times, s.
-
-        Raises:
-            InputError: times outside [0, duration] or not increasing.
-        """
-        instants = inside(checked(np.asarray(times), "times", ("N",)), 0.0, self.duration, "times", "s")
-        return PlatformMotion(instants, *self.evaluate(instants))
-
-    def sample(
-        self, dt: float | None = None, *, times: ArrayLike | None = None, two_sided: bool = True
-    ) -> PlatformMotion:
-        """Return the motion sampled every ``dt`` seconds or at given times; see ``Trajectory.sample``.
-
-        Raises:
-            InputError: both or none of ``dt`` and ``times``, or times outside [0, duration] or not increasing.
-        """
-        return self.sample_at(sample_times(self.duration, self.breaks, dt, times, two_sided))
+    def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
+        return self.evaluate(times)
 
     def scaled(self, factor: float) -> PoseTrajectory:
         """Return the same motion run ``factor`` times as fast.

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from redundancy_pin.dynamics.virtual_work.three_rrr_kinematics import (
-    ThreeRrrGeometry,
-    forward_displacement,
-    inverse_displacement,
-    inverse_displacement_all_modes,
-)
+from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
+from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
 from redundancy_pin.errors import InputError, SingularPoseError
 
 THESIS = ThreeRrrGeometry(1.0, 0.25, 1.0, 1.0)
@@ -128,7 +126,7 @@ def test_no_solution_is_missed_that_scanning_finds(theta, geometry):
 def test_every_pose_is_among_the_solutions_of_its_base_angles_in_every_mode(x, y, alpha, geometry):
     pose = np.array([x, y, alpha])
     assume(inverse_displacement(geometry, pose[None]).reachable.all())
-    for legs in inverse_displacement_all_modes(geometry, pose[None]):
+    for legs in (inverse_displacement(geometry, pose[None], mode) for mode in product((1, -1), repeat=3)):
         if abs(np.linalg.det(legs.platform_matrix[0])) < 1e-5:
             continue  # on a fold the pose is fixed to the square root of rounding only
         solutions = forward_displacement(geometry, legs.theta[:, 0])
@@ -200,7 +198,7 @@ def test_three_assembly_modes_that_meet_are_one():
 def test_a_pose_upside_down_is_listed_once(x):
     """α = π and α = -π are one pose, from whichever side rounding comes."""
     pose = np.array([x, 0.45, np.pi])
-    for legs in inverse_displacement_all_modes(THESIS, pose[None]):
+    for legs in (inverse_displacement(THESIS, pose[None], mode) for mode in product((1, -1), repeat=3)):
         solutions = forward_displacement(THESIS, legs.theta[:, 0])
         found = [s for s in solutions if np.abs(u(s.pose[2]) - u(np.pi)).max() < 1e-6]
         assert len([s for s in found if np.abs(s.pose[:2] - pose[:2]).max() < 1e-6]) == 1

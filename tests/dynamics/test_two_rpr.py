@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from redundancy_pin.dynamics.virtual_work.two_rpr_kinematics import (
+from redundancy_pin.dynamics.virtual_work.two_rpr import (
     TwoRprGeometry,
-    forward_displacement,
     inverse_displacement,
-    inverse_displacement_all_modes,
     leg_rates,
 )
 from redundancy_pin.errors import InputError
@@ -22,7 +20,6 @@ ROUNDING = 1e-13
 THESIS = TwoRprGeometry(0.5)
 
 coordinate = st.floats(-3, 3)
-height = st.floats(1e-3, 3)  # above the line the square root of the area keeps its digits
 
 
 @given(x=coordinate, y=coordinate, mode=st.tuples(*[st.sampled_from([1, -1])] * 2))
@@ -34,34 +31,6 @@ def test_legs_close_the_loops_in_the_mode_asked_for(x, y, mode):
     tip = np.array([[0.0, 0.0], [0.5, 0.0]]) + legs.d * np.column_stack([np.cos(legs.theta), np.sin(legs.theta)])
     np.testing.assert_allclose(tip[away], np.tile([x, y], (2, 1))[away], atol=ROUNDING)
     assert np.all(legs.gap[away] < ROUNDING)
-
-
-@given(x=coordinate, y=height, side=st.sampled_from([1, -1]), distance=st.floats(0.2, 2))
-def test_every_working_mode_returns_to_the_point_in_the_assembly_of_its_side(x, y, side, distance):
-    geometry = TwoRprGeometry(distance)
-    modes = inverse_displacement_all_modes(geometry, [[x, side * y]])
-    assert {legs.mode for legs in modes} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
-    for legs in modes:
-        above, below = forward_displacement(geometry, legs.d)
-        assert (above.mode, below.mode) == (1, -1)
-        assert above.reachable[0]
-        # a height y is found through y²: an error of rounding in y² is rounding / y in y
-        found = above if side == 1 else below
-        np.testing.assert_allclose(found.point[0], [x, side * y], atol=10 * ROUNDING / y)
-
-
-@pytest.mark.parametrize(("d", "gap"), [([0.2, 0.2], 0.1), ([1.0, 0.3], 0.2), ([-0.1, 0.9], 0.3)])
-def test_legs_that_do_not_meet_report_the_gap(d, gap):
-    for assembly in forward_displacement(THESIS, np.array(d)[:, None]):
-        assert not assembly.reachable[0]
-        assert np.isnan(assembly.point).all()
-        np.testing.assert_allclose(assembly.gap, gap, atol=ROUNDING)
-
-
-def test_the_two_assemblies_meet_on_the_base_line():
-    above, below = forward_displacement(THESIS, [[0.2], [0.3]])
-    np.testing.assert_allclose(above.point, [[0.2, 0.0]], atol=1e-8)  # square root of rounding
-    np.testing.assert_allclose(below.point, above.point, atol=1e-8)
 
 
 def smooth_motion(t):
@@ -101,7 +70,6 @@ def test_a_leg_of_no_length_has_no_direction_and_no_warning():
         lambda: inverse_displacement(THESIS, [0.1, 0.2]),
         lambda: inverse_displacement(THESIS, [[0.1, 0.2]], (1, 0)),
         lambda: inverse_displacement(THESIS, [[0.1, 0.2]], (1,)),
-        lambda: forward_displacement(THESIS, [0.1, 0.2]),
         lambda: leg_rates(inverse_displacement(THESIS, [[0.1, 0.2]]), [[1.0, 2.0, 3.0]], [[0.0, 0.0]]),
     ],
 )
@@ -112,5 +80,5 @@ def test_bad_input_is_refused(call):
 
 def test_results_are_read_only():
     legs = inverse_displacement(THESIS, [[0.1, 0.2]])
-    for array in (legs.d, legs.ux, legs.theta, legs.jacobian, forward_displacement(THESIS, legs.d)[0].point):
+    for array in (legs.d, legs.ux, legs.theta, legs.jacobian):
         assert not array.flags.writeable

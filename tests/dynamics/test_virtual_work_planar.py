@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from point_mass_oracle import derivative
 
 from redundancy_pin.dynamics.virtual_work.mechanism import LinkFrames, PlanarBodies, base_wrench, energy
@@ -23,20 +24,19 @@ def position(t):
 
 
 def test_a_point_carried_by_a_moving_link_moves_as_its_positions_say():
-    column = [np.array([[value]]) for value in ORIGIN.ravel()]
-    u = [np.array([[np.cos(TURN[0])]]), np.array([[np.sin(TURN[0])]])]
-    frame = LinkFrames(*column, *u, np.array([[TURN[1]]]), np.array([[TURN[2]]]))
-    body = frame.bodies(2.0, 0.3, tuple(ALONG), tuple(ACROSS))
+    origin = (np.array([[complex(*value)]]) for value in ORIGIN)
+    frame = LinkFrames(*origin, np.exp([[1j * TURN[0]]]), np.array([[TURN[1]]]), np.array([[TURN[2]]]))
+    body = frame.bodies(2.0, 0.3, *(ALONG + 1j * ACROSS))
     velocity = derivative(position)
     acceleration = derivative(lambda h: derivative(lambda k: position(h + k)))
-    np.testing.assert_allclose([body.x[0, 0], body.y[0, 0]], position(0.0), atol=1e-14)
-    np.testing.assert_allclose([body.vx[0, 0], body.vy[0, 0]], velocity, atol=1e-11)  # rounding over the step
-    np.testing.assert_allclose([body.ax[0, 0], body.ay[0, 0]], acceleration, atol=1e-8)  # and over its square
+    assert body.place[0, 0] == pytest.approx(complex(*position(0.0)), abs=1e-14)
+    assert body.velocity[0, 0] == pytest.approx(complex(*velocity), abs=1e-11)  # rounding over the step
+    assert body.acceleration[0, 0] == pytest.approx(complex(*acceleration), abs=1e-8)  # and over its square
 
 
 def one_body(x, y, vx, vy, ax, ay, spin, spin_rate):
-    values = (np.array([[value]]) for value in (x, y, vx, vy, ax, ay, spin, spin_rate))
-    return PlanarBodies(2.0, 0.5, *values)
+    values = (complex(x, y), complex(vx, vy), complex(ax, ay), spin, spin_rate)
+    return PlanarBodies(2.0, 0.5, *(np.array([[value]]) for value in values))
 
 
 def test_a_body_in_free_fall_puts_nothing_on_the_base():

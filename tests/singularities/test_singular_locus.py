@@ -9,7 +9,7 @@ import pytest
 import zoo
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.virtual_work.three_rrr_kinematics import ThreeRrrGeometry, inverse_displacement
+from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.robot import Robot

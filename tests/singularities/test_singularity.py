@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from redundancy_pin import load_robot
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
-from redundancy_pin.dynamics.virtual_work.three_rrr_kinematics import ThreeRrrGeometry, inverse_displacement
+from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inverse_displacement
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import lift
@@ -104,7 +104,7 @@ def test_three_rrr_with_a_stretched_leg_loses_the_direction_along_it(turn, alpha
     pose = np.array([[*(2.0 * direction - arm), alpha]])
     legs = inverse_displacement(geometry, pose)
     thetas, betas = np.array(legs.theta), np.array(legs.beta)
-    if not legs.reachable.all() or np.abs(legs.elbow_sine[1:]).min() < 0.05:
+    if not legs.reachable.all() or np.abs(legs.margin[1:]).min() < 0.05:
         return
     thetas[0] = betas[0] = theta  # exactly stretched: from the position the elbow is only known to 1e-8
     found = classify(robot, three_rrr_from(pose, thetas, betas))

@@ -1,8 +1,14 @@
 """Virtual work on the 3-RRR with a carrier on each distal link (Parsa 2014, section 2.2), gravity included.
 
-Notation of ``three_rrr_kinematics``: b and e are the link vectors, v⊥ is v turned by +90°, ω = θ̇ and Ω = β̇. With
-the sums m = m2 + m_s, S = m2 r_a + m_s s (first moment about the elbow B) and I = I2 + m2 r_a² + m_s s², an
-acceleration a_B of the elbow less gravity, and u, n along and across the distal link, leg i resists with
+Leg i runs from the base hinge G over the elbow B = G + l1 u(θ) to the platform corner A = B + l2 u(β), with
+A = P - l3 u(φ) and φ = α + 30°, α + 150°, α - 90°; u(θ) = (cos θ, sin θ), and v⊥ = (-v_y, v_x) is v turned by +90°.
+The working mode of a leg is the sign in θ = γ ± ψ, γ the direction of A from G and ψ the angle at G in the triangle
+G B A. The links are kept as vectors b = l1 u(θ) and e = l2 u(β), found by rotating A - G within its triangle, so that
+the cosine and sine of α are the only trigonometric functions.
+
+With ω = θ̇, Ω = β̇, the sums m = m2 + m_s, S = m2 r_a + m_s s (first moment about the elbow B) and
+I = I2 + m2 r_a² + m_s s², an acceleration a_B of the elbow less gravity, and u, n along and across the distal link, leg
+i resists with
 
     T_θ = m1 l1²/3 θ̈ - m1 g·b⊥/2 + b⊥·F,    F = m a_B + S (β̈ n - Ω² u) + m_s (s̈ u + 2 ṡ Ω n),
     T_β = I β̈ + S n·a_B + 2 m_s s ṡ Ω,
@@ -14,24 +20,34 @@ l2² β̇ = e⊥·v_A - θ̇ e·b (v_A the velocity of the platform's corner), t
 
 the force the platform has to put on the corner. The generalised force is Σ R, its moment Σ (A - P) x R, and the
 platform's own inertia (eq. 2.51-2.53). The products with 3 x 3 link Jacobians never need to be formed.
+
+Arrays that differ from leg to leg are leg-major, (3, N).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
-from redundancy_pin.dynamics.virtual_work.mechanism import EffortDerivatives, LinkFrames, PlanarBodies
-from redundancy_pin.dynamics.virtual_work.three_rrr_kinematics import (
-    ThreeRrrGeometry,
-    ThreeRrrLegs,
-    inverse_displacement,
-    leg_rates,
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, checked, read_only
+from redundancy_pin.dynamics.virtual_work.mechanism import (
+    Lengths,
+    LinkFrames,
+    Parameters,
+    Partials,
+    PlanarBodies,
+    planar,
+    signs,
 )
+from redundancy_pin.errors import InputError
+
+CORNER_ANGLES = (np.pi / 6.0, 5.0 * np.pi / 6.0, -np.pi / 2.0)
+"""φ - α of each leg, rad (Parsa 2014, eq. 2.20)."""
 
 LEAST_ELBOW_SINE = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Sine of the elbow below which a pose counts as a type I singularity: a leg that close to straight or folded becomes
@@ -39,107 +55,251 @@ exactly so when its end moves by the closure tolerance (relative to the links), 
 
 
 @dataclass(frozen=True)
-class ThreeRrrParameters:
-    """Geometry and masses of the 3-RRR.
+class ThreeRrrGeometry(Lengths):
+    """Lengths that fix the kinematics of the 3-RRR, m.
 
     Attributes:
-        geometry: the lengths that fix the kinematics.
-        proximal_mass: slender rod from the base hinge to the elbow, kg.
-        distal_mass: of the distal link with its track, kg.
-        distal_centre: r_a, its centre of mass from the elbow towards the platform, m.
-        distal_inertia: about that centre, kg·m².
-        platform_mass, platform_inertia: about the platform's centre, kg and kg·m².
-        carrier_mass: of each carrier, kg; 0 where there is none.
-        gravity: acceleration of gravity in the base frame, m/s².
+        base_radius: circumradius of the triangle of base hinges; the first hinge is the origin.
+        platform_radius: l3, from the platform's centre to its corners.
+        proximal_length: l1.
+        distal_length: l2.
+
+    Raises:
+        InputError: a length is not positive and finite.
     """
 
-    geometry: ThreeRrrGeometry
-    proximal_mass: float
-    distal_mass: float
-    distal_centre: float
-    distal_inertia: float
-    platform_mass: float
-    platform_inertia: float
-    carrier_mass: float
-    gravity: tuple[float, float, float]
+    base_radius: float
+    platform_radius: float
+    proximal_length: float
+    distal_length: float
 
-    @staticmethod
-    def from_parameters(
-        parameters: Mapping[str, float | bool | str], gravity: tuple[float, float, float]
-    ) -> ThreeRrrParameters:
-        """Read geometry and masses off the parameters of the model ``3rrr``.
-
-        The distal link is a slender rod from the end of its tail to the platform; the tail is there for the
-        carrier, so a robot without carriers has none. A platform inertia of "auto" is that of a uniform disc.
-        """
-        geometry = ThreeRrrGeometry.from_parameters(parameters)
-        carriers = bool(parameters["carriers"])
-        tail = float(parameters["tail_length"]) if carriers else 0.0
-        distal_mass, platform_mass = float(parameters["distal_mass"]), float(parameters["platform_mass"])
-        given = parameters["platform_inertia"]
-        disc = 0.5 * platform_mass * geometry.platform_radius**2
-        return ThreeRrrParameters(
-            geometry=geometry,
-            proximal_mass=float(parameters["proximal_mass"]),
-            distal_mass=distal_mass,
-            distal_centre=0.5 * (geometry.distal_length - tail),
-            distal_inertia=distal_mass * (geometry.distal_length + tail) ** 2 / 12.0,
-            platform_mass=platform_mass,
-            platform_inertia=disc if given == "auto" else float(given),
-            carrier_mass=float(parameters["carrier_mass"]) if carriers else 0.0,
-            gravity=gravity,
-        )
-
-
-@dataclass(frozen=True)
-class ThreeRrrMechanism:
-    """The 3-RRR in one working mode."""
-
-    parameters: ThreeRrrParameters
-    mode: tuple[int, int, int]
-
-    angular_rows = (False, False, True)
-    angular_columns = (True, True, True)
-
-    def legs(self, x: Array) -> ThreeRrrPoses:
-        """Solve the inverse displacement at (N, 3) platform poses (x, y, α), m and rad."""
-        return ThreeRrrPoses(self.parameters, x, inverse_displacement(self.parameters.geometry, x, self.mode))
+    @property
+    def base_points(self) -> Array:
+        """(3, 2) base hinges G in the base frame, m."""
+        triangle = np.array([[0.0, 0.0], [np.sqrt(3.0), 0.0], [np.sqrt(3.0) / 2.0, 1.5]])
+        return read_only(self.base_radius * triangle)
 
 
 @dataclass(frozen=True, eq=False)
-class ThreeRrrPoses:
-    """Poses of the 3-RRR with their legs; ``pose`` is (N, 3), m and rad."""
+class ThreeRrrLegs:
+    """The legs of the 3-RRR at sampled platform poses, in one working mode; each array is (3, N).
 
-    parameters: ThreeRrrParameters
-    pose: Array
-    solved: ThreeRrrLegs
+    Attributes:
+        geometry: the lengths.
+        mode: sign of each leg in θ = γ ± ψ.
+        arm_x, arm_y: from the platform's centre to its corner, A - P = -l3 u(φ), m.
+        bx, by: proximal link b = B - G, m; NaN out of reach.
+        ex, ey: distal link e = A - B, m; NaN out of reach.
+        c: (A - G) x b, m²: minus l1 l2 times the sine of the elbow angle β - θ, zero at a type I
+            singularity (Parsa 2014, eq. 2.37); its sign is the mode. NaN out of reach.
+        gap: how far the corner is out of the leg's reach, m; where it is within, what the closure
+            |A - B| = l2 leaves (a few roundings).
+    """
 
-    least_margin = LEAST_ELBOW_SINE
+    geometry: ThreeRrrGeometry
+    mode: tuple[int, int, int]
+    arm_x: Array
+    arm_y: Array
+    bx: Array
+    by: Array
+    ex: Array
+    ey: Array
+    c: Array
+    gap: Array
 
     @property
-    def gap(self) -> Array:
-        """(3, N) how far each corner is out of reach, or what its closure leaves, m."""
-        return self.solved.gap
+    def reachable(self) -> BoolArray:
+        """(3, N) whether the leg reaches its corner, to within the closure tolerance."""
+        return read_only(self.gap <= CLOSURE_TOLERANCE)
+
+    @property
+    def theta(self) -> Array:
+        """(3, N) angle of the proximal link, rad, in (-π, π]."""
+        return read_only(np.arctan2(self.by, self.bx))
+
+    @property
+    def beta(self) -> Array:
+        """(3, N) angle of the distal link, rad, in (-π, π]."""
+        return read_only(np.arctan2(self.ey, self.ex))
 
     @property
     def margin(self) -> Array:
-        """(3, N) |sine| of the elbow angle: 0 where the leg is straight or folded (type I)."""
-        return self.solved.elbow_sine
+        """(3, N) |sin(β - θ)|: 0 where the leg is straight or folded (type I)."""
+        return read_only(np.abs(self.c) / (self.geometry.proximal_length * self.geometry.distal_length))
 
-    def along(self, velocity: Array, acceleration: Array) -> ThreeRrrAlongMotion:
-        """Return the dynamics along a motion through these poses."""
-        return ThreeRrrAlongMotion(self.parameters, self.pose, self.solved, velocity, acceleration)
+    @property
+    def jacobian(self) -> Array:
+        """(N, 3, 3) J with θ̇ = J ẋ: row i is -(a, b, d)/c (Parsa 2014, eq. 2.34-2.38)."""
+        J = np.empty((self.c.shape[1], 3, 3))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x, y = -self.ex / self.c, -self.ey / self.c
+            J[:, :, 0] = x.T
+            J[:, :, 1] = y.T
+            J[:, :, 2] = (self.arm_x * y - self.arm_y * x).T
+        return read_only(J)
+
+    @property
+    def platform_matrix(self) -> Array:
+        """(N, 3, 3) matrix of rows (a, b, d), m, m and m²; singular at a type II singularity (eq. 2.38)."""
+        D = np.empty((self.c.shape[1], 3, 3))
+        D[:, :, 0] = self.ex.T
+        D[:, :, 1] = self.ey.T
+        D[:, :, 2] = (self.arm_x * self.ey - self.arm_y * self.ex).T
+        return read_only(D)
+
+
+class ThreeRrrRates(NamedTuple):
+    """Rates, (3, N) each, of the angles of the proximal and of the distal links, rad/s and rad/s²."""
+
+    theta_rate: Array
+    theta_acceleration: Array
+    beta_rate: Array
+    beta_acceleration: Array
+
+
+def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequence[int] = (1, 1, 1)) -> ThreeRrrLegs:
+    """Return the legs that put the platform at ``pose`` (Parsa 2014, eq. 2.18-2.27).
+
+    With p = A - G, ρ = |p|, q = (l1² + ρ² - l2²)/2 and c = ± sqrt(l1² ρ² - q²), turning p by ±ψ gives
+    b = (q p + c p⊥)/ρ². The root is twice the area of the triangle with sides l1, l2, ρ, taken in Heron's
+    factored form: it keeps its digits next to a type I singularity.
+
+    Args:
+        geometry: the lengths.
+        pose: (N, 3) platform centre and orientation (x, y, α) in the base frame, m and rad. NaN passes through.
+        mode: sign of each leg.
+
+    Raises:
+        InputError: ``pose`` is not (N, 3) or ``mode`` not three signs.
+    """
+    sign = signs(mode, 3)
+    x = np.asarray(pose, dtype=float)
+    if x.ndim != 2 or x.shape[1] != 3:
+        raise InputError(
+            f"pose has shape {x.shape}, expected (N, 3).", remedy="Rows are samples, columns are x, y and α."
+        )
+    l1, l2 = geometry.proximal_length, geometry.distal_length
+    arm_x, arm_y = _arms(geometry, x[:, 2])
+    G = geometry.base_points
+    px = x[:, 0] + arm_x - G[:, :1]
+    py = x[:, 1] + arm_y - G[:, 1:]
+    rho_squared = px * px + py * py
+    rho = np.sqrt(rho_squared)
+    shortage = np.maximum(rho - (l1 + l2), abs(l1 - l2) - rho)
+    sixteen_area_squared = (rho + (l1 + l2)) * ((l1 + l2) - rho) * (rho - (l1 - l2)) * (rho + (l1 - l2))
+    c = sign * (0.5 * np.sqrt(np.maximum(sixteen_area_squared, 0.0)))
+    out_of_reach = shortage > CLOSURE_TOLERANCE
+    if out_of_reach.any():
+        c[out_of_reach] = np.nan
+    q = 0.5 * (rho_squared + (l1 - l2) * (l1 + l2))
+    with np.errstate(divide="ignore", invalid="ignore"):  # ρ = 0: every direction closes the leg, and c = 0 says so
+        q /= rho_squared
+        turn = c / rho_squared
+        bx = q * px - turn * py
+        by = q * py + turn * px
+    ex, ey = px - bx, py - by
+    gap = np.fmax(np.abs(np.sqrt(ex * ex + ey * ey) - l2), shortage)  # fmax: the shortage where there is no e
+    for array in (arm_x, arm_y, bx, by, ex, ey, c, gap):
+        read_only(array)
+    label = (int(sign[0, 0]), int(sign[1, 0]), int(sign[2, 0]))
+    return ThreeRrrLegs(geometry, label, arm_x, arm_y, bx, by, ex, ey, c, gap)
+
+
+def leg_rates(legs: ThreeRrrLegs, velocity: ArrayLike, acceleration: ArrayLike) -> ThreeRrrRates:
+    """Return the rates of the link angles (Parsa 2014, eq. 2.28-2.38).
+
+    The corner moves with v_A = v + α̇ (A - P)⊥ and a_A = a + α̈ (A - P)⊥ - α̇² (A - P). Since |A - B| = l2:
+    e·(v_A - v_B) = 0 and e·(a_A - a_B) + l2² β̇² = 0, with v_B = θ̇ b⊥, a_B = θ̈ b⊥ - θ̇² b and e·b⊥ = -c.
+    Across the distal link, l2² β̇ = e⊥·(v_A - v_B) and l2² β̈ = e⊥·(a_A - a_B).
+
+    Velocity and acceleration are (N, 3), those of the platform's coordinates in the base frame.
+
+    Raises:
+        InputError: wrong shapes.
+    """
+    samples = legs.c.shape[1]
+    vx, vy, va = np.ascontiguousarray(checked(velocity, "velocity", (samples, 3)).T)
+    ax, ay, aa = np.ascontiguousarray(checked(acceleration, "acceleration", (samples, 3)).T)
+    bx, by, ex, ey, c = legs.bx, legs.by, legs.ex, legs.ey, legs.c
+    arm_x, arm_y = legs.arm_x, legs.arm_y
+    over_length = 1.0 / legs.geometry.distal_length**2
+    va_squared = va * va
+    corner_vx = vx - va * arm_y
+    corner_vy = vy + va * arm_x
+    corner_ax = ax - aa * arm_y - va_squared * arm_x
+    corner_ay = ay + aa * arm_x - va_squared * arm_y
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over_c = -1.0 / c
+        theta_rate = (ex * corner_vx + ey * corner_vy) * over_c
+        theta_rate_squared = theta_rate * theta_rate
+        across_v = ex * (corner_vy - theta_rate * bx) - ey * (corner_vx + theta_rate * by)
+        beta_rate = across_v * over_length
+        pull_x = corner_ax + theta_rate_squared * bx
+        pull_y = corner_ay + theta_rate_squared * by
+        theta_acceleration = (ex * pull_x + ey * pull_y + across_v * beta_rate) * over_c
+        pull_x += theta_acceleration * by
+        pull_y -= theta_acceleration * bx
+        beta_acceleration = (ex * pull_y - ey * pull_x) * over_length
+    return ThreeRrrRates(*map(read_only, (theta_rate, theta_acceleration, beta_rate, beta_acceleration)))
+
+
+def _arms(geometry: ThreeRrrGeometry, alpha: Array) -> tuple[Array, Array]:
+    offset = np.array(CORNER_ANGLES)[:, None]
+    cos_offset = -geometry.platform_radius * np.cos(offset)
+    sin_offset = -geometry.platform_radius * np.sin(offset)
+    cos_alpha, sin_alpha = np.cos(alpha), np.sin(alpha)
+    return cos_offset * cos_alpha - sin_offset * sin_alpha, sin_offset * cos_alpha + cos_offset * sin_alpha
+
+
+class ThreeRrrMechanism:
+    """The 3-RRR in one working mode.
+
+    The proximal link is a slender rod from the base hinge to the elbow. The distal link is one from the end of its tail
+    to the platform; the tail is there for the carrier, so a robot without carriers has none. A platform inertia of
+    "auto" is that of a uniform disc.
+
+    Args:
+        parameters: those of the model ``3rrr``, kg and m.
+        gravity: (3,) acceleration of gravity in the base frame, m/s².
+        mode: sign of each leg in θ = γ ± ψ.
+    """
+
+    angular_rows: tuple[bool, ...] = (False, False, True)
+    angular_columns: tuple[bool, ...] = (True, True, True)
+    least_margin = LEAST_ELBOW_SINE
+
+    def __init__(self, parameters: Parameters, gravity: Sequence[float], mode: Sequence[int]) -> None:
+        self.geometry = geometry = ThreeRrrGeometry.from_parameters(parameters)
+        self.gravity, self.mode = gravity, mode
+        carriers, given = bool(parameters["carriers"]), parameters["platform_inertia"]
+        tail = float(parameters["tail_length"]) if carriers else 0.0
+        self.proximal_mass = float(parameters["proximal_mass"])
+        self.distal_mass = float(parameters["distal_mass"])
+        self.distal_centre = 0.5 * (geometry.distal_length - tail)  # r_a, from the elbow towards the platform
+        self.distal_inertia = self.distal_mass * (geometry.distal_length + tail) ** 2 / 12.0
+        self.platform_mass = float(parameters["platform_mass"])
+        disc = 0.5 * self.platform_mass * geometry.platform_radius**2
+        self.platform_inertia = disc if given == "auto" else float(given)
+        self.carrier_mass = float(parameters["carrier_mass"]) if carriers else 0.0
+
+    def legs(self, x: Array) -> ThreeRrrLegs:
+        """Solve the inverse displacement at (N, 3) platform poses (x, y, α), m and rad."""
+        return inverse_displacement(self.geometry, x, self.mode)
+
+    def along(self, legs: ThreeRrrLegs, x: Array, xd: Array, xdd: Array) -> ThreeRrrAlongMotion:
+        """Return the dynamics along a motion (N, 3) through poses whose legs are solved."""
+        return ThreeRrrAlongMotion(self, legs, x, xd, xdd)
 
 
 class ThreeRrrAlongMotion:
     """Dynamics of the 3-RRR along one motion; what does not depend on the carriers is computed once."""
 
     def __init__(
-        self, parameters: ThreeRrrParameters, pose: Array, legs: ThreeRrrLegs, velocity: Array, acceleration: Array
+        self, mechanism: ThreeRrrMechanism, legs: ThreeRrrLegs, pose: Array, velocity: Array, acceleration: Array
     ) -> None:
-        self._p = p = parameters
+        self._p = p = mechanism
         self._legs = legs
-        self._pose, self._velocity, self._acceleration = pose, velocity, acceleration
+        self._motion = pose, velocity, acceleration
         self._rates = rates = leg_rates(legs, velocity, acceleration)
         gx, gy, _ = p.gravity
         l1, l2 = p.geometry.proximal_length, p.geometry.distal_length
@@ -166,11 +326,6 @@ class ThreeRrrAlongMotion:
         self._pull_x, self._pull_y = -ex / c, -ey / c
         self._turn_x, self._turn_y = ey * (-1.0 / l2**2), ex * (1.0 / l2**2)
 
-    @property
-    def jacobian(self) -> Array:
-        """(N, 3, 3) J with θ̇ = J ẋ (Parsa 2014, eq. 2.34-2.38)."""
-        return self._legs.jacobian
-
     def efforts(self, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
         """Return f, (3, N), N and N·m, and the carrier forces, (3, N), N.
 
@@ -191,39 +346,32 @@ class ThreeRrrAlongMotion:
         np.sum(Ry, axis=0, out=f[1])
         np.sum(self._legs.arm_x * Ry - self._legs.arm_y * Rx, axis=0, out=f[2])
         gx, gy, _ = p.gravity
-        a = self._acceleration
+        a = self._motion[2]
         f[0] += p.platform_mass * (a[:, 0] - gx)
         f[1] += p.platform_mass * (a[:, 1] - gy)
         f[2] += p.platform_inertia * a[:, 2]
         return f, force
 
-    def effort_derivatives(self, s: Array, sd: Array, sdd: Array) -> EffortDerivatives:
+    def effort_derivatives(self, s: Array, sd: Array, sdd: Array) -> tuple[Partials, Partials]:
         """Return the derivatives of ``efforts``: f is quadratic in (s, ṡ) and affine in s̈."""
         ms = self._p.carrier_mass
         rate = (2.0 * ms) * self._W
-        by_s = ms * self._swing, ms * (2.0 * s * self._Wd + self._a_across) + rate * sd
-        by_sd = rate * self._across, rate * s
-        by_sdd = ms * self._along, np.zeros_like(s)
-        return EffortDerivatives(
-            f_s=self._of_each_leg(*by_s),
-            f_sd=self._of_each_leg(*by_sd),
-            f_sdd=self._of_each_leg(*by_sdd),
-            force_s=-ms * self._W_squared,
-            force_sd=np.zeros_like(s),
-            force_sdd=np.full_like(s, ms),
-        )
+        by_s = self._of_each_leg(ms * self._swing, ms * (2.0 * s * self._Wd + self._a_across) + rate * sd)
+        by_sd = self._of_each_leg(rate * self._across, rate * s)
+        by_sdd = self._of_each_leg(ms * self._along, np.zeros_like(s))
+        return (by_s, by_sd, by_sdd), (-ms * self._W_squared, np.zeros_like(s), np.full_like(s, ms))
 
     def bodies(self, s: Array, sd: Array, sdd: Array) -> tuple[PlanarBodies, ...]:
         """Return proximal links, distal links, carriers and the platform."""
-        p = self._p
-        l1 = p.geometry.proximal_length
-        proximal, distal = self._frames
-        x, v, a = (np.ascontiguousarray(array.T)[:, None] for array in (self._pose, self._velocity, self._acceleration))
+        p, length = self._p, self._p.geometry.proximal_length
+        proximal, distal = self._links
+        x, v, a = (planar(part[None, :, 0], part[None, :, 1]) for part in self._motion)
+        spin, spin_rate = (part[None, :, 2] for part in self._motion[1:])
         return (
-            proximal.bodies(p.proximal_mass, p.proximal_mass * l1**2 / 12.0, (l1 / 2.0, 0.0, 0.0)),
-            distal.bodies(p.distal_mass, p.distal_inertia, (p.distal_centre, 0.0, 0.0)),
-            distal.bodies(p.carrier_mass, 0.0, (s, sd, sdd)),
-            PlanarBodies(p.platform_mass, p.platform_inertia, x[0], x[1], v[0], v[1], a[0], a[1], v[2], a[2]),
+            proximal.bodies(p.proximal_mass, p.proximal_mass * length**2 / 12.0, 0.5 * length),
+            distal.bodies(p.distal_mass, p.distal_inertia, p.distal_centre),
+            distal.bodies(p.carrier_mass, 0.0, s, sd, sdd),
+            PlanarBodies(p.platform_mass, p.platform_inertia, x, v, a, spin, spin_rate),
         )
 
     def _corner_force(self, T_theta: Array, T_beta: Array) -> tuple[Array, Array]:
@@ -237,19 +385,15 @@ class ThreeRrrAlongMotion:
         return np.stack([Rx, Ry, self._legs.arm_x * Ry - self._legs.arm_y * Rx])
 
     @cached_property
-    def _frames(self) -> tuple[LinkFrames, LinkFrames]:
-        """The frames of the proximal links, at the base hinges, and of the distal links, at the elbows."""
+    def _links(self) -> tuple[LinkFrames, LinkFrames]:
+        """The proximal links, their origins at the base hinges, and the distal links, theirs at the elbows."""
         legs, rates, geometry = self._legs, self._rates, self._p.geometry
-        G = geometry.base_points
-        zero = np.zeros_like(legs.c)
         l1, l2 = geometry.proximal_length, geometry.distal_length
-        w, wd = rates.theta_rate, rates.theta_acceleration
-        proximal = LinkFrames(
-            G[:, :1] + zero, G[:, 1:] + zero, zero, zero, zero, zero, legs.bx / l1, legs.by / l1, w, wd
+        still = np.zeros(legs.c.shape, dtype=np.complex128)
+        hinge = planar(geometry.base_points[:, :1], geometry.base_points[:, 1:]) + still
+        u, e = planar(legs.bx / l1, legs.by / l1), planar(legs.ex / l2, legs.ey / l2)
+        proximal = LinkFrames(hinge, still, still, u, rates.theta_rate, rates.theta_acceleration)
+        elbow = proximal.bodies(0.0, 0.0, l1)
+        return proximal, LinkFrames(
+            elbow.place, elbow.velocity, elbow.acceleration, e, rates.beta_rate, rates.beta_acceleration
         )
-        elbow = proximal.bodies(0.0, 0.0, (l1, 0.0, 0.0))
-        distal = LinkFrames(
-            elbow.x, elbow.y, elbow.vx, elbow.vy, elbow.ax, elbow.ay,
-            legs.ex / l2, legs.ey / l2, rates.beta_rate, rates.beta_acceleration,
-        )  # fmt: skip
-        return proximal, distal

@@ -1,129 +1,199 @@
 """Virtual work on the 2-RPR: a carrier across each leg (Parsa 2014, section 2.1), and the masses the thesis left out.
 
+Leg i hangs on the base hinge A1 = (0, 0), A2 = (base distance, 0) and spans B - A_i = d_i u_i, with u = (cos θ, sin θ)
+and n = (-sin θ, cos θ). Its working mode is the sign of d. No trigonometric function is needed: u is kept as a vector.
+
 Leg i turns about A_i by θ̇ = n·ẋ/d and stretches by ḋ = u·ẋ, so a leg with moment T_θ about its hinge and force
 T_d along itself resists the end-effector with n T_θ/d + u T_d. Bodies of a leg, in its own axes (u, n) from A:
 cylinder rod, centre at half its length; piston rod, centre at d less half its length; carrier at (L, σ s), with
 σ = +1, -1 on legs 1, 2. The end-effector is a point at B.
+
+Arrays that differ from leg to leg are leg-major, (2, N).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
-from redundancy_pin.dynamics.virtual_work.mechanism import EffortDerivatives, LinkFrames, PlanarBodies
-from redundancy_pin.dynamics.virtual_work.two_rpr_kinematics import (
-    TwoRprGeometry,
-    TwoRprLegs,
-    inverse_displacement,
-    leg_rates,
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, checked, read_only
+from redundancy_pin.dynamics.virtual_work.mechanism import (
+    Lengths,
+    LinkFrames,
+    Parameters,
+    Partials,
+    PlanarBodies,
+    planar,
+    signs,
 )
+from redundancy_pin.errors import InputError
 
 SIDE = np.array([[1.0], [-1.0]])
 """σ of each leg: the sense across the leg, along n, in which s grows (read off Parsa 2014, eq. 2.13 and 2.15)."""
 
 
 @dataclass(frozen=True)
-class TwoRprParameters:
-    """Geometry and masses of the 2-RPR.
+class TwoRprGeometry(Lengths):
+    """The distance of the two base hinges, m.
 
-    Attributes:
-        geometry: the lengths that fix the kinematics.
-        track_offset: L, distance of the track from the base hinge along the leg, m.
-        carrier_mass: of each carrier, kg; 0 where there is none.
-        end_effector_mass: point mass at B, kg.
-        cylinder_mass, cylinder_length: slender rod from the base hinge along the leg, kg and m.
-        piston_mass, piston_length: slender rod from B back along the leg, kg and m.
-        gravity: acceleration of gravity in the base frame, m/s².
+    Raises:
+        InputError: it is not positive and finite.
     """
 
-    geometry: TwoRprGeometry
-    track_offset: float
-    carrier_mass: float
-    end_effector_mass: float
-    cylinder_mass: float
-    cylinder_length: float
-    piston_mass: float
-    piston_length: float
-    gravity: tuple[float, float, float]
+    base_distance: float
 
-    @staticmethod
-    def from_parameters(
-        parameters: Mapping[str, float | bool | str], gravity: tuple[float, float, float]
-    ) -> TwoRprParameters:
-        """Read geometry and masses off the parameters of the model ``2rpr``."""
-        lengths_and_masses = {
-            name: float(parameters[name])
-            for name in (
-                "track_offset",
-                "end_effector_mass",
-                "cylinder_mass",
-                "cylinder_length",
-                "piston_mass",
-                "piston_length",
-            )
-        }
-        return TwoRprParameters(
-            geometry=TwoRprGeometry.from_parameters(parameters),
-            carrier_mass=float(parameters["carrier_mass"]) if parameters["carriers"] else 0.0,
-            gravity=gravity,
-            **lengths_and_masses,
-        )
-
-
-@dataclass(frozen=True)
-class TwoRprMechanism:
-    """The 2-RPR in one working mode."""
-
-    parameters: TwoRprParameters
-    mode: tuple[int, int]
-
-    angular_rows = (False, False)
-    angular_columns = (False, False)
-
-    def legs(self, x: Array) -> TwoRprPoses:
-        """Solve the inverse displacement at (N, 2) end-effector positions, m."""
-        return TwoRprPoses(self.parameters, x, inverse_displacement(self.parameters.geometry, x, self.mode))
+    @property
+    def base_x(self) -> Array:
+        """(2, 1) abscissa of the base hinges, m; both lie on y = 0."""
+        return read_only(np.array([[0.0], [self.base_distance]]))
 
 
 @dataclass(frozen=True, eq=False)
-class TwoRprPoses:
-    """Poses of the 2-RPR with their legs; ``point`` is (N, 2) the end-effector, m."""
+class TwoRprLegs:
+    """The legs of the 2-RPR at sampled positions of the end-effector, in one working mode.
 
-    parameters: TwoRprParameters
-    point: Array
-    solved: TwoRprLegs
+    Attributes:
+        mode: sign of d of each leg.
+        d: (2, N) signed leg length, m.
+        ux, uy: (2, N) direction of the leg in the base frame; NaN where d = 0.
+        gap: (2, N) what the closure A + d u = B leaves, m; a few roundings, and 0 where d = 0.
+    """
 
-    least_margin = CLOSURE_TOLERANCE
-
-    @property
-    def gap(self) -> Array:
-        """(2, N) what the closure leaves, m."""
-        return self.solved.gap
+    mode: tuple[int, int]
+    d: Array
+    ux: Array
+    uy: Array
+    gap: Array
 
     @property
     def margin(self) -> Array:
         """(2, N) |d|, m: at d = 0 the direction of the leg is lost (type I)."""
-        return np.abs(self.solved.d)
+        return np.abs(self.d)
 
-    def along(self, velocity: Array, acceleration: Array) -> TwoRprAlongMotion:
-        """Return the dynamics along a motion through these poses."""
-        return TwoRprAlongMotion(self.parameters, self.point, self.solved, velocity, acceleration)
+    @property
+    def theta(self) -> Array:
+        """(2, N) angle of u against the base line, rad, in (-π, π]."""
+        return read_only(np.arctan2(self.uy, self.ux))
+
+    @property
+    def jacobian(self) -> Array:
+        """(N, 2, 2) J with ḋ = J ẋ; row i is u_i (Parsa 2014, eq. 2.2)."""
+        J = np.empty((self.d.shape[1], 2, 2))
+        J[:, :, 0] = self.ux.T
+        J[:, :, 1] = self.uy.T
+        return read_only(J)
+
+
+class TwoRprRates(NamedTuple):
+    """Rates, (2, N) each, of the leg lengths, m/s and m/s², and of the leg angles, rad/s and rad/s²."""
+
+    d_rate: Array
+    d_acceleration: Array
+    theta_rate: Array
+    theta_acceleration: Array
+
+
+def inverse_displacement(geometry: TwoRprGeometry, point: ArrayLike, mode: Sequence[int] = (1, 1)) -> TwoRprLegs:
+    """Return the legs that put the end-effector at ``point`` (Parsa 2014, eq. 2.1).
+
+    Args:
+        geometry: the lengths.
+        point: (N, 2) end-effector B in the base frame, m. NaN passes through.
+        mode: sign of d of each leg.
+
+    Raises:
+        InputError: ``point`` is not (N, 2) or ``mode`` not two signs.
+    """
+    sign = signs(mode, 2)
+    B = np.asarray(point, dtype=float)
+    if B.ndim != 2 or B.shape[1] != 2:
+        raise InputError(
+            f"point has shape {B.shape}, expected (N, 2).", remedy="Rows are samples, columns are x and y."
+        )
+    x = B[:, 0] - geometry.base_x
+    y = np.broadcast_to(B[:, 1], x.shape)
+    d = np.hypot(x, y) * sign
+    with np.errstate(divide="ignore", invalid="ignore"):  # d = 0 has no direction: NaN says so
+        ux, uy = x / d, y / d
+    gap = np.hypot(d * ux - x, d * uy - y)
+    gap[d == 0.0] = 0.0  # whatever its direction
+    for array in (d, ux, uy, gap):
+        read_only(array)
+    return TwoRprLegs((int(sign[0, 0]), int(sign[1, 0])), d, ux, uy, gap)
+
+
+def leg_rates(legs: TwoRprLegs, velocity: ArrayLike, acceleration: ArrayLike) -> TwoRprRates:
+    """Return the rates of the legs (Parsa 2014, eq. 2.2-2.9).
+
+    From B = A + d u: v = ḋ u + d θ̇ n and a = (d̈ - d θ̇²) u + (d θ̈ + 2 ḋ θ̇) n, read along u and n.
+
+    Velocity and acceleration are (N, 2), those of the end-effector's coordinates in the base frame.
+
+    Raises:
+        InputError: wrong shapes.
+    """
+    samples = legs.d.shape[1]
+    v = checked(velocity, "velocity", (samples, 2))
+    a = checked(acceleration, "acceleration", (samples, 2))
+    vx, vy, ax, ay = v[:, 0], v[:, 1], a[:, 0], a[:, 1]
+    ux, uy, d = legs.ux, legs.uy, legs.d
+    with np.errstate(divide="ignore", invalid="ignore"):
+        d_rate = ux * vx + uy * vy
+        theta_rate = (ux * vy - uy * vx) / d
+        d_acceleration = ux * ax + uy * ay + d * theta_rate**2
+        theta_acceleration = (ux * ay - uy * ax - 2.0 * d_rate * theta_rate) / d
+    return TwoRprRates(*map(read_only, (d_rate, d_acceleration, theta_rate, theta_acceleration)))
+
+
+class TwoRprMechanism:
+    """The 2-RPR in one working mode.
+
+    Args:
+        parameters: those of the model ``2rpr``, kg and m. Cylinder and piston are slender rods, from the base hinge
+            along the leg and from B back along it.
+        gravity: (3,) acceleration of gravity in the base frame, m/s².
+        mode: sign of d of each leg.
+    """
+
+    angular_rows: tuple[bool, ...] = (False, False)
+    angular_columns: tuple[bool, ...] = (False, False)
+    least_margin = CLOSURE_TOLERANCE
+
+    def __init__(self, parameters: Parameters, gravity: Sequence[float], mode: Sequence[int]) -> None:
+        self.geometry = TwoRprGeometry.from_parameters(parameters)
+        self.gravity, self.mode = gravity, mode
+        self.track_offset = float(parameters["track_offset"])
+        self.carrier_mass = float(parameters["carrier_mass"]) if parameters["carriers"] else 0.0
+        self.end_effector_mass = float(parameters["end_effector_mass"])
+        self.cylinder_mass, self.cylinder_length = (
+            float(parameters["cylinder_mass"]),
+            float(parameters["cylinder_length"]),
+        )
+        self.piston_mass, self.piston_length = float(parameters["piston_mass"]), float(parameters["piston_length"])
+
+    def legs(self, x: Array) -> TwoRprLegs:
+        """Solve the inverse displacement at (N, 2) end-effector positions, m."""
+        return inverse_displacement(self.geometry, x, self.mode)
+
+    def along(self, legs: TwoRprLegs, x: Array, xd: Array, xdd: Array) -> TwoRprAlongMotion:
+        """Return the dynamics along a motion (N, 2) through poses whose legs are solved."""
+        return TwoRprAlongMotion(self, legs, x, xd, xdd)
 
 
 class TwoRprAlongMotion:
     """Dynamics of the 2-RPR along one motion; what does not depend on the carriers is computed once."""
 
     def __init__(
-        self, parameters: TwoRprParameters, point: Array, legs: TwoRprLegs, velocity: Array, acceleration: Array
+        self, mechanism: TwoRprMechanism, legs: TwoRprLegs, point: Array, velocity: Array, acceleration: Array
     ) -> None:
-        self._p = p = parameters
+        self._p = p = mechanism
         self._legs = legs
-        self._point, self._velocity, self._acceleration = point, velocity, acceleration
+        self._motion = point, velocity, acceleration
         self._rates = rates = leg_rates(legs, velocity, acceleration)
         gx, gy, _ = p.gravity
         ux, uy, d = legs.ux, legs.uy, legs.d
@@ -146,11 +216,6 @@ class TwoRprAlongMotion:
         self._f_fixed[0] += p.end_effector_mass * (acceleration[:, 0] - gx)
         self._f_fixed[1] += p.end_effector_mass * (acceleration[:, 1] - gy)
 
-    @property
-    def jacobian(self) -> Array:
-        """(N, 2, 2) J with ḋ = J ẋ (Parsa 2014, eq. 2.2)."""
-        return self._legs.jacobian
-
     def efforts(self, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
         """Return f, (2, N), N, and the carrier forces, (2, N), N (Parsa 2014, eq. 2.13-2.17, with gravity).
 
@@ -164,48 +229,37 @@ class TwoRprAlongMotion:
         force = m * (sdd - s * w * w + SIDE * (L * wd - self._g_across))
         return f, force
 
-    def effort_derivatives(self, s: Array, sd: Array, sdd: Array) -> EffortDerivatives:
+    def effort_derivatives(self, s: Array, sd: Array, sdd: Array) -> tuple[Partials, Partials]:
         """Return the derivatives of ``efforts``: f is quadratic in (s, ṡ) and affine in s̈."""
         m, L = self._p.carrier_mass, self._p.track_offset
         w, wd = self._rates.theta_rate, self._rates.theta_acceleration
         along_f = np.stack([self._nx_over_d, self._ny_over_d])
-        return EffortDerivatives(
-            f_s=along_f * (m * (2.0 * s * wd + 2.0 * w * sd + SIDE * self._g_along)),
-            f_sd=along_f * (2.0 * m * s * w),
-            f_sdd=along_f * (SIDE * (m * L)),
-            force_s=-m * w * w,
-            force_sd=np.zeros_like(w),
-            force_sdd=np.full_like(w, m),
-        )
+        by_s = along_f * (m * (2.0 * s * wd + 2.0 * w * sd + SIDE * self._g_along))
+        by_sd, by_sdd = along_f * (2.0 * m * s * w), along_f * (SIDE * (m * L))
+        return (by_s, by_sd, by_sdd), (-m * w * w, np.zeros_like(w), np.full_like(w, m))
 
     def bodies(self, s: Array, sd: Array, sdd: Array) -> tuple[PlanarBodies, ...]:
         """Return cylinders, pistons, carriers and the end-effector."""
-        p, frames = self._p, self._frames
-        d, rates = self._legs.d, self._rates
-        x, v, a = self._point, self._velocity, self._acceleration
-        still = np.zeros((1, len(x)))
+        p, links, rates = self._p, self._links, self._rates
+        piston = self._legs.d - 0.5 * p.piston_length
+        x, v, a = (planar(part[None, :, 0], part[None, :, 1]) for part in self._motion)
+        still = np.zeros(x.shape)
         return (
-            frames.bodies(p.cylinder_mass, p.cylinder_mass * p.cylinder_length**2 / 12.0, _at(p.cylinder_length / 2.0)),
-            frames.bodies(
+            links.bodies(p.cylinder_mass, p.cylinder_mass * p.cylinder_length**2 / 12.0, 0.5 * p.cylinder_length),
+            links.bodies(
                 p.piston_mass,
                 p.piston_mass * p.piston_length**2 / 12.0,
-                (d - 0.5 * p.piston_length, rates.d_rate, rates.d_acceleration),
+                piston,
+                rates.d_rate,
+                rates.d_acceleration,
             ),
-            frames.bodies(p.carrier_mass, 0.0, _at(p.track_offset), (SIDE * s, SIDE * sd, SIDE * sdd)),
-            PlanarBodies(
-                p.end_effector_mass, 0.0, x[None, :, 0], x[None, :, 1], v[None, :, 0], v[None, :, 1],
-                a[None, :, 0], a[None, :, 1], still, still,
-            ),
-        )  # fmt: skip
+            links.bodies(p.carrier_mass, 0.0, p.track_offset + 1j * SIDE * s, 1j * SIDE * sd, 1j * SIDE * sdd),
+            PlanarBodies(p.end_effector_mass, 0.0, x, v, a, still, still),
+        )
 
     @cached_property
-    def _frames(self) -> LinkFrames:
-        zero = np.zeros_like(self._legs.d)
-        return LinkFrames(
-            self._p.geometry.base_x + zero, zero, zero, zero, zero, zero,
-            self._legs.ux, self._legs.uy, self._rates.theta_rate, self._rates.theta_acceleration,
-        )  # fmt: skip
-
-
-def _at(position: float) -> tuple[float, float, float]:
-    return position, 0.0, 0.0
+    def _links(self) -> LinkFrames:
+        """The legs, their origins at the base hinges."""
+        u, still = planar(self._legs.ux, self._legs.uy), np.zeros(self._legs.d.shape, dtype=np.complex128)
+        base = planar(self._p.geometry.base_x, np.zeros((2, 1))) + still
+        return LinkFrames(base, still, still, u, self._rates.theta_rate, self._rates.theta_acceleration)

@@ -1,0 +1,92 @@
+"""Files of keys and values against a schema of pydantic: a bad one is refused by key, value and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
+
+from redundancy_pin.errors import DeclarationError, did_you_mean
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+class Schema(BaseModel):
+    """A mapping with known keys; the description of a field says what is allowed there, in messages too."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def validated(kind: type[_Model], data: object, *, key: str = "", context: object = None) -> _Model:
+    """Return the data as a model.
+
+    Args:
+        kind: the model; its validators raise ``ValueError`` with what is allowed.
+        data: as a reader of YAML or JSON gives it.
+        key: where the data are in their file, for messages.
+        context: handed to the validators.
+
+    Raises:
+        DeclarationError: naming the first bad key, its value and what is allowed; for an unknown key the nearest known.
+    """
+    try:
+        return kind.model_validate(data, context=context)
+    except ValidationError as error:
+        # a misspelt key is also a missing one: name the spelling
+        first = min(error.errors(include_url=False), key=lambda entry: entry["type"] != "extra_forbidden")
+    path, reason = first["loc"], first["type"]
+    field, inner = _at(kind, path)
+    if reason == "extra_forbidden":
+        require_known_keys([str(path[-1])], list(inner.model_fields), _joined(key, path[:-1]))
+    value = None if reason == "missing" else first["input"]
+    if reason == "value_error":
+        allowed = str(first["ctx"]["error"])
+    elif reason == "model_type" or (reason == "missing" and field and _model_in(field.annotation)):
+        allowed = f"a mapping with the keys {', '.join(inner.model_fields)}"
+    else:
+        allowed = (field.description if field else None) or first["msg"]
+    raise bad_value(_joined(key, path), value, allowed)
+
+
+def bad_value(key: str, value: object, allowed: str) -> DeclarationError:
+    """Return the error for a value that is not allowed."""
+    return DeclarationError(
+        f"The declaration's `{key}` is {value!r}.", remedy=f"It must be {allowed}.", key=key, value=value
+    )
+
+
+def require_known_keys(given: Sequence[str] | Mapping[str, Any], known: Sequence[str], where: str) -> None:
+    """Check that every key is known.
+
+    Raises:
+        DeclarationError: with the nearest known key.
+    """
+    for key in given:
+        if key not in known:
+            place = f" in `{where}`" if where else ""
+            remedy = f"{did_you_mean(key, known)}Allowed: {', '.join(known)}."
+            raise DeclarationError(f"Unknown key `{key}`{place}.", remedy=remedy, key=key)
+
+
+def _joined(key: str, path: Sequence[int | str]) -> str:
+    for part in path:
+        key = f"{key}[{part}]" if isinstance(part, int) else f"{key}.{part}" if key else part
+    return key
+
+
+def _at(kind: type[BaseModel], path: Sequence[int | str]) -> tuple[FieldInfo | None, type[BaseModel]]:
+    """Return the innermost field on a path (of a root model: its root), and the innermost model."""
+    field = kind.model_fields.get("root")
+    for part in path:
+        if part in kind.model_fields:
+            field = kind.model_fields[str(part)]
+            kind = _model_in(field.annotation) or kind
+    return field, kind
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((model for part in get_args(annotation) if (model := _model_in(part))), None)
