@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from redundancy_pin.errors import OutputError, RedundancyPinError
-from redundancy_pin.visualisation.figures.efforts import EffortCurves, plot_comparison, plot_efforts
+from redundancy_pin.visualisation.figures.comparisons import EffortCurves, plot_comparison, plot_efforts
 from redundancy_pin.visualisation.figures.paths import PathCurves, plot_path
 from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES, figure, save
 

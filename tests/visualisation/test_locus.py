@@ -14,8 +14,7 @@ from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.singularities.crossings import find_crossings
 from redundancy_pin.singularities.locus import SingularLocus, singular_locus
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.figures.locus import draw_locus, plot_locus
-from redundancy_pin.visualisation.figures.paths import base_hinges, links
+from redundancy_pin.visualisation.figures.paths import base_hinges, draw_locus, links, plot_locus
 
 pytest.importorskip("matplotlib")
 

@@ -18,8 +18,9 @@ from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
-from redundancy_pin.visualisation.figures.plan import phase_runs, plot_plan
+from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import STROKES, save
+from redundancy_pin.visualisation.figures.time_panels import phase_runs
 
 T = np.linspace(0.0, 1.0, 101)
 PHASES = ("parked", "ramp_down", "off", "return")

@@ -130,7 +130,8 @@ def test_singular_instants_are_where_the_circle_meets_the_line_of_the_base() -> 
     for drawn in (rp.plot.condition(computed()), rp.plot.efforts(computed()), rp.plot.carriers(computed())):
         for axes in drawn.axes:
             np.testing.assert_allclose(_verticals(axes), expected, atol=INSTANT)
-    assert "singular instant" in rp.plot.condition(computed()).axes[0].get_legend_handles_labels()[1]
+    (legend,) = rp.plot.condition(computed()).legends
+    assert [text.get_text() for text in legend.get_texts()] == ["near-singular", "singular instant"]
 
 
 def test_a_plan_marks_the_instants_its_planner_found() -> None:

@@ -15,10 +15,10 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.view import default_motion, motion_shown, show
-from redundancy_pin.visualisation.viewer.motion import make_scene
+from redundancy_pin.view import default_motion, show
 from redundancy_pin.visualisation.viewer.parts import BALANCED_RADIUS
-from redundancy_pin.visualisation.viewer.scene import Scene, Solid, arc_points, corners_of
+from redundancy_pin.visualisation.viewer.scene import Scene
+from redundancy_pin.visualisation.viewer.solids import Solid, arc_points, corners_of
 
 LEVER = np.array([0.1, 0.02, 0.03])
 """Centre of mass of every link that ``urdf_of`` writes, in the frame of its joint, m."""
@@ -58,7 +58,7 @@ def turned() -> tuple[Array, Scene]:
     motion = default_motion(robot())
     s = np.stack([np.linspace(-0.7, 1.1, len(motion)), np.linspace(0.0, 2.0, len(motion))], axis=1)
     carriers = CarrierMotion(s, np.zeros_like(s), np.zeros_like(s))
-    return s, make_scene(motion_shown(robot(), motion, carriers))
+    return s, show(robot(), motion, carriers).scene
 
 
 def solid(scene: Scene, name: str, body: str) -> Solid:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from redundancy_pin.visualisation.figures.style import BEYOND, CARRIER_STROKES, STROKES
+from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES
 from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels
 
 T = np.linspace(0.0, 1.0, 11)
@@ -13,10 +13,12 @@ T = np.linspace(0.0, 1.0, 11)
 
 def test_limits_that_are_near_are_hatched_and_others_left_out() -> None:
     position = Panel("s [m]", (Curve("carrier 1", T, 0.9 * T, carrier=True),), limits=(-1.0, 1.0))
-    (axes,) = plot_time_panels("title", [position]).axes
+    drawn = plot_time_panels("title", [position])
+    (axes,) = drawn.axes
     (band,) = [patch.get_bbox() for patch in axes.patches if patch.get_hatch()]
     assert (band.y0, band.y1) == pytest.approx((1.0, axes.get_ylim()[1]))
-    assert axes.get_legend_handles_labels()[1] == ["carrier 1", BEYOND]
+    assert axes.get_legend_handles_labels()[1] == ["carrier 1"]
+    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["beyond a limit"]
     far = Panel("s [m]", (Curve("carrier 1", T, 0.1 * T),), limits=(-1.0, 1.0))
     (axes,) = plot_time_panels("title", [far]).axes
     assert not [patch for patch in axes.patches if patch.get_hatch()]
@@ -25,11 +27,12 @@ def test_limits_that_are_near_are_hatched_and_others_left_out() -> None:
 
 def test_both_sides_are_hatched_but_named_once() -> None:
     speed = Panel("v [m/s]", (Curve("carrier 1", T, 2.0 * T - 1.0, carrier=True),), limits=(-1.2, 1.2))
-    (axes,) = plot_time_panels("title", [speed]).axes
+    drawn = plot_time_panels("title", [speed])
+    (axes,) = drawn.axes
     bands = sorted((patch.get_bbox().y0, patch.get_bbox().y1) for patch in axes.patches if patch.get_hatch())
     low, high = axes.get_ylim()
     np.testing.assert_allclose(bands, [(low, -1.2), (1.2, high)])
-    assert axes.get_legend_handles_labels()[1].count(BEYOND) == 1
+    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["beyond a limit"]
 
 
 def test_carriers_and_condition_numbers_are_no_main_actuators() -> None:

@@ -14,6 +14,7 @@ import logging
 import os
 import warnings
 import webbrowser
+from collections.abc import Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -23,49 +24,93 @@ from typing import Any
 
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import write_text
-from redundancy_pin.visualisation.viewer.meshcat_scene import MESH_OPACITY, send_scene, solid_path
-from redundancy_pin.visualisation.viewer.scene import (
-    EFFORT_COLORS,
-    MARGIN_COLORS,
-    ROLE_COLORS,
-    ROLE_NAMES,
-    Scene,
-    margin_labels,
-)
+from redundancy_pin.visualisation.viewer.meshcat_scene import arrow_path, send_scene, solid_path
+from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, Scene, margin_labels
+from redundancy_pin.visualisation.viewer.solids import MESH_OPACITY, ROLE_COLORS, ROLE_NAMES
 
-_TEMPLATE = Path(__file__).with_name("page.html")
+PORT = 7000
+"""Where the page is if the port is free; else the system chooses one."""
+
+_HERE = "127.0.0.1"
+_LOG = logging.getLogger(__name__)
 
 
-class Recorder:
-    """Takes the place of meshcat's window: keeps what it is sent instead of passing it to a server.
+@dataclass(frozen=True, eq=False)
+class View:
+    """A scene that can be looked at. The last expression of a notebook cell shows itself; no display is needed.
 
     Attributes:
-        commands: packed messages, in the order they came.
+        scene: what is shown.
+        forces: whether arrows are shown at first.
+        height: of the picture in a notebook, pixels.
     """
+
+    scene: Scene
+    forces: bool = True
+    height: int = 480
+
+    def html(self) -> str:
+        """Return one self-contained HTML page, a megabyte and its meshes: it plays offline, at true speed, in a loop.
+
+        Raises:
+            RedundancyPinError: meshcat is not installed.
+        """
+        require_meshcat()
+        import meshcat
+
+        recorder = _Recorder()
+        send_scene(meshcat.Visualizer(window=recorder), self.scene, forces=self.forces)
+        return _page(self.scene, recorder.commands, forces=self.forces)
+
+    def save(self, path: str | Path) -> None:
+        """Write the page to a file; the same scene gives the same bytes.
+
+        Raises:
+            OutputError: the suffix is not .html, or the file cannot be written; an earlier one is as it was.
+            RedundancyPinError: meshcat is not installed.
+        """
+        require_html(path)
+        write_text(path, self.html())
+
+    def serve(self, *, open_browser: bool = False) -> LiveView:
+        """Show the page at an address of this machine, ``http://127.0.0.1:7000/`` if it is free.
+
+        Args:
+            open_browser: whether to open it in the default browser.
+
+        Raises:
+            RedundancyPinError: meshcat is not installed, or no port can be opened.
+        """
+        live = serve_page(self.html())
+        if open_browser:
+            webbrowser.open(live.url)
+        return live
+
+    def _repr_html_(self) -> str:
+        """Return the page in a frame, for a notebook."""
+        inlined = html.escape(self.html(), quote=True)
+        style = f"width: 100%; height: {self.height}px; border: none"
+        return f'<iframe srcdoc="{inlined}" style="{style}" title="{html.escape(self.scene.title)}"></iframe>'
+
+
+class _Recorder:
+    """Takes the place of meshcat's window: keeps packed messages, in order, instead of passing them to a server."""
 
     def __init__(self) -> None:
         self.commands: list[bytes] = []
 
     def send(self, command: Any) -> None:
-        """Keep a command."""
         import umsgpack
 
         self.commands.append(umsgpack.packb(command.lower()))
 
 
-def page(scene: Scene, commands: list[bytes], *, forces: bool) -> str:
-    """Return the HTML of a scene.
-
-    Args:
-        scene: for title and legend.
-        commands: packed messages of meshcat, in order.
-        forces: whether arrows are shown at first.
-    """
+def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
+    """Return the HTML of a scene from meshcat's packed messages, in order."""
     import meshcat
 
     folder = Path(meshcat.__file__).parent / "viewer"
-    viewer = folder / "dist" / "main.min.js"
-    encoded = json.dumps([base64.b64encode(command).decode("ascii") for command in commands])
+    meshes = [solid_path(scene, solid) for solid in scene.solids if solid.shape == "mesh"]
     parts = {
         "TITLE": html.escape(scene.title),
         "LICENSES": _licenses(folder),
@@ -73,16 +118,16 @@ def page(scene: Scene, commands: list[bytes], *, forces: bool) -> str:
         "CAPTIONS": "".join(f"<div>{html.escape(text)}</div>" for text in scene.captions),
         "CHECKED": "checked" if forces else "",
         "HAS_FORCES": "" if scene.arrows else "hidden",
-        "HAS_MESHES": "" if any(solid.shape == "mesh" for solid in scene.solids) else "hidden",
-        "MESH_NODES": json.dumps([solid_path(scene, solid) for solid in scene.solids if solid.shape == "mesh"]),
+        "HAS_MESHES": "" if meshes else "hidden",
+        "MESH_NODES": json.dumps(meshes),
         "MESH_OPACITY": json.dumps(MESH_OPACITY),
-        "COMMANDS": encoded,
+        "COMMANDS": json.dumps([base64.b64encode(command).decode("ascii") for command in commands]),
         "DURATION": json.dumps(scene.duration),
-        "FORCE_NODES": json.dumps([f"{item.group}_{item.name.replace('/', '_')}" for item in scene.arrows]),
+        "FORCE_NODES": json.dumps([arrow_path(arrow) for arrow in scene.arrows]),
         # an end tag inside a script would end it; in a string or a pattern the backslash changes nothing
-        "VIEWER": viewer.read_text(encoding="utf-8").replace("</script", "<\\/script"),
+        "VIEWER": (folder / "dist" / "main.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script"),
     }
-    text = _TEMPLATE.read_text(encoding="utf-8")
+    text = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
     for name, value in parts.items():  # the viewer last: what it contains is not to be replaced
         text = text.replace(f"@{name}@", value)
     return text
@@ -91,35 +136,25 @@ def page(scene: Scene, commands: list[bytes], *, forces: bool) -> str:
 def _licenses(folder: Path) -> str:
     """Return the notices that copies of the viewer have to carry."""
     notices = [folder / "LICENSE", folder / "dist" / "main.min.js.LICENSE.txt"]
-    said = "\n".join(notice.read_text(encoding="utf-8") for notice in notices if notice.is_file())
-    return f"The viewer in this page is meshcat.\n{said}".replace("--", "- -")
+    text = "\n".join(notice.read_text(encoding="utf-8") for notice in notices if notice.is_file())
+    return f"The viewer in this page is meshcat.\n{text}".replace("--", "- -")  # -- would end the comment
 
 
 def _legend(scene: Scene) -> str:
-    roles = [role for role in ROLE_NAMES if any(solid.role == role for solid in scene.solids)]
+    present, groups = {solid.role for solid in scene.solids}, {arrow.group for arrow in scene.arrows}
     # links have the colours of the URDF where it gives them
-    entries = [(ROLE_NAMES[role], ROLE_COLORS[role]) for role in roles if role != "link"]
-    groups = {item.group for item in scene.arrows}
-    entries += [
-        (f"effort of {what}", EFFORT_COLORS[group])
-        for group, what in (("main", "main actuators"), ("carrier", "carriers"))
-        if group in groups
-    ]
-    drawn = "".join(_entry(name, color) for name, color in entries)
-    margins = "".join(_entry(name, color) for name, color in zip(margin_labels(), MARGIN_COLORS, strict=True))
-    colored = "platform, path" if any(item.role == "platform" for item in scene.plates) else "path"
-    return f"{drawn}<div class='head'>margin to singularity ({colored})</div>{margins}"
+    entries = [(name, ROLE_COLORS[role]) for role, name in ROLE_NAMES.items() if role in present - {"link"}]
+    if "main" in groups:
+        entries.append(("effort of main actuators", EFFORT_COLORS["main"]))
+    if "carrier" in groups:
+        entries.append(("effort of carriers", EFFORT_COLORS["carrier"]))
+    colored = "platform, path" if "platform" in present else "path"
+    head = f"<div class='head'>margin to singularity ({colored})</div>"
+    return _entries(entries) + head + _entries(list(zip(margin_labels(), MARGIN_COLORS, strict=True)))
 
 
-def _entry(name: str, color: str) -> str:
-    return f"<div><i style='background:{color}'></i>{html.escape(name)}</div>"
-
-
-PORT = 7000
-"""Where the page is if the port is free; else the system chooses one."""
-
-_HERE = "127.0.0.1"
-_LOG = logging.getLogger(__name__)
+def _entries(entries: Sequence[tuple[str, str]]) -> str:
+    return "".join(f"<div><i style='background:{color}'></i>{html.escape(name)}</div>" for name, color in entries)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,64 +231,6 @@ def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
             _LOG.debug(format, *args)
 
     return Handler
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A scene that can be looked at. The last expression of a notebook cell shows itself; no display is needed.
-
-    Attributes:
-        scene: what is shown.
-        forces: whether arrows are shown at first.
-        height: of the picture in a notebook, pixels.
-    """
-
-    scene: Scene
-    forces: bool = True
-    height: int = 480
-
-    def html(self) -> str:
-        """Return one self-contained HTML page, a megabyte and its meshes: it plays offline, at true speed, in a loop.
-
-        Raises:
-            RedundancyPinError: meshcat is not installed.
-        """
-        require_meshcat()
-        import meshcat
-
-        recorder = Recorder()
-        send_scene(meshcat.Visualizer(window=recorder), self.scene, forces=self.forces)
-        return page(self.scene, recorder.commands, forces=self.forces)
-
-    def save(self, path: str | Path) -> None:
-        """Write the page to a file; the same scene gives the same bytes.
-
-        Raises:
-            OutputError: the suffix is not .html, or the file cannot be written; an earlier one is as it was.
-            RedundancyPinError: meshcat is not installed.
-        """
-        require_html(path)
-        write_text(path, self.html())
-
-    def serve(self, *, open_browser: bool = False) -> LiveView:
-        """Show the page at an address of this machine, ``http://127.0.0.1:7000/`` if it is free.
-
-        Args:
-            open_browser: whether to open it in the default browser.
-
-        Raises:
-            RedundancyPinError: meshcat is not installed, or no port can be opened.
-        """
-        live = serve_page(self.html())
-        if open_browser:
-            webbrowser.open(live.url)
-        return live
-
-    def _repr_html_(self) -> str:
-        """Return the page in a frame, for a notebook."""
-        inlined = html.escape(self.html(), quote=True)
-        style = f"width: 100%; height: {self.height}px; border: none"
-        return f'<iframe srcdoc="{inlined}" style="{style}" title="{html.escape(self.scene.title)}"></iframe>'
 
 
 def require_html(path: str | Path) -> None:
