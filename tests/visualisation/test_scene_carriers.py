@@ -154,17 +154,21 @@ def test_pages_and_snapshots_show_it(tmp_path: Path) -> None:
 def test_corners_hold_what_is_drawn(name: str) -> None:
     """Boxes that hold a solid: every vertex that viewers draw is inside, and each face is touched."""
     pytest.importorskip("meshcat")
-    from redundancy_pin.visualisation.viewer.meshcat_scene import _shape
+    from redundancy_pin.visualisation.viewer.meshcat_scene import tube
 
     scene = turned()[1] if name != "3rrr" else show("3rrr").scene
     seen = set()
     for item in scene.solids:
         corners = (corners_of(item) - item.placement[:3, 3]) @ item.placement[:3, :3]
-        if item.shape in ("arc", "cylinder"):
-            drawn = np.asarray(_shape(item).vertices)
-            slack = item.size[1] if item.shape == "arc" else 0.02 * item.size[0]  # of a polygon for a circle
+        if item.shape == "arc":
+            drawn, slack = tube(arc_points(item), item.size[1])[0], item.size[1]
+        elif item.mesh is not None:
+            drawn, slack = item.mesh[0], 1e-9
         else:
-            reach = 0.5 * np.array(item.size) if item.shape == "box" else np.full(3, item.size[0])
+            radius, *length = item.size
+            reach = {"box": 0.5 * np.array(item.size), "sphere": np.full(3, radius)}.get(
+                item.shape, np.array([radius, radius, 0.5 * length[-1] if length else 0.0])
+            )
             drawn, slack = np.array([reach, -reach]), 1e-9
         np.testing.assert_allclose(corners.max(axis=0), drawn.max(axis=0), atol=1.01 * slack)
         np.testing.assert_allclose(corners.min(axis=0), drawn.min(axis=0), atol=1.01 * slack)
