@@ -26,14 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_MARKERS = 36
-"""Markers of the second backend along each line: enough to see the shape, few enough to see the line."""
-
-_STRETCHES = 300
-"""Stretches of the curve of differences, whose rounding noise would blacken the panel."""
-
-_ROUNDING = 1e-17
-"""Bottom of that curve; smaller differences are zero but for chance."""
+_MARKERS = 36  # markers of the second backend along each line: enough to see the shape, few enough to see the line
+_STRETCHES = 300  # stretches of the curve of differences, whose rounding noise would blacken the panel
+_ROUNDING = 1e-17  # bottom of that curve; smaller differences are zero but for chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +74,6 @@ def plot_efforts(curves: EffortCurves) -> Figure:
     Inside near-singular windows efforts are not drawn: they grow as (missing force)/margin, without bound. What stays
     finite is drawn in the panel below, the norm of the efforts (as forces) times the margin; at a singular instant it
     is the force that no actuator can carry.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     names = [f"carrier {i + 1}" for i in range(curves.carrier_force.shape[1])]
     panels = [_both(curves)]
@@ -149,9 +141,6 @@ def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mappin
         names: of the m actuators.
         unit: of the efforts.
         cases: by label: (N,) time, s, and (N, m) efforts.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     columns = []
     for i in range(len(names)):
@@ -176,9 +165,6 @@ def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, insta
         plans: by what the column is called.
         unit: of the main efforts.
         instants: singular instants, s, drawn as dotted lines.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     columns = []
     for name, plan in plans.items():

@@ -19,20 +19,15 @@ if TYPE_CHECKING:
 
 Kind = Literal["feasible", "stopped_early", "infeasible", "failed"]
 
-_COLORS = "cividis"
-"""Lightness rises evenly, so that it reads in grey too."""
-
-_DECADES = 30.0
-"""Largest over smallest effort from which on colours are logarithmic."""
-
+_COLORS = "cividis"  # lightness rises evenly, so that it reads in grey too
+_DECADES = 30.0  # largest over smallest effort from which on colours are logarithmic
 _HATCHES: Mapping[str, tuple[str, str]] = {"infeasible": ("////", "#BDBDBD"), "failed": ("....", "#8C8C8C")}
 _RING: dict[str, Any] = {
     "linestyle": "none", "marker": "o", "markerfacecolor": "#FFFFFF", "markeredgecolor": "#000000"
 }  # fmt: skip
 """Of a plan whose optimiser stopped early."""
 
-_LARGEST, _SMALLEST = 9.0, 4.5
-"""Size of the letters, points: as the tiles allow; below the smallest there is none."""
+_LARGEST, _SMALLEST = 9.0, 4.5  # size of the letters, points: as the tiles allow; below the smallest there is none
 
 
 @dataclass(frozen=True)
@@ -98,9 +93,6 @@ def plot_feasibility(panels: Sequence[MapPanel], labels: MapLabels) -> Figure:
     Args:
         panels: one for each planner.
         labels: text and scales.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     borders = [border_of(panel.tiles) for panel in panels]
     with figure(1.4 + 4.3 * len(panels), 5.4, labels.title) as drawn:

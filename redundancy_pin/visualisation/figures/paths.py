@@ -41,8 +41,7 @@ __all__ = [
     "plot_plane_paths",
 ]
 
-_ZOOM_BELOW = 0.3
-"""A path smaller than this fraction of the mechanism gets a panel of its own."""
+_ZOOM_BELOW = 0.3  # A path smaller than this fraction of the mechanism gets a panel of its own
 
 
 def label_plane(axes: Axes, plane: str = "xy") -> None:
@@ -108,11 +107,7 @@ class PathCurves:
 
 
 def plot_path(curves: PathCurves) -> Figure:
-    """Draw the mechanism with the path, the path enlarged where it is small, and the condition number over time.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
-    """
+    """Draw the mechanism with the path, the path enlarged where it is small, and the condition number over time."""
     everything = np.concatenate([curves.point, curves.hinges, *curves.links])
     zoomed = np.ptp(curves.point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
     ratios = [1.0, 1.0, 1.4] if zoomed else [1.0, 1.4]
@@ -162,9 +157,6 @@ def plot_plane_paths(
         links: lines (2, 2) of the mechanism, m; none where left out.
         hinges: (h, 2) hinges on the base, m.
         singular: where the path is singular, m.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     with figure(6.0, 5.2) as drawn:
         axes = drawn.add_subplot(title=title)
@@ -202,7 +194,6 @@ def plot_locus(
 
     Raises:
         OutputError: the file cannot be written, or its suffix is no picture format; nothing is changed then.
-        RedundancyPinError: matplotlib is not installed.
     """
     drawn = draw_locus(locus, motion=motion, crossings=crossings)
     with replacing_file(path) as temporary:
@@ -222,7 +213,6 @@ def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: 
 
     Raises:
         InputError: something else than a locus.
-        RedundancyPinError: matplotlib is not installed.
     """
     if not isinstance(locus, SingularLocus):
         raise InputError(

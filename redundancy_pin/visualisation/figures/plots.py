@@ -12,7 +12,8 @@ curves apart in print without colour, singular instants dotted, near-singular st
     locus       singular curves over the workspace            of ``singular_locus``
     comparison  the efforts of several plans                  of plans or ``curves``
 
-A new figure over time is a function here that lists its panels: ``time_panels`` says how.
+All raise ``RedundancyPinError`` where matplotlib is not installed. A new figure over time is a function here that lists
+its panels: ``time_panels`` says how.
 """
 
 from __future__ import annotations
@@ -76,9 +77,6 @@ def efforts(subject: Plan | Curves) -> Figure:
 
     Args:
         subject: a plan, or ``curves`` of an inverse-dynamics computation.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     drawn = curves_of(subject)
     panels = [main_panel(drawn), *([force_panel(drawn)] if drawn.carriers.s.shape[1] else [])]
@@ -93,7 +91,6 @@ def carriers(subject: Plan | Curves) -> Figure:
 
     Raises:
         InputError: the robot has no carriers.
-        RedundancyPinError: matplotlib is not installed.
     """
     drawn = curves_of(subject)
     if drawn.carriers.s.shape[1] == 0:
@@ -106,9 +103,6 @@ def condition(subject: Plan | Curves) -> Figure:
 
     Args:
         subject: a plan, or ``curves`` of an inverse-dynamics computation.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     drawn = curves_of(subject)
     panel = replace(singularity_panel(drawn), height=1.4)
@@ -130,9 +124,6 @@ def plan(
         title: of the figure; made from the plan when left out.
         reference: (N, m) main efforts to compare with, thin lines, N or N·m.
         reference_name: what the legend calls them.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     drawn = curves_of_plan(plan)
     main, bounds = main_panel(drawn), numbers(plan.parameters.get("effort"))
@@ -168,7 +159,6 @@ def path(
     Raises:
         InputError: a plan with a motion, a robot without one, or a platform without x and y.
         PlanFileError: the robot of the plan is gone or has changed.
-        RedundancyPinError: matplotlib is not installed.
     """
     if isinstance(subject, Plan) is (motion is not None):
         raise InputError(
@@ -211,7 +201,6 @@ def comparison(subjects: Mapping[str, Plan | Curves], *, title: str | None = Non
 
     Raises:
         InputError: none, more than there are line styles, or different numbers of actuators.
-        RedundancyPinError: matplotlib is not installed.
     """
     drawn = {label: curves_of(subject) for label, subject in subjects.items()}
     kinds = {(each.tau.shape[1], each.main_unit) for each in drawn.values()}

@@ -27,12 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_FAINTEST = 0.25
-"""Opacity of the first instant; the last one is drawn in full."""
-
-_BASE_OPACITY = 0.18
-"""Of the base, which is behind everything."""
-
+_FAINTEST = 0.25  # opacity of the first instant; the last one is drawn in full
+_BASE_OPACITY = 0.18  # of the base, which is behind everything
 _TRACK: dict[str, Any] = {"linestyle": (0, (3, 1.5))}
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
@@ -54,7 +50,6 @@ def draw_snapshots(
 
     Raises:
         InputError: no view, an unknown plane, or times outside the motion.
-        RedundancyPinError: matplotlib is not installed.
     """
     scene = view.scene if isinstance(view, View) else view
     if not isinstance(scene, Scene):

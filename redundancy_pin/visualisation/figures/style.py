@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_FINER = 1.6
-"""Pixels of the picture per pixel of the page: lettering stays sharp on dense screens."""
+_FINER = 1.6  # pixels of the picture per pixel of the page: lettering stays sharp on dense screens
 
 
 @functools.cache
@@ -94,12 +93,8 @@ WINDOW: dict[str, Any] = {"facecolor": "#D9D9D9", "edgecolor": "none", "label": 
 
 _FORMATS = ("png", "svg", "pdf")
 
-_LETTERS, _KEY = 15.0, 9
-"""Letters of a legend on an inch, and how many of them an entry takes with its line and space."""
-
-_TITLE_LETTERS = 12.0
-"""Letters of a title on an inch."""
-
+_LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space
+_TITLE_LETTERS = 12.0  # letters of a title on an inch
 _SETTINGS: dict[str, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_HATCHES = ("", "///", "...", "xxx", "---", "\\\\\\")
-"""So that bars can be told apart without colour."""
+_HATCHES = ("", "///", "...", "xxx", "---", "\\\\\\")  # so that bars can be told apart without colour
 
 
 def plot_bars(
@@ -32,9 +31,6 @@ def plot_bars(
         groups_label: of their axis.
         label: of the values' axis, with its unit.
         series: (G,) positive values by method; NaN leaves a gap that is marked "none".
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     width = max(8.0, 1.6 + 0.9 * len(groups))
     with figure(width, 3.6, title) as drawn:
@@ -77,9 +73,6 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
     Args:
         title: of the figure.
         attempts: one curve each.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     with figure(7.0, 4.6, title) as drawn:
         axes = drawn.subplots()
@@ -98,8 +91,7 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
         return drawn
 
 
-_LETTERS = 42
-"""Of a line of a panel's title."""
+_LETTERS = 42  # of a line of a panel's title
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,9 +117,6 @@ def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
     Args:
         title: of the figure.
         curves: one panel each.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     with figure(3.8 * len(curves), 3.8, title) as drawn:
         panels = drawn.subplots(1, len(curves), squeeze=False)[0]
@@ -159,9 +148,6 @@ def plot_tracking(title: str, curves: Mapping[str, tuple[Array, Array]]) -> Figu
     Args:
         title: of the figure.
         curves: by label, (N,) times, s, and (N,) distances, m.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     lines = tuple(Curve(label, t, np.maximum(error, LEAST), i) for i, (label, (t, error)) in enumerate(curves.items()))
     top = max(float(np.nanmax(curve.value)) for curve in lines)

@@ -39,21 +39,12 @@ if TYPE_CHECKING:
 Windows = Sequence[tuple[float, float]]
 """First and last time of each near-singular stretch, s."""
 
-_CONDITION_TOP = 1e3
-"""Largest condition number of the axis: at a singular instant it is infinite."""
-
-_CONDITION_LINEAR = 10.0
-"""Up to this condition number the axis is linear."""
-
-_HEADROOM = 0.08
-"""Free space above and below what an axis shows, as a fraction of it."""
-
-_VISIBLE_FRACTION = 0.35
-"""A limit is drawn if the curves use at least this fraction of it; else it would flatten them."""
-
+_CONDITION_TOP = 1e3  # largest condition number of the axis: at a singular instant it is infinite
+_CONDITION_LINEAR = 10.0  # up to this condition number the axis is linear
+_HEADROOM = 0.08  # free space above and below what an axis shows, as a fraction of it
+_VISIBLE_FRACTION = 0.35  # A limit is drawn if the curves use at least this fraction of it; else it would flatten them
+# Greys of the phases, in the order of their names; neighbours differ enough to be told apart in print
 _PHASE_FILLS = ("#FFFFFF", "#E4E4E4", "#C4C4C4", "#F1F1F1", "#D4D4D4", "#B4B4B4")
-"""Greys of the phases, in the order of their names; neighbours differ enough to be told apart in print."""
-
 _BOX: dict[str, Any] = {"facecolor": "#FFFFFF", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}
 
 
@@ -154,9 +145,6 @@ def plot_time_panels(
         plan: whose phases are shaded; none where left out.
         instants: singular instants, s, drawn as dotted lines.
         windows: near-singular stretches, shaded.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     size = 7.2, 1.1 + 1.75 * sum(panel.height for panel in panels)
     return plot_panel_grid(title, [panels], size, plan=plan, instants=instants, windows=windows)

@@ -34,29 +34,16 @@ AROUND = 14
 PATH_RADIUS = 0.008
 """Of the traced path, in sizes of the machine."""
 
+# Angle of an arc up to its head: long enough to tell the sense of rotation, short enough to see where it starts
 _ARC = 1.5 * np.pi
-"""Angle of an arc up to its head: long enough to tell the sense of rotation, short enough to see where it starts."""
-
-_NOTHING = 1e-6
-"""Least size of an arrow, m: viewers warn of objects without any."""
-
-_MARGIN = 0.1
-"""Free space about the machine, in its sizes: arrows need some."""
-
-_SAMPLED = 40
-"""Frames from which the camera's view follows."""
-
-_DISTANCE = 1.4
-"""Of the camera, in radii of what it must see: its view is 75 degrees high."""
-
-_LAST = 3
-"""Order in which arrows are drawn: after what is see-through (0) and the path (1, 2)."""
-
-_ENDLESS = 2**31 - 1
-"""Repetitions of the animation."""
-
+_NOTHING = 1e-6  # least size of an arrow, m: viewers warn of objects without any
+_MARGIN = 0.1  # free space about the machine, in its sizes: arrows need some
+_SAMPLED = 40  # frames from which the camera's view follows
+_DISTANCE = 1.4  # of the camera, in radii of what it must see: its view is 75 degrees high
+_LAST = 3  # order in which arrows are drawn: after what is see-through (0) and the path (1, 2)
+_ENDLESS = 2**31 - 1  # repetitions of the animation
+# Turns meshcat's cylinders, which stand on y, to z
 _Y_TO_Z = place(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
-"""Turns meshcat's cylinders, which stand on y, to z."""
 
 
 def send_scene(viewer: Any, scene: Scene, *, forces: bool = True) -> None:

@@ -36,23 +36,12 @@ BAR_RADIUS = 0.012
 PLATE_THICKNESS = 0.02
 """Of the platform; the base is half as thick."""
 
-_POINT_RADIUS = 0.09
-"""Of a platform that is a point."""
-
-_ARM_RADIUS = 0.01
-"""Of the arm that holds a turning carrier, and of the arc it runs along."""
-
-_LONGEST_RAIL = 1.2
-"""Half length at which the drawing of an unbounded track ends."""
-
-_BALANCED = 1e-3
-"""Distance of the centre of mass from the axis below which it counts as on it."""
-
-_CLEAR = 0.35
-"""Opacity of what other things must be seen through."""
-
-_NO_LENGTH = 1e-9
-"""m; points that are nearer are one."""
+_POINT_RADIUS = 0.09  # of a platform that is a point
+_ARM_RADIUS = 0.01  # of the arm that holds a turning carrier, and of the arc it runs along
+_LONGEST_RAIL = 1.2  # half length at which the drawing of an unbounded track ends
+_BALANCED = 1e-3  # distance of the centre of mass from the axis below which it counts as on it
+_CLEAR = 0.35  # opacity of what other things must be seen through
+_NO_LENGTH = 1e-9  # m; points that are nearer are one
 
 
 def solids_of(robot: Robot) -> tuple[Solid, ...]:

@@ -47,8 +47,7 @@ MOST_POINTS = 1000
 LONGEST_FORCE, LONGEST_TORQUE = 0.4, 0.16
 """Length of the arrow of the largest force, radius of the arc of the largest torque, in sizes of the machine."""
 
-_BEYOND = 1.5
-"""Efforts next to a singularity grow without bound; their arrows stop at this multiple of the longest."""
+_BEYOND = 1.5  # efforts next to a singularity grow without bound; their arrows stop at this multiple of the longest
 
 
 @dataclass(frozen=True, eq=False)

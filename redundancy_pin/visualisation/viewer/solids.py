@@ -50,12 +50,8 @@ ROLE_NAMES: Mapping[Role, str] = {
 MESH_OPACITY = 0.5
 """Of meshes: joints, closures and carriers are inside them."""
 
-_ARC_STEP = 0.05
-"""Of the points along an arc, rad."""
-
-_WARNED = 3
-"""Of the meshes that cannot be read, how many the warning names."""
-
+_ARC_STEP = 0.05  # of the points along an arc, rad
+_WARNED = 3  # of the meshes that cannot be read, how many the warning names
 _SCHEMES = ("package://", "model://")
 _LOG = logging.getLogger(__name__)
 
