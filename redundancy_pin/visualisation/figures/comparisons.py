@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_RING = {"linestyle": "none", "markersize": 4.5, "markerfacecolor": "none", "markeredgewidth": 0.9}
 _MARKERS = 36  # markers of the second backend along each line: enough to see the shape, few enough to see the line
 _STRETCHES = 300  # stretches of the curve of differences, whose rounding noise would blacken the panel
 _ROUNDING = 1e-17  # bottom of that curve; smaller differences are zero but for chance
@@ -92,30 +93,23 @@ def _both(curves: EffortCurves) -> Panel:
     lines = series([f"{name}, {curves.backends[0]}" for name in curves.names], curves.t, shown)
     every, markers = max(1, len(curves.t) // _MARKERS), []
     for i, name in enumerate(curves.names):
-        start = (i * every) // len(curves.names)
-        style = {"linestyle": "none", "marker": STROKES[i % len(STROKES)].marker, "markersize": 4.5,
-                 "markerfacecolor": "none", "markeredgewidth": 0.9}  # fmt: skip
-        label = f"{name}, {curves.backends[1]}"
-        markers.append(Curve(label, curves.t[start::every], checked[start::every, i], i, style=style))
+        style = {"marker": STROKES[i % len(STROKES)].marker, "markevery": ((i * every) // len(curves.names), every)}
+        markers.append(Curve(f"{name}, {curves.backends[1]}", curves.t, checked[:, i], i, style=_RING | style))
     kind = "torque" if curves.unit == "N·m" else "force"
     return Panel(f"actuator {kind} τ [{curves.unit}]", (*lines, *markers), height=1.7)
 
 
 def _bounded(curves: EffortCurves) -> Panel:
     force, check = (np.linalg.norm(tau / curves.scale, axis=1) * curves.margin for tau in (curves.tau, curves.check))
-    every = max(1, len(curves.t) // _MARKERS)
-    ring = {"linestyle": "none", "marker": "o", "markersize": 4, "markerfacecolor": "none", "color": "#666666"}
+    ring = _RING | {"marker": "o", "color": "#666666", "markevery": max(1, len(curves.t) // _MARKERS)}
     cross = {"linestyle": "none", "marker": "x", "markersize": 7, "markeredgewidth": 1.6, "color": "#D55E00"}
     missing = "at the singular instant: force that no actuator can carry"
-    return Panel(
-        "|τ| · margin [N]",
-        (
-            Curve("", curves.t, force, style={"color": "#000000", "linewidth": 1.2}),
-            Curve("", curves.t[::every], check[::every], style=ring),
-            Curve(missing, np.array(curves.instants), np.array(curves.missing_force), style=cross),
-        ),
-        height=0.8,
+    lines = (
+        Curve("", curves.t, force, style={"color": "#000000", "linewidth": 1.2}),
+        Curve("", curves.t, check, style=ring),
+        Curve(missing, np.array(curves.instants), np.array(curves.missing_force), style=cross),
     )
+    return Panel("|τ| · margin [N]", lines, height=0.8)
 
 
 def _difference(curves: EffortCurves) -> Panel:
@@ -123,12 +117,9 @@ def _difference(curves: EffortCurves) -> Panel:
     weighted = curves.margin[:, None] / curves.scale
     difference = np.linalg.norm((curves.tau - curves.check) * weighted, axis=1)
     size = float(np.nanmax(np.linalg.norm(curves.tau * weighted, axis=1), initial=0.0)) or 1.0
-    # the largest of each of a few hundred stretches of samples, at their middle times
-    stretch = max(1, len(curves.t) // _STRETCHES)
-    count = len(curves.t) // stretch
-    largest = np.nan_to_num(difference[: count * stretch] / size).reshape(count, stretch).max(axis=1)
-    curve = Curve("largest nearby", curves.t[stretch // 2 :: stretch][:count], np.maximum(largest, _ROUNDING / 10.0),
-                  style={"color": "#444444", "linewidth": 1.0})  # fmt: skip
+    starts = np.arange(0, len(curves.t), max(1, len(curves.t) // _STRETCHES))
+    largest = np.maximum(np.maximum.reduceat(np.nan_to_num(difference / size), starts), _ROUNDING / 10.0)
+    curve = Curve("largest nearby", curves.t[starts], largest, style={"color": "#444444", "linewidth": 1.0})
     within = (_ROUNDING / 3.0, 1e-9)
     return Panel("difference of\nbackends [–]", (curve,), ((1e-10, "tolerance"),), log=True, within=within, height=0.7)
 
@@ -142,16 +133,18 @@ def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mappin
         unit: of the efforts.
         cases: by label: (N,) time, s, and (N, m) efforts.
     """
-    columns = []
-    for i in range(len(names)):
-        peaks = [float(np.nanmax(np.abs(tau[:, i]), initial=0.0)) for _, tau in cases.values()]
-        columns.append(tuple(
-            Curve(f"{label}: peak {peak:.3g} {unit}", t, tau[:, i], stroke)
-            for stroke, ((label, (t, tau)), peak) in enumerate(zip(cases.items(), peaks, strict=True))
-        ))  # fmt: skip
-    within = fitted_range([curve for column in columns for curve in column])
-    panels = [Panel(f"{name} [{unit}]", column, within=within) for name, column in zip(names, columns, strict=True)]
-    return plot_time_panels(title, panels)
+
+    def curve(i: int, stroke: int, label: str) -> Curve:
+        t, tau = cases[label]
+        peak = float(np.nanmax(np.abs(tau[:, i]), initial=0.0))
+        return Curve(f"{label}: peak {peak:.3g} {unit}", t, tau[:, i], stroke)
+
+    panels = [
+        Panel(f"{name} [{unit}]", tuple(curve(i, stroke, label) for stroke, label in enumerate(cases)))
+        for i, name in enumerate(names)
+    ]
+    within = fitted_range([curve for panel in panels for curve in panel.curves])
+    return plot_time_panels(title, [replace(panel, within=within) for panel in panels])
 
 
 def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: Sequence[float] = ()) -> Figure:

@@ -13,13 +13,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.visualisation.figures.paths import label_plane
 from redundancy_pin.visualisation.figures.style import figure, legend_below
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import (
-    MARGIN_COLORS,
-    UNKNOWN_COLOR,
-    Scene,
-    margin_classes,
-    margin_labels,
-)
+from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, UNKNOWN_COLOR, Scene, margin_classes, margin_labels
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, ROLE_NAMES, Solid, arc_points, corners_of
 
 if TYPE_CHECKING:

@@ -244,10 +244,7 @@ def _animate(clips: dict[Any, Any], group: Any, t: Array, **tracks: Array) -> No
 
 def _pose(placement: Array) -> dict[str, Array]:
     """Return position and quaternion of a moving frame (F, 4, 4)."""
-    return {
-        "position": placement[:, :3, 3],
-        "quaternion": Rotation.from_matrix(placement[:, :3, :3]).as_quat(),
-    }
+    return {"position": placement[:, :3, 3], "quaternion": Rotation.from_matrix(placement[:, :3, :3]).as_quat()}
 
 
 # --- shapes that meshcat has not ---------------------------------------------------------------------------------
