@@ -23,12 +23,8 @@ from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import make_scene
 
-SWING_DURATION = 2.0
-"""Of the default motion of a robot that has none in the thesis, s."""
-
-SWING = 0.15
-"""Its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow."""
-
+SWING_DURATION = 2.0  # of the default motion of a robot that has none in the thesis, s
+SWING = 0.15  # its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow
 _HALVINGS = 8
 _DT = 0.005
 
@@ -102,8 +98,10 @@ def default_motion(robot: Robot) -> PlatformMotion:
         InputError: the robot cannot swing about its reference.
     """
     # other lengths or another working mode may keep a machine of the thesis from following its trajectory
-    thesis = {"2rpr": reference.circle, "3rrr": reference.corner}.get(robot.closed_form or "")
-    motions = [thesis().sample(_DT)] if thesis is not None else []
+    motions = []
+    if robot.closed_form in ("2rpr", "3rrr"):
+        thesis = reference.circle() if robot.closed_form == "2rpr" else reference.corner()
+        motions.append(thesis.sample(_DT))
     motions += [_swing(robot, SWING * 0.5**halving) for halving in range(_HALVINGS)]
     for motion in motions:
         try:

@@ -159,7 +159,7 @@ def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, insta
         unit: of the main efforts.
         instants: singular instants, s, drawn as dotted lines.
     """
-    columns = []
+    columns: list[list[Panel]] = []
     for name, plan in plans.items():
         first = not columns
         peak = f"peak {float(plan.peak_effort.max()):.3g} {unit}, {plan.status.value.replace('_', ' ')}"

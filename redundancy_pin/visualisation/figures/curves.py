@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray
 from redundancy_pin.dynamics.base import ReducedDynamics
@@ -186,9 +187,8 @@ def main_panel(drawn: Curves) -> Panel:
 
 def force_panel(drawn: Curves, events: Sequence[LimitEvent] = ()) -> Panel:
     """Return the efforts of the carriers; ``events`` are limits to mark as broken."""
-    label = "torque [N·m]" if drawn.carriers_turn else "force [N]"
-    limits = [(-each.force, each.force) for each in drawn.limits]
-    return _carrier_panel(drawn, label, "force", drawn.carrier_force, limits, events)
+    unit, limits = "torque [N·m]" if drawn.carriers_turn else "force [N]", [each.force for each in drawn.limits]
+    return _carrier_panel(drawn, unit, "force", drawn.carrier_force, [(-limit, limit) for limit in limits], events)
 
 
 def singularity_panel(drawn: Curves) -> Panel:
@@ -198,27 +198,22 @@ def singularity_panel(drawn: Curves) -> Panel:
 
 def carrier_panels(drawn: Curves, events: Sequence[LimitEvent] = ()) -> list[Panel]:
     """Return panels of position, speed and acceleration of the carriers; ``events`` are limits to mark as broken."""
-    unit, motion = "rad" if drawn.carriers_turn else "m", drawn.carriers
-    track = [(each.lower, each.upper) for each in drawn.limits]
-    speed = [(-each.speed, each.speed) for each in drawn.limits]
-    acceleration = [(-each.acceleration, each.acceleration) for each in drawn.limits]
+    unit, motion, limits = "rad" if drawn.carriers_turn else "m", drawn.carriers, drawn.limits
     return [
-        _carrier_panel(drawn, f"position s [{unit}]", "track", motion.s, track, events),
-        _carrier_panel(drawn, f"speed ṡ [{unit}/s]", "speed", motion.sd, speed, events),
-        _carrier_panel(drawn, f"acceleration s̈ [{unit}/s²]", "acceleration", motion.sdd, acceleration, events),
-    ]
+        _carrier_panel(drawn, label, quantity, values, edges, events)
+        for label, quantity, values, edges in (
+            (f"position s [{unit}]", "track", motion.s, [(each.lower, each.upper) for each in limits]),
+            (f"speed ṡ [{unit}/s]", "speed", motion.sd, [(-each.speed, each.speed) for each in limits]),
+            (f"acceleration s̈ [{unit}/s²]", "acceleration", motion.sdd,
+             [(-each.acceleration, each.acceleration) for each in limits]),
+        )
+    ]  # fmt: skip
 
 
 def _carrier_panel(
-    drawn: Curves,
-    label: str,
-    quantity: str,
-    values: Array,
-    limits: Sequence[tuple[float, float]],
-    events: Sequence[LimitEvent],
+    drawn: Curves, label: str, quantity: str, values: Array, limits: ArrayLike, events: Sequence[LimitEvent]
 ) -> Panel:
     names = [f"carrier {i + 1}" for i in range(values.shape[1])]
-    marks = tuple(
-        (event.worst, event.value, f"{event.amount:.2g} beyond") for event in events if event.quantity == quantity
-    )
+    broken = [event for event in events if event.quantity == quantity]
+    marks = tuple((event.worst, event.value, f"{event.amount:.2g} beyond") for event in broken)
     return Panel(f"carrier {label}", series(names, drawn.t, values, carrier=True), limits=limits, marks=marks)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
@@ -68,7 +69,7 @@ def _draw_path(axes: Axes, point: Array, stroke: Stroke, label: str, start_label
     axes.annotate("", xy=(x[head], y[head]), xytext=(x[tail], y[tail]), arrowprops=arrow)
 
 
-def _draw_singular(axes: Axes, points: Sequence[tuple[float, float]], color: str, label: str = "singular") -> None:
+def _draw_singular(axes: Axes, points: Sequence[ArrayLike], color: str, label: str = "singular") -> None:
     if len(points):
         axes.plot(*np.array(points).T, "x", color=color, markersize=9, markeredgewidth=2, zorder=3.1, label=label)
 

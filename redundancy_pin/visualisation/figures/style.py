@@ -88,9 +88,8 @@ INSTANT: dict[str, Any] = {
 }  # fmt: skip
 """How a singular instant is drawn, and what legends call it."""
 
+# How a stretch of near-singular samples is drawn, and what legends call it
 WINDOW: dict[str, Any] = {"facecolor": "#D9D9D9", "edgecolor": "none", "label": "near-singular"}
-"""How a stretch of near-singular samples is drawn, and what legends call it."""
-
 _FORMATS = ("png", "svg", "pdf")
 
 _LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space

@@ -138,8 +138,7 @@ def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
         return drawn
 
 
-LEAST = 1e-16
-"""m; what is smaller is drawn there."""
+LEAST = 1e-16  # m; what is smaller is drawn there
 
 
 def plot_tracking(title: str, curves: Mapping[str, tuple[Array, Array]]) -> Figure:

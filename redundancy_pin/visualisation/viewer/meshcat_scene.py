@@ -28,11 +28,8 @@ from redundancy_pin.visualisation.viewer.scene import (
 )
 from redundancy_pin.visualisation.viewer.solids import Mesh, Solid, arc_points, corners_of
 
-AROUND = 14
-"""Corners of the round cross-section of an arrow."""
-
-PATH_RADIUS = 0.008
-"""Of the traced path, in sizes of the machine."""
+AROUND = 14  # corners of the round cross-section of an arrow
+PATH_RADIUS = 0.008  # of the traced path, in sizes of the machine
 
 # Angle of an arc up to its head: long enough to tell the sense of rotation, short enough to see where it starts
 _ARC = 1.5 * np.pi
@@ -224,7 +221,7 @@ def _code(color: str) -> int:
 _KINDS = {"position": "vector3", "quaternion": "quaternion", "scale": "vector3", "visible": "bool"}
 
 
-def _animate(clips: dict[Any, Any], group: Any, t: Array, **tracks: Array) -> None:
+def _animate(clips: dict[Any, Any], group: Any, t: Array, **tracks: Array | BoolArray) -> None:
     """Give a group of the viewer key frames of what changes of it: arrays over the frames (F, ...) by property."""
     from meshcat.animation import AnimationClip, AnimationTrack
 

@@ -28,9 +28,7 @@ from redundancy_pin.visualisation.viewer.meshcat_scene import arrow_path, send_s
 from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, Scene, margin_labels
 from redundancy_pin.visualisation.viewer.solids import MESH_OPACITY, ROLE_COLORS, ROLE_NAMES
 
-PORT = 7000
-"""Where the page is if the port is free; else the system chooses one."""
-
+PORT = 7000  # where the page is if the port is free; else the system chooses one
 _HERE = "127.0.0.1"
 _LOG = logging.getLogger(__name__)
 
@@ -181,40 +179,13 @@ class LiveView:
 
 
 def serve_page(text: str) -> LiveView:
-    """Start a server for one HTML page.
-
-    Args:
-        text: of the page.
+    """Start a server for one HTML page, at ``PORT`` if it is free.
 
     Raises:
         RedundancyPinError: no port can be opened.
     """
-    server = _server(_handler(text.encode("utf-8")))
-    thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
-    thread.start()
-    return LiveView(f"http://{_HERE}:{server.server_address[1]}/", server, thread)
+    page = text.encode("utf-8")
 
-
-def _server(handler: type[BaseHTTPRequestHandler]) -> ThreadingHTTPServer:
-    try:
-        return _Server((_HERE, PORT), handler)
-    except OSError:
-        pass  # taken, by another view as a rule
-    try:
-        return _Server((_HERE, 0), handler)
-    except OSError as error:
-        raise RedundancyPinError(
-            f"No port of {_HERE} can be opened for the view: {error}.",
-            remedy="Write a file instead (--html, View.save).",
-        ) from error
-
-
-class _Server(ThreadingHTTPServer):
-    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
-    daemon_threads = True
-
-
-def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             if self.path.partition("?")[0] != "/":
@@ -230,7 +201,24 @@ def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
         def log_message(self, format: str, *args: Any) -> None:
             _LOG.debug(format, *args)
 
-    return Handler
+    try:
+        server = _Server((_HERE, PORT), Handler)
+    except OSError:  # taken, by another view as a rule
+        try:
+            server = _Server((_HERE, 0), Handler)
+        except OSError as error:
+            raise RedundancyPinError(
+                f"No port of {_HERE} can be opened for the view: {error}.",
+                remedy="Write a file instead (--html, View.save).",
+            ) from error
+    thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
+    thread.start()
+    return LiveView(f"http://{_HERE}:{server.server_address[1]}/", server, thread)
+
+
+class _Server(ThreadingHTTPServer):
+    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
+    daemon_threads = True
 
 
 def require_html(path: str | Path) -> None:

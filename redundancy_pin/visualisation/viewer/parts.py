@@ -18,24 +18,13 @@ from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Mesh, Role, Shape, Solid, shapes_of_urdf
 
+# Cross-section of a straight track: narrow and high, so that it stands out of the link it lies on
 RAIL_WIDTH, RAIL_HEIGHT = 0.012, 0.06
-"""Cross-section of a straight track: narrow and high, so that it stands out of the link it lies on."""
-
-CARRIER_SIDE = 0.06
-"""Of a carrier without a shape of its own."""
-
-BALANCED_RADIUS = 0.1
-"""Of the arc about a carrier whose centre of mass is on its axis."""
-
-JOINT_RADIUS, JOINT_LENGTH = 0.03, 0.06
-"""Of a joint; thicker than the links of the shipped robots."""
-
-BAR_RADIUS = 0.012
-"""Of a link that has no shape of its own."""
-
-PLATE_THICKNESS = 0.02
-"""Of the platform; the base is half as thick."""
-
+CARRIER_SIDE = 0.06  # of a carrier without a shape of its own
+BALANCED_RADIUS = 0.1  # of the arc about a carrier whose centre of mass is on its axis
+JOINT_RADIUS, JOINT_LENGTH = 0.03, 0.06  # of a joint; thicker than the links of the shipped robots
+BAR_RADIUS = 0.012  # of a link that has no shape of its own
+PLATE_THICKNESS = 0.02  # of the platform; the base is half as thick
 _POINT_RADIUS = 0.09  # of a platform that is a point
 _ARM_RADIUS = 0.01  # of the arm that holds a turning carrier, and of the arc it runs along
 _LONGEST_RAIL = 1.2  # half length at which the drawing of an unbounded track ends

@@ -22,31 +22,19 @@ from redundancy_pin.visualisation.viewer.solids import Solid
 Group = Literal["main", "carrier"]
 """Whose effort an arrow shows."""
 
+# Colours of the arrows: the main actuators', the carriers'
 EFFORT_COLORS: Mapping[Group, str] = {"main": "#E4007C", "carrier": "#00A3A3"}
-"""Colours of the arrows: the main actuators', the carriers'."""
-
+# Where the classes of the margin part: below the first a pose is reported as near-singular
 MARGIN_EDGES = (NEAR_SINGULAR_MARGIN, 0.1, 0.2, 0.4)
-"""Where the classes of the margin part: below the first a pose is reported as near-singular."""
-
+# Colour of each class of the margin, from singular to far
 MARGIN_COLORS = ("#B2182B", "#EF6C00", "#F6B600", "#5BAA3A", "#2166AC")
-"""Colour of each class of the margin, from singular to far."""
+UNKNOWN_COLOR = "#9E9E9E"  # where there is no margin
 
-UNKNOWN_COLOR = "#9E9E9E"
-"""Where there is no margin."""
-
-
-FRAME_RATE = 60.0
-"""Frames a second of the motion's own time."""
-
-MOST_FRAMES = 600
-"""Longer motions get fewer frames a second; a viewer interpolates between them."""
-
-MOST_POINTS = 1000
-"""Of the drawn path, but for changes of its colour."""
-
+FRAME_RATE = 60.0  # frames a second of the motion's own time
+MOST_FRAMES = 600  # longer motions get fewer frames a second; a viewer interpolates between them
+MOST_POINTS = 1000  # of the drawn path, but for changes of its colour
+# Length of the arrow of the largest force, radius of the arc of the largest torque, in sizes of the machine
 LONGEST_FORCE, LONGEST_TORQUE = 0.4, 0.16
-"""Length of the arrow of the largest force, radius of the arc of the largest torque, in sizes of the machine."""
-
 _BEYOND = 1.5  # efforts next to a singularity grow without bound; their arrows stop at this multiple of the longest
 
 

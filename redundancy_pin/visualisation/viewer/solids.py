@@ -47,9 +47,7 @@ ROLE_NAMES: Mapping[Role, str] = {
 }
 """What legends call them, in their order."""
 
-MESH_OPACITY = 0.5
-"""Of meshes: joints, closures and carriers are inside them."""
-
+MESH_OPACITY = 0.5  # of meshes: joints, closures and carriers are inside them
 _ARC_STEP = 0.05  # of the points along an arc, rad
 _WARNED = 3  # of the meshes that cannot be read, how many the warning names
 _SCHEMES = ("package://", "model://")
