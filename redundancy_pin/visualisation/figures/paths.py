@@ -31,17 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "PathCurves",
-    "PlanePath",
-    "base_hinges",
-    "draw_locus",
-    "links",
-    "plot_locus",
-    "plot_path",
-    "plot_plane_paths",
-]
-
 _ZOOM_BELOW = 0.3  # A path smaller than this fraction of the mechanism gets a panel of its own
 
 

@@ -46,11 +46,12 @@ from redundancy_pin.visualisation.figures.curves import (
     plan_title,
     singularity_panel,
 )
-from redundancy_pin.visualisation.figures.paths import PathCurves, base_hinges, links, plot_path
+from redundancy_pin.visualisation.figures.paths import PathCurves, plot_path
 from redundancy_pin.visualisation.figures.paths import draw_locus as locus
 from redundancy_pin.visualisation.figures.snapshots import draw_snapshots as snapshots
 from redundancy_pin.visualisation.figures.style import STROKES, save
 from redundancy_pin.visualisation.figures.time_panels import Curve, plot_panel_grid, plot_time_panels
+from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
