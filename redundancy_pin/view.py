@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +20,11 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.plan_file import load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.viewer.motion import ShownMotion, make_scene
 from redundancy_pin.visualisation.viewer.page import View
+from redundancy_pin.visualisation.viewer.scene import make_scene
 
-SWING_DURATION = 2.0
-"""Of the default motion of a robot that has none in the thesis, s."""
-
-SWING = 0.15
-"""Its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow."""
-
+SWING_DURATION = 2.0  # of the default motion of a robot that has none in the thesis, s
+SWING = 0.15  # its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow
 _HALVINGS = 8
 _DT = 0.005
 
@@ -53,7 +48,8 @@ def show(
 
     Args:
         subject: a plan; or a robot, or the name or path of one.
-        motion: of a robot; when left out, its trajectory in the thesis or a small swing there and back.
+        motion: of a robot, its efforts by the RNEA backend; when left out, its trajectory in the thesis or a small
+            swing there and back.
         carriers: of a robot; parked at zero when left out.
         robot: of a plan, if its files have moved or it is already at hand.
         forces: whether arrows are shown at first.
@@ -68,48 +64,31 @@ def show(
     if isinstance(subject, Plan):
         if motion is not None or carriers is not None:
             raise InputError("A plan has its own motions.", remedy="Pass a robot instead of the plan, or no motion.")
-        shown = plan_shown(subject, robot or load_robot_of(subject))
-    else:
-        if not isinstance(subject, (Robot, str, Path)):
-            raise InputError(
-                f"A plan, a robot or its name can be shown, not {type(subject).__name__}.",
-                remedy="Pass show(plan), or show(robot, motion, carriers).",
-            )
-        if robot is not None:
-            raise InputError("robot= goes with a plan.", remedy="Pass the robot first, without robot=.")
-        loaded = subject if isinstance(subject, Robot) else load_robot(subject)
-        shown = motion_shown(loaded, motion, carriers)
-    return View(make_scene(shown, force_scale=force_scale), forces=forces, height=height)
-
-
-def plan_shown(plan: Plan, robot: Robot) -> ShownMotion:
-    """Return what a plan shows.
-
-    Args:
-        plan: the plan.
-        robot: its robot.
-    """
-    title = f"{robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}"
-    return ShownMotion(robot, title, plan.motion, plan.carriers, plan.margin, plan.tau, plan.carrier_force)
-
-
-def motion_shown(robot: Robot, motion: PlatformMotion | None, carriers: CarrierMotion | None) -> ShownMotion:
-    """Return what a robot shows along a motion, its efforts by the RNEA backend.
-
-    Args:
-        robot: the robot.
-        motion: its default motion when left out.
-        carriers: parked at zero when left out.
-
-    Raises:
-        RedundancyPinError: as ``RneaDynamics.reduce``.
-    """
-    followed = default_motion(robot) if motion is None else motion
+        shown = robot or load_robot_of(subject)
+        title = f"{shown.name}: {subject.planner.replace('_', ' ')}, {subject.status.value.replace('_', ' ')}"
+        scene = make_scene(
+            shown, subject.motion, subject.carriers, subject.margin, subject.tau, subject.carrier_force,
+            title=title, force_scale=force_scale,
+        )  # fmt: skip
+        return View(scene, forces=forces, height=height)
+    if not isinstance(subject, (Robot, str, Path)):
+        raise InputError(
+            f"A plan, a robot or its name can be shown, not {type(subject).__name__}.",
+            remedy="Pass show(plan), or show(robot, motion, carriers).",
+        )
+    if robot is not None:
+        raise InputError("robot= goes with a plan.", remedy="Pass the robot first, without robot=.")
+    shown = subject if isinstance(subject, Robot) else load_robot(subject)
+    followed = default_motion(shown) if motion is None else motion
     require_sampled(followed)
-    sliding = CarrierMotion.parked(len(followed), robot.k) if carriers is None else carriers
-    reduced = RneaDynamics(robot).reduce(followed, sliding)
+    sliding = CarrierMotion.parked(len(followed), shown.k) if carriers is None else carriers
+    reduced = RneaDynamics(shown).reduce(followed, sliding)
     efforts = distribute(reduced)
-    return ShownMotion(robot, robot.name, followed, sliding, efforts.margin, efforts.tau, reduced.carrier_force)
+    scene = make_scene(
+        shown, followed, sliding, efforts.margin, efforts.tau, reduced.carrier_force,
+        title=shown.name, force_scale=force_scale,
+    )  # fmt: skip
+    return View(scene, forces=forces, height=height)
 
 
 def default_motion(robot: Robot) -> PlatformMotion:
@@ -118,20 +97,13 @@ def default_motion(robot: Robot) -> PlatformMotion:
     Raises:
         InputError: the robot cannot swing about its reference.
     """
-    made: dict[str, Callable[[], PlatformMotion]] = {
-        "2rpr": lambda: reference.circle().sample(_DT),
-        "3rrr": lambda: reference.corner().sample(_DT),
-    }
-    if robot.closed_form in made:
-        try:
-            motion = made[robot.closed_form]()
-            lift(robot, motion)
-        except (UnreachablePoseError, SingularPoseError, WorkingModeError):
-            pass  # other lengths or another working mode
-        else:
-            return motion
-    for halving in range(_HALVINGS):
-        motion = _swing(robot, SWING * 0.5**halving)
+    # other lengths or another working mode may keep a machine of the thesis from following its trajectory
+    motions = []
+    if robot.closed_form in ("2rpr", "3rrr"):
+        thesis = reference.circle() if robot.closed_form == "2rpr" else reference.corner()
+        motions.append(thesis.sample(_DT))
+    motions += [_swing(robot, SWING * 0.5**halving) for halving in range(_HALVINGS)]
+    for motion in motions:
         try:
             lift(robot, motion)
         except (UnreachablePoseError, SingularPoseError, WorkingModeError):

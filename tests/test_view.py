@@ -10,7 +10,8 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import difference
 from redundancy_pin.robot import Robot
-from redundancy_pin.view import default_motion, motion_shown, plan_shown
+from redundancy_pin.view import default_motion
+from redundancy_pin.visualisation.viewer.scene import Scene
 
 
 @pytest.fixture(scope="module")
@@ -20,13 +21,11 @@ def plan() -> rp.Plan:
     return rp.plan_stepwise(rp.RneaDynamics(robot), motion, lam=0.0)
 
 
+def _effort(scene: Scene, name: str) -> np.ndarray:
+    return next(arrow.length for arrow in scene.arrows if arrow.name == name)
+
+
 def test_a_plan_shows_its_own_motions_and_efforts(plan: rp.Plan) -> None:
-    shown = plan_shown(plan, zoo.robot_of("3rrr"))
-    assert shown.motion is plan.motion
-    assert shown.carriers is plan.carriers
-    assert shown.tau is plan.tau
-    assert shown.carrier_force is plan.carrier_force
-    assert shown.margin is plan.margin
     scene = rp.show(plan).scene
     assert scene.duration == plan.t[-1] - plan.t[0]
     # the carriers move along their links by what the plan says
@@ -36,6 +35,12 @@ def test_a_plan_shows_its_own_motions_and_efforts(plan: rp.Plan) -> None:
     samples = np.searchsorted(plan.t, scene.t + plan.t[0])
     np.testing.assert_allclose(apart, np.abs(plan.carriers.s[samples, 0]), atol=1e-12)
     assert apart.max() > 0.01
+    # arrows in proportion to the efforts, torques and forces each
+    for names, efforts in ((plan.robot.actuated, plan.tau), (plan.robot.carriers, plan.carrier_force)):
+        lengths = np.stack([_effort(scene, name) for name in names], axis=1)
+        scale = np.abs(lengths).max() / np.abs(efforts[samples]).max()
+        np.testing.assert_allclose(lengths, scale * efforts[samples], atol=1e-9)
+    np.testing.assert_array_equal(scene.margin, np.abs(plan.margin[samples]))
 
 
 def test_a_motion_shows_the_efforts_of_inverse_dynamics() -> None:
@@ -43,13 +48,16 @@ def test_a_motion_shows_the_efforts_of_inverse_dynamics() -> None:
     motion = rp.trajectory.reference.line(speed=0.2).sample(dt=0.01)
     wave = 0.05 * np.sin(motion.t)[:, None] * np.ones(2)
     carriers = rp.CarrierMotion(wave, 0.05 * np.cos(motion.t)[:, None] * np.ones(2), -wave)
-    shown = motion_shown(robot, motion, carriers)
+    scene = rp.show(robot, motion, carriers).scene
     expected = rp.VirtualWork(robot).reduce(motion, carriers)
     solved = rp.distribute(expected)
-    regular = solved.margin > 0.05
-    assert shown.tau is not None
-    np.testing.assert_allclose(shown.tau[regular], solved.tau[regular], rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(shown.carrier_force, expected.carrier_force, rtol=1e-6, atol=1e-9)
+    frames = np.searchsorted(motion.t, scene.t)
+    regular = solved.margin[frames] > 0.05
+    for names, efforts in ((robot.actuated, solved.tau), (robot.carriers, expected.carrier_force)):
+        lengths = np.stack([_effort(scene, name) for name in names], axis=1)[regular]
+        wanted = efforts[frames][regular]
+        scale = np.abs(lengths).max() / np.abs(wanted).max()
+        np.testing.assert_allclose(lengths, scale * wanted, rtol=1e-6, atol=1e-9)
 
 
 def test_the_machines_of_the_thesis_show_its_trajectories() -> None:

@@ -36,7 +36,7 @@ from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.whole_trajectory.dense_check import ALLOWED
 from redundancy_pin.trajectory import Trajectory, from_csv
-from redundancy_pin.visualisation.figures.plan import plot_plan
+from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib, save
 
 _BACKENDS = {"Rnea": RNEA, "VirtualWork": VIRTUAL_WORK}

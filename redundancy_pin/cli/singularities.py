@@ -20,7 +20,7 @@ from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.singularities.locus import singular_locus
 from redundancy_pin.trajectory import Trajectory, from_csv
-from redundancy_pin.visualisation.figures.locus import plot_locus
+from redundancy_pin.visualisation.figures.paths import plot_locus
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
 
 _DRAWN_STEP = 1e-3

@@ -10,8 +10,9 @@ import numpy as np
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.experiments.result import Result
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.visualisation.figures.efforts import EffortCurves, plot_comparison, plot_efforts
-from redundancy_pin.visualisation.figures.paths import PathCurves, base_hinges, links, plot_path
+from redundancy_pin.visualisation.figures.comparisons import EffortCurves, plot_comparison, plot_efforts
+from redundancy_pin.visualisation.figures.paths import PathCurves, plot_path
+from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,7 +14,9 @@ import pytest
 import zoo
 
 from redundancy_pin.view import show
-from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, ROLE_COLORS, rgb
+from redundancy_pin.visualisation.viewer.meshcat_scene import rgb
+from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS
+from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS
 
 pytest.importorskip("meshcat")
 pytest.importorskip("selenium", reason="selenium drives the browser: pip install 'redundancy_pin[dev]'")

@@ -18,8 +18,8 @@ from redundancy_pin.experiments.beyond.cases import SwitchOff
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS, TASKS
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory import reference
+from redundancy_pin.visualisation.figures.comparisons import plot_side_by_side
 from redundancy_pin.visualisation.figures.feasibility_map import MapLabels, MapPanel, Tile, plot_feasibility
-from redundancy_pin.visualisation.figures.side_by_side import plot_side_by_side
 from redundancy_pin.visualisation.figures.summaries import (
     Attempts,
     TradeCurve,

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import functools
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zoo
 
-from redundancy_pin.errors import OutputError, RedundancyPinError
+from redundancy_pin.errors import OutputError
 from redundancy_pin.singularities.crossings import find_crossings
 from redundancy_pin.singularities.locus import SingularLocus, singular_locus
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.figures.locus import draw_locus, plot_locus
-from redundancy_pin.visualisation.figures.paths import base_hinges, links
+from redundancy_pin.visualisation.figures.paths import draw_locus, plot_locus
+from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 pytest.importorskip("matplotlib")
 
@@ -79,13 +78,6 @@ def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="picture format"):
         plot_locus(locus, tmp_path / "locus.txt")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_without_matplotlib_the_error_names_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    locus = locus_of("2rpr")
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(RedundancyPinError, match=r"pip install 'redundancy_pin\[plot\]'"):
-        plot_locus(locus, tmp_path / "locus.png")
 
 
 def test_the_sketch_of_the_three_rrr_is_six_links_and_a_triangle() -> None:

@@ -18,9 +18,10 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.view import show
-from redundancy_pin.visualisation.viewer.meshcat_scene import AROUND, arc, arrow, plate, tube
+from redundancy_pin.visualisation.viewer.meshcat_scene import AROUND, arc, arrow, tube
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, code, margin_classes
+from redundancy_pin.visualisation.viewer.parts import prism
+from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, margin_classes
 
 umsgpack = pytest.importorskip("umsgpack", reason="comes with meshcat")
 
@@ -122,7 +123,7 @@ def test_arrows_follow_the_efforts_and_never_vanish_to_nothing() -> None:
         assert (np.abs(scale) > 0.0).all()  # a matrix without inverse has no normals
     materials = [m for c in commands_in(page_of("3rrr")) if c["type"] == "set_object" for m in c["object"]["materials"]]
     colors = {material["color"] for material in materials}
-    assert {code(EFFORT_COLORS["main"]), code(EFFORT_COLORS["carrier"])} <= colors
+    assert {int(color[1:], 16) for color in EFFORT_COLORS.values()} <= colors
 
 
 def test_arrows_and_path_are_drawn_over_what_is_see_through() -> None:
@@ -224,7 +225,7 @@ def test_an_arrow_points_along_z_and_an_arc_turns_positively() -> None:
 
 def test_a_plate_is_a_prism() -> None:
     square = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
-    assert abs(volume(*plate(square, 0.1))) == pytest.approx(0.2)
+    assert abs(volume(*prism(square, 0.1))) == pytest.approx(0.2)
 
 
 def test_a_tube_has_its_radius_and_follows_its_points() -> None:

@@ -18,8 +18,9 @@ from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
-from redundancy_pin.visualisation.figures.plan import phase_runs, plot_plan
-from redundancy_pin.visualisation.figures.style import STROKES, save
+from redundancy_pin.visualisation.figures.plots import plan as plot_plan
+from redundancy_pin.visualisation.figures.style import save
+from redundancy_pin.visualisation.figures.time_panels import phase_runs
 
 T = np.linspace(0.0, 1.0, 101)
 PHASES = ("parked", "ramp_down", "off", "return")
@@ -109,15 +110,6 @@ def test_every_panel_draws_the_arrays_of_the_plan() -> None:
     condition = _curves(_panel(drawn, "condition"))[0]
     np.testing.assert_allclose(condition[:40], plan.condition[:40])
     assert np.isfinite(condition).all()
-
-
-def test_curves_are_told_apart_without_colour() -> None:
-    axes = _panel(plot_plan(_plan()), "carrier position")
-    lines = [line for line in axes.lines if len(line.get_xdata()) == len(T)]
-    # line styles as matplotlib keeps them: offset and dashes
-    dashes = {str(line._dash_pattern) for line in lines}
-    assert len(dashes) == 2
-    assert len({stroke.dash if isinstance(stroke.dash, str) else stroke.dash[1] for stroke in STROKES}) == len(STROKES)
 
 
 def test_the_threshold_and_the_singular_instants_are_drawn() -> None:
@@ -231,13 +223,3 @@ def test_a_reference_is_drawn_beside_the_efforts() -> None:
     axes = _panel(plot_plan(plan, reference=reference, reference_name="no carriers"), "main torque")
     assert sum(bool((curve == 0.5).all()) for curve in _curves(axes)) == 2
     assert "no carriers" in [text.get_text() for text in axes.get_legend().get_texts()]
-
-
-def test_png_and_svg_are_written_and_the_same_every_time(tmp_path: Path) -> None:
-    plan = _plan()
-    for suffix in ("png", "svg"):
-        first, second = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
-        save(plot_plan(plan), first)
-        save(plot_plan(plan), second)
-        assert first.stat().st_size > 10_000
-        assert first.read_bytes() == second.read_bytes()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,34 +14,31 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot import Robot
-from redundancy_pin.view import default_motion, motion_shown
-from redundancy_pin.visualisation.viewer.motion import (
+from redundancy_pin.view import default_motion
+from redundancy_pin.visualisation.viewer.parts import body_points
+from redundancy_pin.visualisation.viewer.scene import (
     FRAME_RATE,
     LONGEST_FORCE,
     LONGEST_TORQUE,
+    MARGIN_COLORS,
     MOST_FRAMES,
     MOST_POINTS,
-    ShownMotion,
-    frame_samples,
-    make_scene,
-    path_samples,
-)
-from redundancy_pin.visualisation.viewer.parts import body_points
-from redundancy_pin.visualisation.viewer.scene import (
-    MARGIN_COLORS,
-    ROLE_COLORS,
     Arrow,
     Scene,
+    frame_samples,
+    make_scene,
     margin_classes,
     margin_labels,
+    path_samples,
 )
+from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS
 
 ROUNDING = 1e-9
 """Positions of order one from a closure gap of 1e-11 and sines and cosines on either side."""
 
 
 def scene_of(robot: Robot) -> Scene:
-    return make_scene(motion_shown(robot, None, None))
+    return rp.show(robot).scene
 
 
 def in_world(scene: Scene, body: int, point: Array) -> Array:
@@ -83,7 +79,7 @@ def test_the_drawn_path_is_thinned_but_not_where_its_colour_changes() -> None:
 def test_bodies_are_where_another_reader_of_the_urdf_puts_them(shipped: Robot) -> None:
     """Joint values of a frame, read off the scene's own motion by lift, through yourdfpy's forward kinematics."""
     motion = default_motion(shipped)
-    scene = make_scene(motion_shown(shipped, motion, None))
+    scene = rp.show(shipped, motion).scene
     q = rp.lift(shipped, motion).q.copy()
     q[:, shipped.carrier_position] = 0.0
     other = yourdfpy.URDF.load(io.BytesIO(shipped.urdf.encode()), load_meshes=False)
@@ -102,7 +98,7 @@ def test_the_path_is_the_motion_of_the_platform(shipped: Robot) -> None:
     if shipped.platform is None:
         pytest.skip("no platform")
     motion = default_motion(shipped)
-    path = make_scene(motion_shown(shipped, motion, None)).path
+    path = rp.show(shipped, motion).scene.path
     columns = ["xyz".index(axis) for axis in shipped.platform.axes if axis in "xyz"]
     x = motion.x[:, :3, 3] if motion.is_pose else motion.x[:, : len(columns)]
     np.testing.assert_allclose(path[:, columns], x, atol=ROUNDING)
@@ -111,19 +107,19 @@ def test_the_path_is_the_motion_of_the_platform(shipped: Robot) -> None:
 def test_the_three_rrr_has_its_base_triangle_and_its_platform() -> None:
     """Corners A_i = P − 0.25 (cos φ_i, sin φ_i), φ = 30, 150, −90 degrees, and base hinges of side √3."""
     scene = scene_of(zoo.robot_of("3rrr"))
-    base, platform = scene.plates
+    base, platform = (solid for solid in scene.solids if solid.name == "plate")
     angles = np.deg2rad([30.0, 150.0, -90.0])
     expected = -0.25 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     x = default_motion(zoo.robot_of("3rrr")).x
     for k in (0, -1):
         place = scene.placement[k, platform.body]
         wanted = x[k, :2] + expected  # at α = 0
-        for corner in platform.corners @ place[:3, :3].T + place[:3, 3]:
+        for corner in platform.mesh[0][:3] @ place[:3, :3].T + place[:3, 3]:  # of its upper side
             assert np.linalg.norm(wanted - corner[:2], axis=1).min() < ROUNDING
     hinges = np.array([[0.0, 0.0], [np.sqrt(3.0), 0.0], [np.sqrt(3.0) / 2.0, 1.5]])
-    for corner in base.corners[:, :2]:
+    for corner in base.mesh[0][:3, :2]:
         assert np.linalg.norm(hinges - corner, axis=1).min() < ROUNDING
-    assert len(base.corners) == len(platform.corners) == 3
+    assert len(base.mesh[0]) == len(platform.mesh[0]) == 8  # three corners a side, and their middles
 
 
 def test_closures_are_closed_in_every_frame(shipped: Robot) -> None:
@@ -141,14 +137,14 @@ def test_every_role_is_drawn_in_a_colour_of_its_own() -> None:
     solids = scene_of(zoo.robot_of("3rrr")).solids
     count = {role: sum(solid.role == role for solid in solids) for role in ROLE_COLORS}
     assert count == {
-        "base": 0,
+        "base": 1,
         "link": 7,
         "track": 3,
         "carrier": 3,
         "actuated": 3,
         "passive": 4,
         "closure": 2,
-        "platform": 0,
+        "platform": 1,
     }
     assert len(set(ROLE_COLORS.values())) == len(ROLE_COLORS)
     for solid in solids:
@@ -172,9 +168,11 @@ def test_carrier_arrows_point_along_the_work_they_do() -> None:
     motion = default_motion(robot)
     zero = np.zeros((len(motion), robot.k))
     moved = rp.CarrierMotion(zero + 1e-3, zero, zero)
-    at_rest = motion_shown(robot, motion, None)
-    forced = replace(at_rest, carrier_force=np.tile([1.0, -2.0], (len(motion), 1)), tau=None)
-    here, there = make_scene(forced), make_scene(replace(forced, carriers=moved))
+    force = np.tile([1.0, -2.0], (len(motion), 1))
+    here, there = (
+        make_scene(robot, motion, carriers, np.ones(len(motion)), carrier_force=force)
+        for carriers in (rp.CarrierMotion.parked(len(motion), robot.k), moved)
+    )
     for name, sign in zip(robot.carriers, (1.0, -1.0), strict=True):
         arrow = arrow_of(here, name)
         shift = there.placement[:, arrow.body, :3, 3] - here.placement[:, arrow.body, :3, 3]
@@ -185,14 +183,13 @@ def test_carrier_arrows_point_along_the_work_they_do() -> None:
 
 def test_arrows_are_scaled_to_the_largest_effort_away_from_singularities() -> None:
     robot = zoo.robot_of("3rrr")
-    shown = motion_shown(robot, None, None)
-    assert shown.tau is not None
-    n = len(shown.motion)
+    motion = default_motion(robot)
+    n = len(motion)
     margin = np.ones(n)
     tau = np.zeros((n, 3))
     tau[0, 0], tau[-1] = -5.0, [1e6, np.nan, np.inf]
     margin[-1] = 0.5 * NEAR_SINGULAR_MARGIN
-    scene = make_scene(replace(shown, tau=tau, margin=margin, carrier_force=None), force_scale=2.0)
+    scene = make_scene(robot, motion, rp.CarrierMotion.parked(n, robot.k), margin, tau, force_scale=2.0)
     longest = 2.0 * LONGEST_TORQUE * robot.characteristic_length
     first, second, third = scene.arrows
     assert first.turning
@@ -262,12 +259,11 @@ def test_links_without_a_primitive_shape_are_bars_between_their_joints(tmp_path:
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
 def test_a_scale_that_is_none_is_refused(scale: float) -> None:
     with pytest.raises(InputError, match="force_scale"):
-        make_scene(motion_shown(zoo.robot_of("2rpr"), None, None), force_scale=scale)
+        rp.show(zoo.robot_of("2rpr"), force_scale=scale)
 
 
 def test_a_carrier_motion_of_another_length_is_refused() -> None:
     robot = zoo.robot_of("2rpr")
     motion = default_motion(robot)
-    shown = ShownMotion(robot, "", motion, rp.CarrierMotion.parked(3, 2), np.ones(len(motion)))
     with pytest.raises(InputError, match=r"shape \(3, 2\)"):
-        make_scene(shown)
+        make_scene(robot, motion, rp.CarrierMotion.parked(3, 2), np.ones(len(motion)))

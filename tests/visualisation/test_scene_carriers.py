@@ -15,10 +15,10 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.view import default_motion, motion_shown, show
-from redundancy_pin.visualisation.viewer.motion import make_scene
+from redundancy_pin.view import default_motion, show
 from redundancy_pin.visualisation.viewer.parts import BALANCED_RADIUS
-from redundancy_pin.visualisation.viewer.scene import Scene, Solid, arc_points, corners_of
+from redundancy_pin.visualisation.viewer.scene import Scene
+from redundancy_pin.visualisation.viewer.solids import Solid, arc_points, corners_of
 
 LEVER = np.array([0.1, 0.02, 0.03])
 """Centre of mass of every link that ``urdf_of`` writes, in the frame of its joint, m."""
@@ -58,7 +58,7 @@ def turned() -> tuple[Array, Scene]:
     motion = default_motion(robot())
     s = np.stack([np.linspace(-0.7, 1.1, len(motion)), np.linspace(0.0, 2.0, len(motion))], axis=1)
     carriers = CarrierMotion(s, np.zeros_like(s), np.zeros_like(s))
-    return s, make_scene(motion_shown(robot(), motion, carriers))
+    return s, show(robot(), motion, carriers).scene
 
 
 def solid(scene: Scene, name: str, body: str) -> Solid:
@@ -154,17 +154,21 @@ def test_pages_and_snapshots_show_it(tmp_path: Path) -> None:
 def test_corners_hold_what_is_drawn(name: str) -> None:
     """Boxes that hold a solid: every vertex that viewers draw is inside, and each face is touched."""
     pytest.importorskip("meshcat")
-    from redundancy_pin.visualisation.viewer.meshcat_scene import _shape
+    from redundancy_pin.visualisation.viewer.meshcat_scene import tube
 
     scene = turned()[1] if name != "3rrr" else show("3rrr").scene
     seen = set()
     for item in scene.solids:
         corners = (corners_of(item) - item.placement[:3, 3]) @ item.placement[:3, :3]
-        if item.shape in ("arc", "cylinder"):
-            drawn = np.asarray(_shape(item).vertices)
-            slack = item.size[1] if item.shape == "arc" else 0.02 * item.size[0]  # of a polygon for a circle
+        if item.shape == "arc":
+            drawn, slack = tube(arc_points(item), item.size[1])[0], item.size[1]
+        elif item.mesh is not None:
+            drawn, slack = item.mesh[0], 1e-9
         else:
-            reach = 0.5 * np.array(item.size) if item.shape == "box" else np.full(3, item.size[0])
+            radius, *length = item.size
+            reach = {"box": 0.5 * np.array(item.size), "sphere": np.full(3, radius)}.get(
+                item.shape, np.array([radius, radius, 0.5 * length[-1] if length else 0.0])
+            )
             drawn, slack = np.array([reach, -reach]), 1e-9
         np.testing.assert_allclose(corners.max(axis=0), drawn.max(axis=0), atol=1.01 * slack)
         np.testing.assert_allclose(corners.min(axis=0), drawn.min(axis=0), atol=1.01 * slack)

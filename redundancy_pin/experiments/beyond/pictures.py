@@ -29,8 +29,7 @@ from redundancy_pin.experiments.beyond.ways import (
 from redundancy_pin.experiments.document import Block, Picture
 from redundancy_pin.experiments.planned.cases import mode_text
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.figures.side_by_side import plot_side_by_side
-from redundancy_pin.visualisation.figures.style import words
+from redundancy_pin.visualisation.figures.comparisons import plot_side_by_side
 from redundancy_pin.visualisation.figures.summaries import (
     Attempts,
     TradeCurve,
@@ -110,7 +109,7 @@ def _mode_stem(radius: float) -> str:
 
 def _caption(task: Task, rows: Sequence[Row]) -> str:
     parts = [
-        f"{row.way} ({words(row.status)}): peak {row.worst:.3g} {row.unit}"
+        f"{row.way} ({row.status.replace('_', ' ')}): peak {row.worst:.3g} {row.unit}"
         for row in rows
         if row.exists and row.way in _SHOWN
     ]

@@ -13,8 +13,9 @@ from redundancy_pin.experiments.planned.cases import Case, StepwiseCase, SwitchO
 from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.figures.paths import PlanePath, base_hinges, links, plot_plane_paths
+from redundancy_pin.visualisation.figures.paths import PlanePath, plot_plane_paths
 from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels
+from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

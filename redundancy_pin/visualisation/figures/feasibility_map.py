@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.visualisation.figures.style import figure
+from redundancy_pin.visualisation.figures.style import figure, legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 Kind = Literal["feasible", "stopped_early", "infeasible", "failed"]
 
-_COLORS = "cividis"
-"""Lightness rises evenly, so that it reads in grey too."""
-
-_DECADES = 30.0
-"""Largest over smallest effort from which on colours are logarithmic."""
-
+_COLORS = "cividis"  # lightness rises evenly, so that it reads in grey too
+_DECADES = 30.0  # largest over smallest effort from which on colours are logarithmic
 _HATCHES: Mapping[str, tuple[str, str]] = {"infeasible": ("////", "#BDBDBD"), "failed": ("....", "#8C8C8C")}
-_LARGEST, _SMALLEST = 9.0, 4.5
-"""Size of the letters, points: as the tiles allow; below the smallest there is none."""
+_RING: dict[str, Any] = {
+    "linestyle": "none", "marker": "o", "markerfacecolor": "#FFFFFF", "markeredgecolor": "#000000"
+}  # fmt: skip
+"""Of a plan whose optimiser stopped early."""
+
+_LARGEST, _SMALLEST = 9.0, 4.5  # size of the letters, points: as the tiles allow; below the smallest there is none
 
 
 @dataclass(frozen=True)
@@ -93,15 +93,11 @@ def plot_feasibility(panels: Sequence[MapPanel], labels: MapLabels) -> Figure:
     Args:
         panels: one for each planner.
         labels: text and scales.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     borders = [border_of(panel.tiles) for panel in panels]
-    with figure(1.4 + 4.3 * len(panels), 5.4) as drawn:
+    with figure(1.4 + 4.3 * len(panels), 5.4, labels.title) as drawn:
         from matplotlib.cm import ScalarMappable
 
-        drawn.suptitle(labels.title, fontsize=10.5)
         axes = list(drawn.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0])
         norm = _norm([tile.value for panel in panels for tile in panel.tiles if tile.possible])
         for i, (panel, on) in enumerate(zip(panels, axes, strict=True)):
@@ -168,6 +164,7 @@ def _fit(axes: Axes, tiles: Sequence[Tile]) -> None:
 
 def _draw_tiles(axes: Axes, tiles: Sequence[Tile], norm: Normalize | None) -> None:
     import matplotlib
+    from matplotlib.collections import PolyCollection
 
     colors = matplotlib.colormaps[_COLORS]
     for kind in ("feasible", "stopped_early", "infeasible", "failed"):
@@ -177,20 +174,14 @@ def _draw_tiles(axes: Axes, tiles: Sequence[Tile], norm: Normalize | None) -> No
         corners = [[(t.x0, t.y0), (t.x1, t.y0), (t.x1, t.y1), (t.x0, t.y1)] for t in chosen]
         if kind in _HATCHES:
             hatch, grey = _HATCHES[kind]
-            axes.add_collection(_polygons(corners, facecolor="#FFFFFF", edgecolor=grey, hatch=hatch, linewidth=0.3))
+            style: dict[str, Any] = {"facecolor": "#FFFFFF", "edgecolor": grey, "hatch": hatch, "linewidth": 0.3}
         else:
             fill = [colors(norm(t.value)) if norm is not None and t.value else "#FFFFFF" for t in chosen]
-            axes.add_collection(_polygons(corners, facecolor=fill, edgecolor="none", linewidth=0.0))
+            style = {"facecolor": fill, "edgecolor": "none", "linewidth": 0.0}
+        axes.add_collection(PolyCollection(corners, zorder=1.0, **style))
         if kind == "stopped_early":
             centres = np.array([_centre(axes, tile) for tile in chosen])
-            axes.plot(*centres.T, linestyle="none", marker="o", markersize=5, markerfacecolor="#FFFFFF",
-                      markeredgecolor="#000000", zorder=3.0)  # fmt: skip
-
-
-def _polygons(corners: Sequence[Any], **style: Any) -> Any:
-    from matplotlib.collections import PolyCollection
-
-    return PolyCollection(corners, zorder=1.0, **style)
+            axes.plot(*centres.T, markersize=5, zorder=3.0, **_RING)
 
 
 def _draw_border(axes: Axes, segments: Array, *, own: bool) -> None:
@@ -228,30 +219,21 @@ def _legend(drawn: Figure, panels: Sequence[MapPanel], labels: MapLabels, border
 
     tiles = [tile for panel in panels for tile in panel.tiles]
     present = {tile.kind for tile in tiles}
+    used = sorted({tile.mark for tile in tiles if tile.kind == "infeasible"})
+    limits = ", ".join(f"{mark} {labels.marks[mark]}" for mark in used)
     handles: list[Any] = []
     if bordered:
         handles.append(Line2D([], [], color="#000000", linewidth=2.4, label="border"))
     if bordered and len(panels) == 2:
-        handles.append(
-            Line2D([], [], color="#000000", linewidth=1.1, linestyle=(0, (4, 2)), label="border, other panel")
-        )
-    if "infeasible" in present:
-        used = sorted({tile.mark for tile in tiles if tile.kind == "infeasible"})
-        said = ", ".join(f"{mark} {labels.marks[mark]}" for mark in used)
-        hatch, grey = _HATCHES["infeasible"]
-        handles.append(
-            Patch(facecolor="#FFFFFF", edgecolor=grey, hatch=hatch, label=f"not possible; in the way: {said}")
-        )
+        dashes = (0, (4, 2))
+        handles.append(Line2D([], [], color="#000000", linewidth=1.1, linestyle=dashes, label="border, other panel"))
     if "stopped_early" in present:
-        ring: dict[str, Any] = {
-            "marker": "o",
-            "markerfacecolor": "#FFFFFF",
-            "markeredgecolor": "#000000",
-            "linestyle": "none",
-        }
-        handles.append(Line2D([], [], label="possible, optimiser stopped early", **ring))
-    if "failed" in present:
-        hatch, grey = _HATCHES["failed"]
-        handles.append(Patch(facecolor="#FFFFFF", edgecolor=grey, hatch=hatch, label="? not known (numerical failure)"))
-    if handles:
-        drawn.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False)
+        handles.append(Line2D([], [], label="possible, optimiser stopped early", **_RING))
+    for kind, label in (
+        ("infeasible", f"not possible; in the way: {limits}"),
+        ("failed", "? not known (numerical failure)"),
+    ):
+        if kind in present:
+            hatch, grey = _HATCHES[kind]
+            handles.append(Patch(facecolor="#FFFFFF", edgecolor=grey, hatch=hatch, label=label))
+    legend_below(drawn, handles)

@@ -1,89 +1,70 @@
-"""Where a motion goes: the mechanism at its start, the path, and the condition number along it."""
+"""Figures in the plane: where a motion goes, with its condition number, and the singular curves over the workspace."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, read_only
-from redundancy_pin.robot import Robot
-from redundancy_pin.visualisation.figures.style import STROKES, figure, mark_singular
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError
+from redundancy_pin.io.files import replacing_file
+from redundancy_pin.kinematics.modes import mode_name
+from redundancy_pin.singularities.classify import SingularityKind
+from redundancy_pin.singularities.crossings import Crossing
+from redundancy_pin.singularities.locus import SingularLocus
+from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below, save
+from redundancy_pin.visualisation.figures.time_panels import (
+    Windows,
+    background_handles,
+    condition_panel,
+    draw_background,
+    draw_panel,
+)
+from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-def base_hinges(robot: Robot) -> Array:
-    """Return (B, 3) where the chains are fixed to the base: origins of the first joints, m, base frame."""
-    model = robot.model
-    first = [j for j in range(1, model.njoints) if model.parents[j] == 0 and model.names[j] not in robot.carriers]
-    points = [model.jointPlacements[j].translation for j in first]
-    for frame in _closure_frames(robot):
-        if model.frames[frame].parentJoint == 0:
-            points.append(model.frames[frame].placement.translation)
-    return read_only(np.array(points).reshape(-1, 3))
+_ZOOM_BELOW = 0.3  # A path smaller than this fraction of the mechanism gets a panel of its own
 
 
-def links(robot: Robot, q: Array) -> tuple[tuple[Array, Array], ...]:
-    """Return the ends (3,), (3,) m of the lines that make up the mechanism at a configuration (nq,).
-
-    A link is a line or, with three hinges or more, a polygon between its hinges (its own joint, the joints that follow,
-    its closures). The origin of a platform that is a single line is its end.
-    """
-    model = robot.model
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, np.array(q))
-    points: dict[int, list[Array]] = {j: [data.oMi[j].translation.copy()] for j in range(1, model.njoints)}
-    for joint in range(1, model.njoints):
-        if model.parents[joint] > 0 and model.names[joint] not in robot.carriers:
-            points[model.parents[joint]].append(data.oMi[joint].translation.copy())
-    for frame in _closure_frames(robot):
-        points.setdefault(model.frames[frame].parentJoint, []).append(data.oMf[frame].translation.copy())
-    if robot.platform is not None:
-        frame = _body(model, robot.platform.frame)
-        on_link = points[model.frames[frame].parentJoint]
-        if len(_distinct(on_link)) < 3:
-            on_link.append(data.oMf[frame].translation.copy())
-    points.pop(0, None)
-    return tuple(pair for hinges in points.values() for pair in _outline(_distinct(hinges)))
+def label_plane(axes: Axes, plane: str = "xy") -> None:
+    """Give both axes their names and the same scale."""
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]")
 
 
-def _distinct(points: list[Array]) -> list[Array]:
-    kept: list[Array] = []
-    for point in points:
-        if all(np.linalg.norm(point - other) > _NO_LENGTH for other in kept):
-            kept.append(point)
-    return kept
+def _draw_mechanism(axes: Axes, lines: Sequence[Array], hinges: Array | None) -> None:
+    for line in lines:
+        axes.plot(*line.T, "-o", color="#8C8C8C", linewidth=2.2, markersize=3.5, zorder=1.8)
+    if hinges is not None:
+        axes.plot(*hinges.T, "^", color="#000000", markersize=7, zorder=2.1, label="base hinge")
 
 
-def _outline(points: list[Array]) -> list[tuple[Array, Array]]:
-    pairs = list(pairwise(points))
-    return [*pairs, (points[-1], points[0])] if len(points) > 2 else pairs
+def _draw_path(axes: Axes, point: Array, stroke: Stroke, label: str, start_label: str | None = None) -> None:
+    """Draw a path (N, 2) with its start and an arrow in its sense, a fifth of its length from there."""
+    x, y = point.T
+    axes.plot(x, y, color=stroke.color, linestyle=stroke.dash, linewidth=1.7, label=label, zorder=2.2)
+    axes.plot(x[0], y[0], "o", color=stroke.color, markersize=6, zorder=2.3, label=start_label)
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    tail, head = np.searchsorted(length, [0.22 * length[-1], 0.24 * length[-1]])
+    arrow = {"arrowstyle": "-|>", "color": stroke.color, "mutation_scale": 14}
+    axes.annotate("", xy=(x[head], y[head]), xytext=(x[tail], y[tail]), arrowprops=arrow)
 
 
-def _closure_frames(robot: Robot) -> list[int]:
-    names = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
-    return [_body(robot.model, name) for name in names]
+def _draw_singular(axes: Axes, points: Sequence[ArrayLike], color: str, label: str = "singular") -> None:
+    if len(points):
+        axes.plot(*np.array(points).T, "x", color=color, markersize=9, markeredgewidth=2, zorder=3.1, label=label)
 
 
-def _body(model: pin.Model, name: str) -> int:
-    return int(model.getFrameId(name, pin.FrameType.BODY))
-
-
-_NO_LENGTH = 1e-9
-
-
-_LARGEST_CONDITION = 1e3
-"""Top of the condition axis: beyond it the curve is a spike whose height is that of the sampling."""
-
-_ZOOM_BELOW = 0.3
-"""A path smaller than this fraction of the mechanism gets a panel of its own."""
+def _legend_under(axes: Axes, columns: int, below: float = 0.12) -> None:
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -below), ncols=columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,99 +91,31 @@ class PathCurves:
     hinges: Array
     condition: Array
     thresholds: tuple[float, ...] = ()
-    windows: tuple[tuple[float, float], ...] = ()
+    windows: Windows = ()
     instants: tuple[float, ...] = ()
     singular_points: tuple[tuple[float, float], ...] = ()
 
 
 def plot_path(curves: PathCurves) -> Figure:
-    """Draw the mechanism with the path, the path enlarged where it is small, and the condition number over time.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
-    """
+    """Draw the mechanism with the path, the path enlarged where it is small, and the condition number over time."""
     everything = np.concatenate([curves.point, curves.hinges, *curves.links])
     zoomed = np.ptp(curves.point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
     ratios = [1.0, 1.0, 1.4] if zoomed else [1.0, 1.4]
-    with figure(10.0 if zoomed else 8.0, 3.6) as drawn:
-        panels = drawn.subplots(1, len(ratios), width_ratios=ratios)
-        drawn.suptitle(curves.title, fontsize=10.5)
-        _draw_mechanism(panels[0], curves, with_start=not zoomed)
-        if zoomed:
-            _draw_path(panels[1], curves, with_start=True)
-            _label(panels[1])
-            panels[1].set_title("path")
-        _draw_condition(panels[-1], curves)
+    with figure(10.0 if zoomed else 8.0, 3.6, curves.title) as drawn:
+        *planes, last = drawn.subplots(1, len(ratios), width_ratios=ratios)
+        _draw_mechanism(planes[0], curves.links, curves.hinges)
+        for axes, title in zip(planes, ("mechanism at the start", "path"), strict=False):
+            _draw_path(axes, curves.point, STROKES[0], "path", "start")
+            _draw_singular(axes, curves.singular_points, STROKES[1].color)
+            label_plane(axes)
+            axes.set_title(title)
+        panel = condition_panel(curves.t, curves.condition, curves.thresholds, singular=bool(curves.instants))
+        draw_panel(last, panel, 1.4 * drawn.get_figwidth() / sum(ratios) - 0.8)
+        draw_background(last, instants=curves.instants, windows=curves.windows)
+        last.set(xlim=(curves.t[0], curves.t[-1]), xlabel="time t [s]")
+        handles = planes[0].get_legend_handles_labels()[0]
+        legend_below(drawn, [*handles, *background_handles(drawn, None, curves.instants, curves.windows)])
         return drawn
-
-
-def _draw_mechanism(axes: Axes, curves: PathCurves, *, with_start: bool) -> None:
-    for links in curves.links:
-        axes.plot(links[:, 0], links[:, 1], color="#8C8C8C", linewidth=2.2, solid_capstyle="round", zorder=1.8)
-        axes.plot(links[:, 0], links[:, 1], "o", color="#8C8C8C", markersize=3.5, zorder=1.9)
-    axes.plot(
-        curves.hinges[:, 0], curves.hinges[:, 1], "^", color="#000000", markersize=7, zorder=2.1, label="base hinge"
-    )
-    _draw_path(axes, curves, with_start=with_start)
-    _label(axes)
-    axes.set_title("mechanism at the start")
-
-
-def _draw_path(axes: Axes, curves: PathCurves, *, with_start: bool) -> None:
-    x, y = curves.point.T
-    axes.plot(x, y, color=STROKES[0].color, linewidth=1.6, label="path", zorder=2.0)
-    if with_start:
-        middle = len(x) // 8
-        axes.annotate(
-            "",
-            xy=(x[middle + len(x) // 40], y[middle + len(x) // 40]),
-            xytext=(x[middle], y[middle]),
-            arrowprops={"arrowstyle": "-|>", "color": STROKES[0].color, "mutation_scale": 13},
-        )
-        axes.plot(x[0], y[0], "o", color=STROKES[0].color, markersize=6, label="start", zorder=2.3)
-    if curves.singular_points:
-        places = np.array(curves.singular_points)
-        axes.plot(
-            places[:, 0],
-            places[:, 1],
-            "x",
-            color=STROKES[1].color,
-            markersize=8,
-            markeredgewidth=2,
-            zorder=2.4,
-            label="singular",
-        )
-    if with_start:
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, frameon=False, columnspacing=1.0)
-
-
-def _label(axes: Axes) -> None:
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
-
-
-def _draw_condition(axes: Axes, curves: PathCurves) -> None:
-    shown = np.minimum(curves.condition, 2.0 * _LARGEST_CONDITION)
-    axes.plot(curves.t, shown, color="#000000", linewidth=1.3)
-    mark_singular(axes, curves.windows, curves.instants, label=True)
-    for i, threshold in enumerate(curves.thresholds):
-        stroke = STROKES[1 + i % (len(STROKES) - 1)]
-        axes.axhline(
-            threshold, color=stroke.color, linestyle=stroke.dash, linewidth=1.0, label=f"threshold {threshold:g}"
-        )
-    singular = bool(curves.instants)
-    if singular:
-        axes.set_yscale("log")
-        axes.set_ylim(1.0, _LARGEST_CONDITION)
-    else:
-        axes.set_ylim(1.0, 1.0 + 1.4 * (float(np.nanmax(shown)) - 1.0))
-    axes.set_xlim(curves.t[0], curves.t[-1])
-    axes.set_xlabel("time t [s]")
-    axes.set_ylabel("condition number [–]")
-    axes.set_title("condition number (scaled)")
-    if singular or curves.thresholds:
-        axes.legend(loc="upper right")
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,35 +147,121 @@ def plot_plane_paths(
         links: lines (2, 2) of the mechanism, m; none where left out.
         hinges: (h, 2) hinges on the base, m.
         singular: where the path is singular, m.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
     with figure(6.0, 5.2) as drawn:
-        axes = drawn.add_subplot()
-        axes.set_title(title)
-        for link in links:
-            axes.plot(link[:, 0], link[:, 1], "-o", color="#8C8C8C", linewidth=2.2, markersize=3.5, zorder=1.8)
-        if hinges is not None:
-            axes.plot(hinges[:, 0], hinges[:, 1], "^", color="#000000", markersize=8, zorder=2.1, label="base hinge")
+        axes = drawn.add_subplot(title=title)
+        _draw_mechanism(axes, links, hinges)
         for stroke, path in zip(STROKES, paths, strict=False):
-            x, y = path.point.T
-            axes.plot(x, y, color=stroke.color, linestyle=stroke.dash, linewidth=1.7, label=path.label, zorder=2.2)
-            axes.plot(x[0], y[0], "o", color=stroke.color, markersize=6, zorder=2.3)
-            length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-            at, to = np.searchsorted(length, [0.22 * length[-1], 0.24 * length[-1]])
-            axes.annotate(
-                "",
-                xy=(x[to], y[to]),
-                xytext=(x[at], y[at]),
-                arrowprops={"arrowstyle": "-|>", "color": stroke.color, "mutation_scale": 15},
-            )
-        if singular:
-            places = np.array(singular)
-            axes.plot(places[:, 0], places[:, 1], "x", color="#000000", markersize=9, markeredgewidth=2,
-                      label="singular", zorder=2.4)  # fmt: skip
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set_xlabel("x [m]")
-        axes.set_ylabel("y [m]")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4, frameon=False)
+            _draw_path(axes, path.point, stroke, path.label)
+        _draw_singular(axes, singular, "#000000")
+        label_plane(axes)
+        _legend_under(axes, 4)
         return drawn
+
+
+_LOCUS_STROKES: dict[SingularityKind, dict[str, Any]] = {
+    SingularityKind.TYPE_II: {"color": "#D55E00", "linewidth": 2.0, "linestyle": "-", "label": "type II (parallel)"},
+    SingularityKind.TYPE_I: {
+        "color": "#000000",
+        "linewidth": 1.4,
+        "linestyle": (0, (5, 2)),
+        "label": "type I (serial), border of the working mode",
+    },
+    SingularityKind.COMBINED: {"color": "#000000", "linewidth": 2.0, "linestyle": "-.", "label": "combined"},
+}
+
+
+def plot_locus(
+    locus: SingularLocus, path: str | Path, *, motion: Array | None = None, crossings: Sequence[Crossing] = ()
+) -> None:
+    """Write the picture of a singular locus; the suffix (.png, .svg, .pdf) decides on the format.
+
+    Args:
+        locus: from ``singular_locus``.
+        path: the file to write; one that exists is replaced.
+        motion: as of ``draw_locus``.
+        crossings: as of ``draw_locus``.
+
+    Raises:
+        OutputError: the file cannot be written, or its suffix is no picture format; nothing is changed then.
+    """
+    drawn = draw_locus(locus, motion=motion, crossings=crossings)
+    with replacing_file(path) as temporary:
+        save(drawn, temporary)
+
+
+def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: Sequence[Crossing] = ()) -> Figure:
+    """Draw a singular locus: type I and type II curves over the margin, readable in black and white.
+
+    The shade is the distance to type II (smallest singular value of the scaled W): darker is nearer; white is out of
+    reach in this working mode. A robot with a single coordinate gets its margins as curves.
+
+    Args:
+        locus: from ``singular_locus``.
+        motion: (N, n) platform coordinates of a motion to draw over it, base frame, m and rad.
+        crossings: singularities along that motion, to mark.
+
+    Raises:
+        InputError: something else than a locus.
+    """
+    if not isinstance(locus, SingularLocus):
+        raise InputError(
+            f"locus draws a singular locus, not a {type(locus).__name__}.",
+            remedy="Pass what rp.singular_locus(robot) returns.",
+        )
+    mode = [f"working mode {mode_name(locus.robot.working_mode)}"] if locus.robot.working_mode else []
+    fixed = [f"{name} = {round(value, 6) + 0.0:g} rad" for name, value in locus.fixed.items()]
+    plane = len(locus.axes) == 2
+    with figure(7.0, 5.6 if plane else 4.0) as drawn:
+        axes = drawn.add_subplot(title=", ".join([f"Singularities of {locus.robot.name}", *mode, *fixed]))
+        if plane:
+            _draw_plane(drawn, axes, locus)
+            if motion is not None:
+                axes.plot(*motion[:, list(locus.free)].T, color="#0072B2", zorder=2.6, label="motion")
+            places = [crossing.x[list(locus.free)] for crossing in crossings]
+            _draw_singular(axes, places, "#0072B2", "singular instant")
+        else:
+            _draw_line(axes, locus)
+        _legend_under(axes, 2 if plane else 3, 0.12 if plane else 0.18)
+        return drawn
+
+
+def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
+    axes.grid(False)
+    shade = np.ma.masked_invalid(np.abs(locus.margin.T))
+    # no part of the map is black or white: curves stand out from it, and so does what is out of reach
+    top = float(shade.max())
+    image = axes.pcolormesh(
+        *locus.axes, shade, cmap="Greys_r", vmin=-0.6 * top, vmax=1.1 * top, shading="nearest", rasterized=True
+    )
+    bar = drawn.colorbar(image, ax=axes, shrink=0.8)
+    bar.ax.set_ylim(0.0, top)
+    bar.set_label("margin to type II: smallest scaled singular value of W [–]")
+    spatial = ["xyz".index(name) for name in locus.names]  # which of the world's axes the picture has
+    for ends in links(locus.robot, locus.q_reference):
+        axes.plot(*np.stack(ends)[:, spatial].T, "-o", color="#5A5A5A", linewidth=1.6, markersize=3.5, zorder=2.0)
+    named: set[SingularityKind] = set()
+    for curve in locus.curves:
+        style = _LOCUS_STROKES[curve.kind] | ({"label": None} if curve.kind in named else {})
+        named.add(curve.kind)
+        axes.plot(*curve.points[:, list(locus.free)].T, zorder=2.5, **style)
+    axes.plot(*base_hinges(locus.robot)[:, spatial].T, "^", color="#000000", markersize=8, zorder=3.0,
+              label="base hinge")  # fmt: skip
+    home = locus.reference[list(locus.free)]
+    axes.plot(*home, "D", color="#0072B2", markersize=6, zorder=3.0, label="reference")
+    axes.set_aspect("equal", adjustable="box")
+    x, y = (f"{name} [{unit}]" for name, unit in zip(locus.names, locus.units, strict=True))
+    axes.set(xlabel=x, ylabel=y)
+
+
+def _draw_line(axes: Axes, locus: SingularLocus) -> None:
+    (coordinate,) = locus.axes
+    axes.plot(coordinate, locus.serial_margin, color="#000000", linestyle=(0, (5, 2)), label="margin to type I")
+    axes.plot(coordinate, np.abs(locus.margin), color="#D55E00", linestyle="-", label="margin to type II")
+    for curve in locus.curves:
+        place = float(curve.points[0, 0])
+        label = f"{curve.kind.label.replace('_', ' ')} at {place:.6g}"
+        axes.axvline(place, color="#000000", linewidth=1.0, linestyle=":", label=label)
+    axes.plot(locus.reference[0], 0.0, "D", color="#0072B2", markersize=6, clip_on=False, label="reference")
+    axes.set_ylim(bottom=0.0)
+    axes.set(xlabel=f"{locus.names[0]} [{locus.units[0]}]", ylabel="smallest scaled singular value [–]")

@@ -3,38 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
-from redundancy_pin.visualisation.figures.style import figure
+from redundancy_pin.visualisation.figures.paths import label_plane
+from redundancy_pin.visualisation.figures.style import figure, legend_below
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import (
-    MARGIN_COLORS,
-    ROLE_COLORS,
-    ROLE_NAMES,
-    UNKNOWN_COLOR,
-    Plate,
-    Scene,
-    Solid,
-    arc_points,
-    margin_classes,
-    margin_labels,
-)
+from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, UNKNOWN_COLOR, Scene, margin_classes, margin_labels
+from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, ROLE_NAMES, Solid, arc_points, corners_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-_FAINTEST = 0.25
-"""Opacity of the first instant; the last one is drawn in full."""
-
-_MESH_OPACITY = 0.35
-"""Of the outline of a mesh, its convex hull: joints are seen through it."""
-
+_FAINTEST = 0.25  # opacity of the first instant; the last one is drawn in full
+_BASE_OPACITY = 0.18  # of the base, which is behind everything
 _TRACK: dict[str, Any] = {"linestyle": (0, (3, 1.5))}
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
@@ -56,7 +44,6 @@ def draw_snapshots(
 
     Raises:
         InputError: no view, an unknown plane, or times outside the motion.
-        RedundancyPinError: matplotlib is not installed.
     """
     scene = view.scene if isinstance(view, View) else view
     if not isinstance(scene, Scene):
@@ -73,15 +60,13 @@ def draw_snapshots(
         )
     frames = [int(np.abs(scene.t - t).argmin()) for t in wanted]
     with figure(6.0, 5.2) as drawn:
-        axes = drawn.add_subplot()
-        axes.set_title(scene.title if title is None else title)
+        axes = drawn.add_subplot(title=scene.title if title is None else title)
         for i, frame in enumerate(frames):
             alpha = _FAINTEST + (1.0 - _FAINTEST) * (i + 1) / len(frames)
             draw_frame(axes, scene, frame, plane=plane, alpha=alpha, base=i == 0)
         draw_path(axes, scene, plane=plane)
         label_plane(axes, plane)
-        handles = _handles(scene, frames)
-        drawn.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False)
+        legend_below(drawn, _handles(scene, frames))
         return drawn
 
 
@@ -96,14 +81,15 @@ def draw_frame(
         frame: number of the frame.
         plane: which coordinates are drawn.
         alpha: opacity.
-        base: whether to draw the plate of the base, which is the same in every frame.
+        base: whether to draw the base, which is the same in every frame.
     """
     columns = list(_PLANES[plane])
-    for item in scene.plates:
-        if base or item.body:
-            _draw_plate(axes, scene, item, frame, columns, alpha)
+    platform = _color(int(margin_classes(scene.margin[[frame]])[0]))
     for solid in scene.solids:
-        _draw_solid(axes, solid, scene.placement[frame, solid.body] @ solid.placement, columns, alpha)
+        if solid.role == "platform":
+            _draw_solid(axes, replace(solid, color=platform), scene.placement[frame, solid.body], columns, alpha)
+        elif base or solid.role != "base":
+            _draw_solid(axes, solid, scene.placement[frame, solid.body], columns, alpha)
 
 
 def draw_path(axes: Axes, scene: Scene, *, plane: str = "xy") -> None:
@@ -114,21 +100,18 @@ def draw_path(axes: Axes, scene: Scene, *, plane: str = "xy") -> None:
     if len(points) < 2:
         return
     classes = margin_classes(scene.path_margin)
-    palette = (*MARGIN_COLORS, UNKNOWN_COLOR)  # −1 is the last
     edges = np.flatnonzero(np.diff(classes)) + 1
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges + 1, [len(points)]])
     pieces = [points[a:b] for a, b in zip(starts, stops, strict=True)]
-    colors = [palette[classes[a]] for a in starts]
+    colors = [_color(int(classes[a])) for a in starts]
     widths = [_width(int(classes[a])) for a in starts]
     axes.add_collection(LineCollection(pieces, colors=colors, linewidths=widths, zorder=4.0))
     axes.plot(*points[0], "o", color="#000000", markersize=4, zorder=4.1)
 
 
-def label_plane(axes: Axes, plane: str = "xy") -> None:
-    """Give both axes their names and the same scale."""
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"{plane[0]} [m]")
-    axes.set_ylabel(f"{plane[1]} [m]")
+def _color(number: int) -> str:
+    """Return the colour of a class of the margin; −1 is not known."""
+    return (*MARGIN_COLORS, UNKNOWN_COLOR)[number]
 
 
 def _handles(scene: Scene, frames: Sequence[int]) -> list[Any]:
@@ -159,58 +142,38 @@ def _width(number: int) -> float:
     return 3.4 if number == 0 else 1.6
 
 
-def _draw_plate(axes: Axes, scene: Scene, item: Plate, frame: int, columns: list[int], alpha: float) -> None:
-    place = scene.placement[frame, item.body]
-    corners = (item.corners @ place[:3, :3].T + place[:3, 3])[:, columns]
-    color, order = ROLE_COLORS[item.role], 0.5
-    if item.role == "platform":
-        number = int(margin_classes(scene.margin[[frame]])[0])
-        color, order = MARGIN_COLORS[number] if number >= 0 else UNKNOWN_COLOR, 2.6
-    opacity = alpha if item.role == "platform" else 0.18
-    if len(corners) >= 3:
-        # with an edge: seen from the side a plate is a line
-        axes.fill(*corners.T, facecolor=color, alpha=opacity, edgecolor=color, linewidth=1.6, zorder=order)
-    elif len(corners) == 2:
-        axes.plot(*corners.T, color=color, alpha=opacity, linewidth=5.0, zorder=order)
-    else:
-        axes.plot(*corners.T, "o", color=color, alpha=alpha, markersize=8.0, zorder=order)
-
-
-def _draw_solid(axes: Axes, solid: Solid, place: Array, columns: list[int], alpha: float) -> None:
-    style: dict[str, Any] = {"color": solid.color, "alpha": alpha}
+def _draw_solid(axes: Axes, solid: Solid, body: Array, columns: list[int], alpha: float) -> None:
+    """Draw a solid of a body that is placed at (4, 4)."""
+    place, color = body @ solid.placement, solid.color
     middle = place[:3, 3][columns]
     if solid.role in _DRAWN_AS_JOINT:
-        face = "#FFFFFF" if solid.role == "passive" else solid.color
-        marker = _DRAWN_AS_JOINT[solid.role]
-        axes.plot(*middle, marker, markersize=4.5, markerfacecolor=face, markeredgecolor="#202020", alpha=alpha,
-                  markeredgewidth=0.7, zorder=2.8)  # fmt: skip
-    elif solid.shape == "box":
-        _draw_box(axes, solid, place, columns, style)
-    elif solid.shape == "arc":
-        points = arc_points(solid) @ place[:3, :3].T + place[:3, 3]
-        axes.plot(*points[:, columns].T, linewidth=1.2, zorder=2.2, **_TRACK, **style)
-    elif solid.mesh is not None:
-        points = (solid.mesh[0] @ place[:3, :3].T + place[:3, 3])[:, columns]
-        axes.fill(*_hull(points).T, facecolor=solid.color, alpha=_MESH_OPACITY * alpha, edgecolor="#202020",
-                  linewidth=0.5, zorder=1.8)  # fmt: skip
+        face = "#FFFFFF" if solid.role == "passive" else color
+        axes.plot(*middle, _DRAWN_AS_JOINT[solid.role], markersize=4.5, markerfacecolor=face, alpha=alpha,
+                  markeredgecolor="#202020", markeredgewidth=0.7, zorder=2.8)  # fmt: skip
+    elif solid.role == "track":
+        ends = arc_points(solid) if solid.shape == "arc" else 0.5 * solid.size[2] * np.outer([-1.0, 1.0], [0, 0, 1])
+        points = (ends @ place[:3, :3].T + place[:3, 3])[:, columns]
+        axes.plot(*points.T, color=color, alpha=alpha, linewidth=1.2, zorder=2.2, **_TRACK)
+    elif solid.shape == "plate" and solid.mesh is not None:
+        # the last two vertices are its middle
+        points = (solid.mesh[0][:-2] @ place[:3, :3].T + place[:3, 3])[:, columns]
+        opacity, order = (alpha, 2.6) if solid.role == "platform" else (_BASE_OPACITY, 0.5)
+        axes.fill(*_hull(points).T, facecolor=color, alpha=opacity, edgecolor=color, linewidth=1.6, zorder=order)
+    elif solid.mesh is not None or solid.shape == "box":
+        corners = solid.mesh[0] @ place[:3, :3].T + place[:3, 3] if solid.mesh is not None else (
+            corners_of(solid) @ body[:3, :3].T + body[:3, 3])  # fmt: skip
+        opacity, order = solid.opacity * alpha, 3.0 if solid.role == "carrier" else 1.8
+        axes.fill(*_hull(corners[:, columns]).T, facecolor=color, alpha=opacity, edgecolor="#202020", linewidth=0.5,
+                  zorder=order)  # fmt: skip
     elif solid.shape == "cylinder":
         radius, length = solid.size
         along = place[:3, 2][columns]
         if np.linalg.norm(along) * length > radius:  # seen end on it is a disc, which the plate stands for
             ends = np.stack([middle - 0.5 * length * along, middle + 0.5 * length * along])
-            axes.plot(*ends.T, solid_capstyle="round", linewidth=2.6, zorder=2.0, **style)
-
-
-def _draw_box(axes: Axes, solid: Solid, place: Array, columns: list[int], style: dict[str, Any]) -> None:
-    if solid.role == "track":
-        ends = place[:3, 3] + 0.5 * solid.size[2] * np.outer([-1.0, 1.0], place[:3, 2])
-        axes.plot(*ends[:, columns].T, linewidth=1.2, zorder=2.2, **_TRACK, **style)
-        return
-    sides = 0.5 * np.array(solid.size)
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-    corners = (signs * sides @ place[:3, :3].T + place[:3, 3])[:, columns]
-    axes.fill(*_hull(corners).T, facecolor=solid.color, alpha=style["alpha"], edgecolor="#202020", linewidth=0.5,
-              zorder=3.0 if solid.role == "carrier" else 1.8)  # fmt: skip
+            width, opacity, order = (5.0, _BASE_OPACITY, 0.5) if solid.role == "base" else (2.6, alpha, 2.0)
+            axes.plot(*ends.T, color=color, alpha=opacity, solid_capstyle="round", linewidth=width, zorder=order)
+    elif solid.role == "platform":
+        axes.plot(*middle, "o", color=color, alpha=alpha, markersize=8.0, zorder=2.6)
 
 
 def _hull(points: Array) -> Array:

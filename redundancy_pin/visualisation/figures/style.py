@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import io
+import math
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,13 +15,11 @@ from typing import TYPE_CHECKING, Any
 from redundancy_pin.errors import OutputError, RedundancyPinError
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-_FINER = 1.6
-"""Pixels of the picture per pixel of the page: lettering stays sharp on dense screens."""
+_FINER = 1.6  # pixels of the picture per pixel of the page: lettering stays sharp on dense screens
 
 
 @functools.cache
@@ -78,19 +78,22 @@ CARRIER_STROKES = (
 The line style is that of the main actuator with the same number.
 """
 
-WINDOW_COLOR = "#D9D9D9"
-_INSTANT: dict[str, Any] = {"color": "#000000", "linewidth": 0.9, "linestyle": (0, (1, 1.5))}
+BEYOND: dict[str, Any] = {
+    "facecolor": "none", "edgecolor": "#8C8C8C", "hatch": "/////", "linewidth": 0.0, "label": "beyond a limit"
+}  # fmt: skip
+"""How what a limit forbids is drawn, and what legends call it."""
 
-BEYOND = "beyond a limit"
-"""What legends call the hatched part of an axis."""
+INSTANT: dict[str, Any] = {
+    "color": "#000000", "linewidth": 0.9, "linestyle": (0, (1, 1.5)), "label": "singular instant"
+}  # fmt: skip
+"""How a singular instant is drawn, and what legends call it."""
 
-_FORBIDDEN: dict[str, Any] = {"facecolor": "none", "edgecolor": "#8C8C8C", "hatch": "/////", "linewidth": 0.0}
-
-_MINOR = (2.0, 0.6)
-"""Decades on a logarithmic axis below which some, and below which all numbers between powers of ten are written."""
-
+# How a stretch of near-singular samples is drawn, and what legends call it
+WINDOW: dict[str, Any] = {"facecolor": "#D9D9D9", "edgecolor": "none", "label": "near-singular"}
 _FORMATS = ("png", "svg", "pdf")
 
+_LETTERS, _KEY = 15.0, 9  # letters of a legend on an inch, and how many of them an entry takes with its line and space
+_TITLE_LETTERS = 12.0  # letters of a title on an inch
 _SETTINGS: dict[str, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
@@ -99,13 +102,14 @@ _SETTINGS: dict[str, Any] = {
     "axes.axisbelow": True,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "figure.titlesize": 10.5,
     "grid.color": "#E6E6E6",
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
-    "legend.frameon": True,
-    "legend.framealpha": 0.9,
-    "legend.edgecolor": "#CCCCCC",
+    "legend.frameon": False,
     "legend.fontsize": 8.0,
+    "legend.columnspacing": 1.2,
+    "legend.handlelength": 2.6,
     "figure.dpi": 100,
     "savefig.dpi": 160,
     "path.simplify": True,
@@ -116,19 +120,23 @@ _SETTINGS: dict[str, Any] = {
 
 
 @contextmanager
-def figure(width: float, height: float) -> Iterator[Figure]:
+def figure(width: float, height: float, title: str = "") -> Iterator[Figure]:
     """Give an empty figure drawn in the common style; no window and no global state.
 
     Args:
         width: in inches.
         height: in inches.
+        title: of the figure; broken into lines where it is longer than the figure is wide.
 
     Raises:
         RedundancyPinError: matplotlib is not installed.
     """
     require_matplotlib()
     with _styled():
-        yield _page_class()(figsize=(width, height), layout="constrained")
+        page = _page_class()(figsize=(width, height), layout="constrained")
+        if title:
+            page.suptitle(textwrap.fill(title, int(_TITLE_LETTERS * width)))
+        yield page
 
 
 @contextmanager
@@ -138,11 +146,6 @@ def _styled() -> Iterator[None]:
 
     with matplotlib.style.context(["default", _SETTINGS]):
         yield
-
-
-def words(name: str) -> str:
-    """Return a name in plain data, such as the value of a plan's status, as titles say it: "within limits"."""
-    return name.replace("_", " ")
 
 
 def require_matplotlib() -> None:
@@ -194,67 +197,33 @@ def picture_format(path: str | Path) -> str:
     return kind
 
 
-def mark_singular(
-    axes: Axes, windows: Sequence[tuple[float, float]], instants: Sequence[float], *, label: bool = False
-) -> None:
-    """Shade near-singular time windows and draw a line at each singular instant.
-
-    Args:
-        axes: with time, s, on the abscissa.
-        windows: first and last time of each window, s.
-        instants: singular instants, s.
-        label: whether the two appear in the legend.
-    """
-    for index, (start, end) in enumerate(windows):
-        name = "near-singular" if label and index == 0 else None
-        axes.axvspan(start, end, color=WINDOW_COLOR, linewidth=0, zorder=0.5, label=name)
-    for index, instant in enumerate(instants):
-        name = "singular instant" if label and index == 0 else None
-        axes.axvline(instant, zorder=1.5, label=name, **_INSTANT)
-
-
-def mark_instants(axes: Axes, instants: Sequence[float]) -> None:
-    """Draw a dotted line at each singular instant, s."""
-    for instant in instants:
-        axes.axvline(instant, zorder=1.6, **_INSTANT)
-
-
-def instant_handle() -> Artist:
-    """Return what a legend shows of ``mark_instants``."""
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], label="singular instant", **_INSTANT)
-
-
-def hatch_beyond(axes: Axes, edge: float, far: float, *, label: str | None = None) -> None:
-    """Hatch what lies between a limit and the end of the axis behind it, on the ordinate."""
-    axes.axhspan(min(edge, far), max(edge, far), zorder=0.4, label=label, **_FORBIDDEN)
-
-
-def beyond_handle() -> Artist:
-    """Return what a legend shows of ``hatch_beyond``."""
-    from matplotlib.patches import Patch
-
-    return Patch(label=BEYOND, **_FORBIDDEN)
-
-
-def plain_log(axes: Axes) -> None:
+def log_scale(axes: Axes) -> None:
     """Make the ordinate logarithmic with numbers a reader need not translate: 20 in place of 2×10¹."""
     from matplotlib.ticker import LogFormatter
 
     axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(LogFormatter(minor_thresholds=_MINOR))
-    axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=_MINOR))
+    # decades on the axis below which some, and below which all numbers between powers of ten are written
+    for set_formatter in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+        set_formatter(LogFormatter(minor_thresholds=(2.0, 0.6)))
 
 
-def legend_above(axes: Axes, columns: int) -> None:
-    """Put the legend above the axes, where it hides nothing."""
-    axes.legend(
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0, 1.0, 0.1),
-        ncols=columns,
-        frameon=False,
-        borderaxespad=0.1,
-        handlelength=2.6,
-        columnspacing=1.2,
-    )
+def legend_above(axes: Axes, width: float) -> None:
+    """Put the legend above axes that are ``width`` inches wide, where it hides nothing; none without labels."""
+    labels = axes.get_legend_handles_labels()[1]
+    if labels:
+        columns = _columns(labels, width)
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0, 1.0, 0.1), ncols=columns, borderaxespad=0.1)
+
+
+def legend_below(drawn: Figure, handles: Sequence[Any]) -> None:
+    """Put a legend under all axes of a figure; none without entries."""
+    if handles:
+        columns = _columns([str(handle.get_label()) for handle in handles], drawn.get_figwidth())
+        drawn.legend(handles=list(handles), loc="outside lower center", ncols=columns)
+
+
+def _columns(labels: Sequence[str], width: float) -> int:
+    """Return in how many columns entries fit: all in a row, else evenly spread over the rows it takes."""
+    room, lengths = int(_LETTERS * width), [_KEY + len(label) for label in labels]
+    fit = len(labels) if sum(lengths) <= room else max(1, room // max(lengths))
+    return math.ceil(len(labels) / math.ceil(len(labels) / fit))

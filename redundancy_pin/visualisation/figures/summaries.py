@@ -1,4 +1,4 @@
-"""Trade-off curves: two quantities of which neither can be lowered without raising the other."""
+"""Figures of the report that sum up many plans: bars, largest speeds, trade-off curves, tracking errors."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, plain_log
+from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, legend_below, log_scale
+from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_HATCHES = ("", "///", "...", "xxx", "---", "\\\\\\")
-"""So that bars can be told apart without colour."""
+_HATCHES = ("", "///", "...", "xxx", "---", "\\\\\\")  # so that bars can be told apart without colour
 
 
 def plot_bars(
@@ -31,36 +31,24 @@ def plot_bars(
         groups_label: of their axis.
         label: of the values' axis, with its unit.
         series: (G,) positive values by method; NaN leaves a gap that is marked "none".
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
-    with figure(max(8.0, 1.6 + 0.9 * len(groups)), 3.6) as drawn:
+    width = max(8.0, 1.6 + 0.9 * len(groups))
+    with figure(width, 3.6, title) as drawn:
         axes = drawn.subplots()
-        drawn.suptitle(title, fontsize=10.5)
-        width = 0.8 / len(series)
-        places = np.arange(len(groups))
+        bar, places = 0.8 / len(series), np.arange(len(groups))
         smallest = min(float(np.nanmin(values)) for values in series.values())
         for i, (name, values) in enumerate(series.items()):
-            at = places + (i - 0.5 * (len(series) - 1)) * width
-            axes.bar(
-                at,
-                np.nan_to_num(values),
-                width,
-                color=STROKES[i % len(STROKES)].color,
-                hatch=_HATCHES[i % len(_HATCHES)],
-                edgecolor="white",
-                linewidth=0.4,
-                label=name,
-            )
+            at = places + (i - 0.5 * (len(series) - 1)) * bar
+            color, hatch = STROKES[i % len(STROKES)].color, _HATCHES[i % len(_HATCHES)]
+            axes.bar(at, np.nan_to_num(values), bar, color=color, hatch=hatch, edgecolor="white", linewidth=0.4,
+                     label=name)  # fmt: skip
             for x in at[np.isnan(values)]:
                 axes.text(x, smallest, "none", rotation=90, ha="center", va="bottom", fontsize=7)
-        plain_log(axes)
+        log_scale(axes)
         axes.set_ylim(bottom=0.7 * smallest)
         axes.set_xticks(places, groups)
-        axes.set_xlabel(groups_label)
-        axes.set_ylabel(label)
-        legend_above(axes, len(series))
+        axes.set(xlabel=groups_label, ylabel=label)
+        legend_above(axes, width - 0.8)
         return drawn
 
 
@@ -85,13 +73,9 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
     Args:
         title: of the figure.
         attempts: one curve each.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
-    with figure(7.0, 4.6) as drawn:
+    with figure(7.0, 4.6, title) as drawn:
         axes = drawn.subplots()
-        drawn.suptitle(title, fontsize=10.5)
         for stroke, tried in zip(STROKES, attempts, strict=False):
             axes.plot(
                 tried.found[:, 0], tried.found[:, 1], color=stroke.color, linestyle=stroke.dash, marker=stroke.marker,
@@ -101,15 +85,13 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
                 tried.without, [0.02] * len(tried.without), linestyle="none", marker="x", color=stroke.color,
                 transform=axes.get_xaxis_transform(), clip_on=False,
             )  # fmt: skip
-        plain_log(axes)
-        axes.set_xlabel("cruising speed [m/s] (crosses: no plan found)")
-        axes.set_ylabel("largest main force [N]")
-        legend_above(axes, 1)
+        log_scale(axes)
+        axes.set(xlabel="cruising speed [m/s] (crosses: no plan found)", ylabel="largest main force [N]")
+        legend_above(axes, 6.2)
         return drawn
 
 
-_LETTERS = 42
-"""Of a line of a panel's title."""
+_LETTERS = 42  # of a line of a panel's title
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,13 +117,9 @@ def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
     Args:
         title: of the figure.
         curves: one panel each.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
-    with figure(3.8 * len(curves), 3.8) as drawn:
+    with figure(3.8 * len(curves), 3.8, title) as drawn:
         panels = drawn.subplots(1, len(curves), squeeze=False)[0]
-        drawn.suptitle(title, fontsize=10.5)
         names = list(dict.fromkeys(name for curve in curves for name in curve.marks))
         for panel, curve in zip(panels, curves, strict=True):
             panel.plot(curve.points[:, 0], curve.points[:, 1], color=STROKES[0].color, marker="o", markersize=4,
@@ -150,19 +128,17 @@ def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
                 stroke = STROKES[1 + names.index(name)]
                 panel.plot([acceleration], [effort], linestyle="none", marker=stroke.marker, color=stroke.color,
                            markersize=7, label=name)  # fmt: skip
-            plain_log(panel)
+            log_scale(panel)
             panel.set_title(textwrap.fill(curve.title, _LETTERS), fontsize=9)
-            panel.set_xlabel("rms of s̈ [m/s²]")
-            panel.set_ylabel(f"rms of |τ| [{curve.unit}]")
+            panel.set(xlabel="rms of s̈ [m/s²]", ylabel=f"rms of |τ| [{curve.unit}]")
         named = {}
         for panel in panels:
             named.update({label: handle for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)})
-        drawn.legend(named.values(), named.keys(), loc="outside lower center", ncols=len(named), frameon=False)
+        legend_below(drawn, list(named.values()))
         return drawn
 
 
-LEAST = 1e-16
-"""m; what is smaller is drawn there."""
+LEAST = 1e-16  # m; what is smaller is drawn there
 
 
 def plot_tracking(title: str, curves: Mapping[str, tuple[Array, Array]]) -> Figure:
@@ -171,17 +147,8 @@ def plot_tracking(title: str, curves: Mapping[str, tuple[Array, Array]]) -> Figu
     Args:
         title: of the figure.
         curves: by label, (N,) times, s, and (N,) distances, m.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
     """
-    with figure(7.0, 4.2) as drawn:
-        axes = drawn.subplots()
-        drawn.suptitle(title, fontsize=10.5)
-        for stroke, (label, (t, error)) in zip(STROKES, curves.items(), strict=False):
-            axes.plot(t, np.maximum(error, LEAST), color=stroke.color, linestyle=stroke.dash, label=label)
-        axes.set_yscale("log")
-        axes.set_xlabel("time t [s]")
-        axes.set_ylabel("distance from the plan [m]")
-        legend_above(axes, 2)
-        return drawn
+    lines = tuple(Curve(label, t, np.maximum(error, LEAST), i) for i, (label, (t, error)) in enumerate(curves.items()))
+    top = max(float(np.nanmax(curve.value)) for curve in lines)
+    panel = Panel("distance from the plan [m]", lines, log=True, within=(0.5 * LEAST, 3.0 * top), height=1.8)
+    return plot_time_panels(title, [panel])

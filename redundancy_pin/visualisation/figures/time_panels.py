@@ -1,34 +1,51 @@
-"""Curves over time in panels one above the other: the form of most figures of the thesis."""
+"""Panels over a common time axis: the one way in which curves over time are drawn.
+
+A figure is a list of panels, a panel a list of curves; time axis, legends, limits, phases and singular instants are
+the same in all of them. To add one, write a function like this one in ``plots.py`` and name it in its ``__all__``:
+
+    def power(subject: Plan) -> Figure:
+        \"\"\"Draw the power of the main actuators over time.\"\"\"
+        names = [f"P{i + 1}" for i in range(subject.tau.shape[1])]
+        panel = Panel("power [W]", series(names, subject.t, subject.tau * subject.actuated_rate))
+        return plot_time_panels(curves_of_plan(subject).title, [panel], plan=subject)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.figures.plan import phase_handles, shade_phases
 from redundancy_pin.visualisation.figures.style import (
     BEYOND,
     CARRIER_STROKES,
+    INSTANT,
     STROKES,
+    WINDOW,
     figure,
-    hatch_beyond,
-    instant_handle,
     legend_above,
-    mark_instants,
+    legend_below,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Windows = Sequence[tuple[float, float]]
+"""First and last time of each near-singular stretch, s."""
 
-_CONDITION_TOP = 1e3
-_HEADROOM = 0.08
+_CONDITION_TOP = 1e3  # largest condition number of the axis: at a singular instant it is infinite
+_CONDITION_LINEAR = 10.0  # up to this condition number the axis is linear
+_HEADROOM = 0.08  # free space above and below what an axis shows, as a fraction of it
+_VISIBLE_FRACTION = 0.35  # A limit is drawn if the curves use at least this fraction of it; else it would flatten them
+# Greys of the phases, in the order of their names; neighbours differ enough to be told apart in print
+_PHASE_FILLS = ("#FFFFFF", "#E4E4E4", "#C4C4C4", "#F1F1F1", "#D4D4D4", "#B4B4B4")
+_BOX: dict[str, Any] = {"facecolor": "#FFFFFF", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +53,14 @@ class Curve:
     """One curve.
 
     Attributes:
-        label: in the legend.
+        label: in the legend; empty leaves it out.
         t: (N,) time, s.
         value: (N,) what is drawn; not drawn where it is not finite.
         stroke: which of the common strokes.
         reference: whether it is what others are compared with: thin and grey.
         carrier: whether it is one of the carriers', which have strokes of their own.
+        fitted: (N,) samples to which the axis is fitted, others may leave the picture; None: all.
+        style: keywords of matplotlib's ``plot`` for what is to look different.
     """
 
     label: str
@@ -50,6 +69,8 @@ class Curve:
     stroke: int = 0
     reference: bool = False
     carrier: bool = False
+    fitted: BoolArray | None = None
+    style: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,90 +81,246 @@ class Panel:
         label: of the axis, with its unit.
         curves: what is drawn.
         levels: horizontal lines, by what the legend says of them.
-        limits: largest and smallest admissible value, drawn and hatched beyond where the axis shows them; may be empty.
-        log: whether the axis is logarithmic, for condition numbers: from 1 to 1000.
+        limits: smallest and largest admissible value (2,) of all curves or (c, 2) of each, drawn and hatched beyond
+            where the curves come near to them, else written in the corner; infinite where there is none; may be empty.
+        log: whether the axis is logarithmic; of condition numbers, from 1 to 1000, unless ``within`` says otherwise.
         height: relative.
+        within: ends of the axis; fitted to curves and limits when left out.
+        marks: points (t, value) with a text beside them, such as where a limit is exceeded most.
+        title: above the panel.
+        legend: whether it has one; else its curves are named under the figure, unless another panel names them.
+        shared: whether panels beside it have the same scale.
     """
 
     label: str
     curves: tuple[Curve, ...]
     levels: tuple[tuple[float, str], ...] = ()
-    limits: tuple[float, ...] = ()
+    limits: ArrayLike = ()
     log: bool = False
     height: float = 1.0
+    within: tuple[float, float] | None = None
+    marks: tuple[tuple[float, float, str], ...] = ()
+    title: str = ""
+    legend: bool = True
+    shared: bool = False
+
+
+def series(names: Sequence[str], t: Array, values: Array, **settings: Any) -> tuple[Curve, ...]:
+    """Return a curve for each column of ``values`` (N, m); ``settings`` as of ``Curve``."""
+    return tuple(Curve(name, t, values[:, i], i, **settings) for i, name in enumerate(names))
+
+
+def condition_panel(t: Array, condition: Array, thresholds: Sequence[float] = (), *, singular: bool = False) -> Panel:
+    """Return a panel of a condition number (N,): linear where it is small, and cut at 1000.
+
+    Args:
+        t: (N,) time, s.
+        condition: (N,) of the scaled W; infinite or NaN at a singular pose.
+        thresholds: to mark.
+        singular: whether the motion meets a singularity.
+    """
+    shown = np.minimum(np.nan_to_num(condition, nan=np.inf), 10.0 * _CONDITION_TOP)
+    top = max([float(shown.max()), *(2.0 * threshold for threshold in thresholds)])
+    log = singular or top > _CONDITION_LINEAR
+    end = min(_CONDITION_TOP, 1.5 * top) if log else 1.0 + 1.2 * max(top - 1.0, 0.1)
+    curve = Curve("", t, shown, style={"color": "#000000"})
+    levels = tuple((threshold, f"threshold {threshold:g}") for threshold in thresholds)
+    within = (1.0, _CONDITION_TOP if singular else end)
+    return Panel("condition number of W [–]", (curve,), levels, log=log, within=within)
 
 
 def plot_time_panels(
-    title: str, panels: Sequence[Panel], *, plan: Plan | None = None, instants: Sequence[float] = ()
+    title: str,
+    panels: Sequence[Panel],
+    *,
+    plan: Plan | None = None,
+    instants: Sequence[float] = (),
+    windows: Windows = (),
 ) -> Figure:
-    """Draw panels over a common time axis.
+    """Draw panels one above the other.
 
     Args:
         title: of the figure.
         panels: from top to bottom.
         plan: whose phases are shaded; none where left out.
         instants: singular instants, s, drawn as dotted lines.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
+        windows: near-singular stretches, shaded.
     """
-    heights = [panel.height for panel in panels]
-    with figure(7.2, 1.1 + 1.75 * sum(heights)) as drawn:
-        axes = list(drawn.subplots(len(panels), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0])
-        drawn.suptitle(title, fontsize=10.5)
-        for axis, panel in zip(axes, panels, strict=True):
-            _draw(axis, panel)
-            if plan is not None:
-                shade_phases(axis, plan)
-            mark_instants(axis, instants)
-        times = [curve.t for panel in panels for curve in panel.curves]
-        axes[-1].set_xlim(min(float(t[0]) for t in times), max(float(t[-1]) for t in times))
-        axes[-1].set_xlabel("time t [s]")
-        drawn.align_ylabels(axes)
-        handles = _handles(plan, bool(instants))
-        if handles:
-            drawn.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+    size = 7.2, 1.1 + 1.75 * sum(panel.height for panel in panels)
+    return plot_panel_grid(title, [panels], size, plan=plan, instants=instants, windows=windows)
+
+
+def plot_panel_grid(
+    title: str,
+    columns: Sequence[Sequence[Panel]],
+    size: tuple[float, float],
+    *,
+    plan: Plan | None = None,
+    instants: Sequence[float] = (),
+    windows: Windows = (),
+) -> Figure:
+    """Draw columns of panels, all of the same heights, in a figure of some width and height, inches."""
+    with figure(*size, title) as drawn:
+        heights = [panel.height for panel in columns[0]]
+        axes = drawn.subplots(len(heights), len(columns), sharex=True, height_ratios=heights, squeeze=False)
+        for beside, row in zip(axes, zip(*columns, strict=True), strict=True):
+            for i, (axis, panel) in enumerate(zip(beside, row, strict=True)):
+                alike = row if panel.shared else (panel,)
+                draw_panel(axis, panel, size[0] / len(columns) - 0.8, alike=alike)
+                draw_background(axis, plan=plan, instants=instants, windows=windows)
+                axis.tick_params(labelleft=not (panel.shared and i))
+        times = [curve.t for column in columns for panel in column for curve in panel.curves]
+        first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+        if last > first:
+            axes[0, 0].set_xlim(first, last)
+        for axis in axes[-1]:
+            axis.set_xlabel("time t [s]")
+        for column in axes.T:
+            drawn.align_ylabels(column)
+        legend_below(drawn, [*_unnamed(columns, axes), *background_handles(drawn, plan, instants, windows)])
         return drawn
 
 
-def _draw(axes: Axes, panel: Panel) -> None:
+def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel] = ()) -> None:
+    """Draw one panel.
+
+    Args:
+        axes: where to.
+        panel: the panel.
+        width: of the axes, inches.
+        alike: panels with the same scale, itself among them; none: it has its own.
+    """
     for curve in panel.curves:
         strokes = CARRIER_STROKES if curve.carrier else STROKES
         stroke = strokes[curve.stroke % len(strokes)]
         style: dict[str, Any] = {"color": stroke.color, "linestyle": stroke.dash, "zorder": 2.2}
-        if panel.log:
-            style["color"] = "#000000"  # of condition numbers, as in other figures
         if curve.reference:
             style = {"color": "#6E6E6E", "linestyle": "-", "linewidth": 1.0, "zorder": 2.0}
-        value = np.minimum(curve.value, 10.0 * _CONDITION_TOP) if panel.log else curve.value
-        axes.plot(curve.t, value, label=curve.label, **style)
+        elif panel.log and panel.within is None:
+            style["color"] = "#000000"  # of condition numbers, in every figure
+        top = 10.0 * _CONDITION_TOP if panel.log and panel.within is None else np.inf
+        axes.plot(curve.t, np.minimum(curve.value, top), label=curve.label, **{**style, **curve.style})
     for i, (level, name) in enumerate(panel.levels):
         stroke = STROKES[1 + i % (len(STROKES) - 1)]
         axes.axhline(level, color=stroke.color, linestyle=stroke.dash, linewidth=1.1, zorder=1.9, label=name)
-    if panel.log:
-        axes.set_yscale("log")
-        axes.set_ylim(1.0, _CONDITION_TOP)
+    for t, value, text in panel.marks:
+        axes.plot(t, value, linestyle="none", marker="X", markersize=6.5, markerfacecolor="#FFFFFF",
+                  markeredgecolor="#000000", zorder=3.0, clip_on=False)  # fmt: skip
+        axes.annotate(text, (t, value), xytext=(6, -1), textcoords="offset points", fontsize=7.5, va="center",
+                      zorder=3.0, bbox=_BOX)  # fmt: skip
+    axes.set(ylabel=panel.label, yscale="log" if panel.log else "linear")
+    axes.set_title(panel.title, fontsize=8.5)
+    if panel.log or panel.within is not None:
+        axes.set_ylim(panel.within or (1.0, _CONDITION_TOP))
+    elif panel.curves:
+        _fit(axes, panel, alike or (panel,))
     else:
-        _fit(axes, panel)
-    axes.set_ylabel(panel.label)
-    legend_above(axes, max(3, len(panel.curves) + len(panel.levels)))
+        axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="#6E6E6E")
+    if panel.legend:
+        legend_above(axes, width)
 
 
-def _fit(axes: Axes, panel: Panel) -> None:
-    """Fit the axis to the curves, and to the limits that they come near to."""
-    values = np.concatenate([curve.value[np.isfinite(curve.value)] for curve in panel.curves])
-    low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
-    shown = [limit for limit in panel.limits if 0.5 * abs(limit) <= (high if limit > 0 else -low)]
-    low, high = min([low, *shown]), max([high, *shown])
+def fitted_range(curves: Sequence[Curve], edges: Sequence[float] = ()) -> tuple[float, float]:
+    """Return the ends of an axis that shows zero, curves, limits that are ``edges``, and some space about them."""
+    low, high = _extent(curves)
+    low, high = min([low, *edges]), max([high, *edges])
     room = _HEADROOM * ((high - low) or 1.0)
-    for i, limit in enumerate(shown):
-        axes.axhline(limit, color="#000000", linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.8)
-        hatch_beyond(axes, limit, high + room if limit > 0.0 else low - room, label=None if i else BEYOND)
-    axes.set_ylim(low - room, high + room)
+    return low - room, high + room
 
 
-def _handles(plan: Plan | None, with_instants: bool) -> list[Any]:
-    handles: list[Any] = phase_handles(plan) if plan is not None and len(plan.phases) > 1 else []
-    if with_instants:
-        handles.append(instant_handle())
-    return handles
+def _extent(curves: Sequence[Curve]) -> tuple[float, float]:
+    """Return the smallest and the largest value to which an axis is fitted, zero among them."""
+    counted = [curve.value if curve.fitted is None else curve.value[curve.fitted] for curve in curves]
+    values = np.concatenate([part[np.isfinite(part)] for part in counted])
+    return float(values.min(initial=0.0)), float(values.max(initial=0.0))
+
+
+def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
+    """Scale the axis to curves and limits in reach, draw these, and hatch what none of the curves may do."""
+    curves = [curve for other in alike for curve in other.curves]
+    extent = np.array(_extent(curves))
+
+    def in_reach(limits: ArrayLike) -> Array:  # (c, 2), NaN where a limit would flatten the curves
+        edges = np.reshape(np.asarray(limits, dtype=float), (-1, 2))
+        return np.where(np.abs(extent) >= _VISIBLE_FRACTION * np.abs(edges), edges, np.nan)
+
+    every = np.concatenate([in_reach(other.limits).ravel() for other in alike])
+    ends = fitted_range(curves, every[np.isfinite(every)].tolist())
+    shown, limits = in_reach(panel.limits), np.reshape(np.asarray(panel.limits, dtype=float), (-1, 2))
+    for side, end, outermost in zip(shown.T, ends, (np.min, np.max), strict=True):
+        for edge in np.unique(side[np.isfinite(side)]):
+            axes.axhline(edge, color="#000000", linewidth=0.8, zorder=1.5)
+            whose = np.flatnonzero(side == edge) + 1
+            if len(whose) < len(side):
+                text = f"limit of {', '.join(map(str, whose))}"
+                axes.text(0.985, edge, text, transform=axes.get_yaxis_transform(), ha="right", va="center",
+                          fontsize=7.0, zorder=1.6, bbox=_BOX)  # fmt: skip
+        if len(side) and np.isfinite(side).all():
+            edge = outermost(side)
+            axes.axhspan(min(edge, end), max(edge, end), zorder=0.4, **BEYOND | {"label": None})
+    axes.set_ylim(ends)
+    if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and np.isfinite(limits[0]).any():
+        low, high = limits[0]
+        text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
+        axes.text(0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#444444")
+
+
+def draw_background(
+    axes: Axes, *, plan: Plan | None = None, instants: Sequence[float] = (), windows: Windows = ()
+) -> None:
+    """Shade phases and near-singular stretches, and draw a dotted line at each singular instant."""
+    if plan is not None:
+        runs = phase_runs(plan.phase)
+        starts = [float(plan.t[first]) for _, first, _ in runs]
+        for (phase, _, _), start, end in zip(runs, starts, [*starts[1:], float(plan.t[-1])], strict=True):
+            axes.axvspan(start, end, color=_fill(phase), linewidth=0, zorder=0.2)
+        for start in starts[1:]:
+            axes.axvline(start, color="#777777", linewidth=0.5, zorder=0.6)
+    for start, end in windows:
+        axes.axvspan(start, end, zorder=0.5, **WINDOW | {"label": None})
+    for instant in instants:
+        axes.axvline(instant, zorder=1.6, **INSTANT | {"label": None})
+
+
+def background_handles(
+    drawn: Figure, plan: Plan | None = None, instants: Sequence[float] = (), windows: Windows = ()
+) -> list[Any]:
+    """Return what the legend under a figure says of phases, singularities and limits."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = []
+    if plan is not None and len(plan.phases) > 1:
+        handles += [
+            Patch(
+                facecolor=_fill(phase), edgecolor="#777777", linewidth=0.5, label=plan.phases[phase].replace("_", " ")
+            )
+            for phase in np.unique(plan.phase).tolist()
+        ]
+    handles += [Patch(**WINDOW)] * bool(windows) + [Line2D([], [], **INSTANT)] * bool(instants)
+    hatched = any(patch.get_hatch() for axes in drawn.axes for patch in axes.patches)
+    return handles + [Patch(**BEYOND)] * hatched
+
+
+def _unnamed(columns: Sequence[Sequence[Panel]], axes: Any) -> list[Any]:
+    """Return the curves, one of a name, that no legend of a panel names."""
+    panels = [(panel, axes[i, j]) for j, column in enumerate(columns) for i, panel in enumerate(column)]
+    named = {curve.label for panel, _ in panels if panel.legend for curve in panel.curves}
+    handles = {
+        label: handle
+        for panel, axis in panels
+        if not panel.legend
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    return [handle for label, handle in handles.items() if label not in named]
+
+
+def phase_runs(phase: IntArray) -> list[tuple[int, int, int]]:
+    """Return (phase, first sample, last sample) of each stretch of samples in one phase."""
+    edges = np.flatnonzero(np.diff(phase)) + 1
+    starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(phase)]]) - 1
+    return [(int(phase[a]), int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
+
+
+def _fill(phase: int) -> str:
+    return _PHASE_FILLS[phase % len(_PHASE_FILLS)]

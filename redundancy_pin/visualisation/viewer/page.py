@@ -14,6 +14,7 @@ import logging
 import os
 import warnings
 import webbrowser
+from collections.abc import Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -23,179 +24,13 @@ from typing import Any
 
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import write_text
-from redundancy_pin.visualisation.viewer.meshcat_scene import MESH_OPACITY, send_scene, solid_path
-from redundancy_pin.visualisation.viewer.scene import (
-    EFFORT_COLORS,
-    MARGIN_COLORS,
-    ROLE_COLORS,
-    ROLE_NAMES,
-    Scene,
-    margin_labels,
-)
+from redundancy_pin.visualisation.viewer.meshcat_scene import arrow_path, send_scene, solid_path
+from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, Scene, margin_labels
+from redundancy_pin.visualisation.viewer.solids import MESH_OPACITY, ROLE_COLORS, ROLE_NAMES
 
-_TEMPLATE = Path(__file__).with_name("page.html")
-
-
-class Recorder:
-    """Takes the place of meshcat's window: keeps what it is sent instead of passing it to a server.
-
-    Attributes:
-        commands: packed messages, in the order they came.
-    """
-
-    def __init__(self) -> None:
-        self.commands: list[bytes] = []
-
-    def send(self, command: Any) -> None:
-        """Keep a command."""
-        import umsgpack
-
-        self.commands.append(umsgpack.packb(command.lower()))
-
-
-def page(scene: Scene, commands: list[bytes], *, forces: bool) -> str:
-    """Return the HTML of a scene.
-
-    Args:
-        scene: for title and legend.
-        commands: packed messages of meshcat, in order.
-        forces: whether arrows are shown at first.
-    """
-    import meshcat
-
-    folder = Path(meshcat.__file__).parent / "viewer"
-    viewer = folder / "dist" / "main.min.js"
-    encoded = json.dumps([base64.b64encode(command).decode("ascii") for command in commands])
-    parts = {
-        "TITLE": html.escape(scene.title),
-        "LICENSES": _licenses(folder),
-        "LEGEND": _legend(scene),
-        "CAPTIONS": "".join(f"<div>{html.escape(text)}</div>" for text in scene.captions),
-        "CHECKED": "checked" if forces else "",
-        "HAS_FORCES": "" if scene.arrows else "hidden",
-        "HAS_MESHES": "" if any(solid.shape == "mesh" for solid in scene.solids) else "hidden",
-        "MESH_NODES": json.dumps([solid_path(scene, solid) for solid in scene.solids if solid.shape == "mesh"]),
-        "MESH_OPACITY": json.dumps(MESH_OPACITY),
-        "COMMANDS": encoded,
-        "DURATION": json.dumps(scene.duration),
-        "FORCE_NODES": json.dumps([f"{item.group}_{item.name.replace('/', '_')}" for item in scene.arrows]),
-        # an end tag inside a script would end it; in a string or a pattern the backslash changes nothing
-        "VIEWER": viewer.read_text(encoding="utf-8").replace("</script", "<\\/script"),
-    }
-    text = _TEMPLATE.read_text(encoding="utf-8")
-    for name, value in parts.items():  # the viewer last: what it contains is not to be replaced
-        text = text.replace(f"@{name}@", value)
-    return text
-
-
-def _licenses(folder: Path) -> str:
-    """Return the notices that copies of the viewer have to carry."""
-    notices = [folder / "LICENSE", folder / "dist" / "main.min.js.LICENSE.txt"]
-    said = "\n".join(notice.read_text(encoding="utf-8") for notice in notices if notice.is_file())
-    return f"The viewer in this page is meshcat.\n{said}".replace("--", "- -")
-
-
-def _legend(scene: Scene) -> str:
-    roles = [role for role in ROLE_NAMES if any(solid.role == role for solid in scene.solids)]
-    # links have the colours of the URDF where it gives them
-    entries = [(ROLE_NAMES[role], ROLE_COLORS[role]) for role in roles if role != "link"]
-    groups = {item.group for item in scene.arrows}
-    entries += [
-        (f"effort of {what}", EFFORT_COLORS[group])
-        for group, what in (("main", "main actuators"), ("carrier", "carriers"))
-        if group in groups
-    ]
-    drawn = "".join(_entry(name, color) for name, color in entries)
-    margins = "".join(_entry(name, color) for name, color in zip(margin_labels(), MARGIN_COLORS, strict=True))
-    colored = "platform, path" if any(item.role == "platform" for item in scene.plates) else "path"
-    return f"{drawn}<div class='head'>margin to singularity ({colored})</div>{margins}"
-
-
-def _entry(name: str, color: str) -> str:
-    return f"<div><i style='background:{color}'></i>{html.escape(name)}</div>"
-
-
-PORT = 7000
-"""Where the page is if the port is free; else the system chooses one."""
-
+PORT = 7000  # where the page is if the port is free; else the system chooses one
 _HERE = "127.0.0.1"
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, eq=False)
-class LiveView:
-    """A running server.
-
-    Attributes:
-        url: where to look.
-    """
-
-    url: str
-    _server: ThreadingHTTPServer
-    _thread: Thread
-
-    def wait(self) -> None:
-        """Wait until the server is closed or Ctrl-C is pressed."""
-        self._thread.join()
-
-    def close(self) -> None:
-        """End the server. Pages that are open stay as they are."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
-
-
-def serve_page(text: str) -> LiveView:
-    """Start a server for one HTML page.
-
-    Args:
-        text: of the page.
-
-    Raises:
-        RedundancyPinError: no port can be opened.
-    """
-    server = _server(_handler(text.encode("utf-8")))
-    thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
-    thread.start()
-    return LiveView(f"http://{_HERE}:{server.server_address[1]}/", server, thread)
-
-
-def _server(handler: type[BaseHTTPRequestHandler]) -> ThreadingHTTPServer:
-    try:
-        return _Server((_HERE, PORT), handler)
-    except OSError:
-        pass  # taken, by another view as a rule
-    try:
-        return _Server((_HERE, 0), handler)
-    except OSError as error:
-        raise RedundancyPinError(
-            f"No port of {_HERE} can be opened for the view: {error}.",
-            remedy="Write a file instead (--html, View.save).",
-        ) from error
-
-
-class _Server(ThreadingHTTPServer):
-    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
-    daemon_threads = True
-
-
-def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            if self.path.partition("?")[0] != "/":
-                self.send_error(HTTPStatus.NOT_FOUND)
-                return
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(page)))
-            self.send_header("Cache-Control", "no-store")  # the next view may have the same address
-            self.end_headers()
-            self.wfile.write(page)
-
-        def log_message(self, format: str, *args: Any) -> None:
-            _LOG.debug(format, *args)
-
-    return Handler
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,9 +56,9 @@ class View:
         require_meshcat()
         import meshcat
 
-        recorder = Recorder()
+        recorder = _Recorder()
         send_scene(meshcat.Visualizer(window=recorder), self.scene, forces=self.forces)
-        return page(self.scene, recorder.commands, forces=self.forces)
+        return _page(self.scene, recorder.commands, forces=self.forces)
 
     def save(self, path: str | Path) -> None:
         """Write the page to a file; the same scene gives the same bytes.
@@ -254,6 +89,136 @@ class View:
         inlined = html.escape(self.html(), quote=True)
         style = f"width: 100%; height: {self.height}px; border: none"
         return f'<iframe srcdoc="{inlined}" style="{style}" title="{html.escape(self.scene.title)}"></iframe>'
+
+
+class _Recorder:
+    """Takes the place of meshcat's window: keeps packed messages, in order, instead of passing them to a server."""
+
+    def __init__(self) -> None:
+        self.commands: list[bytes] = []
+
+    def send(self, command: Any) -> None:
+        import umsgpack
+
+        self.commands.append(umsgpack.packb(command.lower()))
+
+
+def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
+    """Return the HTML of a scene from meshcat's packed messages, in order."""
+    import meshcat
+
+    folder = Path(meshcat.__file__).parent / "viewer"
+    meshes = [solid_path(scene, solid) for solid in scene.solids if solid.shape == "mesh"]
+    parts = {
+        "TITLE": html.escape(scene.title),
+        "LICENSES": _licenses(folder),
+        "LEGEND": _legend(scene),
+        "CAPTIONS": "".join(f"<div>{html.escape(text)}</div>" for text in scene.captions),
+        "CHECKED": "checked" if forces else "",
+        "HAS_FORCES": "" if scene.arrows else "hidden",
+        "HAS_MESHES": "" if meshes else "hidden",
+        "MESH_NODES": json.dumps(meshes),
+        "MESH_OPACITY": json.dumps(MESH_OPACITY),
+        "COMMANDS": json.dumps([base64.b64encode(command).decode("ascii") for command in commands]),
+        "DURATION": json.dumps(scene.duration),
+        "FORCE_NODES": json.dumps([arrow_path(arrow) for arrow in scene.arrows]),
+        # an end tag inside a script would end it; in a string or a pattern the backslash changes nothing
+        "VIEWER": (folder / "dist" / "main.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script"),
+    }
+    text = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
+    for name, value in parts.items():  # the viewer last: what it contains is not to be replaced
+        text = text.replace(f"@{name}@", value)
+    return text
+
+
+def _licenses(folder: Path) -> str:
+    """Return the notices that copies of the viewer have to carry."""
+    notices = [folder / "LICENSE", folder / "dist" / "main.min.js.LICENSE.txt"]
+    text = "\n".join(notice.read_text(encoding="utf-8") for notice in notices if notice.is_file())
+    return f"The viewer in this page is meshcat.\n{text}".replace("--", "- -")  # -- would end the comment
+
+
+def _legend(scene: Scene) -> str:
+    present, groups = {solid.role for solid in scene.solids}, {arrow.group for arrow in scene.arrows}
+    # links have the colours of the URDF where it gives them
+    entries = [(name, ROLE_COLORS[role]) for role, name in ROLE_NAMES.items() if role in present - {"link"}]
+    if "main" in groups:
+        entries.append(("effort of main actuators", EFFORT_COLORS["main"]))
+    if "carrier" in groups:
+        entries.append(("effort of carriers", EFFORT_COLORS["carrier"]))
+    colored = "platform, path" if "platform" in present else "path"
+    head = f"<div class='head'>margin to singularity ({colored})</div>"
+    return _entries(entries) + head + _entries(list(zip(margin_labels(), MARGIN_COLORS, strict=True)))
+
+
+def _entries(entries: Sequence[tuple[str, str]]) -> str:
+    return "".join(f"<div><i style='background:{color}'></i>{html.escape(name)}</div>" for name, color in entries)
+
+
+@dataclass(frozen=True, eq=False)
+class LiveView:
+    """A running server.
+
+    Attributes:
+        url: where to look.
+    """
+
+    url: str
+    _server: ThreadingHTTPServer
+    _thread: Thread
+
+    def wait(self) -> None:
+        """Wait until the server is closed or Ctrl-C is pressed."""
+        self._thread.join()
+
+    def close(self) -> None:
+        """End the server. Pages that are open stay as they are."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def serve_page(text: str) -> LiveView:
+    """Start a server for one HTML page, at ``PORT`` if it is free.
+
+    Raises:
+        RedundancyPinError: no port can be opened.
+    """
+    page = text.encode("utf-8")
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if self.path.partition("?")[0] != "/":
+                self.send_error(HTTPStatus.NOT_FOUND)
+                return
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Length", str(len(page)))
+            self.send_header("Cache-Control", "no-store")  # the next view may have the same address
+            self.end_headers()
+            self.wfile.write(page)
+
+        def log_message(self, format: str, *args: Any) -> None:
+            _LOG.debug(format, *args)
+
+    try:
+        server = _Server((_HERE, PORT), Handler)
+    except OSError:  # taken, by another view as a rule
+        try:
+            server = _Server((_HERE, 0), Handler)
+        except OSError as error:
+            raise RedundancyPinError(
+                f"No port of {_HERE} can be opened for the view: {error}.",
+                remedy="Write a file instead (--html, View.save).",
+            ) from error
+    thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
+    thread.start()
+    return LiveView(f"http://{_HERE}:{server.server_address[1]}/", server, thread)
+
+
+class _Server(ThreadingHTTPServer):
+    allow_reuse_address = os.name == "posix"  # elsewhere it would share a port that someone listens on
+    daemon_threads = True
 
 
 def require_html(path: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""What a moving picture of a robot consists of, in plain arrays: no viewer is named here."""
+"""A motion of a robot and its efforts turned into the frames of a moving picture, as arrays."""
 
 from __future__ import annotations
 
@@ -10,64 +10,32 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, IntArray
-
-Role = Literal["base", "link", "track", "carrier", "actuated", "passive", "closure", "platform"]
-"""What a part is to the mechanism; it decides on the colour (``scene_colors``)."""
-
-Shape = Literal["box", "cylinder", "sphere", "arc", "mesh"]
-
-Mesh = tuple[Array, IntArray]
-"""Vertices (V, 3), m, and triangles (T, 3), indices of vertices."""
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.tree import TreeKinematics
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot import Robot
+from redundancy_pin.visualisation.viewer.parts import joint_axis, slides, solids_of
+from redundancy_pin.visualisation.viewer.solids import Solid
 
 Group = Literal["main", "carrier"]
 """Whose effort an arrow shows."""
 
+# Colours of the arrows: the main actuators', the carriers'
+EFFORT_COLORS: Mapping[Group, str] = {"main": "#E4007C", "carrier": "#00A3A3"}
+# Where the classes of the margin part: below the first a pose is reported as near-singular
+MARGIN_EDGES = (NEAR_SINGULAR_MARGIN, 0.1, 0.2, 0.4)
+# Colour of each class of the margin, from singular to far
+MARGIN_COLORS = ("#B2182B", "#EF6C00", "#F6B600", "#5BAA3A", "#2166AC")
+UNKNOWN_COLOR = "#9E9E9E"  # where there is no margin
 
-@dataclass(frozen=True, eq=False)
-class Solid:
-    """A shape fixed to a body.
-
-    Attributes:
-        name: unique within the body.
-        body: index of the joint that moves it; 0 is the base.
-        placement: (4, 4) homogeneous placement in the frame of that joint, m.
-        shape: what it is; a cylinder has its axis along z.
-        size: sides (3) of a box, radius and length of a cylinder, radius of a sphere, m; radius and thickness of an
-            arc, m, and where it starts and ends, rad about z from x; empty for a mesh.
-        role: what it is to the mechanism.
-        color: ``#rrggbb``.
-        mesh: of a mesh, in the frame of ``placement``; None for other shapes.
-    """
-
-    name: str
-    body: int
-    placement: Array
-    shape: Shape
-    size: tuple[float, ...]
-    role: Role
-    color: str
-    mesh: Mesh | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Plate:
-    """A flat polygon through points of one body: the base, or the platform.
-
-    Attributes:
-        name: unique.
-        body: index of the joint that moves it; 0 is the base.
-        corners: (c, 3) in order around it, in the frame of that joint, m. With fewer than three corners there is no
-            polygon: a bar, or a ball.
-        thickness: m.
-        role: "base" or "platform".
-    """
-
-    name: str
-    body: int
-    corners: Array
-    thickness: float
-    role: Role
+FRAME_RATE = 60.0  # frames a second of the motion's own time
+MOST_FRAMES = 600  # longer motions get fewer frames a second; a viewer interpolates between them
+MOST_POINTS = 1000  # of the drawn path, but for changes of its colour
+# Length of the arrow of the largest force, radius of the arc of the largest torque, in sizes of the machine
+LONGEST_FORCE, LONGEST_TORQUE = 0.4, 0.16
+_BEYOND = 1.5  # efforts next to a singularity grow without bound; their arrows stop at this multiple of the longest
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +68,10 @@ class Scene:
         names: (J,) names of the joints, the base first.
         t: (F,) time of each frame, s, from zero.
         placement: (F, J, 4, 4) placement of each joint's frame in the world, m.
-        solids: links, joints, tracks, carriers.
-        plates: base and platform.
+        solids: base and platform, links, joints, tracks, carriers.
         arrows: efforts.
         margin: (F,) distance to type II, scaled; NaN where unknown.
-        path: (N, 3) way of the traced point, world, m.
+        path: (N, 3) places of the traced point, world, m.
         path_margin: (N,) margin along it.
         size: the size of the machine, m: parts that have no size of their own are drawn in proportion to it.
         captions: what the arrows' lengths stand for, a line each.
@@ -115,7 +82,6 @@ class Scene:
     t: Array
     placement: Array
     solids: tuple[Solid, ...]
-    plates: tuple[Plate, ...]
     arrows: tuple[Arrow, ...]
     margin: Array
     path: Array
@@ -129,79 +95,143 @@ class Scene:
         return float(self.t[-1])
 
 
-def corners_of(solid: Solid) -> Array:
-    """Return points (P, 3) whose convex hull holds a solid, in the frame of its body, m."""
-    if solid.mesh is not None:
-        low, high = solid.mesh[0].min(axis=0), solid.mesh[0].max(axis=0)
-    elif solid.shape == "arc":
-        points = arc_points(solid)
-        low, high = points.min(axis=0), points.max(axis=0)
-    else:
-        if solid.shape == "box":
-            half = 0.5 * np.array(solid.size)
-        elif solid.shape == "cylinder":
-            half = np.array([solid.size[0], solid.size[0], 0.5 * solid.size[1]])
-        else:
-            half = np.full(3, solid.size[0])
-        low, high = -half, half
-    corners: Array = np.where(_CUBE, high, low)
-    placed: Array = corners @ solid.placement[:3, :3].T + solid.placement[:3, 3]
-    return placed
+def make_scene(
+    robot: Robot,
+    motion: PlatformMotion,
+    carriers: CarrierMotion,
+    margin: Array,
+    tau: Array | None = None,
+    carrier_force: Array | None = None,
+    *,
+    title: str = "",
+    force_scale: float = 1.0,
+) -> Scene:
+    """Return the moving picture of a motion.
+
+    Args:
+        robot: the robot.
+        motion: N samples of the platform motion.
+        carriers: N samples of the carrier motion.
+        margin: (N,) distance to type II, scaled.
+        tau: (N, m) main efforts, N or N·m; NaN where there are none. None: no arrows.
+        carrier_force: (N, k) forces of the carriers' actuators, N. None: no arrows.
+        title: one line.
+        force_scale: how much longer than usual arrows are drawn. Usually the largest force met away from
+            singularities has an arrow of 0.4 sizes of the machine, the largest torque an arc of radius 0.16.
+
+    Raises:
+        InputError: a scale that is not a positive number, or samples that do not fit together.
+        UnreachablePoseError, SingularPoseError, WorkingModeError: as ``lift``.
+    """
+    if not (np.isfinite(force_scale) and force_scale > 0.0):
+        raise InputError(f"force_scale is {force_scale}.", remedy="Pass a positive number.")
+    if len(carriers) != len(motion) or carriers.s.shape[1] != robot.k:
+        raise InputError(
+            f"The carrier motion has shape {carriers.s.shape}, expected ({len(motion)}, {robot.k}).",
+            remedy="Sample it at the times of the platform motion.",
+        )
+    q = lift(robot, motion).q.copy()
+    q[:, robot.carrier_position] = carriers.s
+    frames, points = frame_samples(motion.t), path_samples(margin)
+    efforts: list[tuple[str, Group, Array]] = []
+    if tau is not None:
+        efforts += [(name, "main", tau[:, i]) for i, name in enumerate(robot.actuated)]
+    if carrier_force is not None:
+        efforts += [(name, "carrier", carrier_force[:, i]) for i, name in enumerate(robot.carriers)]
+    arrows, captions = _arrows(robot, efforts, np.abs(margin) < NEAR_SINGULAR_MARGIN, frames, force_scale)
+    return Scene(
+        title=title,
+        names=("base", *(str(name) for name in list(robot.model.names)[1:])),
+        t=motion.t[frames] - motion.t[0],
+        placement=_placements(robot.model, q[frames]),
+        solids=solids_of(robot),
+        arrows=arrows,
+        margin=np.abs(margin[frames]),
+        path=_traced(robot, q[points]),
+        path_margin=np.abs(margin[points]),
+        size=robot.characteristic_length,
+        captions=captions,
+    )
 
 
-def arc_points(solid: Solid) -> Array:
-    """Return points (P, 3) along the middle of a solid that is an arc, in the frame of its placement, m."""
-    radius, _, low, high = solid.size
-    angle = np.linspace(low, high, max(2, round(abs(high - low) / _ARC_STEP) + 1))
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(angle)], axis=1)
+def frame_samples(t: Array) -> IntArray:
+    """Return which samples become frames: (F,) indices, increasing in time, the first and the last among them.
+
+    Every frame is a sample, shown at the time it has, so that the picture runs at true speed whatever the sampling.
+
+    Args:
+        t: (N,) time, s.
+    """
+    first_of_instant = np.concatenate([[0], np.flatnonzero(np.diff(t) > 0.0) + 1])
+    times = t[first_of_instant]
+    count = min(MOST_FRAMES, max(2, int(np.ceil((t[-1] - t[0]) * FRAME_RATE)) + 1))
+    if len(times) <= count:
+        return first_of_instant
+    wanted = np.linspace(t[0], t[-1], count)
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    nearest = after - (wanted - times[after - 1] < times[after] - wanted)
+    result: IntArray = first_of_instant[np.unique(nearest)]
+    return result
 
 
-_CUBE = np.array([[x, y, z] for x in (False, True) for y in (False, True) for z in (False, True)])
-"""Which corner of a box has the high coordinate along which axis."""
+def path_samples(margin: Array) -> IntArray:
+    """Return which samples the drawn path goes through: enough to be smooth, and all where its colour changes.
 
-_ARC_STEP = 0.05
-"""Of the points along an arc, rad."""
+    Args:
+        margin: (N,) distance to type II, scaled.
+    """
+    even = np.linspace(0, len(margin) - 1, min(len(margin), MOST_POINTS)).round().astype(np.intp)
+    changes = np.flatnonzero(np.diff(margin_classes(margin)))
+    return np.unique(np.concatenate([even, changes, changes + 1])).astype(np.intp)
 
 
-ROLE_COLORS: Mapping[Role, str] = {
-    "base": "#5A5A5A",
-    "link": "#4A7FB5",
-    "track": "#F0C808",
-    "carrier": "#D95F0E",
-    "actuated": "#202020",
-    "passive": "#C8C8C8",
-    "closure": "#9B59B6",
-    "platform": "#348C4D",
-}
-"""Colour of each role, where the URDF does not give a link its own."""
+def _placements(model: pin.Model, q: Array) -> Array:
+    data = model.createData()
+    placement = np.empty((len(q), model.njoints, 4, 4))
+    for i, configuration in enumerate(q):
+        pin.forwardKinematics(model, data, configuration)
+        for j in range(model.njoints):
+            placement[i, j] = data.oMi[j].homogeneous
+    return placement
 
-ROLE_NAMES: Mapping[Role, str] = {
-    "link": "link",
-    "actuated": "driven joint",
-    "passive": "passive joint",
-    "closure": "closure",
-    "track": "track",
-    "carrier": "carrier",
-}
-"""What legends call them, in their order."""
 
-EFFORT_COLORS: Mapping[Group, str] = {"main": "#E4007C", "carrier": "#00A3A3"}
-"""Colours of the arrows: the main actuators', the carriers'."""
+def _traced(robot: Robot, q: Array) -> Array:
+    """Return (N, 3) where the platform's origin or, without a platform, the first closure goes."""
+    if robot.platform is None and not robot.closures:
+        return np.zeros((0, 3))
+    name = robot.platform.frame if robot.platform is not None else robot.closures[0].frame_a
+    origin: Array = TreeKinematics(robot.model, [name]).pose(q).frame_origin[name].T
+    return origin
 
-MARGIN_EDGES = (NEAR_SINGULAR_MARGIN, 0.1, 0.2, 0.4)
-"""Where the classes of the margin part: below the first a pose is reported as near-singular."""
 
-MARGIN_COLORS = ("#B2182B", "#EF6C00", "#F6B600", "#5BAA3A", "#2166AC")
-"""Colour of each class of the margin, from singular to far."""
-
-UNKNOWN_COLOR = "#9E9E9E"
-"""Where there is no margin."""
+def _arrows(
+    robot: Robot, efforts: list[tuple[str, Group, Array]], singular: BoolArray, frames: IntArray, scale: float
+) -> tuple[tuple[Arrow, ...], tuple[str, ...]]:
+    """Return the arrows of efforts (N,), forces and torques each on a scale of their own, and what the longest mean."""
+    arrows, captions = [], []
+    bodies = {name: int(robot.model.getJointId(name)) for name, _, _ in efforts}
+    for turns, longest, unit, what in ((False, LONGEST_FORCE, "N", "force"), (True, LONGEST_TORQUE, "N·m", "torque")):
+        alike = [entry for entry in efforts if slides(robot.model, bodies[entry[0]]) is not turns]
+        values = np.abs(np.array([effort for _, _, effort in alike]).reshape(len(alike), len(singular)))
+        values[~np.isfinite(values)] = 0.0
+        largest = float(values[:, slice(None) if singular.all() else ~singular].max(initial=0.0))
+        if largest == 0.0:
+            continue
+        per_unit = longest * robot.characteristic_length * scale / largest
+        captions.append(f"largest {what} away from singularities: {largest:.3g} {unit}")
+        for name, group, effort in alike:
+            bounded = np.clip(
+                np.nan_to_num(effort[frames], posinf=0.0, neginf=0.0), -_BEYOND * largest, _BEYOND * largest
+            )
+            axis = joint_axis(robot.model, bodies[name])
+            arrows.append(Arrow(name, bodies[name], axis, turns, group, per_unit * bounded))
+    return tuple(arrows), tuple(captions)
 
 
 def margin_classes(margin: Array) -> IntArray:
     """Return (N,) the class of each margin: an index into ``MARGIN_COLORS``, −1 where it is not known."""
-    found: IntArray = np.searchsorted(MARGIN_EDGES, np.abs(margin), side="right").astype(np.intp)
-    return np.where(np.isnan(margin), -1, found)
+    classes: IntArray = np.searchsorted(MARGIN_EDGES, np.abs(margin), side="right").astype(np.intp)
+    return np.where(np.isnan(margin), -1, classes)
 
 
 def margin_labels() -> tuple[str, ...]:
@@ -209,50 +239,3 @@ def margin_labels() -> tuple[str, ...]:
     edges = [f"{edge:g}" for edge in MARGIN_EDGES]
     inner = [f"{low} to {high}" for low, high in pairwise(edges)]
     return (f"below {edges[0]}: near-singular", *inner, f"above {edges[-1]}")
-
-
-def rgb(color: str) -> tuple[float, float, float]:
-    """Return a colour ``#rrggbb`` as three numbers from 0 to 1."""
-    red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
-    return red, green, blue
-
-
-def code(color: str) -> int:
-    """Return a colour ``#rrggbb`` as one number, as viewers want it."""
-    return int(color[1:], 16)
-
-
-def along_z(axis: Array) -> Array:
-    """Return a rotation (3, 3) whose third column is a unit axis."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(helper, axis)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first), axis], axis=1)
-
-
-def joint_axis(model: pin.Model, index: int) -> Array:
-    """Return (3,) the unit axis of a joint of one freedom in its own frame."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    joint = model.joints[index]
-    column = np.reshape(pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL), (6, model.nv))[
-        :, joint.idx_v
-    ]
-    part = column[3:] if np.abs(column[3:]).max() > 0.0 else column[:3]
-    axis: Array = part / np.linalg.norm(part)
-    return axis
-
-
-def slides(model: pin.Model, index: int) -> bool:
-    """Return whether a joint is prismatic."""
-    return str(model.joints[index].shortname()).startswith("JointModelP")
-
-
-def place(rotation: Array | None = None, translation: Array | None = None) -> Array:
-    """Return a homogeneous placement (4, 4)."""
-    placement = np.eye(4)
-    if rotation is not None:
-        placement[:3, :3] = rotation
-    if translation is not None:
-        placement[:3, 3] = translation
-    return placement

@@ -1,0 +1,251 @@
+"""What a picture of a robot consists of, as arrays, and the shapes that its URDF gives: no viewer is named here."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.robot import Robot
+
+Role = Literal["base", "link", "track", "carrier", "actuated", "passive", "closure", "platform"]
+"""What a part is to the mechanism; it decides on the colour."""
+
+Shape = Literal["box", "cylinder", "sphere", "arc", "mesh", "plate"]
+
+Mesh = tuple[Array, IntArray]
+"""Vertices (V, 3), m, and triangles (T, 3), indices of vertices."""
+
+ROLE_COLORS: Mapping[Role, str] = {
+    "base": "#5A5A5A",
+    "link": "#4A7FB5",
+    "track": "#F0C808",
+    "carrier": "#D95F0E",
+    "actuated": "#202020",
+    "passive": "#C8C8C8",
+    "closure": "#9B59B6",
+    "platform": "#348C4D",
+}
+"""Colour of each role, where the URDF does not give a link its own."""
+
+ROLE_NAMES: Mapping[Role, str] = {
+    "link": "link",
+    "actuated": "driven joint",
+    "passive": "passive joint",
+    "closure": "closure",
+    "track": "track",
+    "carrier": "carrier",
+}
+"""What legends call them, in their order."""
+
+MESH_OPACITY = 0.5  # of meshes: joints, closures and carriers are inside them
+_ARC_STEP = 0.05  # of the points along an arc, rad
+_WARNED = 3  # of the meshes that cannot be read, how many the warning names
+_SCHEMES = ("package://", "model://")
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A shape fixed to a body.
+
+    Attributes:
+        name: unique within the body.
+        body: index of the joint that moves it; 0 is the base.
+        placement: (4, 4) homogeneous placement in the frame of that joint, m.
+        shape: what it is; a cylinder has its axis along z, a plate is a prism over a polygon.
+        size: sides (3) of a box, radius and length of a cylinder, radius of a sphere, m; radius and thickness of an
+            arc, m, and where it starts and ends, rad about z from x; empty for a mesh and a plate.
+        role: what it is to the mechanism.
+        color: ``#rrggbb``.
+        mesh: of a mesh and a plate, in the frame of ``placement``; None for other shapes.
+        opacity: less than 1 where other things are to be seen through it.
+    """
+
+    name: str
+    body: int
+    placement: Array
+    shape: Shape
+    size: tuple[float, ...]
+    role: Role
+    color: str
+    mesh: Mesh | None = None
+    opacity: float = 1.0
+
+
+def corners_of(solid: Solid) -> Array:
+    """Return points (8, 3) whose convex hull holds a solid, in the frame of its body, m."""
+    if solid.mesh is not None or solid.shape == "arc":
+        points = arc_points(solid) if solid.mesh is None else solid.mesh[0]
+        low, high = points.min(axis=0), points.max(axis=0)
+    else:
+        sides = {"box": solid.size, "cylinder": (2.0 * solid.size[0], 2.0 * solid.size[0], solid.size[-1])}
+        high = 0.5 * np.array(sides.get(solid.shape, (2.0 * solid.size[0],) * 3))
+        low = -high
+    corners: Array = np.where(np.indices((2, 2, 2)).reshape(3, 8).T, high, low)
+    placed: Array = corners @ solid.placement[:3, :3].T + solid.placement[:3, 3]
+    return placed
+
+
+def arc_points(solid: Solid) -> Array:
+    """Return points (P, 3) along the middle of a solid that is an arc, in the frame of its placement, m."""
+    radius, _, low, high = solid.size
+    angle = np.linspace(low, high, max(2, round(abs(high - low) / _ARC_STEP) + 1))
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(angle)], axis=1)
+
+
+def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
+    """Return the visual shapes of the URDF, links and base in the colours it gives them.
+
+    Meshes that are not found or cannot be read are left out, with one warning through ``logging``.
+    """
+    import coal
+
+    loader = coal.CachedMeshLoader()
+    urdf, unreadable = _with_readable_meshes(robot.urdf, robot.urdf_folder, loader)
+    if unreadable:
+        rest = f"; and {len(unreadable) - _WARNED} more" if len(unreadable) > _WARNED else ""
+        _LOG.warning(
+            "%d mesh file(s) of %s are not drawn: %s. Links without another shape are drawn as bars between their "
+            "joints. Put the files where the URDF says, relative to it; folders of packages go into ROS_PACKAGE_PATH.",
+            len(unreadable),
+            robot.name,
+            "; ".join(unreadable[:_WARNED]) + rest,
+        )
+    visual = pin.buildGeomFromUrdfString(robot.model, urdf, pin.GeometryType.VISUAL, mesh_loader=loader)
+    meshes: dict[tuple[str, tuple[float, ...]], Mesh] = {}
+    solids = []
+    for item in visual.geometryObjects:
+        body = int(item.parentJoint)
+        carrier = str(robot.model.names[body]) in robot.carriers
+        role: Role = "carrier" if carrier else "base" if body == 0 else "link"
+        given = "#" + "".join(f"{round(255 * float(part)):02x}" for part in item.meshColor[:3])
+        color = given if item.overrideMaterial and not carrier else ROLE_COLORS[role]
+        shape, size = _primitive(item.geometry)
+        mesh = None
+        if shape == "mesh":  # a file that many links share is copied out of coal once
+            key = (str(item.meshPath), tuple(float(factor) for factor in item.meshScale))
+            if key not in meshes:
+                meshes[key] = _triangles(item.geometry)
+            mesh = meshes[key]
+        solids.append(
+            Solid(str(item.name), body, item.placement.homogeneous.copy(), shape, size, role, color, mesh,
+                  MESH_OPACITY if mesh is not None else 1.0)
+        )  # fmt: skip
+    return tuple(solids)
+
+
+def find_mesh(filename: str, folder: str) -> Path | None:
+    """Return the file that a URDF means, or None where there is none.
+
+    A relative name is looked for in the folder of the URDF. ``package://NAME/...`` is looked for in folders of that
+    name beside and above the URDF, and where ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH`` point to.
+
+    Args:
+        filename: as the URDF gives it.
+        folder: of the URDF; empty where it is not known.
+    """
+    for scheme in _SCHEMES:
+        if filename.startswith(scheme):
+            name, _, rest = filename.removeprefix(scheme).partition("/")
+            candidates = (root / rest for root in _package_roots(name, folder))
+            return next((file for file in candidates if file.is_file()), None)
+    path = Path(filename.removeprefix("file://"))
+    if not path.is_absolute():
+        if not folder:
+            return None
+        path = Path(folder) / path
+    return path if path.is_file() else None
+
+
+def _package_roots(name: str, folder: str) -> Iterator[Path]:
+    places = [Path(folder), *Path(folder).parents] if folder else []
+    places += [Path(entry) for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if entry]
+    for place in places:
+        if place.name == name:
+            yield place
+        yield place / name
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix) / "share" / name
+
+
+def _with_readable_meshes(urdf: str, folder: str, loader: Any) -> tuple[str, tuple[str, ...]]:
+    """Return a URDF for drawing only, and what is wrong with the meshes that were left out of it.
+
+    Mesh files have their absolute paths, visuals with meshes that cannot be read are gone, and so is all collision
+    geometry. A capsule, which Pinocchio's reader does not know, is a cylinder and two spheres.
+    """
+    root = ElementTree.fromstring(urdf)
+    unreadable: list[str] = []
+    for link in root.iter("link"):
+        for collision in link.findall("collision"):
+            link.remove(collision)
+        for visual in link.findall("visual"):
+            mesh, capsule = visual.find("geometry/mesh"), visual.find("geometry/capsule")
+            problem = _resolve(mesh, folder, loader) if mesh is not None else ""
+            if problem:
+                unreadable.append(problem)
+            if problem or capsule is not None:
+                link.remove(visual)
+            if capsule is not None:
+                link.extend(_parts_of_capsule(visual, capsule))
+    return ElementTree.tostring(root, encoding="unicode"), tuple(dict.fromkeys(unreadable))
+
+
+def _resolve(mesh: ElementTree.Element, folder: str, loader: Any) -> str:
+    """Give a mesh its absolute path; return what is wrong with it, if anything."""
+    filename = mesh.get("filename", "")
+    file = find_mesh(filename, folder)
+    if file is None:
+        return f"{filename} is not found"
+    try:
+        scale = np.array([float(part) for part in mesh.get("scale", "1 1 1").split()])
+        loader.load(str(file), scale)
+    except (ValueError, RuntimeError):
+        return f"{file} cannot be read"
+    mesh.set("filename", str(file))
+    return ""
+
+
+def _parts_of_capsule(visual: ElementTree.Element, capsule: ElementTree.Element) -> Iterator[ElementTree.Element]:
+    """Return a cylinder and the two spheres at its ends: what a capsule consists of."""
+    origin = visual.find("origin")
+    given = origin.attrib if origin is not None else {}
+    xyz, rpy = (np.array([float(part) for part in given.get(key, "0 0 0").split()]) for key in ("xyz", "rpy"))
+    radius, length = capsule.get("radius", "0"), capsule.get("length", "0")
+    half = 0.5 * float(length) * Rotation.from_euler("xyz", rpy).as_matrix()[:, 2]
+    for shape, centre in (("cylinder", xyz), ("sphere", xyz - half), ("sphere", xyz + half)):
+        part = ElementTree.Element("visual")
+        placed = {key: " ".join(map(repr, values.tolist())) for key, values in (("xyz", centre), ("rpy", rpy))}
+        ElementTree.SubElement(part, "origin", placed)
+        size = {"radius": radius, "length": length} if shape == "cylinder" else {"radius": radius}
+        ElementTree.SubElement(ElementTree.SubElement(part, "geometry"), shape, size)
+        part.extend(visual.findall("material"))
+        yield part
+
+
+def _triangles(geometry: Any) -> Mesh:
+    """Return the triangles of a mesh of coal, scaled as the URDF says."""
+    faces = [tuple(geometry.tri_indices(i)[k] for k in range(3)) for i in range(geometry.num_tris)]
+    return np.array(geometry.vertices(), dtype=float), np.array(faces, dtype=np.intp).reshape(-1, 3)
+
+
+def _primitive(geometry: Any) -> tuple[Shape, tuple[float, ...]]:
+    kind = type(geometry).__name__
+    if kind == "Box":
+        return "box", tuple(2.0 * float(side) for side in geometry.halfSide)
+    if kind == "Cylinder":
+        return "cylinder", (float(geometry.radius), 2.0 * float(geometry.halfLength))
+    if kind == "Sphere":
+        return "sphere", (float(geometry.radius),)
+    return "mesh", ()
