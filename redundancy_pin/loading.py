@@ -16,7 +16,7 @@ from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
 from redundancy_pin.kinematics.modes import mode_name, working_modes
-from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import build, characteristic_length
 from redundancy_pin.robot.declaration import parse, read_yaml, require_conditions
 from redundancy_pin.robot.urdf import declaration_path, known_values, render
@@ -58,7 +58,9 @@ def load_robot(
     target = reference_coordinates(robot, declaration.coordinates(parameters))
     listed = [robot.model.joints[robot.model.getJointId(name)] for name in declaration.reference.guess]
     columns = [column for joint in listed for column in range(joint.idx_q, joint.idx_q + joint.nq)]
-    q, gap, closed = multistart_nearest(system, np.array(robot.q_reference), target[0], np.array(columns, dtype=np.intp))
+    q, gap, closed = multistart_nearest(
+        system, np.array(robot.q_reference), target[0], np.array(columns, dtype=np.intp)
+    )
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q, gap),

@@ -286,9 +286,7 @@ def _curves(
     combined = np.all([np.linalg.svd(one, compute_uv=False)[:, -1] < SINGULAR for one in both], axis=0)
     stops = np.cumsum([0, *(len(curve) for curve in curves)])
     chains = [
-        piece
-        for first, stop in pairwise(stops)
-        for piece in _pieces(np.arange(first, stop), points.exact[first:stop])
+        piece for first, stop in pairwise(stops) for piece in _pieces(np.arange(first, stop), points.exact[first:stop])
     ]
     return tuple(
         LocusCurve(

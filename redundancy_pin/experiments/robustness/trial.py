@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.allocation import AllocationStatus
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.experiments.robustness.draws import Draw, Imperfections, draw
 from redundancy_pin.experiments.robustness.scenarios import MASS, Drive, Scenario, nominal, planned
 from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.loading import load_robot
-from redundancy_pin.dynamics.allocation import AllocationStatus
 from redundancy_pin.simulation.controllers.base import Controller, Sampling, Tracking
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
