@@ -136,10 +136,11 @@ class ConstraintSystem:
         origin = pose.frame_origin[robot.platform.frame]
         for column in self.tree.support[robot.platform.frame]:
             linear, angular = pose.jacobian[:3, column], pose.jacobian[3:, column]
-            twist = linear + cross(angular, origin), angular
             for row, axis in enumerate(robot.platform.axes):
                 rotation, k = divmod(AXES.index(axis), 3)
-                jacobian[row, column] = twist[rotation][k]
+                i, j = (k + 1) % 3, (k + 2) % 3  # the velocity at the platform's origin p is v + ω × p
+                at_origin = angular[k] if rotation else linear[k] + angular[i] * origin[j] - angular[j] * origin[i]
+                jacobian[row, column] = at_origin
 
     def bias(self, state: ConstraintState, v: Array) -> tuple[Array, Array]:
         """Return J̇_c v (N, r) and J̇_x v (N, n) at velocities v (N, nv)."""
