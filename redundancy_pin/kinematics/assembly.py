@@ -164,8 +164,9 @@ def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     robot, columns = system.robot, system.pose_columns
     inverse = inverses(state.K)
     rows = np.concatenate([system.closure_scale, row_scale(robot)])
+    scale = np.outer(velocity_scale(robot)[columns] ** 2, 1.0 / rows**2)
     with np.errstate(over="ignore"):
-        size = np.sqrt(np.einsum("nij,i,j->n", inverse**2, velocity_scale(robot)[columns] ** 2, 1.0 / rows**2))
+        size = np.sqrt((inverse**2).reshape(len(inverse), scale.size) @ scale.ravel())
     margin = np.where(size < 1.0 / SINGULAR_MARGIN, 1.0 / np.where(size > 0.0, size, np.inf), 0.0)
     inverse[margin == 0.0] = np.nan
     gamma = np.zeros((len(inverse), robot.model.nv, robot.n))

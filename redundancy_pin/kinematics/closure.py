@@ -21,11 +21,11 @@ turn.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.kinematics.tree import TreeKinematics, TreePose, cross
 from redundancy_pin.robot import AXES, Closure, Robot
 
@@ -39,8 +39,8 @@ class ConstraintState:
         pose: the tree's placements.
         axis, partner: (3, r, N) the pair a, c of each row, world axes.
         phi: (N, r) closure residuals Φ, m (rotation rows: sine of the angle that is off).
-        J: (N, r + n, nv) constraint Jacobian dΦ/dv over that of the independent velocities.
-        K: (N, r + n, p) the same without the carrier columns.
+        J: (r + n, nv, N) constraint Jacobian dΦ/dv over that of the independent velocities.
+        columns: (p,) the velocities without the carriers'.
     """
 
     q: Array
@@ -49,17 +49,23 @@ class ConstraintState:
     partner: Array
     phi: Array
     J: Array
-    K: Array
+    columns: IntArray
 
     @property
     def Jc(self) -> Array:
         """(N, r, nv) constraint Jacobian dΦ/dv."""
-        return self.J[:, : self.phi.shape[1]]
+        return self.J[: self.phi.shape[1]].transpose(2, 0, 1)
 
     @property
     def Jx(self) -> Array:
         """(N, n, nv) Jacobian of the independent velocities (world-aligned platform twist, or named joints)."""
-        return self.J[:, self.phi.shape[1] :]
+        return self.J[self.phi.shape[1] :].transpose(2, 0, 1)
+
+    @cached_property
+    def K(self) -> Array:
+        """(N, r + n, p) all rows without the carrier columns."""
+        # sample by sample in memory, as LAPACK wants them
+        return np.ascontiguousarray(self.J[:, self.columns].transpose(2, 0, 1))
 
 
 class ConstraintSystem:
@@ -117,22 +123,24 @@ class ConstraintSystem:
         jacobian = np.zeros((len(self.rows) + self.robot.n, self.robot.model.nv, pose.samples))
         for rows, moving in self._moving:
             for column, sign in moving.items():  # one einsum over all columns takes ten times as long on many samples
-                jacobian[rows, column] = np.einsum("krn,kn->rn", wrench[:, rows], sign * pose.jacobian[:, column])
+                np.einsum("krn,kn->rn", wrench[:, rows], pose.jacobian[:, column], out=jacobian[rows, column])
+                jacobian[rows, column] *= sign
         self._fill_platform_rows(jacobian[len(self.rows) :], pose)
-        by_sample = np.ascontiguousarray(jacobian.transpose(2, 0, 1))
-        return ConstraintState(q, pose, axis, partner, phi.T, by_sample, by_sample[:, :, self.pose_columns])
+        return ConstraintState(q, pose, axis, partner, phi.T, jacobian, self.pose_columns)
 
     def _fill_platform_rows(self, jacobian: Array, pose: TreePose) -> None:
         robot = self.robot
         if robot.platform is None:
             jacobian[np.arange(robot.n), independent_velocity(robot)] = 1.0
             return
-        columns = list(self.tree.support[robot.platform.frame])
-        linear, angular = pose.jacobian[:3, columns], pose.jacobian[3:, columns]
-        linear = linear + cross(angular, pose.frame_origin[robot.platform.frame][:, None])
-        for row, axis in enumerate(robot.platform.axes):
-            rotation, k = divmod(AXES.index(axis), 3)
-            jacobian[row, columns] = (angular if rotation else linear)[k]
+        origin = pose.frame_origin[robot.platform.frame]
+        for column in self.tree.support[robot.platform.frame]:
+            linear, angular = pose.jacobian[:3, column], pose.jacobian[3:, column]
+            for row, axis in enumerate(robot.platform.axes):
+                rotation, k = divmod(AXES.index(axis), 3)
+                i, j = (k + 1) % 3, (k + 2) % 3  # the velocity at the platform's origin p is v + ω × p
+                at_origin = angular[k] if rotation else linear[k] + angular[i] * origin[j] - angular[j] * origin[i]
+                jacobian[row, column] = at_origin
 
     def bias(self, state: ConstraintState, v: Array) -> tuple[Array, Array]:
         """Return J̇_c v (N, r) and J̇_x v (N, n) at velocities v (N, nv)."""

@@ -225,12 +225,13 @@ def _turned(base: Array, axes: Array, q: Array) -> Array:
 
 
 def _apply(rotation: Array, vector: Array) -> Array:
-    """Return R v for rotations (3, 3, N) and one constant vector (3,)."""
-    result = np.zeros((3, rotation.shape[2]))
+    """Return R v for rotations (3, 3, N) and one constant vector (3,); it may share memory with R."""
+    result: Array | None = None
     for k, component in enumerate(vector.tolist()):
         if component != 0.0:
-            result += rotation[:, k] * component
-    return result
+            part = rotation[:, k] if component == 1.0 else rotation[:, k] * component
+            result = part if result is None else result + part
+    return np.zeros((3, rotation.shape[2])) if result is None else result
 
 
 def _times_constant(rotation: Array, constant: Array) -> Array:
