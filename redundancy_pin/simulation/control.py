@@ -2,12 +2,12 @@
 
 import warnings
 
-from redundancy_pin.simulation.controllers.base import CarrierDrive, CarrierLaw, Constant, Controller, Sampling
+from redundancy_pin.simulation.controllers import base
 
-__all__ = ["CarrierDrive", "CarrierLaw", "Constant", "Controller", "Sampling"]
 
-warnings.warn(
-    "redundancy_pin.simulation.control is now redundancy_pin.simulation.controllers.base.",
-    DeprecationWarning,
-    stacklevel=2,
-)
+def __getattr__(name: str) -> object:
+    value: object = getattr(base, name)
+    if not name.startswith("__"):
+        text = f"redundancy_pin.simulation.control.{name} is now in redundancy_pin.simulation.controllers.base."
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+    return value
