@@ -71,7 +71,7 @@ def difference(robot: Robot, target: Array, start: Array) -> Array:
         delta = np.concatenate([target[:, :3, 3] - start[:, :3, 3], rotation.as_rotvec()], axis=1)
         return delta[:, _pose_rows(robot)]
     delta = target - start
-    turns = _angle_columns(robot)
+    turns = angle_columns(robot)
     delta[:, turns] = (delta[:, turns] + np.pi) % (2.0 * np.pi) - np.pi
     return delta
 
@@ -175,7 +175,7 @@ def _is_revolute(robot: Robot, name: str) -> bool:
     return not str(robot.model.joints[robot.model.getJointId(name)].shortname()).startswith("JointModelP")
 
 
-def _angle_columns(robot: Robot) -> list[int]:
+def angle_columns(robot: Robot) -> list[int]:
     """Columns known up to full turns: platform angles and continuous joints; a bounded joint counts its turns."""
     if robot.platform is not None:
         return [k for k, axis in enumerate(robot.platform.axes) if axis.startswith("r")]

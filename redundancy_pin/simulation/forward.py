@@ -114,9 +114,9 @@ class ForwardDynamics:
         self._given: IntArray = self._carriers if prescribed else nothing
         self._scale = velocity_scale(robot)
         self.least_inertia = 1.0
-        """Smallest pivot of the mass matrix over the largest, in kg, at the last state asked for."""
+        """Smallest pivot of the mass matrix over the largest, in kg, at the last state."""
         self._fresh = False
-        """Whether the independent velocities were chosen for the next configuration that is asked for."""
+        """Whether the independent velocities were chosen for the next configuration."""
         self._set(self.choose_partition(np.array(robot.q_reference)))
 
     def choose_partition(self, q: Array) -> Partition:

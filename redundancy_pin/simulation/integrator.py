@@ -212,7 +212,7 @@ class _Rate:
         self.evaluations += 1
         if y[0] != y[0]:  # a stage after one that had no answer
             return np.full(len(y), np.nan)
-        # efforts that jump at the end of a stretch are asked for just before it
+        # efforts that jump at the end of a stretch are evaluated just before it
         state = self._machine.state(t if t < self._end else float(np.nextafter(self._end, -np.inf)), y)
         try:
             return self._machine.rate(state, self._machine.command(state) if self._hold is None else self._hold)

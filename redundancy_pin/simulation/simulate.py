@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
-from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.coordinates import angle_columns, coordinates
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
@@ -88,7 +88,7 @@ def simulate(
         dt: interval between the samples of the result, s; the integrator chooses its own steps.
         carriers: whether forces drive the carriers, or they follow the motion of the plan or controller exactly and the
             result has the forces that takes.
-        sampling: makes the controller a digital one; it is asked at every instant when left out.
+        sampling: makes the controller a digital one; it is evaluated at every instant when left out.
         effort_limit: scalar or (m,) largest |τ| that the amplifiers give, N or N·m.
         carrier_force_limit: the same for the carriers, N.
         external: further generalised forces (nv,) as a function of the state: friction, disturbances.
@@ -259,7 +259,6 @@ def _simulation(machine: Machine, outcome: Outcome, parameters: dict[str, object
         state = machine.state(sample.t, sample.y)
         try:
             command = machine.command(state) if sample.hold is None else sample.hold
-            tau[i] = command[0]
             loads = machine.loads(state, command)
         except (IllPosedModelError, SingularPoseError):
             continue  # a failed simulation ends there: the efforts have no accelerations
@@ -267,8 +266,9 @@ def _simulation(machine: Machine, outcome: Outcome, parameters: dict[str, object
             if outcome.status is not SimulationStatus.FAILED:
                 raise
             continue  # what blows up may leave a controller without an answer
-        a[i], closure_force[i], carrier_force[i] = loads.a, loads.closure_force, loads.carrier_force
-    evaluated = ConstraintSystem(robot).evaluate(q)
+        tau[i], carrier_force[i] = command[0], loads.carrier_force
+        a[i], closure_force[i] = loads.a, loads.closure_force
+    evaluated = constraint_system(robot).evaluate(q)
     columns = robot.carrier_velocity
     x, xd = coordinates(robot, evaluated), np.einsum("nij,nj->ni", evaluated.Jx, v)
     return Simulation(
@@ -303,14 +303,9 @@ def _unwrapped(robot: Robot, t: Array, x: Array, xd: Array) -> Array:
     """
     if x.ndim == 3:
         return x
-    if robot.platform is not None:
-        turning = [axis.startswith("r") for axis in robot.platform.axes]
-    else:
-        model = robot.model
-        turning = [model.joints[model.getJointId(name)].nq == 2 for name in robot.independent_joints]
-    x = x.copy()
+    x, angles = x.copy(), angle_columns(robot)
     carried = np.zeros_like(x)
     carried[1:] = np.cumsum(0.5 * (xd[1:] + xd[:-1]) * np.diff(t)[:, None], axis=0)
     turns = np.round((carried + np.unwrap(x - carried, axis=0) - x) / (2.0 * np.pi))
-    x[:, turning] += 2.0 * np.pi * turns[:, turning]
+    x[:, angles] += 2.0 * np.pi * turns[:, angles]
     return x

@@ -14,7 +14,7 @@ from interfaces import PLACES, describe, headline_table, members, parameters, pl
 API = json.loads((DATA / "public_api.json").read_text(encoding="utf-8"))
 IMPORTS = json.loads((DATA / "documented_imports.json").read_text(encoding="utf-8"))
 
-RENAMED: Mapping[str, str] = {}
+RENAMED: Mapping[str, str] = {"rp.simulate(way)": "method", "rp.simulation.simulate(way)": "method"}
 """Pinned parameters, such as ``rp.simulate(way)``, and the ones that have their defaults now: both are accepted."""
 
 

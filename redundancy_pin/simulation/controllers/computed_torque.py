@@ -150,7 +150,7 @@ class ComputedTorque(Tracking):
             answer will act.
 
     Attributes:
-        history: the latest ``HISTORY`` commands, a ``TorqueCommand`` for every time ``effort`` was asked, trial steps
+        history: the latest ``HISTORY`` commands, a ``TorqueCommand`` for every call of ``effort``, trial steps
             of an integrator included; older ones are dropped. No answer depends on it.
 
     Raises:
