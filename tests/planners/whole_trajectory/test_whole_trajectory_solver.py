@@ -154,7 +154,7 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
 
 
 def test_flat_optima_are_finished_whatever_led_to_them(monkeypatch):
-    """Within the solver's tolerance the efforts of two strategies are 2e-5 of the peak apart; the last steps mend it."""
+    """Within tolerance the efforts of two strategies are 2e-5 of the peak apart; the last steps mend it."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.013)
     settings = {"objective": "peak", "dt": 0.01, "refinements": 0}
     usual = plan_whole_trajectory(dynamics, trajectory, **settings)
