@@ -15,9 +15,9 @@ from scipy.optimize import minimize
 import redundancy_pin as rp
 from redundancy_pin.planners.carrier_model import effort_model
 from redundancy_pin.planners.carrier_return import CarrierState
+from redundancy_pin.planners.stepwise.box import AccelerationBox
 from redundancy_pin.planners.stepwise.optimiser import optimise, step_problems
 from redundancy_pin.planners.stepwise.planner import LEAST_MARGIN, plan_stepwise
-from redundancy_pin.planners.stepwise.settings import StepLimits
 
 REPEATS = 7
 TARGET = 20
@@ -133,7 +133,7 @@ def rows():
     motion = rp.trajectory.reference.corner().sample(0.005, two_sided=False)
     model = effort_model(dynamics.along(motion), LEAST_MARGIN)
     start = CarrierState(0.0, *np.zeros((3, robot.k)))
-    limits = StepLimits(robot.carriers, robot.carrier_limits, anticipate=True, rest_at=np.inf)
+    limits = AccelerationBox(robot.carriers, robot.carrier_limits, anticipate=True, rest_at=np.inf)
 
     def steps():
         problems = step_problems(model, np.zeros_like(model.tau0), np.arange(len(motion)))

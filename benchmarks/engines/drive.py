@@ -14,7 +14,7 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DEGREE, PlanFunctions
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.reference import MotionReference, plan_reference
+from redundancy_pin.simulation.reference import MotionReference, plan_reference, reference_of
 from redundancy_pin.trajectory.functions_of_time import (
     PiecewisePolynomial,
     TimedTrajectory,
@@ -97,7 +97,7 @@ def drive_of_motion(
     counts = np.ceil(np.diff(edges) / STRETCH).astype(int)
     pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(edges[:-1], edges[1:], counts, strict=True)]
     functions = PlanFunctions(source, position)
-    reference = MotionReference(robot, functions, np.append(np.concatenate(pieces), edges[-1]))
+    reference = reference_of(robot, functions, np.append(np.concatenate(pieces), edges[-1]))
     return _drive(reference, functions, edges[1:-1], None)
 
 

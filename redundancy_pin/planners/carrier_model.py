@@ -158,11 +158,6 @@ class EffortModel:
     tau_terms: Array
     margin: Array
 
-    def tau(self, s: Array, sd: Array, sdd: Array) -> Array:
-        """Return efforts (N, m) for a carrier motion, each (N, k)."""
-        value: Array = self.tau0 + np.einsum("nmkj,nkj->nm", self.tau_terms, terms(s, sd, sdd))
-        return value
-
 
 def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel:
     """Read the coefficients of the main efforts off a backend.

@@ -245,14 +245,12 @@ def _first_allowed(use: Callable[[float], LimitUse], low: float, high: float) ->
     return high, use(high)
 
 
-def no_return(use: LimitUse, exit_time: float, available: float) -> InfeasiblePlanError:
+def no_return(use: LimitUse, start: float, available: float, remedy: str) -> InfeasiblePlanError:
     """Return the error that says that no return keeps the limits, which one stands in the way, and by how much."""
     return InfeasiblePlanError(
-        f"No return of the carriers of at most {available:.6g} s from t = {exit_time:.6g} s keeps their limits: the "
-        f"best one breaks the {use.quantity} limit {use.limit:g} of {use.carrier} by {use.amount:.4g} at "
-        f"t = {use.t:.6g} s.",
-        remedy="Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a "
-        "return_time and accept a plan that violates limits.",
+        f"No return of the carriers of at most {available:.6g} s from t = {start:.6g} s keeps their limits: the best "
+        f"one breaks the {use.quantity} limit {use.limit:g} of {use.carrier} by {use.amount:.4g} at t = {use.t:.6g} s.",
+        remedy=remedy,
         constraint=use.quantity,
         carrier=use.carrier,
         time=use.t,

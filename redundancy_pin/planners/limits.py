@@ -1,4 +1,4 @@
-"""Which limits of the carriers a plan touches and which it breaks, when and by how much."""
+"""Limits of a plan: as options, as arrays, and which of them a plan touches or breaks, when and by how much."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.errors import InputError
+from redundancy_pin.arrays import Array, BoolArray, frozen
+from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import CarrierLimits, Robot
 
@@ -39,6 +39,117 @@ class Limits:
     jerk: ArrayLike | None = None
     carrier_force: ArrayLike | None = None
     effort: ArrayLike | None = None
+
+    def resolved(self, robot: Robot) -> ResolvedLimits:
+        """Return them as arrays, with the robot's own where nothing else is said.
+
+        Raises:
+            InputError: a limit that is not positive, a track whose ends are not in order, wrong shapes.
+        """
+        own, k = robot.carrier_limits, robot.k
+        track = np.array([(limit.lower, limit.upper) for limit in own]).reshape(k, 2)
+        if self.track is not None:
+            track = np.array(_each(self.track, "track", (k, 2)))
+            if not (track[:, 0] < track[:, 1]).all():
+                raise InputError(
+                    f"track is {as_typed(self.track)}, but the ends of a track must increase.",
+                    remedy="Give the lower end first.",
+                    value=self.track,
+                )
+        bounds = {
+            "speed": [limit.speed for limit in own],
+            "acceleration": [limit.acceleration for limit in own],
+            "carrier_force": [limit.force for limit in own],
+            "jerk": [np.inf] * k,
+            "effort": [np.inf] * robot.m,
+        }
+        arrays = {name: frozen(_positive(getattr(self, name), name, given)) for name, given in bounds.items()}
+        return ResolvedLimits(robot.carriers, frozen(track), **arrays)
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedLimits:
+    """The limits a planner keeps to, all of them arrays; infinite for none.
+
+    Attributes:
+        names: (k,) names of the carriers.
+        track: (k, 2) ends, m.
+        speed, acceleration, carrier_force, jerk: (k,) m/s, m/s², N and m/s³.
+        effort: (m,) N or N·m.
+    """
+
+    names: tuple[str, ...]
+    track: Array
+    speed: Array
+    acceleration: Array
+    carrier_force: Array
+    jerk: Array
+    effort: Array
+
+    @property
+    def of_carriers(self) -> tuple[CarrierLimits, ...]:
+        """(k,) those of each carrier, as a robot declares them."""
+        rows = zip(*self.track.T, self.speed, self.acceleration, self.carrier_force, strict=True)
+        return tuple(CarrierLimits(*map(float, row)) for row in rows)
+
+    def parameters(self) -> dict[str, object]:
+        """Return track, speed and acceleration as plain data, for a plan."""
+        return {
+            "track": tuple(map(tuple, self.track.tolist())),
+            "speed": tuple(self.speed.tolist()),
+            "acceleration": tuple(self.acceleration.tolist()),
+        }
+
+    def on_track(self, values: ArrayLike, name: str) -> Array:
+        """Return (k,) positions after checking that they are on the tracks, m.
+
+        Raises:
+            InputError: wrong shape.
+            InfeasiblePlanError: a position off its track.
+        """
+        places = frozen(_each(values, name, (len(self.names),)))
+        for carrier, (lower, upper), place in zip(self.names, self.track, places, strict=True):
+            beyond = max(place - upper, lower - place)
+            if not beyond <= 0.0:
+                raise InfeasiblePlanError(
+                    f"{name} puts {carrier} at {place:g} m, {beyond:.3g} m off its track [{lower:g}, {upper:g}] m.",
+                    remedy="Choose a place on the track.",
+                    constraint="track",
+                    carrier=carrier,
+                    time=0.0,
+                    amount=float(beyond),
+                )
+        return places
+
+
+def as_typed(values: ArrayLike) -> object:
+    """Return numbers as a user typed them, for messages: the command line hands over arrays."""
+    return values.tolist() if isinstance(values, np.ndarray) else values
+
+
+def _positive(values: ArrayLike | None, name: str, own: list[float]) -> Array:
+    if values is None:
+        return np.array(own)
+    bounds = _each(values, name, (len(own),))
+    if not (bounds > 0.0).all():
+        raise InputError(
+            f"{name} is {as_typed(values)}, but limits must be positive.",
+            remedy="Pass inf for no limit.",
+            name=name,
+            value=values,
+        )
+    return bounds
+
+
+def _each(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+    try:
+        values = np.broadcast_to(np.asarray(given, dtype=float), shape)
+    except (TypeError, ValueError) as error:
+        rows = f"two ends, or two for each of {shape[0]} carriers" if len(shape) == 2 else f"{shape[0]} numbers or one"
+        raise InputError(f"{name} is {as_typed(given)!r}, expected {rows}.", name=name) from error
+    if np.isnan(values).any():
+        raise InputError(f"{name} contains NaN.", name=name)
+    return values
 
 
 Group = TypeVar("Group", bound=Any)

@@ -114,38 +114,39 @@ class MotionReference:
 
     Made by ``plan_reference`` or ``motion_reference``.
 
-    Attributes:
+    Args:
         robot: the robot whose efforts these are.
-        start, end: first and last time, s.
         edges: (P + 1,) ends of the pieces, s; efforts may jump or kink there and nowhere else.
-        jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
+        series: "loads" (τ and carrier forces), "carriers" (s, ṡ, s̈), "platform" (x, ẋ, ẍ) and "tree" (q, v, a) as
+            polynomials on these pieces.
+        is_pose: whether x is a pose.
         carrier_lag: (k,) largest distance of the carriers from the samples of a plan, m: what backward differences
             leave.
-        effort_deviation: largest distance from the finite efforts that the plan states at its samples, N or N·m; what
+        deviation: largest distance of the efforts from the finite ones that a plan has at its samples, N or N·m; what
             its own discretisation costs. NaN without a plan.
+
+    Attributes:
+        start, end: first and last time, s.
+        efforts: the loads.
+        effort_deviation: the deviation.
+        jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
     """
 
     def __init__(
-        self, robot: Robot, functions: PlanFunctions, edges: Array, limits: Mapping[float, Array] | None = None
+        self,
+        robot: Robot,
+        edges: Array,
+        series: Mapping[str, PiecewisePolynomial],
+        is_pose: bool,
+        carrier_lag: Array,
+        deviation: float,
     ) -> None:
-        times = chebyshev_times(edges, DEGREE)
-        motion, along = functions.platform.sample_at(times), functions.carriers_at(times)
-        tree = inverse_dynamics(robot, motion, along)
-
-        def polynomials(*parts: Array) -> PiecewisePolynomial:
-            values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1)
-            return PiecewisePolynomial.from_values(edges, values.reshape(len(edges) - 1, DEGREE + 1, -1))
-
-        tau = functions.effort_polynomials(edges, tree.reduced, limits or {})
-        self.robot, self.edges = robot, read_only(edges)
+        self.robot, self.edges = robot, edges
         self.start, self.end = float(edges[0]), float(edges[-1])
-        self.carrier_lag, self.effort_deviation = np.zeros(robot.k), float("nan")
-        self.efforts = tau.beside(polynomials(tree.reduced.carrier_force))
-        self._carriers = polynomials(along.s, along.sd, along.sdd)
-        self._platform = polynomials(motion.x, motion.xd, motion.xdd)
-        self._tree = polynomials(tree.q, tree.v, tree.a)
-        self._is_pose = motion.is_pose
-        self.jumps = self.efforts.jumps()
+        self.carrier_lag, self.effort_deviation = carrier_lag, deviation
+        self.efforts, self.jumps = series["loads"], series["loads"].jumps()
+        self._carriers, self._platform, self._tree = (series[name] for name in ("carriers", "platform", "tree"))
+        self._is_pose = is_pose
 
     def loads(self, t: float) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; outside the motion those at its ends."""
@@ -191,17 +192,7 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
     """
     machine = load_robot_of(plan) if robot is None else robot
     functions = plan.functions_of_time if motion is None else plan.functions_along(motion)
-    singular = np.flatnonzero(plan.margin <= SINGULAR * plan.margin.max())
-    limits = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
-    reference = MotionReference(machine, functions, functions.pieces(plan.t), limits)
-    lag = np.abs(functions.carriers(plan.t) - plan.carriers.s).max(axis=0, initial=0.0)
-    reference.carrier_lag = read_only(np.where(lag < SHIFT, 0.0, lag))
-    stated = np.isfinite(plan.tau).all(axis=1) & ~plan.motion.jumps & ~np.append(plan.motion.jumps[1:], False)
-    # a sample belongs to the step that it ends, and the first one to none: a plan by steps may set off with a jump
-    stated[0] = False
-    own = reference.efforts(plan.t[stated], "left")[:, : machine.m]
-    reference.effort_deviation = float(np.abs(own - plan.tau[stated]).max()) if stated.any() else float("nan")
-    return reference
+    return reference_of(machine, functions, functions.pieces(plan.t), plan)
 
 
 def motion_reference(
@@ -230,4 +221,52 @@ def motion_reference(
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]
     place = np.broadcast_to(np.asarray(carriers, dtype=float), (robot.k,))
     parked = PiecewisePolynomial.constant(place, source.start, source.end)
-    return MotionReference(robot, PlanFunctions(source, parked), apart(np.concatenate(parts)))
+    return reference_of(robot, PlanFunctions(source, parked), apart(np.concatenate(parts)))
+
+
+def reference_of(robot: Robot, functions: PlanFunctions, edges: Array, plan: Plan | None = None) -> MotionReference:
+    """Evaluate the inverse dynamics along two motions at the Chebyshev points of all pieces at once.
+
+    Args:
+        robot: the robot.
+        functions: the motions.
+        edges: (P + 1,) ends of pieces in which they are smooth, s.
+        plan: the plan they belong to; its efforts at singular instants are those that W⁻¹ f tends to.
+
+    Raises:
+        InfeasiblePlanError: some instant has no finite efforts.
+        UnreachablePoseError, SingularPoseError, WorkingModeError: see ``kinematics.lift.lift``.
+    """
+    times = chebyshev_times(edges, DEGREE)
+    motion, along = functions.platform.sample_at(times), functions.carriers_at(times)
+    tree = inverse_dynamics(robot, motion, along)
+
+    def polynomials(*parts: Array) -> PiecewisePolynomial:
+        values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1)
+        return PiecewisePolynomial.from_values(edges, values.reshape(len(edges) - 1, DEGREE + 1, -1))
+
+    limits, lag = {}, np.zeros(robot.k)
+    if plan is not None:
+        singular = np.flatnonzero(plan.margin <= SINGULAR * plan.margin.max())
+        limits = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
+        lag = np.abs(functions.carriers(plan.t) - plan.carriers.s).max(axis=0, initial=0.0)
+    tau = functions.effort_polynomials(edges, tree.reduced, limits)
+    series = {
+        "loads": tau.beside(polynomials(tree.reduced.carrier_force)),
+        "carriers": polynomials(along.s, along.sd, along.sdd),
+        "platform": polynomials(motion.x, motion.xd, motion.xdd),
+        "tree": polynomials(tree.q, tree.v, tree.a),
+    }
+    lag = read_only(np.where(lag < SHIFT, 0.0, lag))
+    deviation = float("nan") if plan is None else _deviation(plan, tau)
+    return MotionReference(robot, read_only(edges), series, motion.is_pose, lag, deviation)
+
+
+def _deviation(plan: Plan, tau: PiecewisePolynomial) -> float:
+    """Return the largest distance of the efforts from those at the samples of a plan; NaN where it has none."""
+    two_sided = plan.motion.jumps | np.append(plan.motion.jumps[1:], False)
+    finite = np.isfinite(plan.tau).all(axis=1) & ~two_sided
+    # a sample belongs to the step that it ends, and the first one to none: a plan by steps may set off with a jump
+    finite[0] = False
+    distances = np.abs(tau(plan.t[finite], "left") - plan.tau[finite])
+    return float(distances.max()) if distances.size else float("nan")

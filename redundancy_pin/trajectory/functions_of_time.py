@@ -3,7 +3,7 @@
 Polynomials are scipy's ``PPoly``: on each piece powers of the time since its left end. They come from values at
 Chebyshev points by way of Chebyshev coefficients, which are small where a smooth function is resolved, so that the
 powers are as accurate as the Chebyshev series itself: values to 1e-15, first and second derivatives digit for digit the
-same (degree 15, measured; a tail of 1e-6 costs 1e-11). Bernstein coefficients are no better there, all as large as the
+same (degree 15, measured; a tail of 1e-6 costs 1e-10). Bernstein coefficients are no better there, all as large as the
 function, and eighteen times slower to evaluate.
 """
 
@@ -110,10 +110,6 @@ class PiecewisePolynomial:
         if order == 0:
             return self
         return PiecewisePolynomial(self.edges, read_only(self.ppoly.derivative(order).c))
-
-    def columns(self, which: slice) -> PiecewisePolynomial:
-        """Return the function of some of the values."""
-        return PiecewisePolynomial(self.edges, self.coefficients[:, :, which])
 
     def beside(self, other: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return a function on the same pieces with the values of this one and then those of the other."""

@@ -199,3 +199,31 @@ def test_a_plan_whose_robot_is_gone_has_no_reference() -> None:
     with pytest.raises(PlanFileError, match="does not say where"):
         plan_reference(lost)
     assert plan_reference(lost, robot=zoo.robot_of("3rrr")).effort_deviation < 1e-3
+
+
+@pytest.mark.parametrize("plan", [stepwise_plan, whole_plan, off_plan])
+def test_a_plan_from_a_file_is_the_same_motion(plan, tmp_path) -> None:
+    plan = plan()
+    plan.save(tmp_path / "plan.npz")
+    again = rp.load_plan(tmp_path / "plan.npz")
+    times = inside(plan)
+    for ours, theirs in (
+        (again.carriers_at(times).sdd, plan.carriers_at(times).sdd),
+        (again.platform_at(times).xdd, plan.platform_at(times).xdd),
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-10 * np.abs(theirs).max())
+    first, second = plan_reference(plan), plan_reference(again)
+    size = max(float(np.abs(plan.tau).max()), 1.0)
+    np.testing.assert_allclose(second.efforts(times), first.efforts(times), rtol=0.0, atol=1e-7 * size)
+    again.save(tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "plan.npz").read_bytes()
+
+
+def test_efforts_of_a_plan_at_any_time_are_none_while_the_actuators_are_off() -> None:
+    plan = off_plan()
+    dynamics = rp.VirtualWork(zoo.robot_of("2rpr"))
+    window = plan.diagnostics["windows"][0]
+    off = np.linspace(window["entry"], window["exit"], 9)[1:-1]
+    assert not plan.efforts_at(off, dynamics).any()
+    reference, before = plan_reference(plan), np.array([0.4 * window["ramp_start"], window["ramp_start"] + 0.01])
+    np.testing.assert_allclose(plan.efforts_at(before, dynamics), reference.efforts(before)[:, :2], atol=EFFORTS)

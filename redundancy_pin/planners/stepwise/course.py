@@ -13,11 +13,12 @@ from redundancy_pin.planners.carrier_return import (
     CarrierState,
     braked_speeds,
     braking_times,
+    no_return,
     return_polynomial,
     shortest_return,
 )
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, optimise
-from redundancy_pin.planners.stepwise.settings import StepwiseSettings
+from redundancy_pin.planners.stepwise.settings import Settings
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
@@ -56,7 +57,7 @@ class Course:
 
 
 def run_course(
-    robot: Robot, settings: StepwiseSettings, problems: StepProblems, active: BoolArray, at_rest: BoolArray
+    robot: Robot, settings: Settings, problems: StepProblems, active: BoolArray, at_rest: BoolArray
 ) -> Course:
     """Plan the carriers from the first instant to the last, but for the braking.
 
@@ -81,7 +82,7 @@ def run_course(
         steps = slice(first + 1, last + 1)
         if active[first]:
             state = CarrierState(float(t[first]), s[first], sd[first], sdd[first])
-            found = optimise(problems, int(first), int(last), state, settings.limits)
+            found = optimise(problems, int(first), int(last), state, settings.box)
             s[steps], sd[steps], sdd[steps] = found.s, found.sd, found.sdd
             course.phase[steps] = OPTIMISE
             course.stretches.append((int(first), found))
@@ -96,7 +97,7 @@ def run_course(
     return replace(course, brake_from=len(active))
 
 
-def _follow_return(robot: Robot, settings: StepwiseSettings, course: Course, first: int, last: int) -> None:
+def _follow_return(robot: Robot, settings: Settings, course: Course, first: int, last: int) -> None:
     """Fill in the way back to the datum from instant ``first``, as far as instant ``last``."""
     state = CarrierState(float(course.t[first]), course.s[first], course.sd[first], course.sdd[first])
     duration = _return_duration(robot, settings, state, float(course.t[-1]))
@@ -127,25 +128,18 @@ _DENSE = 2001
 """Points along a return at which its limits are judged: a peak of a polynomial of degree seven is missed by 1e-6."""
 
 
-def _return_duration(robot: Robot, settings: StepwiseSettings, state: CarrierState, end: float) -> float:
+def _return_duration(robot: Robot, settings: Settings, state: CarrierState, end: float) -> float:
     if settings.return_time != "shortest":
         return settings.return_time
-    limited = replace(robot, carrier_limits=settings.limits.limits)
+    limited = replace(robot, carrier_limits=settings.box.limits)
 
     def no_force(times: Array, *_: Array) -> Array:
         return np.zeros((len(times), robot.k))
 
     duration, use = shortest_return(limited, no_force, state, settings.datum, end - state.t)
     if duration is None:
-        raise InfeasiblePlanError(
-            f"No return of the carriers from t = {state.t:.6g} s keeps their limits: the best one breaks the "
-            f"{use.quantity} limit {use.limit:g} of {use.carrier} by {use.amount:.4g} at t = {use.t:.6g} s.",
-            remedy="Use a larger lam, higher limits, or a return_time and accept a plan that violates limits.",
-            constraint=use.quantity,
-            carrier=use.carrier,
-            time=use.t,
-            amount=use.amount,
-        )
+        remedy = "Use a larger lam, higher limits, or a return_time and accept a plan that violates limits."
+        raise no_return(use, state.t, end - state.t, remedy)
     return duration
 
 
@@ -178,7 +172,7 @@ class Braking:
     end: float
 
 
-def brake(settings: StepwiseSettings, course: Course, step: float, platform_rests: bool) -> Braking:
+def brake(settings: Settings, course: Course, step: float, platform_rests: bool) -> Braking:
     """Brake the carriers from ``course.brake_from`` until all are at rest.
 
     Each is braked by a constant deceleration within ``brake_time``, sooner where its track is too short for that.
@@ -223,24 +217,22 @@ def brake(settings: StepwiseSettings, course: Course, step: float, platform_rest
     )
 
 
-def _stopping_times(settings: StepwiseSettings, s: Array, sd: Array, left: float) -> Array:
-    limits = settings.limits.limits
+def _stopping_times(settings: Settings, s: Array, sd: Array, left: float) -> Array:
+    limits = settings.box.limits
     room = [(b.upper - x) if v > 0.0 else (x - b.lower) for b, x, v in zip(limits, s, sd, strict=True)]
     deceleration = np.array([limit.acceleration for limit in limits])
     wanted = settings.brake_time if settings.stop == "after" else min(settings.brake_time, left)
     return braking_times(sd, np.maximum(room, 0.0), deceleration, wanted)
 
 
-def _require_time(
-    settings: StepwiseSettings, course: Course, stopping: Array, left: float, platform_rests: bool
-) -> None:
+def _require_time(settings: Settings, course: Course, stopping: Array, left: float, platform_rests: bool) -> None:
     j = int(np.argmax(stopping))
     if stopping[j] == 0.0 or (settings.stop == "after" and platform_rests):
         return
     late = float(stopping[j] - left)
     if late <= _ON_TRACK * stopping[j]:
         return
-    carrier, end = settings.limits.carriers[j], float(course.t[-1])
+    carrier, end = settings.box.carriers[j], float(course.t[-1])
     why = (
         "and the platform moves on, so it cannot be held while they stop"
         if settings.stop == "after"
@@ -257,13 +249,13 @@ def _require_time(
     )
 
 
-def _require_on_track(settings: StepwiseSettings, times: Array, path: Array, sd: Array) -> None:
-    for j, limit in enumerate(settings.limits.limits):
+def _require_on_track(settings: Settings, times: Array, path: Array, sd: Array) -> None:
+    for j, limit in enumerate(settings.box.limits):
         beyond = np.maximum(path[:, j] - limit.upper, limit.lower - path[:, j])
         if not len(beyond) or beyond.max() <= _ON_TRACK * (limit.upper - limit.lower):
             continue
         worst = int(np.argmax(beyond))
-        carrier = settings.limits.carriers[j]
+        carrier = settings.box.carriers[j]
         raise InfeasiblePlanError(
             f"{carrier} cannot be stopped: braked by {limit.acceleration:g} m/s² from {sd[j]:.6g} m/s at "
             f"t = {times[0]:.6g} s it is {beyond[worst]:.3g} m beyond the end of its track at "

@@ -14,6 +14,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import effort_model
 from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics, require_motion
 from redundancy_pin.planners.stepwise.course import PHASES, RETURN, Braking, Course, brake, run_course
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, step_problems
@@ -65,6 +66,7 @@ def plan_stepwise(
     track: ArrayLike | None = None,
     least_margin: float = LEAST_MARGIN,
     between: int = 0,
+    limits: Limits | None = None,
 ) -> Plan:
     """Plan the carriers so that each time step has the least main effort (Parsa 2014, section 4.1).
 
@@ -111,6 +113,8 @@ def plan_stepwise(
         least_margin: smallest margin of W along the motion.
         between: number of points inside each step at which the efforts of the continuous motion are checked as well
             (``diagnostics["between_samples"]``, see ``between_samples``); 0 for none.
+        limits: track, speed and acceleration as one value in place of the three keywords; the planner keeps to no
+            others.
 
     Returns:
         A plan with the phases "parked", "optimise", "return", "brake". ṡ and s̈ are backward differences but for
@@ -138,6 +142,7 @@ def plan_stepwise(
     settings = checked_settings(
         robot,
         motion,
+        grouped("limits", limits, Limits, {"track": track, "speed": speed, "acceleration": acceleration}),
         lam=lam,
         active=active,
         start=start,
@@ -146,9 +151,6 @@ def plan_stepwise(
         stop=stop,
         brake_time=brake_time,
         anticipate=anticipate,
-        speed=speed,
-        acceleration=acceleration,
-        track=track,
         least_margin=least_margin,
         between=between,
     )
@@ -165,7 +167,7 @@ def plan_stepwise(
     held = _held(motion, ending.t)
     if len(ending.t):
         along = dynamics.along(held)
-    found = diagnostics(problems, course, ending, settings.limits)
+    found = diagnostics(problems, course, ending, settings.box)
     if reference is not None:
         found["baseline_peak"] = tuple(np.abs(reference).max(axis=0).tolist())
     plan = finish_plan(
@@ -176,7 +178,7 @@ def plan_stepwise(
         phases=PHASES,
         parameters={**settings.parameters, "baseline": _baseline_name(baseline)},
         diagnostics=found,
-        carrier_limits=settings.limits.limits,
+        carrier_limits=settings.box.limits,
         between=course.between,
         functions=_functions(trajectory, motion, course, ending),
     )

@@ -7,16 +7,16 @@ import numpy as np
 from redundancy_pin.arrays import BoolArray
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.stepwise.box import AccelerationBox
 from redundancy_pin.planners.stepwise.course import OPTIMISE, Braking, Course
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, definiteness, optimality
-from redundancy_pin.planners.stepwise.settings import StepLimits
 from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 
 _MET = 1e-9
 """Relative distance from a bound that counts as met; the solver puts what is bound exactly on it."""
 
 
-def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits: StepLimits) -> dict[str, object]:
+def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits: AccelerationBox) -> dict[str, object]:
     """Return what the planner found, as plain data.
 
     Keys: ``steps`` and ``optimised_steps``; ``iterations`` (sum) and ``most_iterations``; ``largest_gradient``, the
@@ -44,7 +44,7 @@ def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits:
     }
 
 
-def _bounds_met(course: Course, limits: StepLimits) -> list[dict[str, object]]:
+def _bounds_met(course: Course, limits: AccelerationBox) -> list[dict[str, object]]:
     found: list[dict[str, object]] = []
     for first, stretch in course.stretches:
         t = course.t[first + 1 : first + 1 + len(stretch.s)]
@@ -60,7 +60,7 @@ def _bounds_met(course: Course, limits: StepLimits) -> list[dict[str, object]]:
     return sorted(found, key=lambda event: (event["start"], event["carrier"]))
 
 
-def _which(stretch: Stretch, limits: StepLimits, j: int, side: str) -> dict[str, BoolArray]:
+def _which(stretch: Stretch, limits: AccelerationBox, j: int, side: str) -> dict[str, BoolArray]:
     """Return for each kind of bound the steps at which it would be the one that binds on a side."""
     limit, sign = limits.limits[j], 1.0 if side == "upper" else -1.0
     end = limit.upper if side == "upper" else limit.lower

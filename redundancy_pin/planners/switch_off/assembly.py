@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, IntArray
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.actuation import Actuation, Measure
@@ -48,50 +47,43 @@ def assemble_plan(
 ) -> Plan:
     """Sample the crossings and returns, let the backend judge them, and report."""
     times = _grid(source, legs, settings)
-    left = np.append(times[1:] == times[:-1], False)
-    s = np.tile(settings.datum, (len(times), 1))
-    sd, sdd = np.zeros_like(s), np.zeros_like(s)
+    position = _position(source, legs, settings)
+    before, after = (carriers_at(position, times, side) for side in ("left", "right"))
+    s, sd, sdd = (np.array(part) for part in (after.s, after.sd, after.sdd))
+    first_of_two = np.flatnonzero(times[1:] == times[:-1])
+    sdd[first_of_two] = before.sdd[first_of_two]
     prescribed = np.full((len(times), dynamics.robot.m), np.nan)
     phase = np.zeros(len(times), dtype=np.intp)
     for leg in legs:
         ramp, off, back = leg.crossing.start, leg.crossing.window.start, leg.crossing.end
-        for carriers_of, there in (
-            (leg.crossing.carriers, (times >= ramp) & (times <= back)),
-            (partial(carriers_at, leg.back), (times > back) & (times <= leg.back.end)),
-        ):
-            for side, chosen in (("left", there & left), ("right", there & ~left)):
-                at = carriers_of(times[chosen], side)  # type: ignore[arg-type]
-                s[chosen], sd[chosen], sdd[chosen] = at.s, at.sd, at.sdd
+        driven = (times >= ramp) & (times <= back)
+        if leg.crossing.samples is not None:  # backward differences, not the derivatives of the position
+            at = leg.crossing.carriers(times[driven])
+            s[driven], sd[driven], sdd[driven] = at.s, at.sd, at.sdd
         phase[(times >= ramp) & (times < off)] = 1
         phase[(times >= off) & (times <= back)] = 2
         phase[(times > back) & (times <= leg.back.end)] = 3
-        driven = (times >= ramp) & (times <= back)
         prescribed[driven] = leg.crossing.ramp(times[driven])
-    along = dynamics.along(source.sample_at(times))
-    carriers = CarrierMotion(s, sd, sdd)
-    return finish_plan(
-        along,
-        carriers,
+    # only inside the windows: on a ramp W⁻¹ f of the carriers' motion is what was prescribed, but for backward
+    # differences, where it is what keeps the platform on its path between the samples
+    off_windows = [(leg.crossing.window.start, leg.crossing.end) for leg in legs]
+    none = tuple(PiecewisePolynomial.constant(np.zeros(dynamics.robot.m), *window) for window in off_windows)
+    plan = finish_plan(
+        dynamics.along(source.sample_at(times)),
+        CarrierMotion(s, sd, sdd),
         planner="switch_off",
         phase=phase,
         phases=PHASES,
-        parameters={
-            "threshold": settings.threshold,
-            "measure": settings.measure,
-            "ramp_down": settings.ramp_down,
-            "return_time": settings.return_time,
-            "datum": settings.datum.tolist(),
-            "dt": settings.dt,
-            "scheme": settings.scheme,
-        },
-        diagnostics=_diagnostics(dynamics, source, along, carriers, prescribed, phase, legs, actuation, settings),
+        parameters={**asdict(settings), "datum": settings.datum.tolist()},
+        diagnostics={},
         prescribed=prescribed,
-        functions=_functions(source, legs, settings),
+        functions=PlanFunctions(source, position.made_continuous(), none),
     )
+    return replace(plan, diagnostics=_diagnostics(dynamics, plan, legs, actuation, settings))
 
 
-def _functions(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> PlanFunctions:
-    """Return the carriers from window to window, and no main efforts inside the windows."""
+def _position(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> PiecewisePolynomial:
+    """Return the positions of the carriers: parked, through a window, back, and so on."""
     parts: list[PiecewisePolynomial] = []
     free = source.start
     starts = [*(leg.crossing.start for leg in legs), source.end]
@@ -102,12 +94,7 @@ def _functions(source: ContinuousMotion, legs: list[Leg], settings: Settings) ->
         free = parts[-1].end
     if source.end > free:
         parts.append(PiecewisePolynomial.constant(settings.datum, free, source.end))
-    # only inside the windows: on a ramp W⁻¹ f of the carriers' motion is what was prescribed, but for backward
-    # differences, where it is what keeps the platform on its path between the samples
-    off = [leg.crossing.ramp.polynomial.control[-1] for leg in legs]
-    windows = [(leg.crossing.window.start, leg.crossing.end) for leg in legs]
-    none = [PiecewisePolynomial.constant(tau, *window) for tau, window in zip(off, windows, strict=True)]
-    return PlanFunctions(source, PiecewisePolynomial.joined(parts).made_continuous(), tuple(none))
+    return PiecewisePolynomial.joined(parts)
 
 
 def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Array:
@@ -135,33 +122,21 @@ def _grid(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> Arra
 
 
 def _diagnostics(
-    dynamics: Dynamics,
-    source: ContinuousMotion,
-    along: DynamicsAlongMotion,
-    carriers: CarrierMotion,
-    prescribed: Array,
-    phase: IntArray,
-    legs: list[Leg],
-    actuation: Actuation,
-    settings: Settings,
+    dynamics: Dynamics, plan: Plan, legs: list[Leg], actuation: Actuation, settings: Settings
 ) -> dict[str, object]:
-    reduced = along.reduce(carriers)
-    tau = np.where(np.isfinite(prescribed), prescribed, distribute(reduced).tau)
-    balance = (np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f) / reduced.row_scale
-    imbalance = np.linalg.norm(balance, axis=1)
     efforts, positions = (
-        {name: np.nanmax(np.abs(part[phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
-        for part in (tau, carriers.s)
+        {name: np.nanmax(np.abs(part[plan.phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
+        for part in (plan.tau, plan.carriers.s)
     )
     singular = actuation.singular_instants()
     return {
-        "windows": [_window(dynamics, source, leg, singular, settings) for leg in legs],
+        "windows": [_window(dynamics, plan.functions_of_time.platform, leg, singular, settings) for leg in legs],
         "no_window": not legs,
         "worst_measure": actuation.worst(settings.measure),
         "singular_instants": singular,
         "peak_effort": efforts,
         "peak_position": positions,
-        "largest_imbalance": float(np.nanmax(imbalance, initial=0.0)),
+        "largest_imbalance": float(np.nanmax(plan.residual, initial=0.0)),
     }
 
 

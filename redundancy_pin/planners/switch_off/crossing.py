@@ -17,7 +17,6 @@ from redundancy_pin.planners.carrier_model import TimedModel
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, RampDown, StepGivenUpError, ramp_down
 from redundancy_pin.singularities.roots import Interval, minima
-from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, carriers_at
 
 RANK_LOSS = 1e-8
@@ -175,10 +174,10 @@ class Crossing:
         motion = self.carriers(np.array([self.end]))
         return CarrierState(self.end, *(np.array(part[0]) for part in (motion.s, motion.sd, motion.sdd)))
 
-    def carriers(self, times: Array, side: Side = "right") -> CarrierMotion:
-        """Return the carriers at (N,) times, or at the nearest samples; ``side`` decides where s̈ jumps."""
+    def carriers(self, times: Array) -> CarrierMotion:
+        """Return the carriers at (N,) times, or at the nearest samples."""
         if self.samples is None:
-            return carriers_at(self.position, times, side)
+            return carriers_at(self.position, times)
         t, motion = self.samples
         at = np.abs(np.asarray(times)[:, None] - t).argmin(axis=1)
         return CarrierMotion(motion.s[at], motion.sd[at], motion.sdd[at])

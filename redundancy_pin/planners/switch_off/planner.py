@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, checked, positive
+from redundancy_pin.arrays import Array, positive
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.actuation import Actuation, Measure
 from redundancy_pin.planners.carrier_model import TimedModel
 from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
+from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.plan import Plan, require_dynamics, require_motion
 from redundancy_pin.planners.switch_off.assembly import Leg, Settings, assemble_plan
 from redundancy_pin.planners.switch_off.backward_differences import cross_stepwise
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross
-from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.roots import Interval
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, TimedTrajectory, continuous_motion
 
@@ -114,37 +113,15 @@ def _settings(
         )
     if isinstance(return_time, str) and return_time != "shortest":
         raise InputError(f"return_time is {return_time!r}.", remedy="Pass a duration in seconds or 'shortest'.")
-    listed: Any = datum if isinstance(datum, (list, tuple, np.ndarray)) else [datum]
-    place = checked(listed, "datum", ("k",))
-    if len(place) not in (1, robot.k):
-        raise InputError(
-            f"datum has {len(place)} values for {robot.k} carriers.",
-            remedy="Pass one position, or one for each carrier.",
-        )
-    _require_on_track(robot, np.zeros(robot.k) + place)
     return Settings(
         threshold=positive(threshold, "threshold", ""),
         measure=measure,
         ramp_down=positive(ramp_down, "ramp_down", "s"),
         return_time=return_time if isinstance(return_time, str) else positive(return_time, "return_time", "s"),
-        datum=np.zeros(robot.k) + place,
+        datum=Limits().resolved(robot).on_track(datum, "datum"),
         dt=positive(dt, "dt", "s"),
         scheme=scheme,
     )
-
-
-def _require_on_track(robot: Robot, place: Array) -> None:
-    for name, limit, s in zip(robot.carriers, robot.carrier_limits, place, strict=True):
-        beyond = max(float(s) - limit.upper, limit.lower - float(s))
-        if beyond > 0.0:
-            raise InfeasiblePlanError(
-                f"datum parks {name} at {s:g} m, {beyond:.3g} m off its track [{limit.lower:g}, {limit.upper:g}] m.",
-                remedy="Park the carriers on their tracks.",
-                constraint="track",
-                carrier=name,
-                t=0.0,
-                amount=beyond,
-            )
 
 
 def _leg(
@@ -172,7 +149,8 @@ def _leg(
         if duration is None:
             if later:
                 return None
-            raise no_return(use, state.t, room)
+            remedy = "Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a "
+            raise no_return(use, state.t, room, remedy + "return_time and accept a plan that violates limits.")
     else:
         duration = float(settings.return_time)
     if duration > room:
@@ -183,7 +161,7 @@ def _leg(
             f"{source.end:.6g} s: {duration - room:.4g} s are missing.",
             remedy="Shorten return_time, or end the motion further from the singularity.",
             constraint="return_time",
-            t=state.t,
+            time=state.t,
             amount=duration - room,
         )
     return Leg(crossing, return_polynomial(state, duration, settings.datum))

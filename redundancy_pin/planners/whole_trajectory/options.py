@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, frozen, positive
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.stepwise.settings import StepLimits, require_inside, resolve_limits, typed
+from redundancy_pin.planners.limits import Limits, as_typed
 from redundancy_pin.planners.whole_trajectory.objectives import OBJECTIVES
 from redundancy_pin.robot import CarrierLimits, Robot
 
@@ -138,20 +137,16 @@ def checked_settings(
             f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
             remedy='Pass baseline=RneaDynamics(load_robot("3rrr", carriers=False)).',
         )
-    carrier_limits = resolve_limits(robot, limits.speed, limits.acceleration, limits.track)
-    if limits.carrier_force is not None:
-        force = _bounds(limits.carrier_force, "carrier_force", robot.k)
-        carrier_limits = tuple(replace(limit, force=float(f)) for limit, f in zip(carrier_limits, force, strict=True))
-    on_track = StepLimits(robot.carriers, carrier_limits, anticipate=False, rest_at=math.inf)
-    park = frozen(require_inside(datum, "datum", on_track))
+    resolved = limits.resolved(robot)
+    park = resolved.on_track(datum, "datum")
     return Settings(
         objective=weights,
         lam=float(lam),
         baseline=objective.baseline,
-        limits=carrier_limits,
-        jerk=_bounds(math.inf if limits.jerk is None else limits.jerk, "jerk", robot.k),
-        effort=_bounds(math.inf if limits.effort is None else limits.effort, "effort", robot.m),
-        start=park if start is None else frozen(require_inside(start, "start", on_track)),
+        limits=resolved.of_carriers,
+        jerk=resolved.jerk,
+        effort=resolved.effort,
+        start=park if start is None else resolved.on_track(start, "start"),
         start_speed=_vector(start_speed, "start_speed", robot.k),
         end=end,
         datum=park,
@@ -183,20 +178,11 @@ def _weights(objective: str | Mapping[str, float]) -> dict[str, float]:
     return kept
 
 
-def _bounds(values: ArrayLike, name: str, length: int) -> Array:
-    bounds = _vector(values, name, length, finite=False)
-    if not (bounds > 0.0).all():
-        raise InputError(
-            f"{name} is {typed(values)}, but limits must be positive.", remedy="Pass inf for none.", name=name
-        )
-    return bounds
-
-
-def _vector(values: ArrayLike, name: str, length: int, *, finite: bool = True) -> Array:
+def _vector(values: ArrayLike, name: str, length: int) -> Array:
     try:
         vector = np.broadcast_to(np.asarray(values, dtype=float), (length,))
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is {typed(values)!r}, expected {length} numbers or one.", name=name) from error
-    if np.isnan(vector).any() or (finite and not np.isfinite(vector).all()):
-        raise InputError(f"{name} is {typed(values)!r}, expected finite numbers.", name=name)
+        raise InputError(f"{name} is {as_typed(values)!r}, expected {length} numbers or one.", name=name) from error
+    if not np.isfinite(vector).all():
+        raise InputError(f"{name} is {as_typed(values)!r}, expected finite numbers.", name=name)
     return frozen(vector)

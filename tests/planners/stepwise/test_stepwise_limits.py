@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.stepwise.settings import StepLimits
+from redundancy_pin.planners.stepwise.box import AccelerationBox
 from redundancy_pin.robot import CarrierLimits
 
 LIMITS = CarrierLimits(lower=-0.8, upper=1.0, speed=1.5, acceleration=7.0, force=np.inf)
@@ -19,7 +19,7 @@ ROUNDING = 1e-10
 
 def limits_of(anticipate=False, rest_at=np.inf, **changes):
     one = CarrierLimits(**{**vars(LIMITS), **changes})
-    return StepLimits(("slider",), (one,), anticipate, rest_at)
+    return AccelerationBox(("slider",), (one,), anticipate, rest_at)
 
 
 def box(limits, s, sd, step=0.005, t=0.1):
@@ -117,5 +117,5 @@ def test_a_box_that_rounding_empties_is_one_point(sd, step, acceleration):
 
 
 def test_no_limits_leave_everything():
-    free = StepLimits(("slider",), (CarrierLimits(-np.inf, np.inf, np.inf, np.inf, np.inf),), True, np.inf)
+    free = AccelerationBox(("slider",), (CarrierLimits(-np.inf, np.inf, np.inf, np.inf, np.inf),), True, np.inf)
     assert box(free, 0.0, 1.0) == (-np.inf, np.inf)

@@ -209,7 +209,7 @@ def test_single_instant():
 
 @pytest.mark.parametrize("datum", [0.3, [0.0, -0.25]])
 def test_carriers_do_not_park_off_their_tracks(datum):
-    with pytest.raises(InfeasiblePlanError, match=r"parks carrier_[12] at .* off its track") as caught:
+    with pytest.raises(InfeasiblePlanError, match=r"puts carrier_[12] at .* off its track") as caught:
         plan_switch_off(two_rpr(), reference.circle(), datum=datum)
     assert caught.value.details["amount"] == pytest.approx(np.abs(datum).max() - 0.2)
 

@@ -1,0 +1,90 @@
+"""Functions of time: accuracy of the powers, both sides of a jump, extremes, and the platform in polynomials."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.polynomial import chebyshev
+from scipy.spatial.transform import Rotation
+
+from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion
+
+EDGES = np.array([0.7, 0.75, 0.9])
+
+
+def waves(t):
+    return np.stack([np.sin(20.0 * t + 0.3), np.exp(-3.0 * t)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return PiecewisePolynomial.fit(waves, EDGES, np.empty(0), lambda v: np.ones(v.shape[1]), 1e-13)
+
+
+def test_twelve_digits_survive_as_in_the_chebyshev_series(fitted):
+    t = np.random.default_rng(0).uniform(*EDGES[[0, -1]], 2000)
+    assert np.abs(fitted(t) - waves(t)).max() < 1e-14
+    assert np.abs(fitted.derivative()(t)[:, 0] - 20.0 * np.cos(20.0 * t + 0.3)).max() < 20.0 * 1e-11
+    assert np.abs(fitted.derivative(2)(t)[:, 0] + 400.0 * np.sin(20.0 * t + 0.3)).max() < 400.0 * 1e-9
+    np.testing.assert_allclose([fitted.at(time) for time in t[:50]], fitted(t[:50]), rtol=0.0, atol=1e-15)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 10**6), tail=st.sampled_from([1e-12, 1e-9, 1e-6]))
+def test_powers_are_the_series_they_come_from(seed, tail):
+    rng = np.random.default_rng(seed)
+    series = rng.normal(size=(1, 16, 1)) * np.maximum(0.1 ** np.arange(16.0), tail)[None, :, None]
+    x = np.linspace(-1.0, 1.0, 101)
+    ours = PiecewisePolynomial.from_series(np.array([3.0, 3.01]), series)(3.0 + 0.005 * (x + 1.0))
+    # powers are up to 3e11 times the tail and cancel; a rounding of t, of so short a piece, is 1e-13
+    expected = chebyshev.chebval(x, series[0, :, 0])
+    np.testing.assert_allclose(ours[:, 0], expected, rtol=0.0, atol=1e-12 + 2e-4 * tail)
+
+
+def test_an_edge_has_two_sides_and_outside_are_the_ends():
+    steps = PiecewisePolynomial.joined([PiecewisePolynomial.constant(np.array([v]), v, v + 1.0) for v in (0.0, 1.0)])
+    assert [float(steps(np.array([1.0]), side)[0, 0]) for side in ("left", "right")] == [0.0, 1.0]
+    assert steps.jumps().tolist() == [1.0]
+    assert steps(np.array([-5.0, 9.0]))[:, 0].tolist() == [0.0, 1.0]
+    assert steps.made_continuous().jumps().size == 0
+    np.testing.assert_array_equal(steps.until(1.5).edges, [0.0, 1.0, 1.5])
+
+
+def test_extremes_peaks_and_ranges_against_dense_samples(fitted):
+    dense = np.linspace(*EDGES[[0, -1]], 200_001)
+    values = fitted(dense)
+    least, most = fitted.ranges()
+    np.testing.assert_allclose(most.max(axis=0), values.max(axis=0), atol=1e-9)
+    np.testing.assert_allclose(least.min(axis=0), values.min(axis=0), atol=1e-9)
+    turning = dense[1:-1][np.diff(np.sign(np.diff(values[:, 0]))) != 0]
+    np.testing.assert_allclose(fitted.extremes(), turning, atol=2e-6)
+    assert set(fitted.peaks()) <= set(fitted.extremes())
+
+
+def turning():
+    end = np.eye(4)
+    end[:3, :3], end[:3, 3] = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), [0.1, 0.0, 0.2]
+    return reference.pose(np.eye(4), end)
+
+
+@pytest.mark.parametrize("make", [reference.corner, reference.circle, turning])
+def test_a_trajectory_in_polynomials_is_the_trajectory(make):
+    trajectory = make()
+    exact = continuous_motion(trajectory)
+    t = np.sort(np.concatenate([np.linspace(0.0, trajectory.duration, 997), exact.breaks, exact.breaks]))
+    ours = type(exact)(exact.polynomials, exact.start, exact.end, exact.moves_until, exact.breaks, exact.knots, True)
+    mine, theirs = ours.sample_at(t), exact.sample_at(t)
+    for part in ("x", "xd", "xdd"):
+        size = np.abs(getattr(theirs, part)).max()
+        np.testing.assert_allclose(getattr(mine, part), getattr(theirs, part), rtol=0.0, atol=1e-10 * size)
+    assert len(exact.polynomials.edges) < 200
+
+
+def test_a_held_platform_stays_where_it_is():
+    motion = continuous_motion(reference.corner())
+    later = motion.held_until(motion.end + 1.0)
+    samples = later.sample_at(np.array([0.5, motion.end, motion.end, motion.end + 0.5]))
+    np.testing.assert_array_equal(samples.x[2], samples.x[1])
+    assert not samples.xd[2:].any()
+    assert not samples.xdd[2:].any()
