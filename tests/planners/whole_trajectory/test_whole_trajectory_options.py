@@ -95,7 +95,7 @@ def test_formulas_may_bound_and_differentiate(monkeypatch, term):
 
 
 @pytest.mark.parametrize("trajectory", [reference.corner(), CIRCLE], ids=["corner", "circle"])
-def test_nodes_have_every_event_and_smooth_nodes_one_jerk(trajectory):
+def test_nodes_have_every_event_and_are_integrated_exactly(trajectory):
     corner = len(trajectory.breaks) > 0
     dynamics = VirtualWork(zoo.robot_of("3rrr" if corner else "2rpr"))
     plan = plan_whole_trajectory(dynamics, trajectory, dt=0.03, refinements=1)
@@ -103,6 +103,12 @@ def test_nodes_have_every_event_and_smooth_nodes_one_jerk(trajectory):
     assert h.max() <= 0.03 * (1.0 + 1e-9)
     np.testing.assert_array_equal(plan.t[1:][h == 0.0], trajectory.breaks)
     assert np.isin(plan.diagnostics["singular_instants"], plan.t).all()
+    # s̈ is linear in a step, and s and ṡ are its integrals
+    c, step = plan.carriers, h[:, None]
+    sd = c.sd[:-1] + step * (c.sdd[:-1] + c.sdd[1:]) / 2.0
+    np.testing.assert_allclose(c.sd[1:], sd, atol=1e-9 * np.abs(c.sd).max())
+    s = c.s[:-1] + step * c.sd[:-1] + step**2 * (2.0 * c.sdd[:-1] + c.sdd[1:]) / 6.0
+    np.testing.assert_allclose(c.s[1:], s, atol=1e-9 * np.abs(c.s).max())
     smooth = np.array(plan.diagnostics["smooth_nodes"], dtype=int)
     assert len(plan.diagnostics["singular_instants"]) == (0 if corner else 2)
     assert np.isin(plan.diagnostics["singular_nodes"], smooth).all()
