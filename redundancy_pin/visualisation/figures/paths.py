@@ -63,10 +63,6 @@ def _draw_singular(axes: Axes, points: Sequence[ArrayLike], color: str, label: s
         axes.plot(*np.array(points).T, "x", color=color, markersize=9, markeredgewidth=2, zorder=3.1, label=label)
 
 
-def _legend_under(axes: Axes, columns: int, below: float = 0.12) -> None:
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -below), ncols=columns)
-
-
 @dataclass(frozen=True, eq=False)
 class PathCurves:
     """What the plot shows, all in the plane of the base frame's x and y.
@@ -155,20 +151,16 @@ def plot_plane_paths(
             _draw_path(axes, path.point, stroke, path.label)
         _draw_singular(axes, singular, "#000000")
         label_plane(axes)
-        _legend_under(axes, 4)
+        legend_below(drawn, axes.get_legend_handles_labels()[0])
         return drawn
 
 
 _LOCUS_STROKES: dict[SingularityKind, dict[str, Any]] = {
     SingularityKind.TYPE_II: {"color": "#D55E00", "linewidth": 2.0, "linestyle": "-", "label": "type II (parallel)"},
-    SingularityKind.TYPE_I: {
-        "color": "#000000",
-        "linewidth": 1.4,
-        "linestyle": (0, (5, 2)),
-        "label": "type I (serial), border of the working mode",
-    },
+    SingularityKind.TYPE_I: {"color": "#000000", "linewidth": 1.4, "linestyle": (0, (5, 2)),
+                             "label": "type I (serial), border of the working mode"},
     SingularityKind.COMBINED: {"color": "#000000", "linewidth": 2.0, "linestyle": "-.", "label": "combined"},
-}
+}  # fmt: skip
 
 
 def plot_locus(
@@ -222,7 +214,7 @@ def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: 
             _draw_singular(axes, places, "#0072B2", "singular instant")
         else:
             _draw_line(axes, locus)
-        _legend_under(axes, 2 if plane else 3, 0.12 if plane else 0.18)
+        legend_below(drawn, axes.get_legend_handles_labels()[0])
         return drawn
 
 
