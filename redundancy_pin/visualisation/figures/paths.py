@@ -18,13 +18,7 @@ from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.singularities.locus import SingularLocus
 from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below, save
-from redundancy_pin.visualisation.figures.time_panels import (
-    Windows,
-    background_handles,
-    condition_panel,
-    draw_background,
-    draw_panel,
-)
+from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
 from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 if TYPE_CHECKING:
@@ -107,10 +101,11 @@ def plot_path(curves: PathCurves) -> Figure:
             axes.set_title(title)
         panel = condition_panel(curves.t, curves.condition, curves.thresholds, singular=bool(curves.instants))
         draw_panel(last, panel, 1.4 * drawn.get_figwidth() / sum(ratios) - 0.8)
-        draw_background(last, instants=curves.instants, windows=curves.windows)
+        background = Background(instants=curves.instants, windows=curves.windows)
+        background.draw(last)
         last.set(xlim=(curves.t[0], curves.t[-1]), xlabel="time t [s]")
         handles = planes[0].get_legend_handles_labels()[0]
-        legend_below(drawn, [*handles, *background_handles(drawn, None, curves.instants, curves.windows)])
+        legend_below(drawn, [*handles, *background.handles(drawn)])
         return drawn
 
 
