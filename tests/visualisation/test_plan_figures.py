@@ -20,7 +20,7 @@ from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
-from redundancy_pin.visualisation.figures.time_panels import phase_runs
+from redundancy_pin.visualisation.figures.time_panels import phase_spans
 
 T = np.linspace(0.0, 1.0, 101)
 PHASES = ("parked", "ramp_down", "off", "return")
@@ -178,8 +178,8 @@ def test_efforts_beside_a_singularity_do_not_flatten_the_rest() -> None:
 def test_phases_are_shaded_from_one_to_the_next() -> None:
     plan = _plan()
     drawn = plot_plan(plan)
-    runs = phase_runs(plan.phase)
-    assert [phase for phase, _, _ in runs] == [0, 1, 2, 3, 0]
+    spans = phase_spans(plan)
+    assert [phase for phase, _, _ in spans] == [0, 1, 2, 3, 0]
     names = [text.get_text() for legend in drawn.legends for text in legend.get_texts()]
     assert names[:4] == ["parked", "ramp down", "off", "return"]
     fills = [

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES
-from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_panel_grid, plot_time_panels, series
+from redundancy_pin.visualisation.figures.time_panels import (
+    Background,
+    Curve,
+    Panel,
+    plot_panel_grid,
+    plot_time_panels,
+    series,
+)
 
 T = np.linspace(0.0, 1.0, 11)
 
@@ -57,7 +64,7 @@ def test_a_new_figure_is_a_list_of_panels() -> None:
         ]
         for factor in (2.0, 5.0)
     ]  # fmt: skip
-    drawn = plot_panel_grid("title", columns, (8.0, 5.0), windows=[(0.2, 0.3)])
+    drawn = plot_panel_grid("title", columns, (8.0, 5.0), Background(windows=[(0.2, 0.3)]))
     above_left, above_right, below_left, below_right = drawn.axes
     assert above_left.get_ylim() == above_right.get_ylim()
     assert above_left.get_ylim()[1] == pytest.approx(5.0 * 1.08)

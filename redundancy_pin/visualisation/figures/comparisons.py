@@ -13,6 +13,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.visualisation.figures.curves import carrier_panels, curves_of_plan
 from redundancy_pin.visualisation.figures.style import STROKES
 from redundancy_pin.visualisation.figures.time_panels import (
+    Background,
     Curve,
     Panel,
     Windows,
@@ -171,4 +172,4 @@ def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, insta
             for panel in carrier_panels(curves_of_plan(plan))
         ]
         columns.append([main, *rows])
-    return plot_panel_grid(title, columns, (2.0 + 2.6 * len(plans), 8.0), instants=instants)
+    return plot_panel_grid(title, columns, (2.0 + 2.6 * len(plans), 8.0), Background(None, instants))

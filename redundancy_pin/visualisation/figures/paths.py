@@ -18,13 +18,7 @@ from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.singularities.locus import SingularLocus
 from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below, save
-from redundancy_pin.visualisation.figures.time_panels import (
-    Windows,
-    background_handles,
-    condition_panel,
-    draw_background,
-    draw_panel,
-)
+from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
 from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 if TYPE_CHECKING:
@@ -61,10 +55,6 @@ def _draw_path(axes: Axes, point: Array, stroke: Stroke, label: str, start_label
 def _draw_singular(axes: Axes, points: Sequence[ArrayLike], color: str, label: str = "singular") -> None:
     if len(points):
         axes.plot(*np.array(points).T, "x", color=color, markersize=9, markeredgewidth=2, zorder=3.1, label=label)
-
-
-def _legend_under(axes: Axes, columns: int, below: float = 0.12) -> None:
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -below), ncols=columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +101,11 @@ def plot_path(curves: PathCurves) -> Figure:
             axes.set_title(title)
         panel = condition_panel(curves.t, curves.condition, curves.thresholds, singular=bool(curves.instants))
         draw_panel(last, panel, 1.4 * drawn.get_figwidth() / sum(ratios) - 0.8)
-        draw_background(last, instants=curves.instants, windows=curves.windows)
+        background = Background(instants=curves.instants, windows=curves.windows)
+        background.draw(last)
         last.set(xlim=(curves.t[0], curves.t[-1]), xlabel="time t [s]")
         handles = planes[0].get_legend_handles_labels()[0]
-        legend_below(drawn, [*handles, *background_handles(drawn, None, curves.instants, curves.windows)])
+        legend_below(drawn, [*handles, *background.handles(drawn)])
         return drawn
 
 
@@ -155,20 +146,16 @@ def plot_plane_paths(
             _draw_path(axes, path.point, stroke, path.label)
         _draw_singular(axes, singular, "#000000")
         label_plane(axes)
-        _legend_under(axes, 4)
+        legend_below(drawn, axes.get_legend_handles_labels()[0])
         return drawn
 
 
 _LOCUS_STROKES: dict[SingularityKind, dict[str, Any]] = {
     SingularityKind.TYPE_II: {"color": "#D55E00", "linewidth": 2.0, "linestyle": "-", "label": "type II (parallel)"},
-    SingularityKind.TYPE_I: {
-        "color": "#000000",
-        "linewidth": 1.4,
-        "linestyle": (0, (5, 2)),
-        "label": "type I (serial), border of the working mode",
-    },
+    SingularityKind.TYPE_I: {"color": "#000000", "linewidth": 1.4, "linestyle": (0, (5, 2)),
+                             "label": "type I (serial), border of the working mode"},
     SingularityKind.COMBINED: {"color": "#000000", "linewidth": 2.0, "linestyle": "-.", "label": "combined"},
-}
+}  # fmt: skip
 
 
 def plot_locus(
@@ -222,7 +209,7 @@ def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: 
             _draw_singular(axes, places, "#0072B2", "singular instant")
         else:
             _draw_line(axes, locus)
-        _legend_under(axes, 2 if plane else 3, 0.12 if plane else 0.18)
+        legend_below(drawn, axes.get_legend_handles_labels()[0])
         return drawn
 
 

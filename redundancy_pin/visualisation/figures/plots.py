@@ -50,7 +50,7 @@ from redundancy_pin.visualisation.figures.paths import PathCurves, plot_path
 from redundancy_pin.visualisation.figures.paths import draw_locus as locus
 from redundancy_pin.visualisation.figures.snapshots import draw_snapshots as snapshots
 from redundancy_pin.visualisation.figures.style import STROKES, save
-from redundancy_pin.visualisation.figures.time_panels import Curve, plot_panel_grid, plot_time_panels
+from redundancy_pin.visualisation.figures.time_panels import Background, Curve, plot_panel_grid, plot_time_panels
 from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def plan(
     left = [main, force_panel(drawn, events), singularity_panel(drawn)]
     position, *rest = carrier_panels(drawn, events)
     right = [position, *(replace(panel, legend=False) for panel in rest)]
-    return plot_panel_grid(title or plan_title(plan), [left, right], (9.6, 7.2), plan=plan, instants=drawn.instants)
+    return plot_panel_grid(title or plan_title(plan), [left, right], (9.6, 7.2), Background(plan, drawn.instants))
 
 
 def path(

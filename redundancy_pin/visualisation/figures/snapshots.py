@@ -25,6 +25,8 @@ _FAINTEST = 0.25  # opacity of the first instant; the last one is drawn in full
 _BASE_OPACITY = 0.18  # of the base, which is behind everything
 _TRACK: dict[str, Any] = {"linestyle": (0, (3, 1.5))}
 
+_COLORS = (*MARGIN_COLORS, UNKNOWN_COLOR)  # of the classes of the margin; class −1, not known, is the last
+_WIDTHS = (3.4, *[1.6] * len(MARGIN_COLORS))  # singular stretches are wider, for print without colour
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 _DRAWN_AS_JOINT = {"actuated": "o", "passive": "o", "closure": "D"}
 
@@ -84,7 +86,7 @@ def draw_frame(
         base: whether to draw the base, which is the same in every frame.
     """
     columns = list(_PLANES[plane])
-    platform = _color(int(margin_classes(scene.margin[[frame]])[0]))
+    platform = _COLORS[margin_classes(scene.margin[[frame]])[0]]
     for solid in scene.solids:
         if solid.role == "platform":
             _draw_solid(axes, replace(solid, color=platform), scene.placement[frame, solid.body], columns, alpha)
@@ -103,15 +105,9 @@ def draw_path(axes: Axes, scene: Scene, *, plane: str = "xy") -> None:
     edges = np.flatnonzero(np.diff(classes)) + 1
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges + 1, [len(points)]])
     pieces = [points[a:b] for a, b in zip(starts, stops, strict=True)]
-    colors = [_color(int(classes[a])) for a in starts]
-    widths = [_width(int(classes[a])) for a in starts]
+    colors, widths = ([table[classes[a]] for a in starts] for table in (_COLORS, _WIDTHS))
     axes.add_collection(LineCollection(pieces, colors=colors, linewidths=widths, zorder=4.0))
     axes.plot(*points[0], "o", color="#000000", markersize=4, zorder=4.1)
-
-
-def _color(number: int) -> str:
-    """Return the colour of a class of the margin; −1 is not known."""
-    return (*MARGIN_COLORS, UNKNOWN_COLOR)[number]
 
 
 def _handles(scene: Scene, frames: Sequence[int]) -> list[Any]:
@@ -133,13 +129,8 @@ def _handles(scene: Scene, frames: Sequence[int]) -> list[Any]:
     margins = margin_classes(np.concatenate([scene.path_margin, scene.margin[list(frames)]]))
     for number, (color, name) in enumerate(zip(MARGIN_COLORS, margin_labels(), strict=True)):
         if number in margins:
-            handles.append(Line2D([], [], color=color, linewidth=_width(number), label=f"margin {name}"))
+            handles.append(Line2D([], [], color=color, linewidth=_WIDTHS[number], label=f"margin {name}"))
     return handles
-
-
-def _width(number: int) -> float:
-    """Return the width of the path in a class of the margin: singular stretches are wider, for print without colour."""
-    return 3.4 if number == 0 else 1.6
 
 
 def _draw_solid(axes: Axes, solid: Solid, body: Array, columns: list[int], alpha: float) -> None:
@@ -154,17 +145,16 @@ def _draw_solid(axes: Axes, solid: Solid, body: Array, columns: list[int], alpha
         ends = arc_points(solid) if solid.shape == "arc" else 0.5 * solid.size[2] * np.outer([-1.0, 1.0], [0, 0, 1])
         points = (ends @ place[:3, :3].T + place[:3, 3])[:, columns]
         axes.plot(*points.T, color=color, alpha=alpha, linewidth=1.2, zorder=2.2, **_TRACK)
-    elif solid.shape == "plate" and solid.mesh is not None:
-        # the last two vertices are its middle
-        points = (solid.mesh[0][:-2] @ place[:3, :3].T + place[:3, 3])[:, columns]
-        opacity, order = (alpha, 2.6) if solid.role == "platform" else (_BASE_OPACITY, 0.5)
-        axes.fill(*_hull(points).T, facecolor=color, alpha=opacity, edgecolor=color, linewidth=1.6, zorder=order)
     elif solid.mesh is not None or solid.shape == "box":
-        corners = solid.mesh[0] @ place[:3, :3].T + place[:3, 3] if solid.mesh is not None else (
-            corners_of(solid) @ body[:3, :3].T + body[:3, 3])  # fmt: skip
-        opacity, order = solid.opacity * alpha, 3.0 if solid.role == "carrier" else 1.8
-        axes.fill(*_hull(corners[:, columns]).T, facecolor=color, alpha=opacity, edgecolor="#202020", linewidth=0.5,
-                  zorder=order)  # fmt: skip
+        corners = corners_of(solid) @ body[:3, :3].T + body[:3, 3]
+        if solid.mesh is not None:
+            corners = solid.mesh[0] @ place[:3, :3].T + place[:3, 3]
+        style: dict[str, Any] = {"alpha": solid.opacity * alpha, "edgecolor": "#202020", "linewidth": 0.5}
+        style["zorder"] = 3.0 if solid.role == "carrier" else 1.8
+        if solid.shape == "plate":  # with an edge of its colour: seen from the side it is a line
+            opacity, order = (alpha, 2.6) if solid.role == "platform" else (_BASE_OPACITY, 0.5)
+            style = {"alpha": opacity, "edgecolor": color, "linewidth": 1.6, "zorder": order}
+        axes.fill(*_hull(corners[:, columns]).T, facecolor=color, **style)
     elif solid.shape == "cylinder":
         radius, length = solid.size
         along = place[:3, 2][columns]

@@ -58,13 +58,13 @@ class Attempts:
 
     Attributes:
         label: in the legend.
-        found: (P, 2) speed, m/s, ascending, and largest effort, N, of those with a plan.
-        without: (Q,) speeds without one, m/s.
+        feasible: (P, 2) speed, m/s, ascending, and largest effort, N, of those with a plan.
+        infeasible: (Q,) speeds without one, m/s.
     """
 
     label: str
-    found: Array
-    without: Array
+    feasible: Array
+    infeasible: Array
 
 
 def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
@@ -77,16 +77,12 @@ def plot_speed_border(title: str, attempts: Sequence[Attempts]) -> Figure:
     with figure(7.0, 4.6, title) as drawn:
         axes = drawn.subplots()
         for stroke, tried in zip(STROKES, attempts, strict=False):
-            axes.plot(
-                tried.found[:, 0], tried.found[:, 1], color=stroke.color, linestyle=stroke.dash, marker=stroke.marker,
-                markersize=4, label=tried.label,
-            )  # fmt: skip
-            axes.plot(
-                tried.without, [0.02] * len(tried.without), linestyle="none", marker="x", color=stroke.color,
-                transform=axes.get_xaxis_transform(), clip_on=False,
-            )  # fmt: skip
+            axes.plot(*tried.feasible.T, color=stroke.color, linestyle=stroke.dash, marker=stroke.marker, markersize=4,
+                      label=tried.label)  # fmt: skip
+            axes.plot(tried.infeasible, [0.02] * len(tried.infeasible), "x", color=stroke.color, clip_on=False,
+                      transform=axes.get_xaxis_transform())  # fmt: skip
         log_scale(axes)
-        axes.set(xlabel="cruising speed [m/s] (crosses: no plan found)", ylabel="largest main force [N]")
+        axes.set(xlabel="cruising speed [m/s] (crosses: no plan)", ylabel="largest main force [N]")
         legend_above(axes, 6.2)
         return drawn
 
@@ -131,10 +127,8 @@ def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
             log_scale(panel)
             panel.set_title(textwrap.fill(curve.title, _LETTERS), fontsize=9)
             panel.set(xlabel="rms of s̈ [m/s²]", ylabel=f"rms of |τ| [{curve.unit}]")
-        named = {}
-        for panel in panels:
-            named.update({label: handle for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)})
-        legend_below(drawn, list(named.values()))
+        handles = {line.get_label(): line for panel in panels for line in panel.lines}
+        legend_below(drawn, list(handles.values()))
         return drawn
 
 

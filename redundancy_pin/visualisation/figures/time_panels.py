@@ -1,4 +1,4 @@
-"""Panels over a common time axis: the one way in which curves over time are drawn.
+"""Panels over a common time axis: how all curves over time are drawn.
 
 A figure is a list of panels, a panel a list of curves; time axis, legends, limits, phases and singular instants are
 the same in all of them. To add one, write a function like this one in ``plots.py`` and name it in its ``__all__``:
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.visualisation.figures.style import (
     BEYOND,
@@ -105,6 +105,53 @@ class Panel:
     shared: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What all panels of a figure have behind their curves.
+
+    Attributes:
+        plan: whose phases are shaded; none where left out.
+        instants: singular instants, s, drawn as dotted lines.
+        windows: near-singular stretches, shaded.
+    """
+
+    plan: Plan | None = None
+    instants: Sequence[float] = ()
+    windows: Windows = ()
+
+    def draw(self, axes: Axes) -> None:
+        """Draw it behind a panel."""
+        for i, (phase, start, end) in enumerate(phase_spans(self.plan) if self.plan is not None else []):
+            axes.axvspan(start, end, color=_PHASE_FILLS[phase % len(_PHASE_FILLS)], linewidth=0, zorder=0.2)
+            if i:
+                axes.axvline(start, color="#777777", linewidth=0.5, zorder=0.6)
+        for start, end in self.windows:
+            axes.axvspan(start, end, zorder=0.5, **WINDOW | {"label": None})
+        for instant in self.instants:
+            axes.axvline(instant, zorder=1.6, **INSTANT | {"label": None})
+
+    def handles(self, drawn: Figure) -> list[Any]:
+        """Return what the legend under a figure says of it, and of limits where there are any."""
+        from matplotlib.lines import Line2D
+        from matplotlib.patches import Patch
+
+        handles: list[Any] = []
+        if self.plan is not None and len(self.plan.phases) > 1:
+            for phase in np.unique(self.plan.phase).tolist():
+                fill, name = _PHASE_FILLS[phase % len(_PHASE_FILLS)], self.plan.phases[phase].replace("_", " ")
+                handles.append(Patch(facecolor=fill, edgecolor="#777777", linewidth=0.5, label=name))
+        handles += [Patch(**WINDOW)] * bool(self.windows) + [Line2D([], [], **INSTANT)] * bool(self.instants)
+        hatched = any(patch.get_hatch() for axes in drawn.axes for patch in axes.patches)
+        return handles + [Patch(**BEYOND)] * hatched
+
+
+def phase_spans(plan: Plan) -> list[tuple[int, float, float]]:
+    """Return (phase, start, end), s, of each stretch of a plan in one phase; each ends where the next one starts."""
+    first = np.concatenate([[0], np.flatnonzero(np.diff(plan.phase)) + 1])
+    ends = [*plan.t[first[1:]].tolist(), float(plan.t[-1])]
+    return list(zip(plan.phase[first].tolist(), plan.t[first].tolist(), ends, strict=True))
+
+
 def series(names: Sequence[str], t: Array, values: Array, **settings: Any) -> tuple[Curve, ...]:
     """Return a curve for each column of ``values`` (N, m); ``settings`` as of ``Curve``."""
     return tuple(Curve(name, t, values[:, i], i, **settings) for i, name in enumerate(names))
@@ -137,27 +184,16 @@ def plot_time_panels(
     instants: Sequence[float] = (),
     windows: Windows = (),
 ) -> Figure:
-    """Draw panels one above the other.
-
-    Args:
-        title: of the figure.
-        panels: from top to bottom.
-        plan: whose phases are shaded; none where left out.
-        instants: singular instants, s, drawn as dotted lines.
-        windows: near-singular stretches, shaded.
-    """
+    """Draw panels one above the other, from top to bottom; ``plan``, ``instants`` and ``windows`` are behind them."""
     size = 7.2, 1.1 + 1.75 * sum(panel.height for panel in panels)
-    return plot_panel_grid(title, [panels], size, plan=plan, instants=instants, windows=windows)
+    return plot_panel_grid(title, [panels], size, Background(plan, instants, windows))
 
 
 def plot_panel_grid(
     title: str,
     columns: Sequence[Sequence[Panel]],
     size: tuple[float, float],
-    *,
-    plan: Plan | None = None,
-    instants: Sequence[float] = (),
-    windows: Windows = (),
+    background: Background,
 ) -> Figure:
     """Draw columns of panels, all of the same heights, in a figure of some width and height, inches."""
     with figure(*size, title) as drawn:
@@ -167,7 +203,7 @@ def plot_panel_grid(
             for i, (axis, panel) in enumerate(zip(beside, row, strict=True)):
                 alike = row if panel.shared else (panel,)
                 draw_panel(axis, panel, size[0] / len(columns) - 0.8, alike=alike)
-                draw_background(axis, plan=plan, instants=instants, windows=windows)
+                background.draw(axis)
                 axis.tick_params(labelleft=not (panel.shared and i))
         times = [curve.t for column in columns for panel in column for curve in panel.curves]
         first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
@@ -177,7 +213,7 @@ def plot_panel_grid(
             axis.set_xlabel("time t [s]")
         for column in axes.T:
             drawn.align_ylabels(column)
-        legend_below(drawn, [*_unnamed(columns, axes), *background_handles(drawn, plan, instants, windows)])
+        legend_below(drawn, [*_unnamed(columns, axes), *background.handles(drawn)])
         return drawn
 
 
@@ -196,10 +232,10 @@ def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel]
         style: dict[str, Any] = {"color": stroke.color, "linestyle": stroke.dash, "zorder": 2.2}
         if curve.reference:
             style = {"color": "#6E6E6E", "linestyle": "-", "linewidth": 1.0, "zorder": 2.0}
-        elif panel.log and panel.within is None:
-            style["color"] = "#000000"  # of condition numbers, in every figure
-        top = 10.0 * _CONDITION_TOP if panel.log and panel.within is None else np.inf
-        axes.plot(curve.t, np.minimum(curve.value, top), label=curve.label, **{**style, **curve.style})
+        shown = curve.value
+        if panel.log and panel.within is None:  # a condition number, in black in every figure
+            style["color"], shown = "#000000", np.minimum(shown, 10.0 * _CONDITION_TOP)
+        axes.plot(curve.t, shown, label=curve.label, **{**style, **curve.style})
     for i, (level, name) in enumerate(panel.levels):
         stroke = STROKES[1 + i % (len(STROKES) - 1)]
         axes.axhline(level, color=stroke.color, linestyle=stroke.dash, linewidth=1.1, zorder=1.9, label=name)
@@ -236,17 +272,32 @@ def _extent(curves: Sequence[Curve]) -> tuple[float, float]:
 
 
 def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
-    """Scale the axis to curves and limits in reach, draw these, and hatch what none of the curves may do."""
+    """Scale the axis to the curves of panels alike and to limits in reach, and draw those of the panel."""
     curves = [curve for other in alike for curve in other.curves]
     extent = np.array(_extent(curves))
 
-    def in_reach(limits: ArrayLike) -> Array:  # (c, 2), NaN where a limit would flatten the curves
-        edges = np.reshape(np.asarray(limits, dtype=float), (-1, 2))
-        return np.where(np.abs(extent) >= _VISIBLE_FRACTION * np.abs(edges), edges, np.nan)
+    def in_reach(limits: Array) -> Array:  # NaN where a limit is so far that it would flatten the curves
+        return np.where(np.abs(extent) >= _VISIBLE_FRACTION * np.abs(limits), limits, np.nan)
 
-    every = np.concatenate([in_reach(other.limits).ravel() for other in alike])
-    ends = fitted_range(curves, every[np.isfinite(every)].tolist())
-    shown, limits = in_reach(panel.limits), np.reshape(np.asarray(panel.limits, dtype=float), (-1, 2))
+    edges = np.concatenate([in_reach(_pairs(other.limits)).ravel() for other in alike])
+    ends = fitted_range(curves, edges[np.isfinite(edges)].tolist())
+    axes.set_ylim(ends)
+    limits = _pairs(panel.limits)
+    shown = in_reach(limits)
+    _draw_limits(axes, shown, ends)
+    if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and np.isfinite(limits[0]).any():
+        low, high = limits[0]
+        text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
+        axes.text(0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#444444")
+
+
+def _pairs(limits: ArrayLike) -> Array:
+    """Return limits as (c, 2)."""
+    return np.reshape(np.asarray(limits, dtype=float), (-1, 2))
+
+
+def _draw_limits(axes: Axes, shown: Array, ends: tuple[float, float]) -> None:
+    """Draw limits (c, 2), say whose they are where they differ, and hatch what none of the curves may do."""
     for side, end, outermost in zip(shown.T, ends, (np.min, np.max), strict=True):
         for edge in np.unique(side[np.isfinite(side)]):
             axes.axhline(edge, color="#000000", linewidth=0.8, zorder=1.5)
@@ -256,50 +307,8 @@ def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
                 axes.text(0.985, edge, text, transform=axes.get_yaxis_transform(), ha="right", va="center",
                           fontsize=7.0, zorder=1.6, bbox=_BOX)  # fmt: skip
         if len(side) and np.isfinite(side).all():
-            edge = outermost(side)
-            axes.axhspan(min(edge, end), max(edge, end), zorder=0.4, **BEYOND | {"label": None})
-    axes.set_ylim(ends)
-    if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and np.isfinite(limits[0]).any():
-        low, high = limits[0]
-        text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
-        axes.text(0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#444444")
-
-
-def draw_background(
-    axes: Axes, *, plan: Plan | None = None, instants: Sequence[float] = (), windows: Windows = ()
-) -> None:
-    """Shade phases and near-singular stretches, and draw a dotted line at each singular instant."""
-    if plan is not None:
-        runs = phase_runs(plan.phase)
-        starts = [float(plan.t[first]) for _, first, _ in runs]
-        for (phase, _, _), start, end in zip(runs, starts, [*starts[1:], float(plan.t[-1])], strict=True):
-            axes.axvspan(start, end, color=_fill(phase), linewidth=0, zorder=0.2)
-        for start in starts[1:]:
-            axes.axvline(start, color="#777777", linewidth=0.5, zorder=0.6)
-    for start, end in windows:
-        axes.axvspan(start, end, zorder=0.5, **WINDOW | {"label": None})
-    for instant in instants:
-        axes.axvline(instant, zorder=1.6, **INSTANT | {"label": None})
-
-
-def background_handles(
-    drawn: Figure, plan: Plan | None = None, instants: Sequence[float] = (), windows: Windows = ()
-) -> list[Any]:
-    """Return what the legend under a figure says of phases, singularities and limits."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles: list[Any] = []
-    if plan is not None and len(plan.phases) > 1:
-        handles += [
-            Patch(
-                facecolor=_fill(phase), edgecolor="#777777", linewidth=0.5, label=plan.phases[phase].replace("_", " ")
-            )
-            for phase in np.unique(plan.phase).tolist()
-        ]
-    handles += [Patch(**WINDOW)] * bool(windows) + [Line2D([], [], **INSTANT)] * bool(instants)
-    hatched = any(patch.get_hatch() for axes in drawn.axes for patch in axes.patches)
-    return handles + [Patch(**BEYOND)] * hatched
+            nearest = float(outermost(side))
+            axes.axhspan(min(nearest, end), max(nearest, end), zorder=0.4, **BEYOND | {"label": None})
 
 
 def _unnamed(columns: Sequence[Sequence[Panel]], axes: Any) -> list[Any]:
@@ -313,14 +322,3 @@ def _unnamed(columns: Sequence[Sequence[Panel]], axes: Any) -> list[Any]:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
     }
     return [handle for label, handle in handles.items() if label not in named]
-
-
-def phase_runs(phase: IntArray) -> list[tuple[int, int, int]]:
-    """Return (phase, first sample, last sample) of each stretch of samples in one phase."""
-    edges = np.flatnonzero(np.diff(phase)) + 1
-    starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(phase)]]) - 1
-    return [(int(phase[a]), int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
-
-
-def _fill(phase: int) -> str:
-    return _PHASE_FILLS[phase % len(_PHASE_FILLS)]

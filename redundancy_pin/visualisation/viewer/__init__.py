@@ -1,1 +1,1 @@
-"""Moving pictures: a scene in plain arrays, and the page or live view that shows it."""
+"""Moving pictures: a scene as arrays, and the page or live view that shows it."""

@@ -210,12 +210,7 @@ def _sliding(robot: Robot, body: int, limits: CarrierLimits, size: float) -> lis
     model, longest = robot.model, _LONGEST_RAIL * size
     low, high = max(limits.lower, -longest), min(limits.upper, longest)
     axis = joint_axis(model, body)
-    upright = along_z(axis)
-    if abs(axis[2]) < 0.9:  # high side along the joint's z, which is the plane's normal in a planar machine
-        side = np.cross(np.array([0.0, 0.0, 1.0]), axis)
-        side /= np.linalg.norm(side)
-        upright = np.stack([side, np.cross(axis, side), axis], axis=1)
-    home = model.jointPlacements[body].homogeneous @ place(upright, 0.5 * (low + high) * axis)
+    home = model.jointPlacements[body].homogeneous @ place(along_z(axis), 0.5 * (low + high) * axis)
     sides = (RAIL_WIDTH * size, RAIL_HEIGHT * size, high - low)
     return [
         _solid(f"track_of_{model.names[body]}", int(model.parents[body]), home, "box", sides, "track"),
@@ -271,7 +266,8 @@ def _rod(name: str, body: int, start: Array, end: Array, radius: float, role: Ro
 
 def along_z(axis: Array) -> Array:
     """Return a rotation (3, 3) whose third column is a unit axis."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    # the second column is as near to z as can be: the high side of a rail is up, out of the plane of a planar machine
+    helper = np.eye(3)[2 if abs(axis[2]) < 0.9 else 0]
     first = np.cross(helper, axis)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first), axis], axis=1)
