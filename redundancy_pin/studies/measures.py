@@ -1,13 +1,13 @@
 """Numbers read off a plan or off a motion without a planner; the data files name these functions.
 
-A measure returns one or more numbers, NaN where there is none. ``measure("first_bound", "speed", 2)`` binds what follows
-the plan in its arguments.
+A measure returns one or more numbers, NaN where there is none. ``measure("first_bound", "speed", 2)`` binds the
+arguments behind the plan.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,17 @@ def entry_forces(plan: Plan) -> Numbers:
 def exit_forces(plan: Plan) -> Numbers:
     """Return the jump of |τ| of each actuator at switch-on, N: zero but for backward differences."""
     return tuple(float(value) for value in window(plan)["exit_jump"])
+
+
+def rise_to_threshold(plan: Plan) -> Numbers:
+    """Return by how much |τ| rises at most from the start of the ramp-down to the threshold, carriers parked, N."""
+    met = window(plan)["parked_effort_at_entry"]
+    return (max(abs(float(b)) - a for a, b in zip(entry_forces(plan), met, strict=True)),)
+
+
+def condition_at(plan: Plan, instant: float) -> Numbers:
+    """Return the condition number at an instant, s."""
+    return (float(np.interp(instant, plan.t, np.minimum(plan.condition, 1e6))),)
 
 
 def position_at_exit(plan: Plan) -> Numbers:
@@ -366,8 +377,3 @@ def _threshold_times(run: MotionRun, threshold: float) -> tuple[float, float]:
         return float(run.t[left] + (np.log(threshold) - a) / (b - a) * (run.t[left + 1] - run.t[left]))
 
     return level(first - 1), level(last)
-
-
-def ratios(values: Sequence[float], others: Sequence[float]) -> tuple[float, ...]:
-    """Return values over others, one by one."""
-    return tuple(value / other for value, other in zip(values, others, strict=True))
