@@ -38,6 +38,7 @@ from redundancy_pin.studies.cases import (
     crosses,
     methods,
 )
+from redundancy_pin.studies.claims import claim, verdict
 from redundancy_pin.studies.measures import (
     dense_peak,
     missing_force,
@@ -46,7 +47,7 @@ from redundancy_pin.studies.measures import (
     rms_acceleration,
     square_integral,
 )
-from redundancy_pin.studies.planned import Chapter, Tell, claim, verdict
+from redundancy_pin.studies.planned import Chapter, Tell
 from redundancy_pin.studies.table import Column, Record, Table, text
 
 INFEASIBLE = "infeasible"
@@ -159,8 +160,8 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
         nothing = dict.fromkeys(("peak", "dense_peak", "worst", "before", "reversals", "rms", "carrier_force",
                                  "main_energy", "carrier_energy", "energy", "position", "speed", "acceleration",
                                  "track", "speed_limit", "acceleration_limit"), math.nan)  # fmt: skip
-        return {**record, **nothing, "status": INFEASIBLE, "exists": False, "sound": False, "broken": "", "solver": "",
-                "why": outcome.message, "missing": missing_force(outcome)}  # fmt: skip
+        return {**record, **nothing, "file": "", "status": INFEASIBLE, "exists": False, "sound": False, "broken": "",
+                "solver": "", "why": outcome.message, "missing": missing_force(outcome)}  # fmt: skip
     between = dense_peak(case, outcome)
     shown = numbers(outcome)
     return {

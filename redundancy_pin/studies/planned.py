@@ -25,6 +25,7 @@ from redundancy_pin.studies.cases import (
     parked,
     without_carriers,
 )
+from redundancy_pin.studies.claims import claim, verdict
 from redundancy_pin.studies.measures import (
     broken_limits,
     exit_forces,
@@ -197,18 +198,6 @@ def _fair(motion: str, mode: Mode, how: str, case: Case, plans: Plans) -> Record
 
 
 # --- conclusions ---------------------------------------------------------------------------------------------------
-
-
-def verdict(good: int, total: int) -> str:
-    """Return what may be said of a claim that holds in some of all cases."""
-    if good == total:
-        return "stands"
-    return "stands with conditions" if good else "does not stand"
-
-
-def claim(name: str, stands: str, **values: Any) -> Record:
-    """Return what becomes of a claim: its verdict and the numbers that its sentence in ``claims.yaml`` shows."""
-    return {"name": name, "stands": stands, "numbers": values}
 
 
 def conclusions(chapter: Mapping[str, Any]) -> list[Record]:
