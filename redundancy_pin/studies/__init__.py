@@ -1,0 +1,1 @@
+"""Studies: plans and simulations by the hundred, kept as they are finished."""
