@@ -1,1 +1,1 @@
-"""Studies: plans and simulations by the hundred, kept as they are finished."""
+"""Studies on shipped robots: the reproduction of the thesis; one kind of case, one memo of plans, one table."""
