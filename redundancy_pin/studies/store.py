@@ -45,7 +45,7 @@ class Record(Protocol):
         """What tells it from the others, texts and numbers."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain data, for JSON, without NaN."""
+        """Return plain data, for JSON."""
 
 
 R = TypeVar("R", bound=Record)
@@ -118,7 +118,7 @@ class Store(Generic[R]):
         Raises:
             OutputError: the disk refuses.
         """
-        row = json.dumps(record.key), json.dumps(record.as_dict(), allow_nan=False)
+        row = json.dumps(record.key), json.dumps(record.as_dict())
         try:
             self._connection.execute("INSERT INTO record VALUES (?, ?)", row)
         except sqlite3.Error as error:
@@ -134,7 +134,8 @@ class Store(Generic[R]):
         function: Callable[..., R],
         wanted: Mapping[tuple[Any, ...], tuple[Any, ...]],
         jobs: int | None,
-        progress: Callable[[int, int], None],
+        progress: Progress | None,
+        what: str,
     ) -> None:
         """Compute the records that are missing, and add each as soon as it is finished.
 
@@ -142,7 +143,8 @@ class Store(Generic[R]):
             function: makes a record.
             wanted: its arguments, by key.
             jobs: see ``workers.parallel``.
-            progress: called with the number of wanted records that are there, and of all that are wanted.
+            progress: called at the beginning and with each record.
+            what: to say there what is being done.
 
         Raises:
             OutputError: the disk refuses.
@@ -150,28 +152,41 @@ class Store(Generic[R]):
         """
         missing = [given for key, given in wanted.items() if key not in self._records]
         done = len(wanted) - len(missing)
-        progress(done, len(wanted))
-        for done, record in enumerate(parallel(function, missing, jobs), start=done + 1):
+        if progress:
+            progress(done, len(wanted), what)
+        for record in parallel(function, missing, jobs):
             self.put(record)
-            progress(done, len(wanted))
+            done += 1
+            if progress:
+                progress(done, len(wanted), what)
 
 
-def require_no_old_store(folder: Path) -> None:
-    """Check that a folder is not one of version 0.1.0: its records would be computed anew without a word.
+def make_folder(folder: str | Path, *, parents: bool = False) -> Path:
+    """Return a folder of a study that exists.
 
     Raises:
-        OutputError: it is.
+        OutputError: it cannot be made, is a file, or has what version 0.1.0 kept: no other version takes that over, and
+            to compute everything anew without a word would be wrong.
     """
-    if (folder / OLD_FILE).exists() and not (folder / FILE).exists():
+    place = Path(folder).expanduser()
+    try:
+        place.mkdir(exist_ok=True, parents=parents)
+    except OSError as error:
         raise OutputError(
-            f"{folder / OLD_FILE} is of version 0.1.0, whose records no other version takes over.",
+            f"Cannot make the folder {place}: {error.strerror or error}.", remedy="Choose another.", path=str(place)
+        ) from error
+    old = place / OLD_FILE
+    if old.exists() and not (place / FILE).exists():
+        raise OutputError(
+            f"{old} is of version 0.1.0, whose finished work this version does not take over.",
             remedy="Choose another folder, or delete that file to compute everything anew.",
-            path=str(folder / OLD_FILE),
+            path=str(old),
         )
+    return place
 
 
 def _is_empty(connection: sqlite3.Connection) -> bool:
-    return connection.execute("SELECT count(*) FROM sqlite_master").fetchone() == (0,)
+    return not connection.execute("SELECT 1 FROM sqlite_master").fetchall()
 
 
 def _begin(connection: sqlite3.Connection, kind: str, identity: Mapping[str, Any]) -> None:
