@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from redundancy_pin.cli.output import INTERRUPTED
 from redundancy_pin.cli.wording import OPTIONS
 from redundancy_pin.errors import CrossCheckError, RedundancyPinError
 
@@ -16,9 +17,6 @@ FAILED_CHECK = 1
 
 BAD_INPUT = 2
 """Exit code where the command could not run on what it was given."""
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
 
 
 class OneLineErrors(click.Group):

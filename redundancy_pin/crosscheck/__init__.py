@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 
 from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
@@ -21,7 +20,7 @@ from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot.description import shipped_robots
-from redundancy_pin.workers import workers
+from redundancy_pin.workers import parallel
 
 __all__ = ["CheckRow", "CrossCheckReport", "run"]
 
@@ -71,16 +70,13 @@ def run(
     if jobs < 1:
         raise InputError(f"jobs is {jobs}.", remedy="Ask for at least one process.", jobs=jobs)
     work = list(_batches(tuple(robots) if robots else shipped_robots(), samples, seed))
-    total = sum(batch.samples for batch in work)
-    found: dict[int, Tally] = {}
-    done = 0
-    for number, found[number] in _each(work, jobs):
-        done += work[number].samples
+    total, done = sum(batch.samples for batch in work), 0
+    merged = Tally()
+    for batch, tally in zip(work, parallel(_checked, [(batch,) for batch in work], jobs, ordered=True), strict=True):
+        merged.merge(tally)
+        done += batch.samples
         if progress:
             progress(done, total)
-    merged = Tally()
-    for number in sorted(found):
-        merged.merge(found[number])
     return CrossCheckReport(merged.rows(), seed)
 
 
@@ -92,17 +88,6 @@ def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[_Batch]:
         if vary and load_robot(name).closed_form == "2rpr":
             sizes = batches(max(1, samples // 4))
             yield from (_Batch(name, index, size, seed + 7, vary, massless=True) for index, size in enumerate(sizes))
-
-
-def _each(work: Sequence[_Batch], jobs: int) -> Iterator[tuple[int, Tally]]:
-    """Yield the number of each batch with its tally, in the order they get ready."""
-    if jobs == 1 or len(work) == 1:
-        yield from ((number, _checked(batch)) for number, batch in enumerate(work))
-        return
-    with workers(min(jobs, len(work))) as pool:
-        pending = {pool.submit(_checked, batch): number for number, batch in enumerate(work)}
-        for ready in as_completed(pending):
-            yield pending[ready], ready.result()
 
 
 def _checked(batch: _Batch) -> Tally:

@@ -21,7 +21,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise import plan_stepwise
 from redundancy_pin.planners.switch_off import plan_switch_off
 from redundancy_pin.planners.whole_trajectory import plan_whole_trajectory
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory import (
     Path,
     SpeedProfile,
@@ -116,8 +116,14 @@ TRAJECTORIES: Mapping[str, Callable[..., Trajectory]] = {**PATHS, "points": poin
 
 
 def options(**values: Any) -> Options:
-    """Return keyword arguments as the options of a case."""
-    return tuple(sorted(values.items()))
+    """Return keyword arguments as the options of a case; lists and mappings become tuples, which are hashable."""
+    return tuple(sorted((name, _hashable(value)) for name, value in values.items()))
+
+
+def _hashable(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return tuple((key, _hashable(entry)) for key, entry in value.items())
+    return tuple(_hashable(entry) for entry in value) if isinstance(value, (list, tuple)) else value
 
 
 @functools.lru_cache(maxsize=64)
@@ -139,8 +145,27 @@ def load(
 
 
 @functools.lru_cache(maxsize=64)
-def _dynamics(backend: str, robot: str, working_mode: Mode, arguments: Options) -> Dynamics:
-    return BACKENDS[backend](load(robot, working_mode, arguments))
+def _dynamics(
+    backend: str,
+    robot: str,
+    working_mode: Mode,
+    arguments: Options,
+    gravity: tuple[float, ...] | None,
+    limits: Options,
+) -> Dynamics:
+    found = load(robot, working_mode, arguments, gravity)
+    limited = tuple(_limited(own, dict(limits)) for own in found.carrier_limits)
+    return BACKENDS[backend](replace(found, carrier_limits=limited) if limits else found)
+
+
+def _limited(own: CarrierLimits, limits: Mapping[str, float]) -> CarrierLimits:
+    """Return the limits of a carrier with those of a case in place of its own; a stroke lies about its own middle."""
+    fields = {"max_speed": "speed", "max_acceleration": "acceleration", "max_carrier_force": "force"}
+    changed = {field: limits[name] for name, field in fields.items() if name in limits}
+    if "stroke" in limits:
+        middle, half = 0.5 * (own.lower + own.upper), 0.5 * limits["stroke"]
+        changed |= {"lower": middle - half, "upper": middle + half}
+    return replace(own, **changed)
 
 
 @dataclass(frozen=True)
@@ -159,6 +184,9 @@ class Case:
         dt: sampling interval, time step or largest step between nodes, s.
         two_sided: whether a stepwise plan sees instants at which the acceleration jumps from both sides.
         title: of the motion, for people.
+        gravity: (3,) m/s²; as declared when left out.
+        limits: of the carriers in place of the robot's own: "stroke" (length of every track, about its middle),
+            "max_speed", "max_acceleration", "max_carrier_force"; m, s, N.
     """
 
     name: str
@@ -172,6 +200,8 @@ class Case:
     dt: float = 1e-3
     two_sided: bool = True
     title: str = ""
+    gravity: tuple[float, ...] | None = None
+    limits: Options = ()
 
     @property
     def backends(self) -> tuple[str, ...]:
@@ -200,16 +230,22 @@ class Case:
         return replace(self, planner=planner, options=options(**changed), dt=dt or self.dt)
 
     def load_robot(self) -> Robot:
-        """Return the robot, loaded once.
+        """Return the robot with its own limits, loaded once.
 
         Raises:
             RedundancyPinError: it does not load.
         """
-        return load(self.robot, self.working_mode, self._arguments)
+        return load(self.robot, self.working_mode, self._arguments, self.gravity)
 
     def dynamics(self, backend: str | None = None) -> Dynamics:
         """Return its dynamics by a backend (the first of ``backends`` when left out), made once."""
-        return _dynamics(backend or self.backends[0], self.robot, self.working_mode, self._arguments)
+        by = backend or self.backends[0]
+        return _dynamics(by, self.robot, self.working_mode, self._arguments, self.gravity, self.limits)
+
+    @property
+    def has_baseline(self) -> bool:
+        """Whether the robot can be loaded without carriers."""
+        return isinstance(self.load_robot().parameters.get("carriers"), bool)
 
     def trajectory(self) -> Trajectory:
         """Make the reference trajectory.
@@ -232,11 +268,12 @@ class Case:
                 return plan_switch_off(dynamics, self.trajectory(), dt=self.dt, **given)
             case "stepwise":
                 motion = self.trajectory().sample(self.dt, two_sided=self.two_sided)
-                baseline = replace(self, planner="none").dynamics(backend)
-                return plan_stepwise(dynamics, motion, baseline=baseline, **given)
+                return plan_stepwise(dynamics, motion, baseline=self._baseline(backend), **given)
             case "whole_trajectory":
                 if not isinstance(given.get("objective", ""), str):
                     given["objective"] = dict(given["objective"])
+                if given.get("lam"):
+                    given["baseline"] = self._baseline(backend)
                 return plan_whole_trajectory(dynamics, self.trajectory(), dt=self.dt, **given)
         return _at_rest(dynamics, self.trajectory(), self.dt, "baseline" if self.planner == "none" else "parked")
 
@@ -252,6 +289,9 @@ class Case:
             "options": dict(self.options),
             "dt": self.dt,
         }
+
+    def _baseline(self, backend: str | None) -> Dynamics | None:
+        return replace(self, planner="none").dynamics(backend) if self.has_baseline else None
 
     @property
     def _arguments(self) -> Options:

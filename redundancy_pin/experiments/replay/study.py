@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 
@@ -14,7 +13,7 @@ from redundancy_pin.experiments.planned.store import PlanStore
 from redundancy_pin.experiments.replay.cases import CASES, ReplayCase
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.replay import Drive, Replay, replay
-from redundancy_pin.workers import workers
+from redundancy_pin.workers import parallel
 
 Told = Callable[[str], None]
 
@@ -91,7 +90,7 @@ def run_replays(settings: ReplaySettings = FULL, store: BeyondStore | None = Non
     for name in missing:
         tell(f"no plan to replay: {name}")
     rows: list[Replay] = []
-    for found_rows in _run(plans, settings.jobs or os.cpu_count() or 1):
+    for found_rows in _run(plans, settings.jobs or -1):
         rows += found_rows
         tell(f"replay: {found_rows[0].plan}")
     return Replays(settings, tuple(rows), missing)
@@ -99,14 +98,10 @@ def run_replays(settings: ReplaySettings = FULL, store: BeyondStore | None = Non
 
 def _run(plans: Sequence[tuple[ReplayCase, Plan]], jobs: int) -> Iterator[list[Replay]]:
     """Give the replays of each plan, in order."""
-    if jobs == 1 or len(plans) < 2:
-        for case, plan in plans:
-            yield [replay_case(case, plan, drive) for drive in case.drives]
-        return
-    with workers(min(jobs, len(plans))) as pool:
-        futures = [[pool.submit(replay_case, case, plan, drive) for drive in case.drives] for case, plan in plans]
-        for group in futures:
-            yield [future.result() for future in group]
+    calls = [(case, plan, drive) for case, plan in plans for drive in case.drives]
+    rows = parallel(replay_case, calls, jobs, ordered=True)
+    for case, _ in plans:
+        yield [next(rows) for _ in case.drives]
 
 
 def replay_case(case: ReplayCase, plan: Plan, drive: Drive) -> Replay:

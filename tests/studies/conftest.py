@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from small_maps import quick
 
-from redundancy_pin.experiments.feasibility import Cell, MapProblem, sweep
-from redundancy_pin.experiments.feasibility.cell import Key
+from redundancy_pin.studies.feasibility import Cell, MapProblem, sweep
+from redundancy_pin.studies.feasibility.cell import Key
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[Key]:
+def computed(monkeypatch: pytest.MonkeyPatch) -> list[Key]:
     """Let cells be quick, and list those that are computed."""
     keys: list[Key] = []
 

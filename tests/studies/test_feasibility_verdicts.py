@@ -11,21 +11,21 @@ from small_maps import corner, crossing
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, UnreachablePoseError
-from redundancy_pin.experiments.feasibility import (
+from redundancy_pin.studies.feasibility import (
     STEPWISE,
     SWITCH_OFF,
     WHOLE,
     Axis,
     Cell,
     FeasibilityMap,
+    MapProblem,
     Verdict,
     compute,
     feasibility_map,
-    planning,
 )
-from redundancy_pin.experiments.feasibility.judging import judge
-from redundancy_pin.experiments.feasibility.machine import machine
 from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.studies.case import Case
+from redundancy_pin.studies.feasibility.cell import judge
 from redundancy_pin.trajectory import reference
 
 pytest.importorskip("casadi")
@@ -162,7 +162,7 @@ def _cell_where(planner_does: Any, monkeypatch: pytest.MonkeyPatch) -> Cell:
     def plan(*_: object) -> Plan:
         raise planner_does
 
-    monkeypatch.setattr(planning, "PLAN", {WHOLE: plan})
+    monkeypatch.setattr(Case, "plan", plan)
     return compute(corner(), WHOLE, 0.1, 2.0)
 
 
@@ -203,37 +203,39 @@ def test_while_one_try_failed_nothing_is_shown_to_be_impossible(monkeypatch: pyt
     def plan(*_: object) -> Plan:
         raise next(answers, InfeasiblePlanError("No.", constraint="track"))
 
-    monkeypatch.setattr(planning, "PLAN", {SWITCH_OFF: plan})
+    monkeypatch.setattr(Case, "plan", plan)
     assert compute(crossing(parameters={}), SWITCH_OFF, 0.4, 0.3).verdict is Verdict.FAILED
 
 
 @pytest.fixture(scope="module")
-def planned() -> tuple[Plan, Any]:
-    made = machine(corner(), 0.1, 2.0)
-    return rp.plan_whole_trajectory(made.dynamics, made.trajectory, dt=0.03, refinements=0), made
+def planned() -> Plan:
+    problem = corner()
+    case = problem.case(WHOLE, 0.1, 2.0, problem.parameters[WHOLE])
+    return replace(case, options=tuple(pair for pair in case.options if pair[0] != "effort")).plan(problem.backend)
 
 
-def test_a_plan_that_stopped_early_is_told_apart(planned: tuple[Plan, Any]) -> None:
-    plan, made = planned
-    early = replace(plan, status=PlanStatus.STOPPED_EARLY, diagnostics={**plan.diagnostics, "solver": "Out_Of_Time"})
-    cell = judge(WHOLE, early, made)
+def _judged(plan: Plan, effort: float = 5.0, planner: str = WHOLE) -> Cell:
+    return judge(Cell(planner, 0.1, 2.0, Verdict.FEASIBLE), plan, {"max_effort": effort})
+
+
+def test_a_plan_that_stopped_early_is_told_apart(planned: Plan) -> None:
+    diagnostics = {**planned.diagnostics, "solver": "Out_Of_Time"}
+    cell = _judged(replace(planned, status=PlanStatus.STOPPED_EARLY, diagnostics=diagnostics))
     assert cell.verdict is Verdict.STOPPED_EARLY
     assert cell.possible
     assert "Out_Of_Time" in cell.message
 
 
-def test_a_plan_without_finite_efforts_is_none(planned: tuple[Plan, Any]) -> None:
-    plan, made = planned
-    cell = judge(WHOLE, replace(plan, status=PlanStatus.UNBOUNDED_EFFORT), made)
+def test_a_plan_without_finite_efforts_is_none(planned: Plan) -> None:
+    cell = _judged(replace(planned, status=PlanStatus.UNBOUNDED_EFFORT))
     assert (cell.verdict, cell.limits) == (Verdict.INFEASIBLE, ("effort",))
 
 
 def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
     """The crossing of the thesis leaves the track and exceeds the acceleration limit; the worst is told first."""
-    made = machine(crossing(), 0.5, 0.4)
-    plan = rp.plan_switch_off(made.dynamics, made.trajectory, threshold=5.0)
+    plan = crossing().case(SWITCH_OFF, 0.5, 0.4, {"threshold": 5.0}).plan()
     assert plan.status is PlanStatus.VIOLATES_LIMITS
-    cell = judge(SWITCH_OFF, plan, made)
+    cell = _judged(plan, np.inf, SWITCH_OFF)
     assert cell.verdict is Verdict.INFEASIBLE
     assert set(cell.limits) == {event.quantity for event in plan.limits.violated} == {"track", "acceleration"}
     worst = max(plan.limits.violated, key=lambda event: abs(event.value / event.limit))
@@ -242,22 +244,19 @@ def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
     assert f"{worst.quantity} of {worst.carrier} by {worst.amount:.4g}" in cell.message
 
 
-def test_a_plan_beyond_the_effort_limit_is_none(planned: tuple[Plan, Any]) -> None:
-    plan, made = planned
-    peak = float(plan.peak_effort.max())
-    cell = judge(WHOLE, plan, replace(made, effort=0.9 * peak))
+def test_a_plan_beyond_the_effort_limit_is_none(planned: Plan) -> None:
+    peak = float(planned.peak_effort.max())
+    cell = _judged(planned, 0.9 * peak)
     assert (cell.verdict, cell.limits) == (Verdict.INFEASIBLE, ("effort",))
     assert cell.amount == pytest.approx(0.1 * peak)
-    i = int(np.argmin(np.abs(plan.t - cell.time)))
-    assert np.abs(plan.tau[i]).max() == pytest.approx(peak)
-    assert judge(WHOLE, plan, replace(made, effort=1.1 * peak)).verdict is Verdict.FEASIBLE
+    i = int(np.argmin(np.abs(planned.t - cell.time)))
+    assert np.abs(planned.tau[i]).max() == pytest.approx(peak)
+    assert _judged(planned, 1.1 * peak).verdict is Verdict.FEASIBLE
 
 
-def test_efforts_that_the_nodes_do_not_show_leave_the_cell_unknown(planned: tuple[Plan, Any]) -> None:
-    plan, made = planned
-    peak = float(plan.peak_effort.max())
-    check = {**plan.diagnostics["dense_check"], "ratio": 1.5}  # type: ignore[dict-item]
-    cell = judge(WHOLE, replace(plan, diagnostics={"dense_check": check}), replace(made, effort=1.1 * peak))
+def test_efforts_that_the_nodes_do_not_show_leave_the_cell_unknown(planned: Plan) -> None:
+    check = {**planned.diagnostics["dense_check"], "ratio": 1.5}  # type: ignore[dict-item]
+    cell = _judged(replace(planned, diagnostics={"dense_check": check}), 1.1 * float(planned.peak_effort.max()))
     assert cell.verdict is Verdict.FAILED
     assert "not resolved" in cell.message
 
@@ -265,6 +264,23 @@ def test_efforts_that_the_nodes_do_not_show_leave_the_cell_unknown(planned: tupl
 def test_a_carrier_mass_of_the_robot_is_an_axis() -> None:
     """Heavier carriers push harder: what is minimised, ∫ τ² with the same motion allowed, does not grow."""
     problem = crossing(x=Axis("carrier_mass", (0.5, 2.0)), y=Axis("max_acceleration", (1.0, 10.0)), planners=(WHOLE,))
-    assert machine(problem, 0.5, 10.0).dynamics.robot.parameters["carrier_mass"] == 0.5
-    assert machine(problem, 2.0, 1.0).dynamics.robot.carrier_limits[0].acceleration == 1.0
+    assert problem.case(WHOLE, 0.5, 10.0, {}).load_robot().parameters["carrier_mass"] == 0.5
+    assert problem.case(WHOLE, 2.0, 1.0, {}).dynamics().robot.carrier_limits[0].acceleration == 1.0
     assert compute(problem, WHOLE, 0.5, 10.0).peak_effort != compute(problem, WHOLE, 2.0, 10.0).peak_effort
+
+
+def test_a_robot_without_a_version_that_has_no_carriers_is_planned_stepwise() -> None:
+    """λ = 0 alone is tried, and a limit of the carriers and the direction of gravity reach the planner."""
+    problem = MapProblem(
+        "five_bar",
+        Axis("speed", (0.05, 0.1)),
+        Axis("stroke", (0.2, 0.4)),
+        "points",
+        options={"points": [[0.2, 0.5], [0.25, 0.5]], "ramp_time": 0.1},
+        gravity=(0.0, -9.81, 0.0),
+        backend="rnea",
+        planners=(STEPWISE,),
+    )
+    assert [settings["lam"] for settings in problem.attempts(STEPWISE)] == [0.0] or problem.has_baseline
+    heavy, light = compute(problem, STEPWISE, 0.05, 0.4), compute(replace(problem, gravity=None), STEPWISE, 0.05, 0.4)
+    assert heavy.peak_effort != light.peak_effort

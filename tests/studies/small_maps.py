@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Any
 
-from redundancy_pin.experiments.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, Cell, MapProblem, Verdict, sweep
+from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, Cell, MapProblem, Verdict
 
 COARSE = {WHOLE: {"dt": 0.03, "refinements": 0}, SWITCH_OFF: {"threshold": 20.0, "return_time": "shortest", "dt": 5e-3}}
 
@@ -48,11 +47,5 @@ def quick(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
 
 def slow(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
     """The same in a worker, slowly enough to be interrupted."""
-    sweep.ignore_interrupts()
     time.sleep(0.3)
     return quick(problem, planner, x, y)
-
-
-def journal_lines(path: Path) -> list[bytes]:
-    """Return the lines of a journal, their ends included."""
-    return path.read_bytes().splitlines(keepends=True)

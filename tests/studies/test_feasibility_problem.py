@@ -8,8 +8,8 @@ import pytest
 from small_maps import corner, crossing
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.feasibility import WHOLE, Axis, feasibility_map
-from redundancy_pin.experiments.feasibility.cell import Key
+from redundancy_pin.studies.feasibility import WHOLE, Axis, feasibility_map
+from redundancy_pin.studies.feasibility.cell import Key
 
 BAD: dict[str, tuple[Any, str]] = {
     "misspelt axis": (lambda: corner(x=Axis("sped", (1, 2))), "Did you mean 'speed'"),
@@ -47,16 +47,16 @@ BAD: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_problems_are_refused(case: str, asked: list[Key]) -> None:
+def test_bad_problems_are_refused(case: str, computed: list[Key]) -> None:
     make, says = BAD[case]
     with pytest.raises(InputError) as caught:
         feasibility_map(make(), jobs=1)
     assert says in str(caught.value)
-    assert asked == []
+    assert computed == []
 
 
 @pytest.mark.parametrize("given", [{"jobs": 0}, {"refine": -1}, {"refine": 0.5}, {"along": "z"}])
-def test_bad_settings_of_the_sweep_are_refused(given: dict[str, Any], asked: list[Key]) -> None:
+def test_bad_settings_of_the_sweep_are_refused(given: dict[str, Any], computed: list[Key]) -> None:
     with pytest.raises(InputError):
         feasibility_map(crossing(), **given)
-    assert asked == []
+    assert computed == []
