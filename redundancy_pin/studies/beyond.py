@@ -49,6 +49,7 @@ from redundancy_pin.studies.measures import (
 )
 from redundancy_pin.studies.planned import Chapter, Tell
 from redundancy_pin.studies.table import Column, Record, Table, text
+from redundancy_pin.workers import parallel
 
 INFEASIBLE = "infeasible"
 """Status of a record whose planner has no plan."""
@@ -97,38 +98,52 @@ MODE_METHODS = (NONE, PARKED, STEPWISE, STEPWISE_HALF, EFFORT, PEAK, PEAK_FREE)
 
 def parts(extent: Extent) -> int:
     """Return how often ``run_beyond`` tells of progress."""
-    return 2 * len(TASKS) + len(extent.races) + 1 + len(STARTED) + len(TRADED)
+    return len(cases(extent)) + len(extent.races) + len(TRADED)
+
+
+def cases(extent: Extent) -> list[tuple[Case, str]]:
+    """Return the plans of the chapter that do not depend on one another, each with its backend."""
+    first = [by_method(task, method, extent.coarser) for task in TASKS for method in methods(task)]
+    first += [
+        by_method(replace(task, working_mode=mode), method, extent.coarser)
+        for task in TURNS[:2]
+        for mode in extent.modes
+        for method in MODE_METHODS
+    ]
+    return [(case, case.backends[0]) for case in (*first, *_started(extent))] + [
+        (case, backend) for case in _compared(extent) for backend in case.backends[1:]
+    ]
+
+
+def _compared(extent: Extent) -> list[Case]:
+    """Return the cases that both backends plan."""
+    compared = (EFFORT, PEAK) if extent.both_backends else (EFFORT,)
+    return [by_method(task, method, extent.coarser) for task in TASKS if len(task.backends) > 1 for method in compared]
+
+
+def _started(extent: Extent) -> list[Case]:
+    """Return the cases that are planned from several first guesses."""
+    return [
+        by_method(task, method, extent.starts_coarser).with_options(starts=extent.starts, refinements=0)
+        for task in STARTED
+        for method in (EFFORT, PEAK)
+    ]
 
 
 def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
-    """Run the chapter.
+    """Run the chapter, on several processes.
 
     Raises:
         RedundancyPinError: casadi is not installed.
         InfeasiblePlanError: a motion on which every other number depends has no plan.
     """
-    records: list[Record] = []
-    for task in TASKS:
-        records += [plan_record(plans, task, method, extent.coarser) for method in methods(task)]
-        tell(f"whole trajectory: {task.name}")
+    plans.prepare(cases(extent), extent.jobs, tell)
+    records = [plan_record(plans, task, method, extent.coarser) for task in TASKS for method in methods(task)]
+    cap = by_task(records)[SINGULAR[0].name][SWITCH_OFF]["before"]
     races = []
-    for race in extent.races:
-        races.append(run_race(plans, race, extent, records))
-        tell(f"as fast as the limits allow: {race.task.name}")
-    modes = mode_records(plans, extent.modes, extent.coarser)
-    tell("whole trajectory in the working modes")
-    backends = []
-    for task in TASKS:
-        if len(task.backends) > 1:
-            compared = (EFFORT, PEAK) if extent.both_backends else (EFFORT,)
-            backends += [backend_record(plans, by_method(task, method, extent.coarser)) for method in compared]
-        tell(f"both backends: {task.name}")
-    starts = []
-    for task in STARTED:
-        for method in (EFFORT, PEAK):
-            case = by_method(task, method, extent.starts_coarser)
-            starts.append(starts_record(plans, case.with_options(starts=extent.starts, refinements=0)))
-        tell(f"first guesses: {task.name}")
+    for race in parallel(run_race, [(race, extent, cap) for race in extent.races], extent.jobs, ordered=True):
+        races.append(race)
+        tell(f"as fast as the limits allow: {race['task']}")
     trades = []
     for task in TRADED:
         trades.append(trade_record(plans, task, extent))
@@ -137,9 +152,9 @@ def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
         "plans": records,
         "targets": targets(records),
         "fastest": races,
-        "working_modes": modes,
-        "backends": backends,
-        "first_guesses": starts,
+        "working_modes": mode_records(plans, extent.modes, extent.coarser),
+        "backends": [backend_record(plans, case) for case in _compared(extent)],
+        "first_guesses": [starts_record(plans, case) for case in _started(extent)],
         "trade_off": trades,
     }
     chapter["findings"] = findings(chapter)
@@ -253,13 +268,18 @@ def headline_cell(record: Record | None) -> str | None:
 # as out of reach only if every first guess fails with two objectives, which lead the solver to different places.
 
 
-def run_race(plans: Plans, race: Race, extent: Extent, records: Sequence[Record]) -> Record:
-    """Bracket the fastest motion of a race."""
+def run_race(race: Race, extent: Extent, cap: float) -> Record:
+    """Bracket the fastest motion of a race, with plans of its own; it may run in another process.
+
+    Args:
+        race: which motion.
+        extent: width of the bracket, first guesses.
+        cap: limit of the main efforts of races that have one, N or N·m.
+    """
     if not race.capped:
-        return fastest(plans, race.task, extent)
-    cap = by_task(records)[race.task.name][SWITCH_OFF]["before"]
+        return fastest(Plans(), race.task, extent)
     wider = replace(extent, coarser=extent.coarser * _CAPPED_COARSER, tolerance=extent.tolerance * _CAPPED_COARSER)
-    return fastest(plans, race.task, wider, cap)
+    return fastest(Plans(), race.task, wider, cap)
 
 
 def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) -> Record:

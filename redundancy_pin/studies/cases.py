@@ -350,7 +350,7 @@ class Extent:
         races: motions whose fastest is bracketed.
         both_backends: whether both objectives are planned with both backends, or only the first.
         replayed: plans that are replayed.
-        jobs: processes that replay; all cores when None.
+        jobs: processes; -1 for all cores.
     """
 
     chapters: tuple[str, ...] = CHAPTERS
@@ -364,7 +364,7 @@ class Extent:
     races: tuple[Race, ...] = RACES
     both_backends: bool = True
     replayed: tuple[Replayed, ...] = REPLAYED
-    jobs: int | None = None
+    jobs: int = -1
 
 
 FULL = Extent()

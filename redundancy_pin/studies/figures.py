@@ -27,6 +27,7 @@ from redundancy_pin.studies.cases import (
     TASKS,
     TRADED,
     TURNS,
+    Replayed,
     by_method,
     crosses,
     mode_text,
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Draw = Callable[..., "Figure"]
-"""Draws some cases from their plans: ``draw(plans, *cases)``."""
+"""Draws what it is given; the figures of the thesis are ``draw(plans, *cases)``."""
 
 _FINE = 2e-3
 """Between the samples of reference motions, s."""
@@ -77,6 +78,18 @@ class Picture:
     draw: Callable[[Results], Figure]
 
 
+def _of(draw: Draw, *given: Any) -> Callable[[Results], Figure]:
+    return lambda results: draw(*given)
+
+
+def _from_plans(draw: Draw, cases: Sequence[Case]) -> Callable[[Results], Figure]:
+    return lambda results: draw(results.plans, *cases)
+
+
+def _from_results(draw: Draw, *given: Any) -> Callable[[Results], Figure]:
+    return lambda results: draw(results, *given)
+
+
 # --- motions without a planner -------------------------------------------------------------------------------------
 
 
@@ -88,16 +101,16 @@ def motion_pictures(runs: Sequence[MotionRun]) -> list[Picture]:
         title = f"{run.case.title}, {_carriers(run.case)}"
         pictures += [
             Picture(f"{name}-efforts", f"Efforts of {name}", f"{title}: efforts by both backends. {run.statement}.",
-                    lambda _, run=run, title=title: effort_figure(run, title)),
+                    _of(effort_figure, run, title)),
             Picture(f"{name}-path", f"Path of {name}", f"{title}: mechanism, path and condition number.",
-                    lambda _, run=run, title=title: path_figure(run, title)),
+                    _of(path_figure, run, title)),
         ]  # fmt: skip
     for motion in dict.fromkeys(motion_name(run.case) for run in runs):
         same = [run for run in runs if motion_name(run.case) == motion]
         if len(same) > 1:
             caption = f"{same[0].case.title}: efforts with parked carriers and without carriers."
             pictures.append(Picture(f"{motion}-comparison", f"Comparison of {motion}", caption,
-                                    lambda _, same=same: comparison_figure(same)))  # fmt: skip
+                                    _of(comparison_figure, same)))  # fmt: skip
     return pictures
 
 
@@ -379,7 +392,7 @@ def thesis_pictures() -> list[Picture]:
                 f"figure-{chapter}-{int(count):02d}",
                 f"Figure {number}",
                 f"{_CAPTIONS[draw]} Run: {runs}.",
-                lambda results, draw=draw, cases=cases: draw(results.plans, *cases),
+                _from_plans(draw, cases),
             )
         )
     return pictures
@@ -402,7 +415,7 @@ def beyond_pictures() -> list[Picture]:
                 f"Plans of {task.name}",
                 f"{task.title}: main efforts, and position, speed and acceleration of the carriers with their limits."
                 + (" Dotted: singular instants." if crosses(task) else ""),
-                lambda results, task=task: task_figure(results, task),
+                _from_results(task_figure, task),
             )
             for task in TASKS
         ),
@@ -419,7 +432,7 @@ def beyond_pictures() -> list[Picture]:
                 f"Working modes, radius {radius:g} m",
                 f"Largest |τ| at the corner of radius {radius:g} m in every working mode, at the samples or between "
                 "them. Stepwise plans leave the carriers where they are; the others bring them back.",
-                lambda results, radius=radius: modes_figure(results, radius),
+                _from_results(modes_figure, radius),
             )
             for radius in RADII
         ),
@@ -500,10 +513,7 @@ def replay_pictures(results: Results) -> list[Picture]:
             f"replay-{replayed.task.name}",
             f"Replay of {replayed.task.name}",
             f"Distance of the platform from its plan ({replayed.name}), for each drive.",
-            lambda results, replayed=replayed: plot_tracking(
-                replayed.task.title,
-                {one.drive: (one.t, one.error) for one in results.replays if one.plan == replayed.name and len(one.t)},
-            ),
+            _from_results(tracking_figure, replayed),
         )
         for replayed in results.extent.replayed
         if replayed.name in names
@@ -511,8 +521,19 @@ def replay_pictures(results: Results) -> list[Picture]:
     ]
 
 
+def tracking_figure(results: Results, replayed: Replayed) -> Figure:
+    """Return the distances from a plan for every drive that replayed it."""
+    same = [one for one in results.replays if one.plan == replayed.name and len(one.t)]
+    return plot_tracking(replayed.task.title, {one.drive: (one.t, one.error) for one in same})
+
+
 def pictures(results: Results) -> dict[str, list[Picture]]:
     """Return all figures of what was run, by chapter."""
-    makers = {"planned": thesis_pictures, "beyond": beyond_pictures, "replay": lambda: replay_pictures(results)}
-    chosen = {chapter: make() for chapter, make in makers.items() if chapter in results.chapters}
-    return {"motions": motion_pictures(results.runs), **chosen}
+    chosen = {"motions": motion_pictures(results.runs)}
+    if "planned" in results.chapters:
+        chosen["planned"] = thesis_pictures()
+    if "beyond" in results.chapters:
+        chosen["beyond"] = beyond_pictures()
+    if "replay" in results.chapters:
+        chosen["replay"] = replay_pictures(results)
+    return chosen

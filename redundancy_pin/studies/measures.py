@@ -102,7 +102,9 @@ def position_at_exit(plan: Plan) -> Numbers:
 
 def peak_until_off(plan: Plan) -> float:
     """Return the largest |τ| until the motors are off, N or N·m; NaN of plans that do not switch off."""
-    off = np.flatnonzero(plan.phase == plan.phases.index("off")) if plan.planner == "switch_off" else ()
+    if plan.planner != "switch_off":
+        return math.nan
+    off = np.flatnonzero(plan.phase == plan.phases.index("off"))
     return float(np.nanmax(np.abs(plan.tau[: off[0]]))) if len(off) else math.nan
 
 

@@ -253,10 +253,9 @@ def square_returns(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
     for mode in modes:
         for lam in (0.0, 0.5):
             outcome = plans.outcome(square(lam, mode).with_options(return_time="shortest"))
-            exists = isinstance(outcome, Plan)
-            spans = (
-                np.asarray(outcome.diagnostics["returns"], dtype=float).reshape(-1, 2) if exists else np.empty((0, 2))
-            )
-            why = "" if exists else outcome.message
+            if isinstance(outcome, Plan):
+                spans, why = np.asarray(outcome.diagnostics["returns"], dtype=float).reshape(-1, 2), ""
+            else:
+                spans, why = np.empty((0, 2)), outcome.message
             records.append({"mode": mode, "lam": lam, "durations": spans[:, 1] - spans[:, 0], "why": why})
     return records

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -202,7 +202,7 @@ def run(case: Case) -> MotionRun:
     carriers = CarrierMotion.parked(len(motion), robot.k)
     reduced = {name: backend(robot).reduce(motion, carriers) for name, backend in BACKENDS.items()}
     solved = {name: distribute(reduction) for name, reduction in reduced.items()}
-    parity = _parity(*reduced.values(), *solved.values())
+    parity = _parity(list(reduced.values()), list(solved.values()))
     if not max(parity.values()) <= PARITY_TOLERANCE:
         listed = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in parity.items())
         raise CrossCheckError(
@@ -249,12 +249,11 @@ def relative_difference(a: Array, b: Array) -> float:
     return float(np.abs(a - b).max()) / size if size != 0.0 else 0.0
 
 
-def _parity(
-    first: ReducedDynamics, second: ReducedDynamics, solved: Distribution, other: Distribution
-) -> dict[str, float]:
-    regular = solved.status == SampleStatus.REGULAR
+def _parity(reduced: Sequence[ReducedDynamics], solved: Sequence[Distribution]) -> dict[str, float]:
+    first, second = reduced
+    regular = solved[0].status == SampleStatus.REGULAR
     pairs = {name: (getattr(first, name), getattr(second, name)) for name in ("f", "W", "carrier_force")}
-    pairs["tau"] = (solved.tau[regular], other.tau[regular])
+    pairs["tau"] = (solved[0].tau[regular], solved[1].tau[regular])
     return {name: relative_difference(*pair) for name, pair in pairs.items()}
 
 

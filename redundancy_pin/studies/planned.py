@@ -132,15 +132,14 @@ def crossing_record(plans: Plans, case: Case) -> Record:
     plan = plans.plan(case)
     end = max(limits.upper for limits in plan.limits.judged_by)
     shortest = plans.outcome(case.with_options(return_time="shortest"))
-    exists = isinstance(shortest, Plan)
     return {
         "case": case.name,
         "status": plan.status.value,
         "broken": broken_limits(plan),
         "beyond_track_at_exit": max(0.0, position_at_exit(plan)[0] - end),
         "beyond_track": max(0.0, farthest_position(plan)[0] - end),
-        "shortest": float(window(shortest)["return_time"]) if exists else math.nan,
-        "no_shortest": "" if exists else shortest.message,
+        "shortest": float(window(shortest)["return_time"]) if isinstance(shortest, Plan) else math.nan,
+        "no_shortest": "" if isinstance(shortest, Plan) else shortest.message,
         "jump": exit_forces(plan),
         "jump_of_differences": exit_forces(plans.plan(case.with_options(scheme=DIFFERENCES))),
         "step": case.dt,

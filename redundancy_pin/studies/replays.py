@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 
 from redundancy_pin.errors import InfeasiblePlanError
@@ -12,7 +10,7 @@ from redundancy_pin.simulation.replay import Drive, Replay, replay
 from redundancy_pin.studies.case import Plans
 from redundancy_pin.studies.cases import Extent, Replayed
 from redundancy_pin.studies.planned import Chapter, Tell
-from redundancy_pin.workers import workers
+from redundancy_pin.workers import parallel
 
 
 def run_replays(plans: Plans, extent: Extent, tell: Tell) -> tuple[Chapter, tuple[Replay, ...]]:
@@ -33,25 +31,13 @@ def run_replays(plans: Plans, extent: Extent, tell: Tell) -> tuple[Chapter, tupl
             tell(f"no plan to replay: {replayed.name}")
         else:
             pairs.append((replayed, outcome))
+    jobs = [(replayed, plan, drive) for replayed, plan in pairs for drive in replayed.drives]
     results: list[Replay] = []
-    for of_plan in _run(pairs, extent.jobs or os.cpu_count() or 1):
-        results += of_plan
-        tell(f"replay: {of_plan[0].plan}")
+    for job, result in zip(jobs, parallel(_replay, jobs, extent.jobs, ordered=True), strict=True):
+        results.append(result)
+        if job[2] == job[0].drives[-1]:
+            tell(f"replay: {result.plan}")
     return {"replays": [_record(result) for result in results], "without_plan": missing}, tuple(results)
-
-
-def _run(pairs: Sequence[tuple[Replayed, Plan]], jobs: int) -> Iterator[list[Replay]]:
-    """Give the replays of each plan, in order."""
-    if jobs == 1 or len(pairs) < 2:
-        for replayed, plan in pairs:
-            yield [_replay(replayed, plan, drive) for drive in replayed.drives]
-        return
-    with workers(min(jobs, len(pairs))) as pool:
-        futures = [
-            [pool.submit(_replay, replayed, plan, drive) for drive in replayed.drives] for replayed, plan in pairs
-        ]
-        for group in futures:
-            yield [future.result() for future in group]
 
 
 def _replay(replayed: Replayed, plan: Plan, drive: Drive) -> Replay:

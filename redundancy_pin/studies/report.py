@@ -137,10 +137,7 @@ def _planned(chapter: Mapping[str, Any], results: Results) -> dict[str, Table]:
         Column("verdict", value=_with_reason),
     ]
     mode = Column("mode", value=lambda record: mode_text(record["mode"]))
-    holds = [
-        Column(name, value=lambda record, name=name: record["modes"][name]["holds"])
-        for name in chapter["claims"][0]["modes"]
-    ]
+    holds = [Column(name, value=_holds_in(name)) for name in chapter["claims"][0]["modes"]]
     crossing = [
         Column("case", "run"),
         Column("status"),
@@ -218,6 +215,14 @@ def _planned(chapter: Mapping[str, Any], results: Results) -> dict[str, Table]:
     }  # fmt: skip
 
 
+def _holds_in(mode: str) -> Callable[[Record], bool]:
+    return lambda record: bool(record["modes"][mode]["holds"])
+
+
+def _worst_by(method: str) -> Callable[[Record], str]:
+    return lambda record: _marked(record["rows"][method])
+
+
 def _grouped(records: Iterable[Record], *keys: str) -> dict[tuple[Any, Any], list[Record]]:
     """Return records by two keys; those without a value of a third one are left out."""
     groups: dict[tuple[Any, Any], list[Record]] = {}
@@ -249,7 +254,7 @@ def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
     ]
     modes = chapter["working_modes"]
     methods = list(modes[0]["rows"]) if modes else []
-    peaks = [Column(method, value=lambda record, method=method: _marked(record["rows"][method])) for method in methods]
+    peaks = [Column(method, value=_worst_by(method)) for method in methods]
     starts = [
         Column("case", "plan"),
         Column("step", "largest step", "s"),

@@ -21,6 +21,7 @@ from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import FULL, MOTIONS, TASKS, Extent, by_method, motion_name
 from redundancy_pin.studies.figures import THESIS, pictures
 from redundancy_pin.studies.motions import CSV_DIGITS, MotionRun, run
+from redundancy_pin.studies.planned import Chapter
 from redundancy_pin.studies.replays import run_replays
 from redundancy_pin.studies.report import html, listing, report
 from redundancy_pin.studies.results import Results
@@ -114,7 +115,8 @@ def compute(motions: Sequence[Case], extent: Extent, check: CrossCheckReport, te
     for case in motions:
         runs.append(run(case))
         tell(case.name)
-    plans, chapters = Plans(), {}
+    plans = Plans()
+    chapters: dict[str, Chapter] = {}
     results = Results(extent, check, tuple(runs), tuple(compare_motions(runs)), chapters, plans)
     if "planned" in extent.chapters:
         chapters["planned"] = planned.run_planned(plans, extent, tell)

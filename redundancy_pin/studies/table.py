@@ -17,7 +17,7 @@ from rich.table import Table as TerminalTable
 NONE = "–"
 """Stands for a number that does not exist."""
 
-Record: TypeAlias = Mapping[str, Any]
+Record: TypeAlias = dict[str, Any]
 """A row: plain values by the name of their column."""
 
 

@@ -7,11 +7,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-
-from redundancy_pin.errors import OutputError
 from redundancy_pin.experiments.document import Bullets, FileLink, Heading, Paragraph, Picture, table
 from redundancy_pin.experiments.html import html
 from redundancy_pin.experiments.markdown import markdown
+
+from redundancy_pin.errors import OutputError
 
 PIXELS = b"\x89PNG not really"
 BLOCKS = [

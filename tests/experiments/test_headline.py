@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
 from redundancy_pin.experiments.beyond.rows import INFEASIBLE, Row
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS, TASKS

@@ -10,12 +10,12 @@ from pathlib import Path
 import cases
 import numpy as np
 import pytest
+from redundancy_pin.experiments import Reproduction, job
+from redundancy_pin.experiments.stated import STATEMENTS, compare_with_thesis
 
 from redundancy_pin import crosscheck
 from redundancy_pin.dynamics.virtual_work import VirtualWorkAlongMotion
 from redundancy_pin.errors import CrossCheckError, OutputError
-from redundancy_pin.experiments import Reproduction, job
-from redundancy_pin.experiments.stated import STATEMENTS, compare_with_thesis
 
 reproduce = functools.partial(job.reproduce, study=None, beyond=None, replay=None)
 """The job without the planned experiments and the last chapter, which have tests of their own."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-
 from redundancy_pin.experiments.planned.conclusions import Conclusion, conclusions, verdict
 from redundancy_pin.experiments.planned.crossings import CrossingRow, Infeasible
 from redundancy_pin.experiments.planned.fair import MOVING, NONE, PARKED, FairRow

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import fields
 
 import pytest
-
 from redundancy_pin.experiments.planned import grids
 from redundancy_pin.experiments.planned.cases import CORNERS, CROSSINGS, Case
 

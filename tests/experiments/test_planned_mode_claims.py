@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from redundancy_pin.experiments.planned.mode_claims import CLAIMS, runs_of
 from redundancy_pin.experiments.planned.store import PlanStore
 

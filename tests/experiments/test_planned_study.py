@@ -11,13 +11,12 @@ from pathlib import Path
 import cases
 import numpy as np
 import pytest
-from test_document import Seen
-
 from redundancy_pin.experiments import Reproduction, job
 from redundancy_pin.experiments.planned import QUICK, Study
 from redundancy_pin.experiments.planned.cases import CORNERS
 from redundancy_pin.experiments.planned.judged import ROWS
 from redundancy_pin.experiments.planned.thesis_figures import FIGURES
+from test_document import Seen
 
 SECTION = {
     "3.11 entry", "3.11 exit", "3.13 entry", "3.13 exit", "3.14 entry", "3.14 exit", "3.16 entry", "3.16 exit",

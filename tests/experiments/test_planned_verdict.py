@@ -7,7 +7,6 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from redundancy_pin.experiments.planned.verdict import Printed, Range, judge
 
 number = st.floats(-1e3, 1e3)

@@ -7,13 +7,13 @@ import math
 import cases
 import numpy as np
 import pytest
+from redundancy_pin.experiments import BACKENDS, EXPERIMENTS
+from redundancy_pin.experiments.backends import VIRTUAL_WORK
 
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.status import SampleStatus
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import CrossCheckError
-from redundancy_pin.experiments import BACKENDS, EXPERIMENTS
-from redundancy_pin.experiments.backends import VIRTUAL_WORK
 from redundancy_pin.motion import PlatformMotion
 
 ROOT_TOLERANCE = 1e-9

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from redundancy_pin import plan_whole_trajectory
-from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.experiments.beyond.cases import Whole, whole
 from redundancy_pin.experiments.beyond.fastest import GROWTH, attempt, fastest
 from redundancy_pin.experiments.beyond.settings import QUICK
 from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import CROSSINGS
 from redundancy_pin.experiments.planned.store import PlanStore
+
+from redundancy_pin import plan_whole_trajectory
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory_solver import Solver
 

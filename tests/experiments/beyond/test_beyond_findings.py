@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import pytest
-
 from redundancy_pin.experiments.beyond.corner_findings import corner_finding, cost_finding
 from redundancy_pin.experiments.beyond.crossing_findings import (
     bracket,

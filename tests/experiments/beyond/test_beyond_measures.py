@@ -7,9 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.experiments.beyond.between import peak_at_rest, peak_of_switch_off
 from redundancy_pin.experiments.beyond.cases import SwitchOff, Whole, whole
 from redundancy_pin.experiments.beyond.optimality import backend_row
@@ -18,6 +15,9 @@ from redundancy_pin.experiments.beyond.store import BeyondStore
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS
 from redundancy_pin.experiments.beyond.tradeoff import trade
 from redundancy_pin.experiments.planned.store import PlanStore
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off import plan_switch_off

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from redundancy_pin import CarrierMotion, Plan, distribute, load_plan
-from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
-from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.experiments import Reproduction, job
 from redundancy_pin.experiments.beyond import QUICK, Beyond
 from redundancy_pin.experiments.beyond.pictures import FIGURES
 from redundancy_pin.experiments.beyond.rows import Row
 from redundancy_pin.experiments.beyond.tasks import TASKS, Task
 from redundancy_pin.experiments.beyond.ways import EFFORT, NONE, PEAK, SWITCH_OFF, SWITCH_OFF_LATE
+
+from redundancy_pin import CarrierMotion, Plan, distribute, load_plan
+from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.visualisation import style
 
 ROUNDING = 1e-9
