@@ -6,7 +6,7 @@ import csv
 import functools
 import json
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -195,11 +195,11 @@ def test_backends_are_compared_in_motion_effort_and_status() -> None:
     assert backend_record(Given(virtual_work=none, rnea=none), case)["same"]
 
 
-def test_optima_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_optima_are_counted() -> None:
     case = by_method(SINGULAR[0], EFFORT).with_options(starts=3)
 
     class Solved:
-        diagnostics = {"costs": [1.1, 1.0, math.nan, 1.0 + 0.5 * SAME_COST]}
+        diagnostics: ClassVar = {"costs": [1.1, 1.0, math.nan, 1.0 + 0.5 * SAME_COST]}
 
     record = starts_record(Given(virtual_work=Solved()), case)  # type: ignore[arg-type]
     assert (record["optima"], record["missing"], record["parked_is_best"]) == (2, 1, False)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-import quick_results
 import numpy as np
 import pytest
+import quick_results
 
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.status import SampleStatus

@@ -14,7 +14,8 @@ from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.studies.table import Column, Link, Table, csv_text, json_data, span, text
 
 TABLE = Table.of(
-    [Column("name"), Column("tau", "torque", "N·m", ".2f"), Column("good"), Column("file", value=lambda r: Link("run", "a.csv"))],
+    [Column("name"), Column("tau", "torque", "N·m", ".2f"), Column("good"),
+     Column("file", value=lambda r: Link("run", "a.csv"))],
     [{"name": "a|b", "tau": (1.0, math.nan), "good": True}, {"name": "c", "tau": math.inf, "good": np.bool_(False)}],
     "title",
 )  # fmt: skip
