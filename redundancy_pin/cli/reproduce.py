@@ -9,6 +9,15 @@ from redundancy_pin.cli.output import console, print_json, progress
 from redundancy_pin.studies.report import tables
 from redundancy_pin.studies.reproduce import reproduce as run_job
 
+SHOWN = {
+    "motions": ("name", "samples", "parity", "smallest_margin", "statement"),
+    "thesis": ("source", "experiment", "quantity", "stated", "computed", "unit"),
+    "judged": ("source", "quantity", "stated", "ours", "verdict"),
+    "conclusions": ("claim", "stands", "here"),
+    "findings": ("claim", "stands", "here"),
+}
+"""Tables of the report, and the columns of them that fit a terminal side by side."""
+
 
 @click.command()
 @click.option("--out", default="results", show_default=True, metavar="FOLDER", help="Where the results go.")
@@ -32,8 +41,8 @@ def reproduce(out: str, as_json: bool) -> None:
         print_json(done.summary)
         return
     screen, shown = console(), tables(done.results)
-    for name in ("motions", "thesis", "judged", "conclusions", "findings"):
+    for name, columns in SHOWN.items():
         if name in shown:
-            screen.print(shown[name].terminal())
+            screen.print(shown[name].only(*columns).terminal())
     passed = f"cross-check passed: {len(done.results.check.rows)} checks"
     screen.print(f"{passed}. Results are in {done.folder} (start with report.html or report.md).")

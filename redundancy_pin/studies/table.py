@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, TypeAlias
 
@@ -79,6 +79,10 @@ class Table:
     def of(columns: Sequence[Column], records: Sequence[Record], title: str = "") -> Table:
         """Return a table from any sequences."""
         return Table(tuple(columns), tuple(records), title)
+
+    def only(self, *names: str) -> Table:
+        """Return the table with some of its columns, such as those that fit a terminal."""
+        return replace(self, columns=tuple(column for column in self.columns if column.name in names))
 
     @property
     def texts(self) -> list[list[str]]:

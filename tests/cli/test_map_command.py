@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 from command_line import call, refused
+
+from redundancy_pin.cli.map import problem_of
+from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.experiments.feasibility import (
     STEPWISE,
     SWITCH_OFF,
@@ -19,9 +22,6 @@ from redundancy_pin.experiments.feasibility import (
     feasibility_map,
     sweep,
 )
-
-from redundancy_pin.cli.map import problem_of
-from redundancy_pin.errors import RedundancyPinError
 
 pytest.importorskip("joblib")
 pytest.importorskip("matplotlib")

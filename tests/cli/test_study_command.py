@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from command_line import call, refused
+
 from redundancy_pin.experiments.robustness import robustness_study, study
 from redundancy_pin.experiments.robustness.scenarios import Scenario
 from redundancy_pin.experiments.robustness.trial import Trial

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,12 +22,20 @@ from redundancy_pin.studies.cases import CHAPTERS, FULL
 from redundancy_pin.studies.figures import THESIS, pictures
 from redundancy_pin.studies.report import html
 from redundancy_pin.studies.reproduce import Reproduction
+from redundancy_pin.visualisation import style
 
 reproduce = functools.partial(job.reproduce, extent=replace(FULL, chapters=()), samples=4)
 """The job without chapters, which are run once in ``quick_results``; the cross-check has tests of its own."""
 
 NAMES = ("circle-0.5-parked", "corner-r0.025-baseline", "corner-r0.025-parked")
 BASELINE, SHARP = "corner-r0.025-baseline", "corner-r0.013-baseline"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _coarse_pictures() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(style._SETTINGS, "savefig.dpi", 40)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.experiments.robustness import Imperfections, robustness_study, study, study_csv, study_table
 from redundancy_pin.experiments.robustness.draws import LENGTHS, MASSES, draw
 from redundancy_pin.experiments.robustness.scenarios import Scenario, nominal, planned
 from redundancy_pin.experiments.robustness.statistics import mean_interval, wilson
 from redundancy_pin.experiments.robustness.study import scaled
 from redundancy_pin.experiments.robustness.trial import SUCCESS, Amplifier, Trial, run_trial, trial_from
-
-from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.simulation.encoders import Encoders
 
 SHORT = Scenario("line", "switch off", 2.45, 2.55)

@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from redundancy_pin.experiments.robustness import Imperfections, identity, robustness_study, study
-from redundancy_pin.experiments.robustness.scenarios import Scenario
-from redundancy_pin.experiments.robustness.trial import Trial
 
 import redundancy_pin
 from redundancy_pin.errors import OutputError
+from redundancy_pin.experiments.robustness import Imperfections, identity, robustness_study, study
+from redundancy_pin.experiments.robustness.scenarios import Scenario
+from redundancy_pin.experiments.robustness.trial import Trial
 from redundancy_pin.robot.description import models_root
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.weights import bryson_weights

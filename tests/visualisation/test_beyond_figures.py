@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from redundancy_pin.experiments.beyond.cases import SwitchOff, whole
-from redundancy_pin.experiments.beyond.tasks import CROSSINGS
 
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.studies.cases import EFFORT, SINGULAR, by_method
 from redundancy_pin.visualisation.bars import plot_bars
 from redundancy_pin.visualisation.side_by_side import plot_side_by_side
 from redundancy_pin.visualisation.speed_border import Attempts, plot_speed_border
@@ -20,11 +19,8 @@ from redundancy_pin.visualisation.trade_off import TradeCurve, plot_trade_off
 
 @pytest.fixture(scope="module")
 def plans() -> dict[str, Plan]:
-    task = CROSSINGS[0]
-    return {
-        "off": SwitchOff(task, task.threshold).plan("virtual-work"),
-        "whole": whole(task, "effort", 4.0).plan("virtual-work"),
-    }
+    task = SINGULAR[0]
+    return {"off": task.plan(), "whole": by_method(task, EFFORT, 4.0).plan()}
 
 
 def written(figure: Figure, folder: Path) -> None:

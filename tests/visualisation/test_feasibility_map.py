@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from redundancy_pin.experiments.feasibility import (
     STEPWISE,
     WHOLE,
@@ -18,7 +19,6 @@ from redundancy_pin.experiments.feasibility import (
     write_map,
 )
 from redundancy_pin.experiments.feasibility.pictured import axis_label, draw, tiles
-
 from redundancy_pin.visualisation.feasibility_map import MapLabels, MapPanel, Tile, border_of, plot_feasibility
 
 pytest.importorskip("matplotlib")
