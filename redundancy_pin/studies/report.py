@@ -6,12 +6,14 @@ import base64
 import functools
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import jinja2
+import yaml
 from markdown_it import MarkdownIt
 from markdown_it.common.utils import escapeHtml
 from markdown_it.token import Token
@@ -20,21 +22,9 @@ from redundancy_pin.errors import OutputError
 from redundancy_pin.studies.beyond import headline
 from redundancy_pin.studies.cases import SINGULAR, TURNS, mode_text
 from redundancy_pin.studies.claims import environment
-from redundancy_pin.studies.figures import Picture, pictures
-from redundancy_pin.studies.motions import MotionRun
+from redundancy_pin.studies.figures import pictures
 from redundancy_pin.studies.results import NOTES, Results, versions
 from redundancy_pin.studies.table import NONE, Column, Link, Record, Table, span, text
-
-PARITY = tuple(
-    Column(name, title, format=".1e")
-    for name, title in (
-        ("position", "s"),
-        ("speed", "ṡ"),
-        ("acceleration", "s̈"),
-        ("tau", "τ"),
-        ("carrier_force", "carrier force"),
-    )
-)
 
 
 def report(results: Results) -> str:
@@ -56,11 +46,12 @@ def report(results: Results) -> str:
 
 
 def tables(results: Results) -> dict[str, Table]:
-    """Return every table of what was run, by name."""
+    """Return every table of what was run, by the names in ``tables.yaml``."""
+    runs = [{**run.record(), "name": Link(run.case.name, f"{run.case.name}.csv")} for run in results.runs]
     shown = {
-        "cross_check": _cross_check(results),
-        "motions": motions_table(results.runs),
-        "thesis": _thesis(results.compared),
+        "cross_check": table("cross_check", [vars(row) for row in results.check.rows]),
+        "motions": table("motions", runs, "experiments: Pinocchio (RNEA) against virtual work"),
+        "thesis": table("thesis", results.compared, "what the thesis states (Parsa 2014), and what comes out here"),
     }
     chapters = results.chapters
     if "planned" in chapters:
@@ -68,246 +59,30 @@ def tables(results: Results) -> dict[str, Table]:
     if "beyond" in chapters:
         shown |= _beyond(chapters["beyond"])
     if "replay" in chapters:
-        shown["replays"] = _replays(chapters["replay"]["replays"])
+        shown["replays"] = table("replays", chapters["replay"]["replays"])
     return shown
 
 
-def _cross_check(results: Results) -> Table:
-    columns = [
-        Column("robot"),
-        Column("check"),
-        Column("samples", "states"),
-        Column("worst", format=".1e"),
-        Column("tolerance", "allowed", format=".0e"),
-        Column("passed"),
-    ]
-    return Table.of(columns, [vars(row) for row in results.check.rows])
+@functools.cache
+def _layout() -> Mapping[str, Mapping[str, str]]:
+    data: Mapping[str, Any] = yaml.safe_load(files(__package__).joinpath("tables.yaml").read_text(encoding="utf-8"))
+    return data
 
 
-def motions_table(runs: Sequence[MotionRun]) -> Table:
-    """Return the motions without a planner, one a row."""
-    columns = [
-        Column("name", "experiment"),
-        Column("duration", "time", "s", ".3f"),
-        Column("samples"),
-        Column("parity", "parity of the backends", format=".1e", value=lambda record: record["parity"]["worst"]),
-        Column("smallest_margin", "smallest margin"),
-        Column("statuses", "samples by status", value=_counts),
-        Column("statement", "efforts"),
-    ]
-    records = [{**run.record(), "name": Link(run.case.name, f"{run.case.name}.csv")} for run in runs]
-    return Table.of(columns, records, "experiments: Pinocchio (RNEA) against virtual work")
+def table(name: str, records: Sequence[Record], title: str = "", more: Sequence[Column] = ()) -> Table:
+    """Return records as the table of a name in ``tables.yaml``, with further columns behind."""
+    columns = []
+    for key, shown in _layout()[name].items():
+        heading, kind, form = re.fullmatch(r"(.*?)(?: ([:=])(\S+))?", shown).groups()  # type: ignore[union-attr]
+        cell = CELLS[form] if kind == "=" else functools.partial(_at, key)
+        columns.append(Column(key, heading, format=form if kind == ":" else ".3g", value=cell))
+    return Table.of([*columns, *more], records, title)
 
 
-def _counts(record: Record) -> str:
-    return ", ".join(f"{name} {count}" for name, count in record["statuses"].items())
-
-
-def _thesis(compared: Sequence[Record]) -> Table:
-    columns = [
-        Column("source", "where"),
-        Column("experiment"),
-        Column("quantity"),
-        Column("stated"),
-        Column("computed"),
-        Column("unit"),
-        Column("note", "remark"),
-    ]
-    return Table.of(columns, compared, "what the thesis states (Parsa 2014), and what comes out here")
-
-
-def _claims(records: Sequence[Record], title: str) -> Table:
-    return Table.of([Column("claim"), Column("stands", "verdict"), Column("here")], records, title)
-
-
-def _with_reason(record: Record) -> str:
-    return f"{record['verdict']}: {record['reason']}" if record["reason"] else record["verdict"]
-
-
-def _planned(chapter: Mapping[str, Any], results: Results) -> dict[str, Table]:
-    first = results.extent.modes[0]
-    judged = [
-        Column("source", "where"),
-        Column("condition"),
-        Column("quantity"),
-        Column("stated"),
-        Column("ours"),
-        Column("deviation"),
-        Column("range", "range over"),
-        Column("verdict", value=_with_reason),
-    ]
-    mode = Column("mode", value=lambda record: mode_text(record["mode"]))
-    holds = [Column(name, value=_holds_in(name)) for name in chapter["claims"][0]["modes"]]
-    crossing = [
-        Column("case", "run"),
-        Column("status"),
-        Column("broken", "limits broken (m, m/s, m/s²)"),
-        Column("beyond_track_at_exit", "beyond the track when switched on", "m", ".3f"),
-        Column("beyond_track", "at worst", "m", ".3f"),
-        Column("shortest", "shortest return within limits", "s", ".3f"),
-        Column("jump", "jump of forces, exact", "N", ".1g"),
-        Column("jump_of_differences", "by backward differences", "N", ".2g"),
-        Column("peak_on_return", "peak on the return", "N"),
-    ]
-    energies = [
-        Column("main_energy", "energy, base", "J"),
-        Column("carrier_energy", "carriers", "J"),
-        Column("energy", "all", "J"),
-    ]
-    fair = [
-        Column("motion"),
-        Column("what", "carriers"),
-        Column("peak", "peak |τ|"),
-        Column("unit"),
-        Column("rms", "rms |τ|"),
-        Column("carrier_force", "peak carrier force", "N"),
-        *energies,
-        Column("status"),
-    ]
-    ranged = ("peak", "rms", "carrier_force", "main_energy", "energy")
-    headings = {column.name: column.heading for column in fair}
-    over_modes = [
-        {"motion": motion, "what": what, **{name: span([record[name] for record in same]) for name in ranged}}
-        for (motion, what), same in _grouped(chapter["fair_comparison"], "motion", "what", "mode").items()
-    ]
-    sensitive = [
-        {
-            "case": case,
-            "quantity": quantity,
-            "ours": same[0]["ours"],
-            "ranges": "; ".join(f"{entry['parameter']}: {span((entry['low'], entry['high']))}" for entry in same),
-        }
-        for (case, quantity), same in _grouped(chapter["sensitivity"], "case", "quantity").items()
-    ]
-    return {
-        "conclusions": _claims(chapter["conclusions"], "the thesis's conclusions"),
-        "judged": Table.of(judged, chapter["against_thesis"], "planned experiments against the thesis (Parsa 2014)"),
-        "modes": Table.of(
-            [mode, Column("case", "run"), Column("baseline_peak", "peak |τ| without carriers", "N·m"),
-             Column("peak", "peak |τ|", "N·m"), Column("rms", "rms τ", "N·m"),
-             Column("limits", "limits met (carrier, which, when first)"), Column("status")],
-            chapter["working_modes"],
-        ),
-        "mode_claims": Table.of(
-            [Column("source", "where"), Column("text", "statement holds in"), *holds], chapter["claims"]
-        ),
-        "between": Table.of(
-            [Column("case", "run"), Column("baseline", "peak |τ| without carriers", "N·m"),
-             Column("at_samples", "at the samples", "N·m"), Column("between", "between them", "N·m")],
-            chapter["between_samples"],
-        ),
-        "returns": Table.of(
-            [mode, Column("lam", "λ"), Column("durations", "shortest returns", "s"),
-             Column("why", "why there is none")],
-            chapter["shortest_returns_on_square"],
-        ),
-        "fair": Table.of(fair, [entry for entry in chapter["fair_comparison"] if entry["mode"] in ((), first)]),
-        "fair_over_modes": Table.of(
-            [Column("motion"), Column("what", "carriers"), *(Column(name, headings[name]) for name in ranged)],
-            over_modes,
-        ),
-        "crossings": Table.of(crossing, chapter["crossings"]),
-        "sensitivity": Table.of(
-            [Column("case", "run"), Column("quantity"), Column("ours", "this run"), Column("ranges", "range over")],
-            sensitive,
-        ),
-        "parity": Table.of([Column("case", "run"), *PARITY, Column("status")], chapter["parity"]),
-    }  # fmt: skip
-
-
-def _holds_in(mode: str) -> Callable[[Record], bool]:
-    return lambda record: bool(record["modes"][mode]["holds"])
-
-
-def _worst_by(method: str) -> Callable[[Record], str]:
-    return lambda record: _marked(record["rows"][method])
-
-
-def _grouped(records: Iterable[Record], *keys: str) -> dict[tuple[Any, Any], list[Record]]:
-    """Return records by two keys; those without a value of a third one are left out."""
-    groups: dict[tuple[Any, Any], list[Record]] = {}
-    for record in records:
-        if len(keys) < 3 or record[keys[2]]:
-            groups.setdefault((record[keys[0]], record[keys[1]]), []).append(record)
-    return groups
-
-
-def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
-    target = [
-        Column("task", "motion"),
-        Column("way", "plan"),
-        Column("asked", "largest effort aimed at"),
-        Column("found", "at the nodes"),
-        Column("between", "between them"),
-        Column("unit"),
-        Column("met", "verdict", value=lambda record: "met" if record["met"] else "missed"),
-    ]
-    race = [
-        Column("title", "motion"),
-        Column("effort_limit", "limit of main forces"),
-        Column("speed", "fastest with a plan", "m/s", ".3f", lambda record: record["fastest_with_plan"]["speed"]),
-        Column("peak", "its peak force", "N", value=lambda record: record["fastest_with_plan"]["peak"]),
-        Column("binding", "limits it touches", value=lambda record: record["fastest_with_plan"]["binding"]),
-        Column("above", "slowest without", "m/s", ".3f", lambda record: _above(record)["speed"]),
-        Column("why", "why there is none", value=lambda record: _above(record)["said"] or _above(record)["status"]),
-        Column("suffices", "does what would suffice?"),
-    ]
-    modes = chapter["working_modes"]
-    methods = list(modes[0]["rows"]) if modes else []
-    peaks = [Column(method, value=_worst_by(method)) for method in methods]
-    starts = [
-        Column("case", "plan"),
-        Column("step", "largest step", "s"),
-        Column("costs", "guesses", value=lambda record: len(record["costs"])),
-        Column("missing", "without a plan"),
-        Column("best", "best cost", format=".6g"),
-        Column("excess", "worst above best", format=".1e"),
-        Column("optima"),
-        Column("parked_is_best", "parked carriers lead to the best known"),
-    ]
-    points = [{**trade, **point} for trade in chapter["trade_off"] for point in trade["points"]]
-    trade = [
-        Column("task", "motion"),
-        Column("ratio", "weight"),
-        Column("weight", "w"),
-        Column("rms_effort", "rms |τ|", format=".4g"),
-        Column("rms_acceleration", "rms s̈", "m/s²", ".4g"),
-        Column("peak", "peak |τ|", format=".4g"),
-        Column("unit"),
-        Column("status"),
-    ]
-    backends = [Column("case", "plan"), *PARITY, Column("cost", format=".1e"), Column("statuses"), Column("same")]
-    shown = {
-        "headline": headline(chapter["plans"]),
-        "findings": _claims(chapter["findings"], "beyond the thesis: planning over the whole trajectory"),
-        "targets": Table.of(target, chapter["targets"]),
-        "fastest": Table.of(race, chapter["fastest"]),
-        "beyond_modes": Table.of(
-            [Column("radius", unit="m"), Column("mode", value=lambda record: mode_text(record["mode"])), *peaks,
-             Column("ratio", "least peak over no carriers", format=".2f")],
-            modes,
-        ),
-        "backends": Table.of(backends, chapter["backends"]),
-        "first_guesses": Table.of(starts, chapter["first_guesses"]),
-        "trade_off": Table.of(trade, points),
-    }  # fmt: skip
-    for name, tasks in (("singular", SINGULAR), ("turns", TURNS)):
-        chosen = {task.name for task in tasks}
-        records = [record for record in chapter["plans"] if record["task"] in chosen]
-        shown[f"{name}_limits"] = Table.of(LIMITS, records)
-        shown[f"{name}_costs"] = Table.of(COSTS, [record for record in records if record["exists"]])
-    return shown
-
-
-def _above(race: Record) -> Record:
-    """Return the slowest speed without a plan; the ramps may leave none to try."""
-    none = {"speed": math.nan, "said": "the ramps have no room for faster motions", "status": ""}
-    return race["slowest_without"] or none
-
-
-def _marked(record: Record) -> str:
-    shown = f"{record['worst']:.2f}" if record["exists"] else ""
-    return shown if record["sound"] else f"{shown} ({record['status']})".strip()
+def _at(key: str, record: Record) -> Any:
+    """Return an entry of a record; a dot leads into a record inside, None if there is none."""
+    first, _, rest = key.partition(".")
+    return _at(rest, record.get(first) or {}) if rest else record.get(first)
 
 
 def _of(value: str, limit: str) -> Callable[[Record], str]:
@@ -315,7 +90,7 @@ def _of(value: str, limit: str) -> Callable[[Record], str]:
 
 
 def _method(record: Record) -> str | Link:
-    return Link(record["way"], f"{record['file']}.npz") if record["file"] and record["exists"] else record["way"]
+    return Link(record["way"], f"{record['file']}.npz") if record["file"] else record["way"]
 
 
 def _peak(record: Record) -> str:
@@ -323,45 +98,86 @@ def _peak(record: Record) -> str:
     return text(record["peak"]) + before if record["exists"] else "none"
 
 
-LIMITS = (
-    Column("task", "motion"),
-    Column("way", "planner", value=_method),
-    Column("status"),
-    Column("peak", "peak at the samples", value=_peak),
-    Column("dense_peak", "peak between them"),
-    Column("unit"),
-    Column("position", "farthest carrier [m], of", value=_of("position", "track")),
-    Column("speed", "fastest [m/s], of", value=_of("speed", "speed_limit")),
-    Column("acceleration", "hardest [m/s²], of", value=_of("acceleration", "acceleration_limit")),
-    Column("broken", "limits broken", value=lambda record: record["broken"] or ("none" if record["exists"] else "")),
-)
-COSTS = (
-    Column("task", "motion"),
-    Column("way", "planner"),
-    Column("rms", "rms |τ|", "N or N·m"),
-    Column("reversals"),
-    Column("main_energy", "energy, main motors", "J"),
-    Column("carrier_force", "peak carrier force", "N"),
-    Column("carrier_energy", "energy, carriers", "J"),
-    Column("energy", "energy, all", "J"),
-)
+CELLS: Mapping[str, Callable[[Record], Any]] = {
+    "counts": lambda record: ", ".join(f"{name} {count}" for name, count in record["statuses"].items()),
+    "with_reason": lambda record: ": ".join(part for part in (record["verdict"], record["reason"]) if part),
+    "mode": lambda record: mode_text(record["mode"]),
+    "met": lambda record: "met" if record["met"] else "missed",
+    "method": _method,
+    "peak": _peak,
+    "position": _of("position", "track"),
+    "speed": _of("speed", "speed_limit"),
+    "acceleration": _of("acceleration", "acceleration_limit"),
+}
+"""What makes cells that are more than an entry of a record; ``tables.yaml`` names them."""
 
 
-def _replays(records: Sequence[Record]) -> Table:
-    columns = [
-        Column("plan"),
-        Column("drive"),
-        Column("status"),
-        Column("largest", "largest error", "m", ".2g"),
-        Column("rms", unit="m", format=".2g"),
-        Column("last", "at the end", "m", ".2g"),
-        Column("carrier_error", "carriers", "m", ".2g"),
-        Column("carrier_lag", "carrier lag of the plan", "m", ".2g"),
-        Column("off_track", "off the track", "m", ".2g"),
-        Column("effort", "largest |τ|", "N or N·m", ".2g"),
-        Column("carrier_force", "largest carrier force", "N", ".2g"),
+def _planned(chapter: Mapping[str, Any], results: Results) -> dict[str, Table]:
+    fair, first = chapter["fair_comparison"], results.extent.modes[0]
+    over_modes = [
+        {"motion": motion, "what": what} | {key: span([record[key] for record in same]) for key in RANGED}
+        for (motion, what), same in _grouped([record for record in fair if record["mode"]], "motion", "what").items()
     ]
-    return Table.of(columns, records)
+    sensitive = [
+        {**same[0], "ranges": "; ".join(f"{one['parameter']}: {span((one['low'], one['high']))}" for one in same)}
+        for same in _grouped(chapter["sensitivity"], "case", "quantity").values()
+    ]
+    modes = [Column(f"modes.{name}.holds", name, value=_within("modes", name, "holds")) for name in _modes(results)]
+    whole = ("working_modes", "between_samples", "shortest_returns_on_square", "crossings", "parity")
+    return {
+        **{name: table(name, chapter[name]) for name in whole},
+        "conclusions": table("conclusions", chapter["conclusions"], "the thesis's conclusions"),
+        "judged": table("judged", chapter["against_thesis"], "planned experiments against the thesis (Parsa 2014)"),
+        "claims": table("claims", chapter["claims"], more=modes),
+        "fair_comparison": table("fair_comparison", [record for record in fair if record["mode"] in ((), first)]),
+        "fair_over_modes": table("fair_over_modes", over_modes),
+        "sensitivity": table("sensitivity", sensitive),
+    }
+
+
+RANGED = ("peak", "rms", "carrier_force", "main_energy", "energy")
+"""What the fair comparison shows as ranges over the working modes."""
+
+
+def _modes(results: Results) -> list[str]:
+    return [mode_text(mode) for mode in results.extent.modes]
+
+
+def _within(*keys: str) -> Callable[[Record], Any]:
+    return lambda record: functools.reduce(lambda inner, key: inner[key], keys, record)
+
+
+def _grouped(records: Sequence[Record], *keys: str) -> dict[tuple[Any, ...], list[Record]]:
+    groups: dict[tuple[Any, ...], list[Record]] = {}
+    for record in records:
+        groups.setdefault(tuple(record[key] for key in keys), []).append(record)
+    return groups
+
+
+def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
+    plans, modes = chapter["plans"], chapter["working_modes"]
+    peaks = [Column(method, value=_worst_by(method)) for method in (modes[0]["rows"] if modes else ())]
+    ratio = Column("ratio", "least peak over no carriers", format=".2f")
+    shown = {name: table(name, chapter[name]) for name in ("targets", "fastest", "backends", "first_guesses")}
+    for name, tasks in (("singular", SINGULAR), ("turns", TURNS)):
+        chosen = [record for record in plans if record["task"] in {task.name for task in tasks}]
+        shown[f"{name}_limits"] = table("plans_limits", chosen)
+        shown[f"{name}_costs"] = table("plans_costs", [record for record in chosen if record["exists"]])
+    return shown | {
+        "headline": headline(plans),
+        "findings": table("findings", chapter["findings"], "beyond the thesis: planning over the whole trajectory"),
+        "beyond_modes": table("beyond_modes", modes, more=[*peaks, ratio]),
+        "trade_off": table("trade_off", [{**one, **point} for one in chapter["trade_off"] for point in one["points"]]),
+    }
+
+
+def _worst_by(method: str) -> Callable[[Record], str]:
+    def cell(record: Record) -> str:
+        row = record["rows"][method]
+        shown = f"{row['worst']:.2f}" if row["exists"] else ""
+        return shown if row["sound"] else f"{shown} ({row['status']})".strip()
+
+    return cell
 
 
 # --- one HTML file: no network, no file beside it, no script --------------------------------------------------------
@@ -429,8 +245,3 @@ def _image(folder: Path, tokens: Sequence[Token], index: int, *_: object) -> str
     except OSError as error:
         raise OutputError(f"Cannot read {path}: {error.strerror or error}.", path=str(path)) from error
     return f'<img src="data:image/png;base64,{content}" alt="{escapeHtml(tokens[index].content)}" loading="lazy">'
-
-
-def listing(chosen: Mapping[str, Sequence[Picture]]) -> list[Picture]:
-    """Return the figures of all chapters in one list."""
-    return [picture for chapter in chosen.values() for picture in chapter]

@@ -23,7 +23,7 @@ from redundancy_pin.studies.figures import THESIS, pictures
 from redundancy_pin.studies.motions import CSV_DIGITS, MotionRun, run
 from redundancy_pin.studies.planned import Chapter
 from redundancy_pin.studies.replays import run_replays
-from redundancy_pin.studies.report import html, listing, report
+from redundancy_pin.studies.report import html, report
 from redundancy_pin.studies.results import Results
 from redundancy_pin.studies.statements import compare_motions
 from redundancy_pin.studies.table import Column, Table, csv_text
@@ -175,9 +175,10 @@ def write(folder: Path, results: Results, tell: Callable[[str], None]) -> None:
         # names with commas would need quotes, which not every reader of CSV knows
         rows = [{**row, **{key: row[key].replace(",", ";") for key in ("plan", "drive")}} for row in records]
         write_text(folder / "replay.csv", Table.of([Column(name) for name in _REPLAY_COLUMNS], rows).csv(digits=4))
-    for picture in listing(pictures(results)):
-        save(picture.draw(results), *(folder / f"{picture.stem}{suffix}" for suffix in PICTURE_SUFFIXES))
-        tell(picture.title)
+    for chapter in pictures(results).values():
+        for picture in chapter:
+            save(picture.draw(results), *(folder / f"{picture.stem}{suffix}" for suffix in PICTURE_SUFFIXES))
+            tell(picture.title)
     text = report(results)
     write_text(folder / "report.md", text)
     write_text(folder / "report.html", html(text, folder))
