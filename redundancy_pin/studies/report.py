@@ -103,6 +103,7 @@ CELLS: Mapping[str, Callable[[Record], Any]] = {
     "with_reason": lambda record: ": ".join(part for part in (record["verdict"], record["reason"]) if part),
     "mode": lambda record: mode_text(record["mode"]),
     "met": lambda record: "met" if record["met"] else "missed",
+    "effort_limit": lambda record: "none" if math.isinf(record["effort_limit"]) else record["effort_limit"],
     "method": _method,
     "peak": _peak,
     "position": _of("position", "track"),
