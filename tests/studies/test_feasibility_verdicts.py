@@ -11,6 +11,8 @@ from small_maps import corner, crossing
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, UnreachablePoseError
+from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.feasibility import (
     STEPWISE,
     SWITCH_OFF,
@@ -23,8 +25,6 @@ from redundancy_pin.studies.feasibility import (
     compute,
     feasibility_map,
 )
-from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.feasibility.cell import judge
 from redundancy_pin.trajectory import reference
 
