@@ -44,8 +44,7 @@ from redundancy_pin.studies.feasibility import (
     write_map,
 )
 from redundancy_pin.studies.feasibility.picture import axis_label, effort_unit
-from redundancy_pin.studies.feasibility.sweep import check_sweep
-from redundancy_pin.studies.store import FILE, make_folder
+from redundancy_pin.studies.store import FILE
 from redundancy_pin.visualisation.style import require_matplotlib
 
 
@@ -100,11 +99,10 @@ def map_command(**given: Any) -> int:
     """
     problem = problem_of(given)
     require_matplotlib()
-    sweep: dict[str, Any] = {name: given[name] for name in ("jobs", "refine", "along")}
-    check_sweep(problem, **sweep)
-    folder = make_folder(given["out"] or f"map-{Path(problem.robot).stem}")
+    folder = Path(given["out"] or f"map-{Path(problem.robot).stem}").expanduser()
+    settings: dict[str, Any] = {name: given[name] for name in ("jobs", "refine", "along")}
     with resumable("map", "cells", folder / FILE) as advance:
-        result = feasibility_map(problem, folder / FILE, **sweep, progress=advance)
+        result = feasibility_map(problem, folder / FILE, **settings, progress=advance)
     files = write_map(result, folder)
     if given["as_json"]:
         data = {key: value for key, value in result.as_dict().items() if key != "cells"}

@@ -69,7 +69,7 @@ class Store(Generic[R]):
         """Open a store, or begin one. It belongs to this process until it is closed.
 
         Args:
-            path: the file; None keeps the records in memory alone.
+            path: the file, made with its folder if it is missing; None keeps the records in memory alone.
             kind: of what it holds the records: "feasibility map".
             identity: everything the records depend on but their keys, in plain data, and what says most to a user
                 first: the first entry that differs is named where a store does not fit. The version of the package is
@@ -85,7 +85,9 @@ class Store(Generic[R]):
         """
         place = None if path is None else Path(path).expanduser()
         if place is not None:
+            make_folder(place.parent)
             require_writable(place)
+            _require_no_old_file(place)
         identity = json.loads(json.dumps({**identity, "package": redundancy_pin.__version__}))
         try:
             connection = sqlite3.connect(place or ":memory:", timeout=0.0, isolation_level=None)
@@ -161,28 +163,31 @@ class Store(Generic[R]):
                 progress(done, len(wanted), what)
 
 
-def make_folder(folder: str | Path, *, parents: bool = False) -> Path:
-    """Return a folder of a study that exists.
+def make_folder(folder: str | Path) -> Path:
+    """Return a folder that exists, made with its parents if it is missing.
 
     Raises:
-        OutputError: it cannot be made, is a file, or has what version 0.1.0 kept: no other version takes that over, and
-            to compute everything anew without a word would be wrong.
+        OutputError: it cannot be made, or is a file.
     """
     place = Path(folder).expanduser()
     try:
-        place.mkdir(exist_ok=True, parents=parents)
+        place.mkdir(exist_ok=True, parents=True)
     except OSError as error:
         raise OutputError(
             f"Cannot make the folder {place}: {error.strerror or error}.", remedy="Choose another.", path=str(place)
         ) from error
-    old = place / OLD_FILE
-    if old.exists() and not (place / FILE).exists():
+    return place
+
+
+def _require_no_old_file(path: Path) -> None:
+    """Refuse the folder of a run of version 0.1.0: to compute everything anew without a word would be wrong."""
+    old = path.with_name(OLD_FILE)
+    if path.name == FILE and old.exists() and not path.exists():
         raise OutputError(
             f"{old} is of version 0.1.0, whose finished work this version does not take over.",
             remedy="Choose another folder, or delete that file to compute everything anew.",
             path=str(old),
         )
-    return place
 
 
 def _is_empty(connection: sqlite3.Connection) -> bool:

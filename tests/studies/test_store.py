@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from redundancy_pin.errors import OutputError
-from redundancy_pin.studies.store import FILE, OLD_FILE, Store, make_folder
+from redundancy_pin.studies.store import FILE, OLD_FILE, Store
 
 IDENTITY = {"seed": 3, "bounds": {"b": 1.0, "a": 2.0}, "fingerprint": "f"}
 
@@ -206,7 +206,8 @@ def test_files_that_are_no_store_of_this_kind_are_left_alone(tmp_path: Path) -> 
         newer.execute("PRAGMA user_version = 7")
     newer.close()
     refused(opened(path), "has version 7, and this package writes version 1")
-    refused(opened(tmp_path / "nowhere" / "store"), "no folder")
+    (tmp_path / "file").touch()
+    refused(opened(tmp_path / "file" / "store"), "Cannot make the folder")
     refused(opened(tmp_path), "it is a folder")
 
 
@@ -226,9 +227,7 @@ def test_a_damaged_store_is_named(tmp_path: Path) -> None:
 
 
 def test_what_version_0_1_0_kept_is_not_ignored_in_silence(tmp_path: Path) -> None:
-    assert make_folder(tmp_path / "new") == tmp_path / "new"
     (tmp_path / OLD_FILE).write_text("{}\n")
-    with pytest.raises(OutputError, match=r"version 0\.1\.0.*delete that file"):
-        make_folder(tmp_path)
-    filled(tmp_path / FILE)
-    make_folder(tmp_path)
+    refused(opened(tmp_path / FILE), r"version 0\.1\.0.*delete that file")
+    filled(tmp_path / "of_a_name_of_its_own")
+    filled(tmp_path / "new" / "folder" / FILE)

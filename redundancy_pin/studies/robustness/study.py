@@ -34,7 +34,7 @@ from redundancy_pin.studies.robustness.trial import (
     Trial,
     run_trial,
 )
-from redundancy_pin.studies.store import Progress, Store, make_folder
+from redundancy_pin.studies.store import Progress, Store
 from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, text
 
 DRAWS = 200
@@ -157,8 +157,6 @@ def robustness_study(
     if seed < 0:
         raise InputError(f"seed is {seed}.", remedy="Pass a whole number from 0 on.")
     bounds = scaled(imperfections or Imperfections(), severity)
-    if journal is not None:
-        make_folder(Path(journal).parent, parents=True)
     cells = [(scenario, drive) for scenario in scenarios for drive in drives]
     # draws first: an interrupted study has about as many trials in every cell
     wanted = {
