@@ -14,9 +14,9 @@ import pytest
 from command_line import call, refused
 
 from redundancy_pin.studies.robustness import Scenario, robustness_study, study
-from redundancy_pin.studies.robustness.trial import LINE_OFF, Trial
+from redundancy_pin.studies.robustness.trial import SCENARIOS, Trial
 
-SHORT = Scenario(LINE_OFF, 2.48, 2.53)
+SHORT = Scenario(SCENARIOS[0].case, 2.48, 2.53)
 """s; the singular pose at 2.508 s, and little else."""
 
 FILES = ["store.sqlite", "study.md", "summary.json", "trials.csv"]
@@ -190,7 +190,7 @@ KILLED = """
 import sys, time
 from redundancy_pin.cli import main
 from redundancy_pin.studies.robustness import Scenario, robustness_study, study
-from redundancy_pin.studies.robustness.trial import LINE_OFF, Trial
+from redundancy_pin.studies.robustness.trial import SCENARIOS, Trial
 
 def quick(scenario, drive, bounds, seed, number):
     if number == 1:
@@ -199,7 +199,7 @@ def quick(scenario, drive, bounds, seed, number):
     return Trial(scenario.name, drive, number, "completed", "", 1e-3, 5e-4, 1.0, 2.0, 0.0)
 
 study.run_trial = quick
-robustness_study.__kwdefaults__["scenarios"] = (Scenario(LINE_OFF, 2.48, 2.53),)
+robustness_study.__kwdefaults__["scenarios"] = (Scenario(SCENARIOS[0].case, 2.48, 2.53),)
 robustness_study.__kwdefaults__["drives"] = ("open loop", "computed torque")
 main(["study", "--draws", "2", "--jobs", "1", "--out", sys.argv[1]])
 """

@@ -21,8 +21,7 @@ from redundancy_pin.studies.robustness.study import code_digest, identity, mean_
 from redundancy_pin.studies.robustness.trial import (
     DRAWN_LENGTHS,
     DRAWN_MASSES,
-    LINE_OFF,
-    LINE_WHOLE,
+    SCENARIOS,
     SUCCESS,
     Amplifier,
     Trial,
@@ -32,6 +31,7 @@ from redundancy_pin.studies.robustness.trial import (
     run_trial,
 )
 
+LINE_OFF, LINE_WHOLE = SCENARIOS[0].case, SCENARIOS[1].case
 SHORT = Scenario(LINE_OFF, 2.45, 2.55)
 """s; the singular pose at 2.508 s, and little else."""
 

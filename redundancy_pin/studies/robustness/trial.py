@@ -24,7 +24,7 @@ from redundancy_pin.simulation.friction import JointFriction
 from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
-from redundancy_pin.studies.case import RNEA, Case, load, options
+from redundancy_pin.studies.case import RNEA, Case, Planner, load, options
 
 MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
 """The 2-RPR of the thesis is massless but for its carriers: forces would not determine its motion. kg."""
@@ -67,41 +67,20 @@ class Scenario:
         return self.case.name
 
 
-_MACHINE: dict[str, Any] = {
-    "robot": "2rpr",
-    "arguments": options(**MASSES, track_half_length=PLANNED_TRACK),
-}
+def crossing(
+    path: str, planner: Planner, speed: float, dt: float, start: float, end: float, **parameters: float
+) -> Scenario:
+    """Return a scenario of the 2-RPR with masses, whose plan may use part of its tracks."""
+    arguments = options(**MASSES, track_half_length=PLANNED_TRACK)
+    name = f"{path}, {planner.replace('_', ' ')}"
+    case = Case(name, "2rpr", path, options(speed=speed), planner, options(**parameters), arguments=arguments, dt=dt)
+    return Scenario(case, start, end)
 
-LINE_OFF = Case(
-    "line, switch off",
-    path="line",
-    path_options=options(speed=0.2),
-    planner="switch_off",
-    options=options(threshold=4.0, ramp_down=0.36),
-    dt=5e-3,
-    **_MACHINE,
-)
-LINE_WHOLE = Case(
-    "line, whole trajectory",
-    path="line",
-    path_options=options(speed=0.2),
-    planner="whole_trajectory",
-    dt=1e-2,
-    **_MACHINE,
-)
-CIRCLE_WHOLE = Case(
-    "circle, whole trajectory",
-    path="circle",
-    path_options=options(speed=0.5),
-    planner="whole_trajectory",
-    dt=5e-3,
-    **_MACHINE,
-)
 
 SCENARIOS: tuple[Scenario, ...] = (
-    Scenario(LINE_OFF, 1.9, 3.1),
-    Scenario(LINE_WHOLE, 1.9, 3.1),
-    Scenario(CIRCLE_WHOLE, 0.2, 1.1),
+    crossing("line", "switch_off", 0.2, 5e-3, 1.9, 3.1, threshold=4.0, ramp_down=0.36),
+    crossing("line", "whole_trajectory", 0.2, 1e-2, 1.9, 3.1),
+    crossing("circle", "whole_trajectory", 0.5, 5e-3, 0.2, 1.1),
 )
 """On the circle the machine with masses has no switch-off plan: its end-effector accelerates at the singular poses."""
 
