@@ -206,13 +206,18 @@ def _counts(result: FeasibilityMap) -> Table:
     return Table.of(columns, rows, f"{result.problem.robot}, {result.problem.trajectory}: cells")
 
 
+_UNIFORM: Mapping[frozenset[bool | None], str] = {
+    frozenset([True]): "all possible",
+    frozenset([False]): "none possible",
+}
+
+
 def _border(result: FeasibilityMap) -> Table:
     (along, across), unit = result.axes, effort_unit(result.problem)
     rows: dict[float, dict[str, Any]] = {value: {"line": f"{value:g}"} for value in across.values}
     for planner in result.problem.planners:
         for value, cells in result.lines(planner).items():
-            known = {cell.possible for cell in cells}
-            rows[value][planner] = {(True,): "all possible", (False,): "none possible"}.get((*known,), "not known")
+            rows[value][planner] = _UNIFORM.get(frozenset(cell.possible for cell in cells), "not known")
         for value, crossings in groupby(result.border(planner), lambda crossing: crossing.line):
             rows[value][planner] = "; ".join(f"{crossing.low:.4g} … {crossing.high:.4g}" for crossing in crossings)
     columns = [Column("line", axis_label(across.name, unit)), *map(Column, result.problem.planners)]

@@ -136,6 +136,7 @@ def test_a_second_run_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
     with opened(tmp_path / "store") as first:
         refused(opened(tmp_path / "store"), "in use by another run")
         first.put(piece(0))
+        assert (tmp_path / "store-journal").exists()  # what a roll back needs is on the disk
         refused(opened(tmp_path / "store"), "in use by another run")
     with opened(tmp_path / "store") as again:
         assert len(again.records) == 1

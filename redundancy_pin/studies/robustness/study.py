@@ -299,11 +299,6 @@ def identity(bounds: Imperfections, seed: int, scenarios: Sequence[Scenario]) ->
     """Return what decides the outcome of each trial but scenario, drive and number, as plain data.
 
     What says most to a user comes first; a change of the code that nothing else tells is in the digest at the end.
-
-    Args:
-        bounds: of the draws, scaled.
-        seed: of the draws.
-        scenarios: the crossings.
     """
     return {
         "seed": seed,

@@ -144,8 +144,7 @@ class Draw:
 
     Attributes:
         arguments: of ``load_robot``.
-        coulomb: (nv,) factors on Coulomb friction.
-        viscous: (nv,) factors on viscous friction.
+        coulomb, viscous: (nv,) factors on friction.
         phase: (nq,) of the encoders, fractions of a step.
         x, xd: (n,) errors of the platform at the start, m and m/s.
         s, sd: (k,) those of the carriers.
@@ -164,14 +163,7 @@ class Draw:
 
 
 def draw(nominal: Robot, imperfections: Imperfections, seed: int, number: int) -> Draw:
-    """Return a draw; the same seed and number give the same machine, whatever was drawn before.
-
-    Args:
-        nominal: the robot as planned.
-        imperfections: bounds.
-        seed: of the study.
-        number: which draw.
-    """
+    """Return a draw; the same seed and number give the same machine, whatever was drawn before."""
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     known: Mapping[str, Any] = nominal.parameters
     # every call of a stream moves it on: another order of these lines is another machine
@@ -237,23 +229,16 @@ class Trial:
 
 
 def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, seed: int, number: int) -> Trial:
-    """Simulate one draw.
+    """Simulate one draw of a study.
 
     The machine is homed at the pose and carrier positions that the plan starts with, and starts a little beside them.
     The controller knows the robot as planned, and the machine through encoders alone.
-
-    Args:
-        scenario: the crossing.
-        drive: what controls it.
-        imperfections: bounds.
-        seed: of the study.
-        number: which draw.
     """
     motion = planned(scenario.case)
     drawn = draw(nominal(), imperfections, seed, number)
     control = controller(scenario, drive, imperfections)
     if isinstance(control, ComputedTorque):
-        control.history.clear()  # of the draw before: making a controller takes longer than a trial
+        control.history.clear()  # of the draw before: a controller is made once a process
     point = motion.at(scenario.start)
     arguments: dict[str, Any] = {**MASSES, **drawn.arguments}
     try:
@@ -289,8 +274,7 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
             integrator="RK45",
         )
     except RedundancyPinError as error:
-        none = float("nan")
-        return Trial(scenario.name, drive, number, "error", str(error), none, none, none, none, none)
+        return Trial(scenario.name, drive, number, "error", str(error), *5 * (float("nan"),))
     reference = np.array([motion.platform(float(t))[0] for t in run.t])
     away = np.linalg.norm(run.x - reference, axis=1)
     span = float(run.t[-1] - run.t[0])
@@ -332,13 +316,7 @@ class _OpenLoop(Tracking):
 
 
 class Amplifier:
-    """A controller whose forces come out with noise, one value a period.
-
-    Args:
-        controller: what commands the efforts.
-        random: for the noise.
-        noise: its standard deviation, N or N·m.
-    """
+    """A controller whose forces come out with noise of a standard deviation, N or N·m; one value a period."""
 
     def __init__(self, controller: Controller, random: np.random.Generator, noise: float) -> None:
         self._controller, self._random, self._noise = controller, random, noise
