@@ -17,9 +17,9 @@ from redundancy_pin.cli.plan_problem_file import read_problem
 from redundancy_pin.cli.plan_trajectory import FLAGS, parse_trajectory, trajectory_options
 from redundancy_pin.cli.wording import KEYS, OPTIONS, in_words
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.backends import RNEA
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.studies.case import RNEA
 from redundancy_pin.trajectory import Trajectory, from_csv
 
 BREAKS_LIMITS = 3

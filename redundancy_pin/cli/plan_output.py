@@ -14,12 +14,12 @@ from rich.table import Table
 
 from redundancy_pin.cli.output import console, number, print_json, require_suffix
 from redundancy_pin.errors import OutputError
-from redundancy_pin.experiments.backends import RNEA, VIRTUAL_WORK
-from redundancy_pin.experiments.beyond.rows import SWING, reversals
 from redundancy_pin.files import replacing_file, require_writable
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.whole_trajectory_check import ALLOWED
+from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
+from redundancy_pin.studies.measures import SWING, reversals
 from redundancy_pin.visualisation.plan_figures import plot_plan
 from redundancy_pin.visualisation.style import picture_format, require_matplotlib, save
 

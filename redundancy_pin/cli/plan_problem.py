@@ -12,9 +12,9 @@ from redundancy_pin.cli.options import RobotOptions
 from redundancy_pin.cli.plan_parameters import PLANNERS, WITH_BASELINE, read_parameters
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.backends import BACKENDS
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.studies.case import BACKENDS
 from redundancy_pin.trajectory import Trajectory
 
 STEP = 5e-3

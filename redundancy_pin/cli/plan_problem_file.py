@@ -15,9 +15,9 @@ from redundancy_pin.cli.plan_problem import Problem, problem
 from redundancy_pin.cli.plan_trajectory import make_trajectory
 from redundancy_pin.cli.plan_values import number, numbers, word
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.backends import RNEA
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot.description import shipped_robots
+from redundancy_pin.studies.case import RNEA
 from redundancy_pin.trajectory import Trajectory, from_csv
 
 _ROBOT_KEYS = ("robot", "set", "mode", "gravity")

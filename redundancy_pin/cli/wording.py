@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from redundancy_pin.errors import CarrierLimitError, RedundancyPinError, SingularPoseError, UnreachablePoseError
-from redundancy_pin.experiments.experiment import PATHS
+from redundancy_pin.studies.case import PATHS
 
 _NO_ENGLISH = ("dt", "lam")
 """Names without an underscore that are no English words: wherever they stand they are names."""

@@ -31,6 +31,7 @@ from redundancy_pin.trajectory import (
     through_points,
     with_constant,
 )
+from redundancy_pin.workers import parallel
 
 RNEA = "rnea"
 VIRTUAL_WORK = "virtual-work"
@@ -325,11 +326,28 @@ class Plans:
         by = backend or case.backends[0]
         key = (replace(case, name="", title=""), by)
         if key not in self._kept:
-            try:
-                self._kept[key] = case.plan(by)
-            except InfeasiblePlanError as error:
-                self._kept[key] = error
+            self._kept[key] = _outcome(case, by)
         return self._kept[key]
+
+    def prepare(
+        self, cases: Sequence[tuple[Case, str]], jobs: int = -1, tell: Callable[[str], None] | None = None
+    ) -> None:
+        """Plan cases by backends in several processes, so that they are there when they are wanted.
+
+        Args:
+            cases: with their backends.
+            jobs: processes; -1 for all cores.
+            tell: called for each of them.
+        """
+        keys = {(replace(case, name="", title=""), backend): case.name for case, backend in cases}
+        missing = [key for key in keys if key not in self._kept]
+        for key, outcome in zip(missing, parallel(_outcome, missing, jobs, ordered=True), strict=True):
+            self._kept[key] = outcome
+            if tell:
+                tell(keys[key])
+        for _ in range(len(cases) - len(missing)):
+            if tell:
+                tell("plans that were there already")
 
     def plan(self, case: Case, backend: str | None = None) -> Plan:
         """Return the plan of a case.
@@ -346,3 +364,10 @@ class Plans:
         """Return the cases that have a plan, with it."""
         pairs = [(case, self.outcome(case)) for case in cases]
         return [(case, result) for case, result in pairs if isinstance(result, Plan)]
+
+
+def _outcome(case: Case, backend: str) -> Plan | InfeasiblePlanError:
+    try:
+        return case.plan(backend)
+    except InfeasiblePlanError as error:
+        return error

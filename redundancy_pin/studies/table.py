@@ -17,7 +17,7 @@ from rich.table import Table as TerminalTable
 NONE = "–"
 """Stands for a number that does not exist."""
 
-Record: TypeAlias = Mapping[str, Any]
+Record: TypeAlias = dict[str, Any]
 """A row: plain values by the name of their column."""
 
 
@@ -136,16 +136,16 @@ def span(values: Sequence[float], form: str = ".3g") -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def plain(value: Any) -> Any:
+def json_data(value: Any) -> Any:
     """Return data for JSON: enumerations by value, arrays and tuples as lists, None for numbers that do not exist."""
     if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
+        return {str(key): json_data(entry) for key, entry in value.items()}
     if isinstance(value, (tuple, list, np.ndarray)):
-        return [plain(entry) for entry in value]
+        return [json_data(entry) for entry in value]
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return json_data(value.item())
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 from command_line import call, refused
+from redundancy_pin.experiments import EXPERIMENTS, job
 
 from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
-from redundancy_pin.experiments import EXPERIMENTS, job
 
 
 @pytest.fixture(autouse=True)

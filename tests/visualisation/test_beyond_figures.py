@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-
 from redundancy_pin.experiments.beyond.cases import SwitchOff, whole
 from redundancy_pin.experiments.beyond.tasks import CROSSINGS
+
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.visualisation.bars import plot_bars
 from redundancy_pin.visualisation.side_by_side import plot_side_by_side

@@ -12,10 +12,10 @@ import zoo
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
-
-import redundancy_pin as rp
 from redundancy_pin.experiments.beyond.cases import SwitchOff
 from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS, TASKS
+
+import redundancy_pin as rp
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.bars import plot_bars

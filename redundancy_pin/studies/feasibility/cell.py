@@ -14,7 +14,7 @@ from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, Unreac
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.whole_trajectory_check import ALLOWED
 from redundancy_pin.studies.feasibility.problem import MapProblem
-from redundancy_pin.studies.table import plain
+from redundancy_pin.studies.table import json_data
 
 BINDS = 0.999
 """A limit is said to bind where this fraction of it is used: an interior-point solution stays a little inside."""
@@ -98,7 +98,7 @@ class Cell:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON; None for NaN and infinity."""
-        data: dict[str, Any] = plain(asdict(self))
+        data: dict[str, Any] = json_data(asdict(self))
         return data
 
     @classmethod
