@@ -245,7 +245,7 @@ def test_another_study_is_refused_and_named(begun: dict, monkeypatch: pytest.Mon
 
     refused("for seed it has 0, now it is 1", seed=1)
     refused(r"for imperfections\.mass it has 0\.05, now it is 0\.1", severity=2.0)
-    refused(r"for scenarios\.line, switch off", scenarios=(replace(SHORT, end=2.6),))
+    refused(r"for scenarios\.line, switch off\.?", scenarios=(replace(SHORT, end=2.6),))
     refused(r"for scenarios\.line, switch off", scenarios=(replace(SHORT, case=LINE_OFF.with_options(threshold=5.0)),))
     with monkeypatch.context() as patched:  # of functions, so that the code stays the same
         patched.setitem(ComputedTorque.__init__.__kwdefaults__, "bandwidth", 25.0)

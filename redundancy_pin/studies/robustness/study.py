@@ -36,7 +36,7 @@ from redundancy_pin.studies.robustness.trial import (
     run_trial,
 )
 from redundancy_pin.studies.store import Progress, Store
-from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, text
+from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, json_data, text
 
 DRAWS = 200
 
@@ -303,7 +303,7 @@ def identity(bounds: Imperfections, seed: int, scenarios: Sequence[Scenario]) ->
     return {
         "seed": seed,
         "imperfections": asdict(bounds),
-        "scenarios": {one.name: [one.start, one.end, one.case.as_dict()] for one in scenarios},
+        "scenarios": {one.name: json_data(asdict(one)) for one in scenarios},
         "machine": MASSES,
         "tolerances": [RTOL, ATOL],
         "computed torque": _defaults(ComputedTorque.__init__),
