@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
+import functools
+import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
@@ -16,9 +18,8 @@ from redundancy_pin.errors import RedundancyPinError
 
 R = TypeVar("R")
 
-_IDLE = 20.0
-"""Time, s, after which a process without work ends: how long it outlives a parent that was killed. A new one takes
-about a second to start."""
+_WATCH = 1.0
+"""How often a worker process looks whether its parent is still there, s."""
 
 
 def parallel(
@@ -44,11 +45,10 @@ def parallel(
     with contextlib.ExitStack() as stack:
         backend, _ = joblib.parallel.get_active_backend()
         if type(backend).__name__ == "LokyBackend" and backend.inner_max_num_threads is None:
-            local = {"inner_max_num_threads": 1, "idle_worker_timeout": _IDLE}
-            stack.enter_context(joblib.parallel_config(backend="loky", **local))
+            stack.enter_context(joblib.parallel_config(backend="loky", inner_max_num_threads=1))
         # None given outright would overrule parallel_config
         settings = {} if jobs is None else {"n_jobs": min(joblib.effective_n_jobs(jobs), len(arguments))}
-        calls = [joblib.delayed(_call)(function, *given) for given in arguments]
+        calls = [joblib.delayed(_call)(os.getpid(), function, *given) for given in arguments]
         kind = "generator" if ordered else "generator_unordered"
         try:
             pool = joblib.Parallel(**settings, batch_size=1, return_as=kind)
@@ -62,15 +62,28 @@ def parallel(
             yield from results
         except BrokenProcessPool as error:
             raise RedundancyPinError(
-                "A worker process died; it may have run out of memory.",
-                remedy="Run again with fewer jobs; what a store holds is taken over from there.",
+                "A worker process died; it may have run out of memory.", remedy="Run again with fewer jobs."
             ) from error
         finally:
             results.close()
 
 
-def _call(function: Callable[..., R], *given: Any) -> R:
-    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
+def _call(caller: int, function: Callable[..., R], *given: Any) -> R:
+    if os.getppid() == caller:
+        _settle(caller)
+    return function(*given)
+
+
+@functools.cache  # once a process
+def _settle(parent: int) -> None:
+    if threading.current_thread() is threading.main_thread():
         # Ctrl-C reaches the whole group of processes, and the parent ends its workers itself
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return function(*given)
+    # a parent that is killed can tell nobody to end, and loky's workers would wait for work for minutes
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_WATCH)
+    os._exit(1)

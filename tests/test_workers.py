@@ -88,7 +88,7 @@ def test_processes_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
         workers = {int(parent.stdout.readline()) for _ in range(2)}
         assert all(_runs(worker) for worker in workers)
         parent.send_signal(signal.SIGKILL)
-    patience = time.monotonic() + 40.0
+    patience = time.monotonic() + 20.0
     while any(_runs(worker) for worker in workers) and time.monotonic() < patience:
         time.sleep(0.05)
     left = [worker for worker in workers if _runs(worker)]

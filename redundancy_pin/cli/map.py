@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.table import Table
 
 from redundancy_pin.cli.errors import FAILED_CHECK
 from redundancy_pin.cli.keys import require_choice
@@ -22,7 +22,7 @@ from redundancy_pin.cli.options import (
     parse_vector,
     robot_options,
 )
-from redundancy_pin.cli.output import console, print_json, resumable, table_of
+from redundancy_pin.cli.output import console, print_json, resumable
 from redundancy_pin.cli.plan_parameters import PARAMETERS, read_parameters
 from redundancy_pin.cli.plan_trajectory import split_trajectory, trajectory_option, trajectory_value
 from redundancy_pin.cli.plan_values import number
@@ -35,17 +35,15 @@ from redundancy_pin.studies.feasibility import (
     STEPWISE,
     SWITCH_OFF,
     WHOLE,
-    Cell,
     FeasibilityMap,
     MapProblem,
-    Verdict,
     feasibility_map,
     parse_axis,
     write_map,
 )
 from redundancy_pin.studies.feasibility.picture import axis_label, effort_unit
-from redundancy_pin.studies.feasibility.sweep import check_sweep
-from redundancy_pin.studies.store import FILE, make_folder
+from redundancy_pin.studies.store import FILE
+from redundancy_pin.studies.table import Column, Table
 from redundancy_pin.visualisation.style import require_matplotlib
 
 
@@ -100,19 +98,18 @@ def map_command(**given: Any) -> int:
     """
     problem = problem_of(given)
     require_matplotlib()
-    sweep: dict[str, Any] = {name: given[name] for name in ("jobs", "refine", "along")}
-    check_sweep(problem, **sweep)
-    folder = make_folder(given["out"] or f"map-{Path(problem.robot).stem}")
+    folder = Path(given["out"] or f"map-{Path(problem.robot).stem}").expanduser()
+    settings: dict[str, Any] = {name: given[name] for name in ("jobs", "refine", "along")}
     with resumable("map", "cells", folder / FILE) as advance:
-        result = feasibility_map(problem, folder / FILE, **sweep, progress=advance)
+        result = feasibility_map(problem, folder / FILE, **settings, progress=advance)
     files = write_map(result, folder)
     if given["as_json"]:
         data = {key: value for key, value in result.as_dict().items() if key != "cells"}
         print_json({**data, "folder": str(folder), "files": [str(path) for path in files]})
     else:
         screen = console()
-        screen.print(_counts(result))
-        screen.print(_border(result))
+        screen.print(_counts(result).terminal())
+        screen.print(_border(result).terminal())
         screen.print(f"Tables and pictures are in {folder}: {', '.join(path.name for path in files)}.")
     failed = {planner: [cell for cell in result.of(planner) if cell.possible is None] for planner in problem.planners}
     for planner, cells in failed.items():
@@ -193,38 +190,36 @@ def _plain(value: Any) -> Any:
 
 
 def _counts(result: FeasibilityMap) -> Table:
+    columns = (
+        Column("planner"),
+        Column("feasible", "possible"),
+        Column("stopped_early", "stopped early"),
+        Column("infeasible", "not possible"),
+        Column("limits", "in the way"),
+        Column("failed"),
+        Column("seconds", "time", "s", ".1f"),
+    )
     rows = []
-    for planner in result.problem.planners:
-        counts = result.counts(planner)
-        why = ", ".join(f"{limit} {count}" for limit, count in result.in_the_way(planner).items())
-        seconds = sum(cell.seconds for cell in result.of(planner))
-        numbers = [str(counts[verdict.value]) for verdict in (Verdict.FEASIBLE, Verdict.STOPPED_EARLY)]
-        last = (str(counts[Verdict.INFEASIBLE.value]), why, str(counts[Verdict.FAILED.value]), f"{seconds:.1f}")
-        rows.append((planner, *numbers, *last))
-    headings = ("planner", "possible", "stopped early", "not possible", "in the way", "failed", "time [s]")
-    return table_of(f"{result.problem.robot}, {result.problem.trajectory}: cells", headings, rows)
+    for planner, numbers in result.as_dict()["planners"].items():
+        limits = ", ".join(f"{limit} {count}" for limit, count in numbers["in_the_way"].items())
+        rows.append({"planner": planner, **numbers["counts"], "limits": limits, "seconds": numbers["seconds"]})
+    return Table.of(columns, rows, f"{result.problem.robot}, {result.problem.trajectory}: cells")
+
+
+_UNIFORM: Mapping[frozenset[bool | None], str] = {
+    frozenset([True]): "all possible",
+    frozenset([False]): "none possible",
+}
 
 
 def _border(result: FeasibilityMap) -> Table:
-    problem = result.problem
-    along, across = (problem.x, problem.y) if result.along == "x" else (problem.y, problem.x)
-    unit = effort_unit(problem)
-    table = Table(title=f"border: {axis_label(along.name, unit)} between a cell that is possible and one that is not")
-    table.add_column(axis_label(across.name, unit), justify="right")
-    for planner in problem.planners:
-        table.add_column(planner)
-    lines = {planner: result.lines(planner) for planner in problem.planners}
-    borders = {planner: result.border(planner) for planner in problem.planners}
-    for value in across.values:
-        row = []
-        for planner in problem.planners:
-            met = [crossing for crossing in borders[planner] if crossing.line == value]
-            said = "; ".join(f"{crossing.low:.4g} … {crossing.high:.4g}" for crossing in met)
-            row.append(said or _without_border(lines[planner][value]))
-        table.add_row(f"{value:g}", *row)
-    return table
-
-
-def _without_border(cells: Sequence[Cell]) -> str:
-    known = {cell.possible for cell in cells}
-    return "all possible" if known == {True} else "none possible" if known == {False} else "not known"
+    (along, across), unit = result.axes, effort_unit(result.problem)
+    rows: dict[float, dict[str, Any]] = {value: {"line": f"{value:g}"} for value in across.values}
+    for planner in result.problem.planners:
+        for value, cells in result.lines(planner).items():
+            rows[value][planner] = _UNIFORM.get(frozenset(cell.possible for cell in cells), "not known")
+        for value, crossings in groupby(result.border(planner), lambda crossing: crossing.line):
+            rows[value][planner] = "; ".join(f"{crossing.low:.4g} … {crossing.high:.4g}" for crossing in crossings)
+    columns = [Column("line", axis_label(across.name, unit)), *map(Column, result.problem.planners)]
+    title = f"border: {axis_label(along.name, unit)} between a cell that is possible and one that is not"
+    return Table.of(columns, list(rows.values()), title)

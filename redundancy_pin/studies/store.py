@@ -28,12 +28,6 @@ OLD_FILE = "journal.jsonl"
 Progress = Callable[[int, int, str], None]
 """Called with records done, records in all as far as known, and what is being done."""
 
-_APPLICATION = 0x72705F73
-"""SQLite's application id: tells our files from other databases ("rp_s")."""
-
-_VERSION = 1
-"""Of the tables."""
-
 _ANEW = "Choose another folder, or delete it to compute everything anew."
 
 
@@ -42,7 +36,7 @@ class Record(Protocol):
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """What tells it from the others, texts and numbers."""
+        """What tells it from the others."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, for JSON."""
@@ -52,14 +46,14 @@ R = TypeVar("R", bound=Record)
 
 
 class Store(Generic[R]):
-    """The finished records of one study; see ``Store.open``.
+    """The finished records of one study; made by ``Store.open``.
 
     Attributes:
         records: all of them, by key.
     """
 
-    def __init__(self, connection: sqlite3.Connection, path: Path | None, records: Mapping[tuple[Any, ...], R]) -> None:
-        self._connection, self._path, self._records = connection, path, dict(records)
+    def __init__(self, connection: sqlite3.Connection, path: str, records: dict[tuple[Any, ...], R]) -> None:
+        self._connection, self._path, self._records = connection, path, records
 
     @classmethod
     @contextmanager
@@ -69,7 +63,7 @@ class Store(Generic[R]):
         """Open a store, or begin one. It belongs to this process until it is closed.
 
         Args:
-            path: the file; None keeps the records in memory alone.
+            path: the file, made with its folder if it is missing; None keeps the records in memory alone.
             kind: of what it holds the records: "feasibility map".
             identity: everything the records depend on but their keys, in plain data, and what says most to a user
                 first: the first entry that differs is named where a store does not fit. The version of the package is
@@ -81,14 +75,12 @@ class Store(Generic[R]):
 
         Raises:
             OutputError: the file cannot be written; is in use by another run; is no store of this kind; is one of
-                another identity or version, which is named; or is damaged.
+                another identity, which is named; or is damaged.
         """
-        place = None if path is None else Path(path).expanduser()
-        if place is not None:
-            require_writable(place)
+        place = ":memory:" if path is None else str(_writable(Path(path).expanduser()))
         identity = json.loads(json.dumps({**identity, "package": redundancy_pin.__version__}))
         try:
-            connection = sqlite3.connect(place or ":memory:", timeout=0.0, isolation_level=None)
+            connection = sqlite3.connect(place, timeout=0.0, isolation_level=None)
         except sqlite3.Error as error:
             raise _unusable(place, kind, error) from error
         with closing(connection):
@@ -97,10 +89,12 @@ class Store(Generic[R]):
                 connection.execute("PRAGMA locking_mode = EXCLUSIVE")
                 connection.execute("PRAGMA synchronous = FULL")
                 connection.execute("BEGIN EXCLUSIVE")
-                if _is_empty(connection):  # or a kill came before the first transaction was over
-                    _begin(connection, kind, identity)
-                else:
-                    _require_own(connection, place, kind, identity)
+                # a kill before the end of this transaction leaves an empty file
+                if not connection.execute("SELECT 1 FROM sqlite_master").fetchall():
+                    connection.execute("CREATE TABLE study (kind TEXT, identity TEXT)")
+                    connection.execute("CREATE TABLE record (record TEXT)")
+                    connection.execute("INSERT INTO study VALUES (?, ?)", (kind, json.dumps(identity)))
+                _require_own(connection, place, kind, identity)
                 records = _records(connection, place, read)
                 connection.execute("COMMIT")
             except sqlite3.Error as error:
@@ -118,15 +112,11 @@ class Store(Generic[R]):
         Raises:
             OutputError: the disk refuses.
         """
-        row = json.dumps(record.key), json.dumps(record.as_dict())
         try:
-            self._connection.execute("INSERT INTO record VALUES (?, ?)", row)
+            self._connection.execute("INSERT INTO record VALUES (?)", (json.dumps(record.as_dict()),))
         except sqlite3.Error as error:
-            raise OutputError(
-                f"Cannot write {self._path}: {error}.",
-                remedy="What is in it is safe: make room and run again.",
-                path=str(self._path),
-            ) from error
+            remedy = "What is in it is safe: make room and run again."
+            raise OutputError(f"Cannot write {self._path}: {error}.", remedy=remedy, path=self._path) from error
         self._records[record.key] = record
 
     def complete(
@@ -152,121 +142,83 @@ class Store(Generic[R]):
         """
         missing = [given for key, given in wanted.items() if key not in self._records]
         done = len(wanted) - len(missing)
-        if progress:
-            progress(done, len(wanted), what)
+        tell = progress or (lambda done, total, what: None)
+        tell(done, len(wanted), what)
         for record in parallel(function, missing, jobs):
             self.put(record)
             done += 1
-            if progress:
-                progress(done, len(wanted), what)
+            tell(done, len(wanted), what)
 
 
-def make_folder(folder: str | Path, *, parents: bool = False) -> Path:
-    """Return a folder of a study that exists.
+def make_folder(folder: str | Path) -> Path:
+    """Return a folder that exists, made with its parents if it is missing.
 
     Raises:
-        OutputError: it cannot be made, is a file, or has what version 0.1.0 kept: no other version takes that over, and
-            to compute everything anew without a word would be wrong.
+        OutputError: it cannot be made, or is a file.
     """
     place = Path(folder).expanduser()
     try:
-        place.mkdir(exist_ok=True, parents=parents)
+        place.mkdir(exist_ok=True, parents=True)
     except OSError as error:
-        raise OutputError(
-            f"Cannot make the folder {place}: {error.strerror or error}.", remedy="Choose another.", path=str(place)
-        ) from error
-    old = place / OLD_FILE
-    if old.exists() and not (place / FILE).exists():
+        message = f"Cannot make the folder {place}: {error.strerror or error}."
+        raise OutputError(message, remedy="Choose another.", path=str(place)) from error
+    return place
+
+
+def _writable(path: Path) -> Path:
+    """Return the path of a store that can be written, and does not pass over the work of version 0.1.0 in silence."""
+    make_folder(path.parent)
+    require_writable(path)
+    old = path.with_name(OLD_FILE)
+    if path.name == FILE and old.exists() and not path.exists():
         raise OutputError(
             f"{old} is of version 0.1.0, whose finished work this version does not take over.",
             remedy="Choose another folder, or delete that file to compute everything anew.",
             path=str(old),
         )
-    return place
+    return path
 
 
-def _is_empty(connection: sqlite3.Connection) -> bool:
-    return not connection.execute("SELECT 1 FROM sqlite_master").fetchall()
-
-
-def _begin(connection: sqlite3.Connection, kind: str, identity: Mapping[str, Any]) -> None:
-    connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-    connection.execute(f"PRAGMA user_version = {_VERSION}")
-    connection.execute("CREATE TABLE study (kind TEXT, identity TEXT)")
-    connection.execute("CREATE TABLE record (key TEXT PRIMARY KEY, record TEXT)")
-    connection.execute("INSERT INTO study VALUES (?, ?)", (kind, json.dumps(identity)))
-
-
-def _require_own(connection: sqlite3.Connection, path: Path | None, kind: str, identity: Mapping[str, Any]) -> None:
-    application, version = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in _HEADER)
-    if application != _APPLICATION:
-        raise OutputError(f"{path} is no store of a {kind}.", remedy="Choose another folder.", path=str(path))
-    if version != _VERSION:
-        raise OutputError(
-            f"The store {path} has version {version}, and this package writes version {_VERSION}.",
-            remedy=_ANEW,
-            path=str(path),
-        )
+def _require_own(connection: sqlite3.Connection, path: str, kind: str, now: Mapping[str, Any]) -> None:
     its_kind, text = connection.execute("SELECT kind, identity FROM study").fetchone()
     if its_kind != kind:
-        raise OutputError(
-            f"{path} is no store of a {kind}, but of a {its_kind}.", remedy="Choose another folder.", path=str(path)
-        )
-    difference = _difference(json.loads(text), identity)
-    if difference:
-        raise OutputError(f"The store {path} is of another {kind}: {difference}.", remedy=_ANEW, path=str(path))
-
-
-_HEADER = ("application_id", "user_version")
+        message = f"{path} is no store of a {kind}, but of a {its_kind}."
+        raise OutputError(message, remedy="Choose another folder.", path=path)
+    then = json.loads(text)
+    for name in (*now, *then):
+        old, new, where = then.get(name), now.get(name), name
+        if old == new:
+            continue
+        if isinstance(old, dict) and isinstance(new, dict):  # of a group, its first entry that differs
+            for key in (key for key in new if key in old and old[key] != new[key]):
+                old, new, where = old[key], new[key], f"{name}.{key}"
+                break
+        message = f"The store {path} is of another {kind}: for {where} it has {old!r}, now it is {new!r}."
+        raise OutputError(message, remedy=_ANEW, path=path)
 
 
 def _records(
-    connection: sqlite3.Connection, path: Path | None, read: Callable[[Mapping[str, Any]], R]
+    connection: sqlite3.Connection, path: str, read: Callable[[Mapping[str, Any]], R]
 ) -> dict[tuple[Any, ...], R]:
-    (state,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    if state != "ok":
-        raise sqlite3.DatabaseError(state)
-    records = {}
-    for key, text in connection.execute("SELECT key, record FROM record ORDER BY rowid"):
+    records: dict[tuple[Any, ...], R] = {}
+    for number, text in connection.execute("SELECT rowid, record FROM record ORDER BY rowid"):
         try:
             record = read(json.loads(text))
-            if json.dumps(record.key) != key:
-                raise ValueError(key)
         except (ValueError, KeyError, TypeError) as error:
-            raise OutputError(
-                f"The record {key} of the store {path} is damaged.", remedy=_ANEW, path=str(path), key=key
-            ) from error
+            raise OutputError(f"Record {number} of the store {path} is damaged.", remedy=_ANEW, path=path) from error
         records[record.key] = record
     return records
 
 
-def _difference(then: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Return what differs: of what both name first, and within a group its first entry that does; else nothing."""
-    for name in (*now, *then):
-        old, new = then.get(name), now.get(name)
-        if old != new:
-            if isinstance(old, Mapping) and isinstance(new, Mapping):
-                for key in new:
-                    if key in old and old[key] != new[key]:
-                        return f"for {name}.{key} it has {old[key]!r}, now it is {new[key]!r}"
-            return f"for {name} it has {old!r}, now it is {new!r}"
-    return ""
-
-
-def _unusable(path: Path | None, kind: str, error: sqlite3.Error) -> OutputError:
+def _unusable(path: str, kind: str, error: sqlite3.Error) -> OutputError:
     """Return what an error of SQLite at the opening says to a user; Python 3.10 has no codes of them, but texts."""
     text = str(error)
     if "locked" in text:
-        return OutputError(
-            f"The store {path} is in use by another run.",
-            remedy="Wait for it to end, or choose another folder.",
-            path=str(path),
-        )
-    if "not a database" in text:
-        return OutputError(f"{path} is no store of a {kind}.", remedy="Choose another folder.", path=str(path))
-    if isinstance(error, sqlite3.OperationalError):
-        # such as a file system without locks
-        return OutputError(
-            f"Cannot use {path}: {text}.", remedy="Choose another folder, on a disk of this machine.", path=str(path)
-        )
-    return OutputError(f"The store {path} is damaged: {' '.join(text.split())}.", remedy=_ANEW, path=str(path))
+        message, remedy = f"The store {path} is in use by another run.", "Wait for it to end, or choose another folder."
+    elif "not a database" in text or "no such" in text:
+        message, remedy = f"{path} is no store of a {kind}.", "Choose another folder."
+    elif isinstance(error, sqlite3.OperationalError):  # such as a file system without locks
+        message, remedy = f"Cannot use {path}: {text}.", "Choose another folder, on a disk of this machine."
+    else:
+        message, remedy = f"The store {path} is damaged: {text}.", _ANEW
+    return OutputError(message, remedy=remedy, path=path)

@@ -1,24 +1,38 @@
-"""The robustness study: draws, statistics, journal, and a small study of two drives."""
+"""The robustness study: draws, statistics, store, what it depends on, and a small study of two drives."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import redundancy_pin
 from redundancy_pin.errors import InputError, OutputError
-from redundancy_pin.experiments.robustness import Imperfections, robustness_study, study, study_csv, study_table
-from redundancy_pin.experiments.robustness.draws import LENGTHS, MASSES, draw
-from redundancy_pin.experiments.robustness.scenarios import Scenario, nominal, planned
-from redundancy_pin.experiments.robustness.statistics import mean_interval, wilson
-from redundancy_pin.experiments.robustness.study import scaled
-from redundancy_pin.experiments.robustness.trial import SUCCESS, Amplifier, Trial, run_trial, trial_from
+from redundancy_pin.robot.description import models_root
+from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
+from redundancy_pin.simulation.controllers.weights import bryson_weights
 from redundancy_pin.simulation.encoders import Encoders
+from redundancy_pin.studies.robustness import Imperfections, Scenario, robustness_study, study, study_csv, study_table
+from redundancy_pin.studies.robustness.study import code_digest, identity, mean_interval, scaled, wilson
+from redundancy_pin.studies.robustness.trial import (
+    DRAWN_LENGTHS,
+    DRAWN_MASSES,
+    SCENARIOS,
+    SUCCESS,
+    Amplifier,
+    Trial,
+    draw,
+    nominal,
+    planned,
+    run_trial,
+)
 
-SHORT = Scenario("line", "switch off", 2.45, 2.55)
+LINE_OFF, LINE_WHOLE = SCENARIOS[0].case, SCENARIOS[1].case
+SHORT = Scenario(LINE_OFF, 2.45, 2.55)
 """s; the singular pose at 2.508 s, and little else."""
 
 
@@ -65,7 +79,7 @@ def test_a_trial_starts_beside_its_plan_and_the_controller_sees_it(monkeypatch: 
     exact = replace(scaled(Imperfections(), 0.0), start_position=2e-4, start_speed=2e-3)
     run_trial(SHORT, "computed torque", exact, 0, 5)
     true, found = seen[0]
-    point, drawn = planned(SHORT).at(SHORT.start), draw(nominal(), exact, 0, 5)
+    point, drawn = planned(LINE_OFF).at(SHORT.start), draw(nominal(), exact, 0, 5)
     assert true.x - point.x == pytest.approx(drawn.x, abs=1e-12)
     assert true.xd - point.xd == pytest.approx(drawn.xd, abs=1e-12)
     assert true.s - point.s == pytest.approx(drawn.s, abs=1e-12)
@@ -79,10 +93,10 @@ def test_a_trial_starts_beside_its_plan_and_the_controller_sees_it(monkeypatch: 
 def test_draws_stay_within_their_bounds_and_fill_them():
     bounds, known = Imperfections(), nominal().parameters
     draws = [draw(nominal(), bounds, 0, number) for number in range(300)]
-    for name in MASSES:
+    for name in DRAWN_MASSES:
         away = np.array([one.arguments[name] / known[name] - 1.0 for one in draws])
         assert 0.045 < np.abs(away).max() <= 0.05
-    for name in LENGTHS:
+    for name in DRAWN_LENGTHS:
         away = np.array([one.arguments[name] - known[name] for one in draws])
         assert 0.9e-3 < np.abs(away).max() <= 1e-3
     factors = np.array([one.coulomb for one in draws])
@@ -141,12 +155,12 @@ def test_means_have_an_interval_like_students():
 )
 def test_success_is_the_end_reached_near_the_plan(changed, success):
     assert trial(0, **changed).success is success
-    back = trial_from(json.loads(json.dumps(trial(0, **changed).as_dict())))
+    back = Trial(**json.loads(json.dumps(trial(0, **changed).as_dict())))
     assert back.success is success
 
 
 def test_a_small_study_crosses_goes_on_and_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    book = tmp_path / "journal.jsonl"
+    book = tmp_path / "store"
     options = {"scenarios": (SHORT,), "drives": ("open loop", "computed torque"), "journal": book, "jobs": 1}
     first = robustness_study(1, **options)
     assert [cell.draws for cell in first.cells] == [1, 1]
@@ -167,31 +181,10 @@ def test_a_small_study_crosses_goes_on_and_is_written(tmp_path: Path, monkeypatc
     assert seen == [(2, 4), (3, 4), (4, 4)]
     assert second.trials[0] == first.trials[0]
     assert robustness_study(2, **options).trials == second.trials
-    rows = study_table(second).rows
-    assert [row[1] for row in rows] == ["open loop", "computed torque"]
+    assert [row[1] for row in study_table(second).texts] == ["open loop", "computed torque"]
     lines = study_csv(second).splitlines()
     assert len(lines) == 5
     assert {line.count(",") for line in lines} == {lines[0].count(",")}
-
-
-def test_the_journal_refuses_what_is_not_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(study, "run_trial", lambda scenario, drive, bounds, seed, number: trial(number, drive=drive))
-    book = tmp_path / "journal.jsonl"
-    options = {"scenarios": (SHORT,), "drives": ("LQR",), "journal": book, "jobs": 1}
-    robustness_study(2, **options)
-    with pytest.raises(OutputError, match="for seed it has 0, now it is 1"):
-        robustness_study(2, seed=1, **options)
-    whole = book.read_text()
-    book.write_text(whole + '{"scenario": "li')  # killed while it wrote
-    assert len(robustness_study(2, **options).trials) == 2
-    assert book.read_text() == whole
-    lines = whole.splitlines()
-    book.write_text("\n".join([lines[0], "{}", *lines[2:]]) + "\n")
-    with pytest.raises(OutputError, match="Line 2 of the journal"):
-        robustness_study(2, **options)
-    book.write_text("mine\n")
-    with pytest.raises(OutputError, match="no journal"):
-        robustness_study(2, **options)
 
 
 def test_scenarios_that_share_a_name_are_refused():
@@ -222,7 +215,7 @@ def test_the_largest_forces_are_those_of_every_period(monkeypatch: pytest.Monkey
 def test_a_plan_that_hardly_uses_its_main_actuators_crosses_against_friction():
     """With τ̂ the largest planned effort alone, 0.08 N, carrier 1 comes to the end of its track in every draw."""
     bounds = scaled(Imperfections(), 5.0)
-    found = run_trial(Scenario("line", "whole trajectory", 1.9, 3.1), "computed torque", bounds, 0, 0)
+    found = run_trial(Scenario(LINE_WHOLE, 1.9, 3.1), "computed torque", bounds, 0, 0)
     assert found.success
 
 
@@ -230,3 +223,74 @@ def test_a_plan_that_hardly_uses_its_main_actuators_crosses_against_friction():
 def test_numbers_out_of_their_domain(changed):
     with pytest.raises(InputError, match="positive whole numbers"):
         robustness_study(**{"draws": 1, "jobs": 1, **changed})
+
+
+# ---------------------------------------------------------------------------------- what a store of trials depends on
+
+
+@pytest.fixture
+def begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict:
+    """A study with a store, whose simulations are stood in for."""
+    monkeypatch.setattr(study, "run_trial", lambda scenario, drive, bounds, seed, number: trial(number, drive=drive))
+    options = {"scenarios": (SHORT,), "drives": ("LQR",), "journal": tmp_path / "a" / "store", "jobs": 1}
+    robustness_study(1, **options)
+    robustness_study(2, **options)  # goes on
+    return options
+
+
+def test_another_study_is_refused_and_named(begun: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(says: str, **changed) -> None:
+        with pytest.raises(OutputError, match=says):
+            robustness_study(2, **{**begun, **changed})
+
+    refused("for seed it has 0, now it is 1", seed=1)
+    refused(r"for imperfections\.mass it has 0\.05, now it is 0\.1", severity=2.0)
+    refused(r"for scenarios\.line, switch off\.?", scenarios=(replace(SHORT, end=2.6),))
+    refused(r"for scenarios\.line, switch off", scenarios=(replace(SHORT, case=LINE_OFF.with_options(threshold=5.0)),))
+    with monkeypatch.context() as patched:  # of functions, so that the code stays the same
+        patched.setitem(ComputedTorque.__init__.__kwdefaults__, "bandwidth", 25.0)
+        refused(r"for computed torque\.bandwidth it has 30\.0, now it is 25\.0.*delete it")
+    with monkeypatch.context() as patched:
+        patched.setitem(bryson_weights.__kwdefaults__, "carrier", 0.02)
+        refused(r"for LQR\.carrier it has 0\.01, now it is 0\.02")
+    with monkeypatch.context() as patched:
+        patched.setattr(study, "_version", lambda name: "9" if name == "scipy" else "")
+        refused(r"for libraries\.")
+    with monkeypatch.context() as patched:
+        patched.setattr(study, "code_digest", lambda: "another")
+        refused(r"for code it has .*, now it is 'another'")
+    assert len(robustness_study(2, **begun).trials) == 2
+
+
+def test_the_code_is_that_of_the_trials_and_the_models(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A changed line of a planner or a model counts; one of the command line or of a picture does not."""
+    package = tmp_path / "redundancy_pin"
+    shutil.copytree(Path(redundancy_pin.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(models_root(), tmp_path / "models", dirs_exist_ok=True)
+    before = code_digest()
+    monkeypatch.setattr(redundancy_pin, "__file__", str(package / "__init__.py"))
+    monkeypatch.setattr(study, "models_root", lambda: tmp_path / "models")
+    assert code_digest() == before
+
+    def changed(place: Path) -> bool:
+        kept = place.read_bytes()
+        place.write_bytes(kept + b"\n# changed\n")
+        digest = code_digest()
+        place.write_bytes(kept)
+        return digest != before
+
+    decides = ["planners/plan.py", "simulation/simulate.py", "arrays.py", "studies/robustness/trial.py"]
+    assert [name for name in (*decides, "studies/case.py") if not changed(package / name)] == []
+    assert changed(tmp_path / "models" / "2rpr" / "robot.yaml")
+    for name in ("cli/study.py", "view.py", "studies/robustness/study.py", "studies/store.py", "workers.py"):
+        assert not changed(package / name)
+
+
+def test_what_decides_is_plain_and_differs_with_bounds_and_seed() -> None:
+    one = identity(Imperfections(), 0, (SHORT,))
+    assert json.loads(json.dumps(one)) == one
+    assert one["computed torque"] == {"bandwidth": 30.0, "carrier_bandwidth": 10.0, "damping": 1.0}
+    assert one["imperfections"]["start_position"] == 2e-4
+    assert one["libraries"]["numpy"]
+    assert one != identity(replace(Imperfections(), noise=0.1), 0, (SHORT,))
+    assert one != identity(Imperfections(), 1, (SHORT,))

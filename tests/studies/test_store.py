@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from redundancy_pin.errors import OutputError
-from redundancy_pin.studies.store import FILE, OLD_FILE, Store, make_folder
+from redundancy_pin.studies.store import FILE, OLD_FILE, Store
 
 IDENTITY = {"seed": 3, "bounds": {"b": 1.0, "a": 2.0}, "fingerprint": "f"}
 
@@ -98,11 +98,10 @@ def test_a_kill_at_any_moment_loses_nothing_that_was_finished(tmp_path: Path) ->
             first = int(process.stdout.readline())
             assert first == last + 1
             refused(opened(path), "in use by another run")
-            for _ in range(more):
-                process.stdout.readline()
+            lines = [process.stdout.readline() for _ in range(more)]
             time.sleep(1e-3 * more)
             process.send_signal(signal.SIGKILL)
-            told = [first, *(int(line) for line in process.stdout if line.endswith("\n"))]
+            told = [first, *(int(line) for line in (*lines, *process.stdout) if line.endswith("\n"))]
         assert process.returncode == -signal.SIGKILL
         with opened(path) as store:
             # what was finished, and perhaps one that could not tell it any more
@@ -118,7 +117,7 @@ def test_a_transaction_that_was_cut_off_is_rolled_back(tmp_path: Path) -> None:
     raw = sqlite3.connect(path, isolation_level=None)
     raw.execute("PRAGMA cache_size = 1")
     raw.execute("BEGIN")
-    raw.executemany("INSERT INTO record VALUES (?, ?)", [(str(number), "x" * 3000) for number in range(50)])
+    raw.executemany("INSERT INTO record VALUES (?)", [("x" * 3000,) for _ in range(50)])
     shutil.copy(path, crashed)
     shutil.copy(f"{path}-journal", f"{crashed}-journal")
     raw.close()
@@ -137,6 +136,7 @@ def test_a_second_run_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
     with opened(tmp_path / "store") as first:
         refused(opened(tmp_path / "store"), "in use by another run")
         first.put(piece(0))
+        assert (tmp_path / "store-journal").exists()  # what a roll back needs is on the disk
         refused(opened(tmp_path / "store"), "in use by another run")
     with opened(tmp_path / "store") as again:
         assert len(again.records) == 1
@@ -200,13 +200,8 @@ def test_files_that_are_no_store_of_this_kind_are_left_alone(tmp_path: Path) -> 
     before = path.read_bytes()
     refused(opened(path), "no store of a map")
     assert path.read_bytes() == before
-    path.unlink()
-    filled(path)
-    with sqlite3.connect(path) as newer:
-        newer.execute("PRAGMA user_version = 7")
-    newer.close()
-    refused(opened(path), "has version 7, and this package writes version 1")
-    refused(opened(tmp_path / "nowhere" / "store"), "no folder")
+    (tmp_path / "file").touch()
+    refused(opened(tmp_path / "file" / "store"), "Cannot make the folder")
     refused(opened(tmp_path), "it is a folder")
 
 
@@ -217,18 +212,16 @@ def test_a_damaged_store_is_named(tmp_path: Path) -> None:
     refused(opened(path), f"The store {path} is damaged")
     path.write_bytes(whole[:8192] + bytes(4096) + whole[12288:])
     refused(opened(path), f"The store {path} is damaged")
-    for broken in ("{torn", "{}", '{"number": 5, "value": 1.0}'):
+    for broken in ("{torn", "{}"):
         path.write_bytes(whole)
         with sqlite3.connect(path) as raw:
             raw.execute("UPDATE record SET record = ? WHERE rowid = 2", (broken,))
         raw.close()
-        refused(opened(path), r"The record \[\"piece\", 1, 0.33.*damaged")
+        refused(opened(path), "Record 2 of the store .* damaged")
 
 
 def test_what_version_0_1_0_kept_is_not_ignored_in_silence(tmp_path: Path) -> None:
-    assert make_folder(tmp_path / "new") == tmp_path / "new"
     (tmp_path / OLD_FILE).write_text("{}\n")
-    with pytest.raises(OutputError, match=r"version 0\.1\.0.*delete that file"):
-        make_folder(tmp_path)
-    filled(tmp_path / FILE)
-    make_folder(tmp_path)
+    refused(opened(tmp_path / FILE), r"version 0\.1\.0.*delete that file")
+    filled(tmp_path / "of_a_name_of_its_own")
+    filled(tmp_path / "new" / "folder" / FILE)

@@ -115,12 +115,6 @@ def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
     """Return what a planner says of one cell: its first plan that keeps every limit, or the answer that says most.
 
     Whatever goes wrong is in the cell: a sweep does not stop for one.
-
-    Args:
-        problem: what the map is of.
-        planner: its name.
-        x: value of the first parameter.
-        y: value of the second.
     """
     began = time.perf_counter()
     answers: list[Cell] = []
@@ -140,12 +134,8 @@ def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
 def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
     """Return a cell with what a plan says of it.
 
-    A plan that breaks a limit of the carriers, exceeds the limit of the main efforts, or needs unbounded ones is none.
-
-    Args:
-        cell: planner and place.
-        plan: the plan.
-        limits: of the cell, by name of ``LIMITS``.
+    A plan that breaks a limit of the carriers, exceeds the limit of the main efforts (``limits``, by name of
+    ``LIMITS``), or needs unbounded ones is none.
     """
     effort, peak = limits.get("max_effort"), float(plan.peak_effort.max(initial=0.0))
     ratio = _dense_ratio(plan, peak)

@@ -169,7 +169,7 @@ def feasibility_map(
         OutputError: as ``Store.open``, for a store of another problem or robot.
         RedundancyPinError: the robot does not load, or a worker process dies.
     """
-    robot = check_sweep(problem, jobs=jobs, refine=refine, along=along)
+    robot = _check(problem, jobs=jobs, refine=refine, along=along)
     # the fingerprint says least to a user, and changes along with others: last
     identity = {**problem.identity(), "machine": fingerprint(robot)}
     wanted = [(planner, x, y) for x in problem.x.values for y in problem.y.values for planner in problem.planners]
@@ -182,7 +182,7 @@ def feasibility_map(
         return _ordered(problem, wanted, store.records, along)
 
 
-def check_sweep(problem: MapProblem, *, jobs: int | None, refine: int, along: Direction) -> Robot:
+def _check(problem: MapProblem, *, jobs: int | None, refine: int, along: Direction) -> Robot:
     """Check everything that can be checked before the first cell, and return the robot; see ``feasibility_map``."""
     if along not in ("x", "y"):
         raise InputError(f"along is {along!r}.", remedy='Pass "x" or "y".')

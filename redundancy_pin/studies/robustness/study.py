@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -34,8 +35,8 @@ from redundancy_pin.studies.robustness.trial import (
     Trial,
     run_trial,
 )
-from redundancy_pin.studies.store import Progress, Store, make_folder
-from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, text
+from redundancy_pin.studies.store import Progress, Store
+from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, json_data, text
 
 DRAWS = 200
 
@@ -52,8 +53,10 @@ UNUSED = ("_moved.py", "cli", "crosscheck", "experiments", "studies", "view.py",
 
 OWN = ("studies/case.py", "studies/robustness/trial.py")
 
-_SCALED = ("mass", "length", "start_position", "start_speed", "noise")
-_FRICTION = ("coulomb", "viscous")
+_SCALED = (
+    *("mass", "length", "start_position", "start_speed", "noise"),
+    *("prismatic_coulomb", "prismatic_viscous", "revolute_coulomb", "revolute_viscous"),
+)
 
 
 @dataclass(frozen=True)
@@ -157,8 +160,6 @@ def robustness_study(
     if seed < 0:
         raise InputError(f"seed is {seed}.", remedy="Pass a whole number from 0 on.")
     bounds = scaled(imperfections or Imperfections(), severity)
-    if journal is not None:
-        make_folder(Path(journal).parent, parents=True)
     cells = [(scenario, drive) for scenario in scenarios for drive in drives]
     # draws first: an interrupted study has about as many trials in every cell
     wanted = {
@@ -166,7 +167,9 @@ def robustness_study(
         for number in range(draws)
         for scenario, drive in cells
     }
-    with Store.open(journal, "robustness study", identity(bounds, seed, scenarios), _trial) as store:
+    with Store.open(
+        journal, "robustness study", identity(bounds, seed, scenarios), lambda data: Trial(**data)
+    ) as store:
         store.complete(run_trial, wanted, -1 if jobs is None else jobs, progress, "trials")
         groups = [[store.records[scenario.name, drive, i] for i in range(draws)] for scenario, drive in cells]
     return Study(
@@ -188,35 +191,27 @@ def scaled(imperfections: Imperfections, severity: float) -> Imperfections:
     if not (np.isfinite(severity) and severity >= 0.0 and severity * imperfections.mass < 1.0):
         most = f"from 0 to below {1.0 / imperfections.mass:g}" if imperfections.mass > 0.0 else "that is not negative"
         raise InputError(f"severity is {severity}.", remedy=f"Pass a number {most}.")
-    chosen = [
-        field.name
-        for field in fields(imperfections)
-        if field.name in _SCALED or field.name.rsplit("_", 1)[-1] in _FRICTION
-    ]
-    return replace(imperfections, **{name: severity * getattr(imperfections, name) for name in chosen})
+    return replace(imperfections, **{name: severity * getattr(imperfections, name) for name in _SCALED})
 
 
 def cell_statistics(trials: Sequence[Trial]) -> CellStatistics:
     """Return the statistics of the trials of one cell, one or more."""
     simulated = [trial for trial in trials if np.isfinite(trial.largest)]
-    values = {name: np.array([getattr(trial, name) for trial in simulated]) for name in ("largest", "rms")}
-
-    def most(name: str) -> float:
-        return max((getattr(trial, name) for trial in simulated), default=math.nan)
-
-    statuses = [trial.status for trial in trials]
+    names = ("largest", "rms", "effort", "carrier_force", "given_up")
+    values = {name: np.array([getattr(trial, name) for trial in simulated]) for name in names}
+    most = {name: float(np.max(values[name])) if simulated else math.nan for name in names}
     return CellStatistics(
-        trials[0].scenario,
-        trials[0].drive,
-        len(trials),
-        wilson(sum(trial.success for trial in trials), len(trials)),
-        mean_interval(values["largest"]),
-        most("largest"),
-        mean_interval(values["rms"]),
-        most("effort"),
-        most("carrier_force"),
-        {status: statuses.count(status) for status in sorted(set(statuses))},
-        most("given_up"),
+        scenario=trials[0].scenario,
+        drive=trials[0].drive,
+        draws=len(trials),
+        success=wilson(sum(trial.success for trial in trials), len(trials)),
+        largest=mean_interval(values["largest"]),
+        worst=most["largest"],
+        rms=mean_interval(values["rms"]),
+        effort=most["effort"],
+        carrier_force=most["carrier_force"],
+        statuses=dict(sorted(Counter(trial.status for trial in trials).items())),
+        given_up=most["given_up"],
     )
 
 
@@ -304,16 +299,11 @@ def identity(bounds: Imperfections, seed: int, scenarios: Sequence[Scenario]) ->
     """Return what decides the outcome of each trial but scenario, drive and number, as plain data.
 
     What says most to a user comes first; a change of the code that nothing else tells is in the digest at the end.
-
-    Args:
-        bounds: of the draws, scaled.
-        seed: of the draws.
-        scenarios: the crossings.
     """
     return {
         "seed": seed,
         "imperfections": asdict(bounds),
-        "scenarios": {one.name: [one.start, one.end, one.case.as_dict()] for one in scenarios},
+        "scenarios": {one.name: json_data(asdict(one)) for one in scenarios},
         "machine": MASSES,
         "tolerances": [RTOL, ATOL],
         "computed torque": _defaults(ComputedTorque.__init__),
@@ -350,7 +340,3 @@ def _version(name: str) -> str:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return ""
-
-
-def _trial(data: Mapping[str, Any]) -> Trial:
-    return Trial(**data)

@@ -24,7 +24,7 @@ from redundancy_pin.simulation.friction import JointFriction
 from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
-from redundancy_pin.studies.case import RNEA, Case, load, options
+from redundancy_pin.studies.case import RNEA, Case, Planner, load, options
 
 MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
 """The 2-RPR of the thesis is massless but for its carriers: forces would not determine its motion. kg."""
@@ -67,41 +67,20 @@ class Scenario:
         return self.case.name
 
 
-_MACHINE: dict[str, Any] = {
-    "robot": "2rpr",
-    "arguments": options(**MASSES, track_half_length=PLANNED_TRACK),
-}
+def crossing(
+    path: str, planner: Planner, speed: float, dt: float, start: float, end: float, **parameters: float
+) -> Scenario:
+    """Return a scenario of the 2-RPR with masses, whose plan may use part of its tracks."""
+    arguments = options(**MASSES, track_half_length=PLANNED_TRACK)
+    name = f"{path}, {planner.replace('_', ' ')}"
+    case = Case(name, "2rpr", path, options(speed=speed), planner, options(**parameters), arguments=arguments, dt=dt)
+    return Scenario(case, start, end)
 
-LINE_OFF = Case(
-    "line, switch off",
-    path="line",
-    path_options=options(speed=0.2),
-    planner="switch_off",
-    options=options(threshold=4.0, ramp_down=0.36),
-    dt=5e-3,
-    **_MACHINE,
-)
-LINE_WHOLE = Case(
-    "line, whole trajectory",
-    path="line",
-    path_options=options(speed=0.2),
-    planner="whole_trajectory",
-    dt=1e-2,
-    **_MACHINE,
-)
-CIRCLE_WHOLE = Case(
-    "circle, whole trajectory",
-    path="circle",
-    path_options=options(speed=0.5),
-    planner="whole_trajectory",
-    dt=5e-3,
-    **_MACHINE,
-)
 
 SCENARIOS: tuple[Scenario, ...] = (
-    Scenario(LINE_OFF, 1.9, 3.1),
-    Scenario(LINE_WHOLE, 1.9, 3.1),
-    Scenario(CIRCLE_WHOLE, 0.2, 1.1),
+    crossing("line", "switch_off", 0.2, 5e-3, 1.9, 3.1, threshold=4.0, ramp_down=0.36),
+    crossing("line", "whole_trajectory", 0.2, 1e-2, 1.9, 3.1),
+    crossing("circle", "whole_trajectory", 0.5, 5e-3, 0.2, 1.1),
 )
 """On the circle the machine with masses has no switch-off plan: its end-effector accelerates at the singular poses."""
 
@@ -165,8 +144,7 @@ class Draw:
 
     Attributes:
         arguments: of ``load_robot``.
-        coulomb: (nv,) factors on Coulomb friction.
-        viscous: (nv,) factors on viscous friction.
+        coulomb, viscous: (nv,) factors on friction.
         phase: (nq,) of the encoders, fractions of a step.
         x, xd: (n,) errors of the platform at the start, m and m/s.
         s, sd: (k,) those of the carriers.
@@ -185,14 +163,7 @@ class Draw:
 
 
 def draw(nominal: Robot, imperfections: Imperfections, seed: int, number: int) -> Draw:
-    """Return a draw; the same seed and number give the same machine, whatever was drawn before.
-
-    Args:
-        nominal: the robot as planned.
-        imperfections: bounds.
-        seed: of the study.
-        number: which draw.
-    """
+    """Return a draw; the same seed and number give the same machine, whatever was drawn before."""
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     known: Mapping[str, Any] = nominal.parameters
     # every call of a stream moves it on: another order of these lines is another machine
@@ -258,23 +229,16 @@ class Trial:
 
 
 def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, seed: int, number: int) -> Trial:
-    """Simulate one draw.
+    """Simulate one draw of a study.
 
     The machine is homed at the pose and carrier positions that the plan starts with, and starts a little beside them.
     The controller knows the robot as planned, and the machine through encoders alone.
-
-    Args:
-        scenario: the crossing.
-        drive: what controls it.
-        imperfections: bounds.
-        seed: of the study.
-        number: which draw.
     """
     motion = planned(scenario.case)
     drawn = draw(nominal(), imperfections, seed, number)
     control = controller(scenario, drive, imperfections)
     if isinstance(control, ComputedTorque):
-        control.history.clear()  # of the draw before: making a controller takes longer than a trial
+        control.history.clear()  # of the draw before: a controller is made once a process
     point = motion.at(scenario.start)
     arguments: dict[str, Any] = {**MASSES, **drawn.arguments}
     try:
@@ -310,8 +274,7 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
             integrator="RK45",
         )
     except RedundancyPinError as error:
-        none = float("nan")
-        return Trial(scenario.name, drive, number, "error", str(error), none, none, none, none, none)
+        return Trial(scenario.name, drive, number, "error", str(error), *5 * (float("nan"),))
     reference = np.array([motion.platform(float(t))[0] for t in run.t])
     away = np.linalg.norm(run.x - reference, axis=1)
     span = float(run.t[-1] - run.t[0])
@@ -353,13 +316,7 @@ class _OpenLoop(Tracking):
 
 
 class Amplifier:
-    """A controller whose forces come out with noise, one value a period.
-
-    Args:
-        controller: what commands the efforts.
-        random: for the noise.
-        noise: its standard deviation, N or N·m.
-    """
+    """A controller whose forces come out with noise of a standard deviation, N or N·m; one value a period."""
 
     def __init__(self, controller: Controller, random: np.random.Generator, noise: float) -> None:
         self._controller, self._random, self._noise = controller, random, noise
