@@ -17,7 +17,7 @@ from redundancy_pin.kinematics.singular_crossings import Crossing, find_crossing
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies.case import BACKENDS, RNEA, VIRTUAL_WORK, Case
-from redundancy_pin.studies.table import csv_text
+from redundancy_pin.studies.table import Record, csv_text
 from redundancy_pin.trajectory import Trajectory
 
 PARITY_TOLERANCE = 1e-10
@@ -138,7 +138,7 @@ class MotionRun:
         missing = ", ".join(f"{instant.missing_force:.3g}" for instant in shown)
         return f"unbounded at t = {places}: {missing} N that no actuator can carry there"
 
-    def record(self) -> dict[str, object]:
+    def record(self) -> Record:
         """Return the run in numbers, for tables and JSON."""
         return {
             "title": self.case.title,

@@ -37,7 +37,7 @@ from redundancy_pin.studies.measures import (
     window,
 )
 from redundancy_pin.studies.modes import square_returns, working_modes
-from redundancy_pin.studies.statements import DIFFERENCES, in_order, judge_all, sensitivity
+from redundancy_pin.studies.statements import DIFFERENCES, in_order, judge_all, sensitivity, thesis
 from redundancy_pin.studies.table import Record
 
 Chapter = dict[str, Any]
@@ -73,6 +73,7 @@ def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     tell("statements")
     modes = working_modes(plans, extent.modes)
     chapter: Chapter = {
+        "rule": thesis()["rule"],
         "parity": parity,
         "against_thesis": in_order([*judged, *modes.pop("judged")]),
         "between_samples": between_records(plans),
@@ -202,7 +203,7 @@ def _fair(motion: str, mode: Mode, how: str, case: Case, plans: Plans) -> Record
 def conclusions(chapter: Mapping[str, Any]) -> list[Record]:
     """Return what becomes of the thesis's conclusions, from the records of the chapter."""
     crossings, fair = chapter["crossings"], chapter["fair_comparison"]
-    return [
+    records = [
         _crossing(crossings, chapter["heavy_end_effector"]),
         _limits(crossings),
         _exit_forces(crossings),
@@ -212,6 +213,7 @@ def conclusions(chapter: Mapping[str, Any]) -> list[Record]:
         _shared(fair),
         _agreement(chapter["claims"]),
     ]
+    return [{**record, "thesis": record["claim"]} for record in records]
 
 
 def _crossing(crossings: Sequence[Record], heavy: Record | None) -> Record:

@@ -14,6 +14,7 @@ from redundancy_pin.simulation.replay import Replay
 from redundancy_pin.studies.case import Plans
 from redundancy_pin.studies.cases import Extent
 from redundancy_pin.studies.motions import MotionRun
+from redundancy_pin.studies.statements import thesis
 from redundancy_pin.studies.table import Record, json_data
 
 FORMAT = "redundancy_pin results"
@@ -64,7 +65,7 @@ class Results:
                 "format_version": FORMAT_VERSION,
                 "versions": versions(),
                 "cross_check": self.check.as_dict(),
-                "experiments": {run.case.name: run.record() for run in self.runs},
+                "experiments": {run.case.name: _with_source(run) for run in self.runs},
                 "thesis": self.compared,
                 **{name: self.chapters.get(name) for name in ("planned", "beyond", "replay")},
                 "notes": NOTES,
@@ -72,6 +73,11 @@ class Results:
             }
         )
         return data
+
+
+def _with_source(run: MotionRun) -> Record:
+    record = run.record()
+    return {**record, "configuration": {**record["configuration"], "source": thesis()["sources"][run.case.robot]}}
 
 
 def versions() -> dict[str, str]:

@@ -190,7 +190,7 @@ def judge_all(plans: Plans, extent: Extent) -> list[Record]:
     for entry in thesis()["jointly"]:
         outcome = {"same_step": same_step, "growth_with_threshold": growth_with_threshold,
                    "same_before_the_corner": same_before_the_corner}[entry["test"]](plans, extent)  # fmt: skip
-        records.append({"deviation": "", "range": "", **entry, **outcome})
+        records.append({"deviation": "", "covered": "", **entry, **outcome})
     return records
 
 
@@ -236,7 +236,7 @@ def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
         "deviation": ", ".join(
             text(value - _value(digits), "+.2g") for value, digits in zip(ours, stated, strict=True)
         ),
-        "range": ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}",
+        "covered": ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}",
         "verdict": "reproduced" if reproduced else "differs",
         "reason": reason,
         "as_run": as_run,
