@@ -25,8 +25,6 @@ WITHOUT_ALL = ("redundancy_pin.trajectory.reference", "redundancy_pin.errors")
 NOT_AN_API = (
     "redundancy_pin.cli",
     "redundancy_pin.dynamics",
-    "redundancy_pin.experiments.beyond",
-    "redundancy_pin.experiments.planned",
 )
 """Modules with an ``__all__`` that other pages describe, or that only the package itself imports."""
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from redundancy_pin.cli.output import INTERRUPTED
 from redundancy_pin.errors import (
     CarrierLimitError,
     CrossCheckError,
@@ -18,7 +19,7 @@ from redundancy_pin.errors import (
     SingularPoseError,
     UnreachablePoseError,
 )
-from redundancy_pin.experiments.experiment import PATHS
+from redundancy_pin.studies.case import PATHS
 
 _NO_ENGLISH = ("dt", "lam")
 """Names without an underscore that are no English words: wherever they stand they are names."""
@@ -154,9 +155,6 @@ FAILED_CHECK = 1
 
 BAD_INPUT = 2
 """Exit code where the command could not run on what it was given."""
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
 
 
 class OneLineErrors(click.Group):

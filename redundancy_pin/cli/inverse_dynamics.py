@@ -17,10 +17,10 @@ from redundancy_pin.cli.output import console, print_json, progress, require_suf
 from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import OutputError
-from redundancy_pin.experiments.backends import BACKENDS, RNEA
-from redundancy_pin.experiments.csv_text import csv_text
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.planners.robot_record import robot_record
+from redundancy_pin.studies.case import BACKENDS, RNEA
+from redundancy_pin.studies.table import csv_text
 from redundancy_pin.trajectory import carriers_from_csv, from_csv
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.table import Table
 
-from redundancy_pin.cli.errors import FAILED_CHECK, INTERRUPTED
+from redundancy_pin.cli.errors import FAILED_CHECK
 from redundancy_pin.cli.options import (
     backend_option,
     jobs_option,
@@ -21,95 +21,28 @@ from redundancy_pin.cli.options import (
     parse_vector,
     robot_options,
 )
-from redundancy_pin.cli.output import console, print_json, progress, require_choice, table_of
+from redundancy_pin.cli.output import console, print_json, require_choice, resumable
 from redundancy_pin.cli.plan_problem import PARAMETERS, number, read_parameters
 from redundancy_pin.cli.trajectory_options import split_trajectory, trajectory_option, trajectory_value
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.backends import RNEA, VIRTUAL_WORK
-from redundancy_pin.experiments.feasibility import (
+from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
+from redundancy_pin.studies.feasibility import (
     LIMITS,
     OTHER,
     PRESETS,
     STEPWISE,
     SWITCH_OFF,
     WHOLE,
-    Cell,
     FeasibilityMap,
     MapProblem,
-    Verdict,
     feasibility_map,
     parse_axis,
     write_map,
 )
-from redundancy_pin.experiments.feasibility.pictured import axis_label, effort_unit
-from redundancy_pin.experiments.feasibility.result import Direction
-from redundancy_pin.experiments.feasibility.sweep import require_sense
-from redundancy_pin.experiments.feasibility.written import JOURNAL, make_folder
+from redundancy_pin.studies.feasibility.picture import axis_label, effort_unit
+from redundancy_pin.studies.store import FILE
+from redundancy_pin.studies.table import Column, Table
 from redundancy_pin.visualisation.figures.style import require_matplotlib
-
-
-def print_map(found: FeasibilityMap, folder: Path, files: Sequence[Path], *, as_json: bool) -> None:
-    """Print what a map says on stdout: counts, and the border line by line."""
-    if as_json:
-        data = {key: value for key, value in found.as_dict().items() if key != "cells"}
-        print_json({**data, "folder": str(folder), "files": [str(path) for path in files]})
-        return
-    screen = console()
-    screen.print(_counts(found))
-    screen.print(_border(found))
-    screen.print(f"Tables and pictures are in {folder}: {', '.join(path.name for path in files)}.")
-
-
-def warn_of_failures(found: FeasibilityMap) -> None:
-    """Say on stderr in how many cells nothing is known, and why in the first."""
-    for planner in found.problem.planners:
-        failed = [cell for cell in found.of(planner) if cell.verdict is Verdict.FAILED]
-        if failed:
-            first = failed[0]
-            x, y = found.problem.x.name, found.problem.y.name
-            click.echo(
-                f"warning: {planner} failed in {len(failed)} cell(s), in the first ({x} {first.x:g}, {y} {first.y:g}) "
-                f"with: {' '.join(first.message.split())}",
-                err=True,
-            )
-
-
-def _counts(found: FeasibilityMap) -> Table:
-    rows = []
-    for planner in found.problem.planners:
-        counts = found.counts(planner)
-        why = ", ".join(f"{limit} {count}" for limit, count in found.in_the_way(planner).items())
-        seconds = sum(cell.seconds for cell in found.of(planner))
-        numbers = [str(counts[verdict.value]) for verdict in (Verdict.FEASIBLE, Verdict.STOPPED_EARLY)]
-        last = (str(counts[Verdict.INFEASIBLE.value]), why, str(counts[Verdict.FAILED.value]), f"{seconds:.1f}")
-        rows.append((planner, *numbers, *last))
-    headings = ("planner", "possible", "stopped early", "not possible", "in the way", "failed", "time [s]")
-    return table_of(f"{found.problem.robot}, {found.problem.trajectory}: cells", headings, rows)
-
-
-def _border(found: FeasibilityMap) -> Table:
-    problem = found.problem
-    along, across = (problem.x, problem.y) if found.along == "x" else (problem.y, problem.x)
-    unit = effort_unit(problem)
-    table = Table(title=f"border: {axis_label(along.name, unit)} between a cell that is possible and one that is not")
-    table.add_column(axis_label(across.name, unit), justify="right")
-    for planner in problem.planners:
-        table.add_column(planner)
-    lines = {planner: found.lines(planner) for planner in problem.planners}
-    borders = {planner: found.border(planner) for planner in problem.planners}
-    for value in across.values:
-        row = []
-        for planner in problem.planners:
-            met = [crossing for crossing in borders[planner] if crossing.line == value]
-            said = "; ".join(f"{crossing.low:.4g} … {crossing.high:.4g}" for crossing in met)
-            row.append(said or _without_border(lines[planner][value]))
-        table.add_row(f"{value:g}", *row)
-    return table
-
-
-def _without_border(cells: Sequence[Cell]) -> str:
-    known = {cell.possible for cell in cells}
-    return "all possible" if known == {True} else "none possible" if known == {False} else "not known"
 
 
 def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -143,7 +76,7 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--refine", default=2, show_default=True, metavar="N", help="How often the border is bisected.")
 @click.option("--along", type=click.Choice(["x", "y"]), default="x", show_default=True, help="Axis of the bisection.")
 @jobs_option(-1)
-@click.option("--out", metavar="FOLDER", help="Where journal, tables and pictures go.  [default: map-ROBOT]")
+@click.option("--out", metavar="FOLDER", help="Where store, tables and pictures go.  [default: map-ROBOT]")
 @json_option
 def map_command(**given: Any) -> int:
     r"""What a machine can do: two parameters swept.
@@ -153,7 +86,7 @@ def map_command(**given: Any) -> int:
     are keys of the trajectory (speed, radius, ramp_time, ...), limits (stroke, max_speed, max_acceleration, max_jerk,
     max_effort, max_carrier_force), and numeric arguments of the robot (carrier_mass, ...).
 
-    Finished cells are kept in FOLDER/journal.jsonl: after an interruption the same command goes on where it was.
+    Finished cells are kept in FOLDER/store.sqlite: after an interruption the same command goes on where it was.
     Exit code 1: a planner failed in every cell.
 
     \b
@@ -163,34 +96,26 @@ def map_command(**given: Any) -> int:
     """
     problem = problem_of(given)
     require_matplotlib()
-    along = _direction(given["along"])
-    require_sense(problem, jobs=given["jobs"], refine=given["refine"], along=along)
-    folder = make_folder(given["out"] or f"map-{Path(problem.robot).stem}")
-    done = [0, 0]
-    try:
-        with progress("map") as advance:
-
-            def tell(count: int, total: int, what: str) -> None:
-                done[:] = count, total
-                advance(count, total, what)
-
-            found = feasibility_map(
-                problem,
-                folder / JOURNAL,
-                jobs=given["jobs"],
-                refine=given["refine"],
-                along=along,
-                progress=tell,
-            )
-    except KeyboardInterrupt:
-        said = f"{done[0]} of {done[1]} cells are in {folder / JOURNAL}; the same command goes on from there."
-        click.echo(f"interrupted: {said}", err=True)
-        raise click.exceptions.Exit(INTERRUPTED) from None
-    files = write_map(found, folder)
-    print_map(found, folder, files, as_json=given["as_json"])
-    warn_of_failures(found)
-    nothing = any(found.counts(name)[Verdict.FAILED.value] == len(found.of(name)) for name in problem.planners)
-    return FAILED_CHECK if nothing else 0
+    folder = Path(given["out"] or f"map-{Path(problem.robot).stem}").expanduser()
+    settings: dict[str, Any] = {name: given[name] for name in ("jobs", "refine", "along")}
+    with resumable("map", "cells", folder / FILE) as advance:
+        result = feasibility_map(problem, folder / FILE, **settings, progress=advance)
+    files = write_map(result, folder)
+    if given["as_json"]:
+        data = {key: value for key, value in result.as_dict().items() if key != "cells"}
+        print_json({**data, "folder": str(folder), "files": [str(path) for path in files]})
+    else:
+        screen = console()
+        screen.print(_counts(result).terminal())
+        screen.print(_border(result).terminal())
+        screen.print(f"Tables and pictures are in {folder}: {', '.join(path.name for path in files)}.")
+    failed = {planner: [cell for cell in result.of(planner) if cell.possible is None] for planner in problem.planners}
+    for planner, cells in failed.items():
+        if cells:
+            where = f"{problem.x.name} {cells[0].x:g}, {problem.y.name} {cells[0].y:g}"
+            why = f"in the first ({where}) with: {' '.join(cells[0].message.split())}"
+            click.echo(f"warning: {planner} failed in {len(cells)} cell(s), {why}", err=True)
+    return FAILED_CHECK if any(len(cells) == len(result.of(planner)) for planner, cells in failed.items()) else 0
 
 
 def problem_of(given: Mapping[str, Any]) -> MapProblem:
@@ -262,5 +187,37 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _direction(text: str) -> Direction:
-    return "x" if text == "x" else "y"
+def _counts(result: FeasibilityMap) -> Table:
+    columns = (
+        Column("planner"),
+        Column("feasible", "possible"),
+        Column("stopped_early", "stopped early"),
+        Column("infeasible", "not possible"),
+        Column("limits", "in the way"),
+        Column("failed"),
+        Column("seconds", "time", "s", ".1f"),
+    )
+    rows = []
+    for planner, numbers in result.as_dict()["planners"].items():
+        limits = ", ".join(f"{limit} {count}" for limit, count in numbers["in_the_way"].items())
+        rows.append({"planner": planner, **numbers["counts"], "limits": limits, "seconds": numbers["seconds"]})
+    return Table.of(columns, rows, f"{result.problem.robot}, {result.problem.trajectory}: cells")
+
+
+_UNIFORM: Mapping[frozenset[bool | None], str] = {
+    frozenset([True]): "all possible",
+    frozenset([False]): "none possible",
+}
+
+
+def _border(result: FeasibilityMap) -> Table:
+    (along, across), unit = result.axes, effort_unit(result.problem)
+    rows: dict[float, dict[str, Any]] = {value: {"line": f"{value:g}"} for value in across.values}
+    for planner in result.problem.planners:
+        for value, cells in result.lines(planner).items():
+            rows[value][planner] = _UNIFORM.get(frozenset(cell.possible for cell in cells), "not known")
+        for value, crossings in groupby(result.border(planner), lambda crossing: crossing.line):
+            rows[value][planner] = "; ".join(f"{crossing.low:.4g} … {crossing.high:.4g}" for crossing in crossings)
+    columns = [Column("line", axis_label(across.name, unit)), *map(Column, result.problem.planners)]
+    title = f"border: {axis_label(along.name, unit)} between a cell that is possible and one that is not"
+    return Table.of(columns, list(rows.values()), title)

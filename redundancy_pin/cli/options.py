@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import click
 
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.backends import BACKENDS
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Robot
+from redundancy_pin.studies.case import BACKENDS
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 

@@ -62,6 +62,9 @@ Advance = Callable[[int, int, str], None]
 _ROUNDING = 1e-12
 """Coordinates and directions below this are shown as zero."""
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
 _PIPE_WIDTH = 140
 """Columns of a table that does not go to a terminal: wide enough that nothing is cut."""
 
@@ -163,3 +166,34 @@ def progress(title: str) -> Iterator[Advance]:
             bar.update(task, completed=done, total=total, description=f"{title}: {what}" if what else title)
 
         yield advance
+
+
+@contextmanager
+def resumable(title: str, records: str, store: Path) -> Iterator[Advance]:
+    """Show progress while the block runs; after Ctrl-C tell what is kept.
+
+    Args:
+        title: of the progress bar.
+        records: what is counted, in the plural.
+        store: where it is kept.
+
+    Yields:
+        As ``progress``.
+
+    Raises:
+        click.exceptions.Exit: with ``INTERRUPTED``, after Ctrl-C.
+    """
+    counts = (0, 0)
+    try:
+        with progress(title) as show:
+
+            def advance(done: int, total: int, what: str = "") -> None:
+                nonlocal counts
+                counts = done, total
+                show(done, total, what)
+
+            yield advance
+    except KeyboardInterrupt:
+        kept = f"{counts[0]} of {counts[1]} {records} are in {store}; the same command goes on from there."
+        click.echo(f"interrupted: {kept}", err=True)
+        raise click.exceptions.Exit(INTERRUPTED) from None

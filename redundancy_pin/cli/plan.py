@@ -28,13 +28,13 @@ from redundancy_pin.cli.plan_problem import (
 )
 from redundancy_pin.cli.trajectory_options import FLAGS, parse_trajectory, trajectory_options
 from redundancy_pin.errors import InputError, OutputError
-from redundancy_pin.experiments.backends import RNEA, VIRTUAL_WORK
-from redundancy_pin.experiments.beyond.rows import SWING, reversals
 from redundancy_pin.io.files import replacing_file, require_writable
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.whole_trajectory.dense_check import ALLOWED
+from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
+from redundancy_pin.studies.measures import SWING, reversals
 from redundancy_pin.trajectory import Trajectory, from_csv
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib, save

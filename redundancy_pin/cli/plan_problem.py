@@ -18,13 +18,13 @@ from redundancy_pin.cli.output import require_choice, require_known
 from redundancy_pin.cli.trajectory_options import make_trajectory
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.backends import BACKENDS, RNEA
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot.urdf import shipped_robots
+from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.trajectory import Trajectory, from_csv
 
 Reader = Callable[[str, object], Any]

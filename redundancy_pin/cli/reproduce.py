@@ -6,8 +6,17 @@ import click
 
 from redundancy_pin.cli.options import json_option
 from redundancy_pin.cli.output import console, print_json, progress
-from redundancy_pin.experiments import reproduce as run_job
-from redundancy_pin.experiments.report import findings_table, judged_table, terminal_table, thesis_table
+from redundancy_pin.studies.report import tables
+from redundancy_pin.studies.reproduce import reproduce as run_job
+
+SHOWN = {
+    "motions": ("name", "samples", "parity", "smallest_margin", "statement"),
+    "thesis": ("source", "experiment", "quantity", "stated", "computed", "unit"),
+    "judged": ("source", "quantity", "stated", "ours", "verdict"),
+    "conclusions": ("claim", "stands", "here"),
+    "findings": ("claim", "stands", "here"),
+}
+"""Tables of the report, and the columns of them that fit a terminal side by side."""
 
 
 @click.command()
@@ -31,12 +40,9 @@ def reproduce(out: str, as_json: bool) -> None:
     if as_json:
         print_json(done.summary)
         return
-    screen = console()
-    screen.print(terminal_table(done.results))
-    screen.print(thesis_table(done.compared))
-    if done.study is not None:
-        screen.print(judged_table(done.study))
-    if done.beyond is not None:
-        screen.print(findings_table(done.beyond))
-    passed = f"cross-check passed: {len(done.check.rows)} checks"
+    screen, shown = console(), tables(done.results)
+    for name, columns in SHOWN.items():
+        if name in shown:
+            screen.print(shown[name].only(*columns).terminal())
+    passed = f"cross-check passed: {len(done.results.check.rows)} checks"
     screen.print(f"{passed}. Results are in {done.folder} (start with report.html or report.md).")

@@ -12,7 +12,7 @@ from redundancy_pin.arrays import checked
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.output import require_choice, require_known
 from redundancy_pin.errors import InputError
-from redundancy_pin.experiments.trajectories import TRAJECTORIES
+from redundancy_pin.studies.case import TRAJECTORIES
 from redundancy_pin.trajectory import Trajectory
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 
 from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
@@ -23,7 +22,7 @@ from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot.urdf import shipped_robots
-from redundancy_pin.workers import workers
+from redundancy_pin.workers import parallel
 
 __all__ = ["CheckRow", "CrossCheckReport", "run"]
 
@@ -70,13 +69,15 @@ def run(
         if value < least:
             raise InputError(f"{name} is {value}.", remedy=f"Pass {least} or more.", name=name, value=value)
     work = list(_batches(tuple(robots) if robots else shipped_robots(), samples, seed))
-    total = sum(batch.samples for batch in work)
-    ready: dict[int, list[CheckRow]] = {}
-    for number, rows in _each(work, jobs):
-        ready[number] = rows
+    total, done = sum(batch.samples for batch in work), 0
+    rows: list[CheckRow] = []
+    # in order, so that the report does not depend on which process was faster
+    for batch, checked in zip(work, parallel(_checked, [(batch,) for batch in work], jobs, ordered=True), strict=True):
+        rows += checked
+        done += batch.samples
         if progress:
-            progress(sum(work[index].samples for index in ready), total)
-    return CrossCheckReport(merged(row for number in sorted(ready) for row in ready[number]), seed)
+            progress(done, total)
+    return CrossCheckReport(merged(rows), seed)
 
 
 def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[_Batch]:
@@ -87,17 +88,6 @@ def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[_Batch]:
         if vary and load_robot(name).closed_form == "2rpr":
             sizes = batches(max(1, samples // 4))
             yield from (_Batch(name, index, size, seed + 7, vary, massless=True) for index, size in enumerate(sizes))
-
-
-def _each(work: Sequence[_Batch], jobs: int) -> Iterator[tuple[int, list[CheckRow]]]:
-    """Yield the number of each batch with its rows, in the order they get ready."""
-    if jobs == 1 or len(work) == 1:
-        yield from ((number, _checked(batch)) for number, batch in enumerate(work))
-        return
-    with workers(min(jobs, len(work))) as pool:
-        pending = {pool.submit(_checked, batch): number for number, batch in enumerate(work)}
-        for ready in as_completed(pending):
-            yield pending[ready], ready.result()
 
 
 def _checked(batch: _Batch) -> list[CheckRow]:

@@ -11,7 +11,8 @@ import pytest
 from command_line import call, refused
 
 from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
-from redundancy_pin.experiments import EXPERIMENTS, job
+from redundancy_pin.studies import reproduce as job
+from redundancy_pin.studies.cases import BY_NAME, FULL
 
 
 @pytest.fixture(autouse=True)
@@ -19,12 +20,9 @@ def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two coarse experiments and a passing cross-check: the job has tests of its own."""
     rows = (CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True),)
     monkeypatch.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
-    picked = [entry for entry in EXPERIMENTS if entry.name in ("circle-0.5-parked", "corner-r0.025-baseline")]
-    small = tuple(replace(entry, dt=0.02) for entry in picked)
+    small = tuple(replace(BY_NAME[name], dt=0.02) for name in ("circle-0.5-parked", "corner-r0.025-baseline"))
     monkeypatch.setattr(job.reproduce, "__defaults__", (small,))
-    monkeypatch.setitem(job.reproduce.__kwdefaults__, "study", None)
-    monkeypatch.setitem(job.reproduce.__kwdefaults__, "beyond", None)
-    monkeypatch.setitem(job.reproduce.__kwdefaults__, "replay", None)
+    monkeypatch.setitem(job.reproduce.__kwdefaults__, "extent", replace(FULL, chapters=()))
 
 
 def test_tables(tmp_path: Path) -> None:

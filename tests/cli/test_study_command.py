@@ -1,4 +1,4 @@
-"""``redundancy-pin study``: files and JSON of a small study, mistakes in one line, and journals that survive."""
+"""``redundancy-pin study``: files and JSON of a small study, mistakes in one line, and stores that survive."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from command_line import call, refused
 
-from redundancy_pin.experiments.robustness import robustness_study, study
-from redundancy_pin.experiments.robustness.scenarios import Scenario
-from redundancy_pin.experiments.robustness.trial import Trial
+from redundancy_pin.studies.robustness import Scenario, robustness_study, study
+from redundancy_pin.studies.robustness.trial import SCENARIOS, Trial
 
-SHORT = Scenario("line", "switch off", 2.48, 2.53)
+SHORT = Scenario(SCENARIOS[0].case, 2.48, 2.53)
 """s; the singular pose at 2.508 s, and little else."""
 
-FILES = ["journal.jsonl", "study.md", "summary.json", "trials.csv"]
+FILES = ["store.sqlite", "study.md", "summary.json", "trials.csv"]
 
 
 @pytest.fixture(autouse=True)
@@ -107,7 +104,7 @@ def test_a_study_in_which_nothing_could_be_simulated(tmp_path: Path, monkeypatch
     assert "error 2" in result.stdout
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["cells"][0]["worst"] is None
-    again = call("study", "--draws", "2", "--jobs", "1", "--out", tmp_path)  # None in the journal is read back
+    again = call("study", "--draws", "2", "--jobs", "1", "--out", tmp_path)  # NaN in the store is read back
     assert again.stdout == result.stdout
 
 
@@ -158,7 +155,7 @@ def test_the_same_command_computes_nothing_anew(tmp_path: Path, run: list[tuple[
         (("--severity", "3"), "for imperfections.mass it has 0.05, now it is 0.15"),
     ],
 )
-def test_another_study_does_not_mix_with_a_journal(
+def test_another_study_does_not_mix_with_a_store(
     tmp_path: Path, run: list, options: tuple[str, str], message: str
 ) -> None:
     call("study", "--draws", "1", "--jobs", "1", "--out", tmp_path)
@@ -166,25 +163,6 @@ def test_another_study_does_not_mix_with_a_journal(
     assert message in refused("study", "--draws", "2", "--jobs", "1", "--out", tmp_path, *options)
     assert len(run) == 2
     assert {name: (tmp_path / name).read_bytes() for name in FILES} == files
-
-
-def test_another_crossing_does_not_mix_with_a_journal(
-    tmp_path: Path, run: list, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    call("study", "--draws", "1", "--jobs", "1", "--out", tmp_path)
-    monkeypatch.setitem(robustness_study.__kwdefaults__, "scenarios", (replace(SHORT, end=2.6),))
-    assert "for scenarios" in refused("study", "--draws", "1", "--jobs", "1", "--out", tmp_path)
-
-
-def test_a_torn_last_line_costs_one_trial(tmp_path: Path, run: list[tuple[str, int]]) -> None:
-    options = ("study", "--draws", "2", "--jobs", "1", "--out", tmp_path)
-    first = call(*options)
-    journal = tmp_path / "journal.jsonl"
-    whole = journal.read_bytes()
-    journal.write_bytes(whole[:-20])
-    assert call(*options).stdout == first.stdout
-    assert run[4:] == [("computed torque", 1)]
-    assert journal.read_bytes() == whole
 
 
 def test_ctrl_c_says_what_is_kept(tmp_path: Path, run: list, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,61 +181,46 @@ def test_ctrl_c_says_what_is_kept(tmp_path: Path, run: list, monkeypatch: pytest
     assert result.stdout == ""
     assert "3 of 4 trials are in" in result.stderr
     assert len(result.stderr.splitlines()) == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["journal.jsonl"]
+    assert [path.name for path in tmp_path.iterdir()] == ["store.sqlite"]
     assert call(*options).exit_code == 0
     assert run[3:] == [("computed torque", 1)]
 
 
 KILLED = """
-import os, sys, time
+import sys, time
 from redundancy_pin.cli import main
-from redundancy_pin.experiments import journal
-from redundancy_pin.experiments.robustness import robustness_study, study
-from redundancy_pin.experiments.robustness.scenarios import Scenario
-from redundancy_pin.experiments.robustness.trial import Trial
+from redundancy_pin.studies.robustness import Scenario, robustness_study, study
+from redundancy_pin.studies.robustness.trial import SCENARIOS, Trial
 
 def quick(scenario, drive, bounds, seed, number):
+    if number == 1:
+        print("two are finished", flush=True)
+        time.sleep(120.0)
     return Trial(scenario.name, drive, number, "completed", "", 1e-3, 5e-4, 1.0, 2.0, 0.0)
 
-class HalfALine:  # the third trial gets to the disk in part, and then nothing happens any more
-    count = 0
-    def __getattr__(self, name):
-        return getattr(os, name)
-    def write(self, handle, data):
-        HalfALine.count += 1
-        if HalfALine.count < 3:
-            return os.write(handle, data)
-        os.write(handle, data[:30])
-        time.sleep(120.0)
-
 study.run_trial = quick
-journal.os = HalfALine()
-robustness_study.__kwdefaults__["scenarios"] = (Scenario("line", "switch off", 2.48, 2.53),)
+robustness_study.__kwdefaults__["scenarios"] = (Scenario(SCENARIOS[0].case, 2.48, 2.53),)
 robustness_study.__kwdefaults__["drives"] = ("open loop", "computed torque")
 main(["study", "--draws", "2", "--jobs", "1", "--out", sys.argv[1]])
 """
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_a_killed_study_goes_on_from_its_journal(tmp_path: Path, run: list[tuple[str, int]]) -> None:
-    process = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)])
-    journal = tmp_path / "journal.jsonl"
-    try:
-        for _ in range(1200):
-            if process.poll() is not None or (journal.exists() and journal.read_bytes().count(b"\n") == 3
-                                              and not journal.read_bytes().endswith(b"\n")):  # fmt: skip
-                break
-            time.sleep(0.05)
-    finally:
+def test_a_killed_study_goes_on_from_its_store(tmp_path: Path, run: list[tuple[str, int]]) -> None:
+    options = ("study", "--draws", "2", "--jobs", "1", "--out", tmp_path)
+    with subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"two are finished\n"
+        assert "in use by another run" in refused(*options)
         process.kill()
-        process.wait()
     assert process.returncode == -signal.SIGKILL
-    kept = journal.read_bytes()
-    assert kept.count(b"\n") == 3
-    assert not kept.endswith(b"\n")
-    assert [path.name for path in tmp_path.iterdir()] == ["journal.jsonl"]
-    assert call("study", "--draws", "2", "--jobs", "1", "--out", tmp_path).exit_code == 0
+    assert not [path for path in tmp_path.iterdir() if not path.name.startswith("store.sqlite")]
+    assert call(*options).exit_code == 0
     assert run == [("open loop", 1), ("computed torque", 1)]
-    lines = journal.read_bytes().splitlines()
-    assert lines[:3] == kept.splitlines()[:3]
-    assert [json.loads(line)["number"] for line in lines[1:]] == [0, 0, 1, 1]
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+
+
+def test_a_folder_of_version_0_1_0_is_refused(tmp_path: Path, run: list[tuple[str, int]]) -> None:
+    (tmp_path / "journal.jsonl").write_text("{}\n")
+    assert "is of version 0.1.0" in refused("study", "--draws", "1", "--jobs", "1", "--out", tmp_path)
+    assert run == []

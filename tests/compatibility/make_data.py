@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from cli.command_line import call, write_motion
+from command_line import call, write_motion
 from compatibility_cases import BACKENDS, COMMANDS, DATA, EFFORTS, PLANS, REPLAYS, REPRODUCE, simulated
 from interfaces import PLACES, describe, documented_imports, headline_table, place, public_names, results, structure
 from interfaces import thing as named
@@ -58,12 +58,13 @@ def commands() -> dict[str, Any]:
 
 def small_job() -> Any:
     """Return the keys of ``summary.json``, which ``reproduce --json`` prints: from a job with little of everything."""
-    from redundancy_pin.experiments import EXPERIMENTS, beyond, planned, replay, reproduce
+    from redundancy_pin.studies.cases import BY_NAME, QUICK
+    from redundancy_pin.studies.reproduce import reproduce
 
-    small = [entry for entry in EXPERIMENTS if entry.name in ("circle-0.5-parked", "corner-r0.025-baseline")]
-    settings: dict[str, Any] = {"study": planned.QUICK, "beyond": beyond.QUICK, "replay": replay.QUICK, "samples": 4}
+    small = [BY_NAME[name] for name in ("circle-0.5-parked", "corner-r0.025-baseline")]
     with tempfile.TemporaryDirectory() as folder:
-        return structure(json.loads(json.dumps(reproduce(Path(folder) / "results", small, **settings).summary)))
+        job = reproduce(Path(folder) / "results", small, extent=QUICK, samples=4)
+        return structure(json.loads(json.dumps(job.summary)))
 
 
 def write(name: str, data: Any) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli.command_line import call, refused
+from command_line import call, refused
 from compatibility_cases import BACKENDS, COMMANDS, DATA, EFFORTS, REPRODUCE
 from interfaces import differences, structure
 

@@ -13,7 +13,6 @@ from redundancy_pin.crosscheck.report import CrossCheckReport, checked_row, merg
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import backend as virtual_work
 from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError, UnreachablePoseError
-from redundancy_pin.workers import THREADS
 
 
 def failed(report):
@@ -55,21 +54,14 @@ def test_an_error_in_a_process_reaches_the_caller():
 
 
 def killed_by_the_system(batch):
-    """Stand in for the check of a batch; says the threads of its process, or dies in the third."""
-    if batch.index == 2:
-        os._exit(9)
-    return [os.environ.get(name) for name in THREADS]
+    """Stand in for the check of a batch."""
+    os._exit(9)
 
 
 def test_a_process_that_dies_is_one_clear_error(monkeypatch):
     monkeypatch.setattr(crosscheck, "_checked", killed_by_the_system)
-    with pytest.raises(RedundancyPinError, match=r"worker process died.*fewer jobs") as caught:
+    with pytest.raises(RedundancyPinError, match=r"worker process died.*fewer jobs"):
         crosscheck.run(["four_bar"], samples=10, jobs=2)
-    assert "journal" not in str(caught.value)  # there is none
-    work = list(crosscheck._batches(["four_bar"], 3, 0))
-    assert len(work) > 1
-    found = dict(crosscheck._each(work[:2], 2))
-    assert [found[0], found[1]] == [["1"] * 3] * 2  # one thread each
 
 
 def test_progress_counts_every_state_of_every_batch():

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from redundancy_pin.experiments.beyond.cases import SwitchOff, whole
-from redundancy_pin.experiments.beyond.tasks import CROSSINGS
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.studies.cases import EFFORT, SINGULAR, by_method
 from redundancy_pin.visualisation.figures.comparisons import plot_side_by_side
 from redundancy_pin.visualisation.figures.summaries import (
     Attempts,
@@ -20,11 +19,8 @@ from redundancy_pin.visualisation.figures.summaries import (
 
 @pytest.fixture(scope="module")
 def plans() -> dict[str, Plan]:
-    task = CROSSINGS[0]
-    return {
-        "off": SwitchOff(task, task.threshold).plan("virtual-work"),
-        "whole": whole(task, "effort", 4.0).plan("virtual-work"),
-    }
+    task = SINGULAR[0]
+    return {"off": task.plan(), "whole": by_method(task, EFFORT, 4.0).plan()}
 
 
 def test_columns_show_each_plan_and_its_limits(plans: dict[str, Plan]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from redundancy_pin.experiments.feasibility import (
+from redundancy_pin.studies.feasibility import (
     STEPWISE,
     WHOLE,
     Axis,
@@ -18,7 +18,7 @@ from redundancy_pin.experiments.feasibility import (
     spaced,
     write_map,
 )
-from redundancy_pin.experiments.feasibility.pictured import axis_label, draw, tiles
+from redundancy_pin.studies.feasibility.picture import axis_label, draw, tiles
 from redundancy_pin.visualisation.figures.feasibility_map import MapLabels, MapPanel, Tile, border_of, plot_feasibility
 
 pytest.importorskip("matplotlib")

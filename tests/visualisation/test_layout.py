@@ -14,9 +14,8 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 import redundancy_pin as rp
-from redundancy_pin.experiments.beyond.cases import SwitchOff
-from redundancy_pin.experiments.beyond.tasks import CORNERS, CROSSINGS, TASKS
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.studies.cases import SINGULAR, TASKS, TURNS
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.comparisons import plot_side_by_side
 from redundancy_pin.visualisation.figures.feasibility_map import MapLabels, MapPanel, Tile, plot_feasibility
@@ -34,7 +33,7 @@ EDGE = 1.5
 
 @cache
 def crossing() -> Plan:
-    return SwitchOff(CROSSINGS[0], CROSSINGS[0].threshold).plan("virtual-work")
+    return SINGULAR[0].plan()
 
 
 @cache
@@ -84,15 +83,15 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "comparison": lambda: rp.plot.comparison({"stepwise": corner(), "the same again": corner()}),
     "locus": lambda: rp.plot.locus(rp.singular_locus(zoo.robot_of("2rpr"))),
     "locus of one coordinate": lambda: rp.plot.locus(rp.singular_locus(zoo.robot_of("four_bar"))),
-    "side by side": lambda: plot_side_by_side(CROSSINGS[0].title, dict.fromkeys(
+    "side by side": lambda: plot_side_by_side(SINGULAR[0].title, dict.fromkeys(
         ("switching off", "whole trajectory: effort", "whole trajectory: smooth effort"), crossing()), "N",
         instants=[0.5]),
-    "one alone": lambda: plot_side_by_side(CORNERS[0].title, {"stepwise λ = 0": corner()}, "N·m"),
+    "one alone": lambda: plot_side_by_side(TURNS[0].title, {"stepwise λ = 0": corner()}, "N·m"),
     "map": _map,
     "trade-off": _trade,
     "bars": _bars,
     "speeds": lambda: plot_speed_border("2-RPR: largest main force over speed", [
-        Attempts(task.title, np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3])) for task in CROSSINGS]),
+        Attempts(task.title, np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3])) for task in SINGULAR]),
 }  # fmt: skip
 
 

@@ -1,0 +1,680 @@
+"""The chapter beyond the thesis: its planners beside the whole-trajectory planner, and how far plans can be trusted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.studies.case import Case, Mode, Plans
+from redundancy_pin.studies.cases import (
+    EFFORT,
+    ENERGY,
+    LATE,
+    NONE,
+    OBJECTIVES,
+    PARKED,
+    PEAK,
+    PEAK_FREE,
+    SINGULAR,
+    SMOOTH,
+    SMOOTHING,
+    STARTED,
+    STEPWISE,
+    STEPWISE_HALF,
+    SWITCH_OFF,
+    SWITCH_OFF_LATE,
+    TASKS,
+    TRADED,
+    TURNS,
+    Extent,
+    Race,
+    at_speed,
+    by_method,
+    crosses,
+    methods,
+)
+from redundancy_pin.studies.claims import claim, verdict
+from redundancy_pin.studies.measures import (
+    dense_peak,
+    missing_force,
+    numbers,
+    plan_differences,
+    rms_acceleration,
+    square_integral,
+)
+from redundancy_pin.studies.planned import Chapter, Tell
+from redundancy_pin.studies.table import Column, Record, Table, text
+from redundancy_pin.workers import parallel
+
+INFEASIBLE = "infeasible"
+"""Status of a record whose planner has no plan."""
+
+BETWEEN = 1.05
+"""Largest peak between the nodes over that at the nodes that is accepted."""
+
+CALM = 10
+"""Reversals of an effort up to which it counts as calm: a few for each ramp, corner and crossing of the motion."""
+
+THESIS_SPEED = 0.75
+"""Fastest circle of the thesis, m/s."""
+
+SAME_PLAN = 1e-6
+"""Relative difference up to which plans of two backends count as the same."""
+
+SAME_COST = 1e-4
+"""Relative difference of costs up to which two optima count as the same."""
+
+ORDERED = 1e-6
+"""Relative rise of a quantity that should fall which still counts as rounding of the solver."""
+
+GROWTH = 1.3
+"""Factor on the speed until it is too high."""
+
+UNDECIDED = "seconds"
+"""Constraint that the planner names when its time ran out: no verdict."""
+
+_MORE = 1.01
+"""Factor on the acceleration that would suffice, to see whether a plan exists then: bounds are met to rounding."""
+
+_CAPPED_COARSER = 2.0
+"""Factor on the step, and on the width of the bracket, of the race with limited efforts: many more limits bind."""
+
+TARGETS = (
+    ("circle-0.5", EFFORT, 0.21),
+    ("circle-0.5", PEAK, 0.11),
+    ("corner-r0.025", PEAK, 2.27),
+    ("corner-r0.013", PEAK, 7.2),
+)
+"""Task, method, and the largest |τ| at the nodes that was aimed at, N or N·m."""
+
+MODE_METHODS = (NONE, PARKED, STEPWISE, STEPWISE_HALF, EFFORT, PEAK, PEAK_FREE)
+"""Plans of the corners in each mode; the last has the freedom of stepwise planning, which brings no carrier back."""
+
+
+def parts(extent: Extent) -> int:
+    """Return how often ``run_beyond`` tells of progress."""
+    return len(cases(extent)) + len(extent.races) + len(TRADED)
+
+
+def cases(extent: Extent) -> list[tuple[Case, str]]:
+    """Return the plans of the chapter that do not depend on one another, each with its backend."""
+    first = [by_method(task, method, extent.coarser) for task in TASKS for method in methods(task)]
+    first += [
+        by_method(replace(task, working_mode=mode), method, extent.coarser)
+        for task in TURNS[:2]
+        for mode in extent.modes
+        for method in MODE_METHODS
+    ]
+    return [(case, case.backends[0]) for case in (*first, *_started(extent))] + [
+        (case, backend) for case in _compared(extent) for backend in case.backends[1:]
+    ]
+
+
+def _compared(extent: Extent) -> list[Case]:
+    """Return the cases that both backends plan."""
+    compared = (EFFORT, PEAK) if extent.both_backends else (EFFORT,)
+    return [by_method(task, method, extent.coarser) for task in TASKS if len(task.backends) > 1 for method in compared]
+
+
+def _started(extent: Extent) -> list[Case]:
+    """Return the cases that are planned from several first guesses."""
+    return [
+        by_method(task, method, extent.starts_coarser).with_options(starts=extent.starts, refinements=0)
+        for task in STARTED
+        for method in (EFFORT, PEAK)
+    ]
+
+
+def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
+    """Run the chapter, on several processes.
+
+    Raises:
+        RedundancyPinError: casadi is not installed.
+        InfeasiblePlanError: a motion on which every other number depends has no plan.
+    """
+    plans.prepare(cases(extent), extent.jobs, tell)
+    records = [plan_record(plans, task, method, extent.coarser) for task in TASKS for method in methods(task)]
+    cap = by_task(records)[SINGULAR[0].name][SWITCH_OFF]["before"]
+    races = []
+    for race in parallel(run_race, [(race, extent, cap) for race in extent.races], extent.jobs, ordered=True):
+        races.append(race)
+        tell(f"as fast as the limits allow: {race['task']}")
+    trades = []
+    for task in TRADED:
+        trades.append(trade_record(plans, task, extent))
+        tell(f"trade-off: {task.name}")
+    chapter: Chapter = {
+        "plans": records,
+        "targets": targets(records),
+        "fastest": races,
+        "working_modes": mode_records(plans, extent.modes, extent.coarser),
+        "backends": [backend_record(plans, case) for case in _compared(extent)],
+        "first_guesses": [starts_record(plans, case) for case in _started(extent)],
+        "trade_off": trades,
+    }
+    chapter["findings"] = findings(chapter)
+    return chapter
+
+
+def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> Record:
+    """Return a task by a method in numbers.
+
+    ``peak`` is at the samples, ``dense_peak`` between them, ``worst`` the larger one; ``sound`` plans have finite
+    efforts within all limits and, of an optimiser, are optimal; NaN where there is no plan, whose reason is ``why``.
+    """
+    case = by_method(task, method, coarser)
+    outcome = plans.outcome(case)
+    saved = method not in (NONE, PARKED, STEPWISE, STEPWISE_HALF)
+    record = {"task": task.name, "way": method, "unit": task.unit, "file": f"beyond-{case.name}" if saved else ""}
+    if isinstance(outcome, InfeasiblePlanError):
+        nothing = dict.fromkeys(("peak", "dense_peak", "worst", "before", "reversals", "rms", "carrier_force",
+                                 "main_energy", "carrier_energy", "energy", "position", "speed", "acceleration",
+                                 "track", "speed_limit", "acceleration_limit"), math.nan)  # fmt: skip
+        return {**record, **nothing, "file": "", "status": INFEASIBLE, "exists": False, "sound": False, "broken": "",
+                "solver": "", "why": outcome.message, "missing": missing_force(outcome)}  # fmt: skip
+    between = dense_peak(case, outcome)
+    shown = numbers(outcome)
+    return {
+        **record,
+        **shown,
+        "dense_peak": between,
+        "worst": max(shown["peak"], between),
+        "exists": True,
+        "sound": outcome.status is PlanStatus.WITHIN_LIMITS,
+        "why": "",
+        "missing": math.nan,
+    }
+
+
+def by_task(records: Sequence[Record]) -> dict[str, dict[str, Record]]:
+    """Return records by task and method."""
+    groups: dict[str, dict[str, Record]] = {}
+    for record in records:
+        groups.setdefault(record["task"], {})[record["way"]] = record
+    return groups
+
+
+def targets(records: Sequence[Record]) -> list[Record]:
+    """Return every number that was aimed at with what came out: met if sound, reached, and no worse between nodes."""
+    groups, results = by_task(records), []
+    for task, method, aim in TARGETS:
+        record = groups[task][method]
+        nodes, between, sound = record["peak"], record["dense_peak"], record["sound"]
+        met = bool(sound and nodes <= aim and between <= BETWEEN * nodes)
+        results.append({"task": task, "way": method, "unit": record["unit"], "asked": aim, "found": nodes,
+                      "between": between, "sound": sound, "met": met})  # fmt: skip
+    return results
+
+
+# --- the headline --------------------------------------------------------------------------------------------------
+
+NO_PLAN = "no plan exists"
+BREAKS = "breaks limits"
+
+
+def headline(records: Sequence[Record]) -> Table:
+    """Return the largest main effort of every motion by every planner; the README shows this table."""
+    groups = by_task(records)
+    rows = []
+    for task in TASKS:
+        group = groups.get(task.name, {})
+        thesis = (SWITCH_OFF, SWITCH_OFF_LATE) if crosses(task) else (STEPWISE,)
+        if EFFORT in group:
+            rows.append(
+                {
+                    "motion": task.title,
+                    "none": headline_cell(group.get(NONE)),
+                    "thesis": headline_cell(best(group.get(method) for method in thesis)),
+                    "effort": headline_cell(group.get(EFFORT)),
+                    "peak": headline_cell(group.get(PEAK)),
+                }
+            )
+    columns = [
+        Column("motion"),
+        Column("none", "no moving masses"),
+        Column("thesis", "planner of the thesis"),
+        Column("effort", "whole trajectory: least effort"),
+        Column("peak", "... least peak"),
+    ]
+    return Table.of(columns, rows)
+
+
+def best(records: Iterable[Record | None]) -> Record | None:
+    """Return the plan of least main effort that keeps every limit; one that breaks limits only if none keeps them."""
+    existing = [record for record in records if record is not None]
+    return min(existing, key=lambda r: (not r["exists"], not r["sound"], r["worst"]), default=None)
+
+
+def headline_cell(record: Record | None) -> str | None:
+    """Return the largest main effort of a plan, at its samples or between them, and what is wrong with the plan."""
+    if record is None:
+        return None
+    if not record["exists"]:
+        return NO_PLAN
+    worst = record["worst"]
+    largest = f"{f'{worst:#.3g}'.rstrip('.')} {record['unit']}" if math.isfinite(worst) else "unbounded"
+    wrong = BREAKS if record["status"] == PlanStatus.VIOLATES_LIMITS.value else record["status"].replace("_", " ")
+    return largest if record["sound"] else f"{largest}, {wrong}"
+
+
+# --- how fast: bisection on speed with the verdict of the planner --------------------------------------------------
+#
+# The problem is not convex, so a verdict "infeasible" is local: no plan was found from any first guess. A speed counts
+# as out of reach only if every first guess fails with two objectives, which lead the solver to different places.
+
+
+def run_race(race: Race, extent: Extent, cap: float) -> Record:
+    """Bracket the fastest motion of a race, with plans of its own; it may run in another process.
+
+    Args:
+        race: which motion.
+        extent: width of the bracket, first guesses.
+        cap: limit of the main efforts of races that have one, N or N·m.
+    """
+    if not race.capped:
+        return fastest(Plans(), race.task, extent)
+    wider = replace(extent, coarser=extent.coarser * _CAPPED_COARSER, tolerance=extent.tolerance * _CAPPED_COARSER)
+    return fastest(Plans(), race.task, wider, cap)
+
+
+def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) -> Record:
+    """Bracket the fastest motion that has a plan.
+
+    Speeds are tried with parked carriers as the first guess; the upper end of the bracket then from all first guesses,
+    and if a plan turns up the bisection goes on.
+
+    Args:
+        plans: the memo.
+        task: the motion at a speed that has a plan.
+        extent: width of the bracket, first guesses.
+        effort: limit of the main efforts, N or N·m.
+
+    Raises:
+        InfeasiblePlanError: the task has no plan at its own speed.
+        InputError: nor is it a motion at all.
+    """
+    trials: dict[float, Record] = {}
+    limit = {} if math.isinf(effort) else {"effort": effort}
+
+    def case_at(speed: float, **changed: Any) -> Case:
+        whole = by_method(task, EFFORT, extent.coarser).with_options(refinements=1, **limit, **changed)
+        return at_speed(whole, speed)
+
+    def tried(speed: float, starts: int = 1) -> Record:
+        if speed not in trials or (starts > 1 and not trials[speed]["feasible"]):
+            trials[speed] = attempt(plans, case_at(speed, **({"starts": starts} if starts > 1 else {})))
+        return trials[speed]
+
+    def bracket(low: float, high: float) -> tuple[float, float | None]:
+        while _ramps_fit(case_at(high)) and tried(high)["feasible"]:
+            low, high = high, high * GROWTH
+        if not _ramps_fit(case_at(high)):
+            return low, None
+        while high - low > extent.tolerance * low:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if tried(middle)["feasible"] else (low, middle)
+        return low, high
+
+    own = task.option("speed")
+    plans.plan(case_at(own))
+    tried(own)
+    low, high = bracket(own, own * GROWTH)
+    while high is not None and tried(high, extent.starts)["feasible"]:
+        low, high = bracket(high, high * (1.0 + extent.tolerance))
+    above = None if high is None else trials[high]
+    suffices = None
+    if above and above["constraint"] == "acceleration" and not math.isnan(above["limit"]):
+        # the planner says which acceleration would do: does it?
+        wider = plans.outcome(case_at(above["speed"], acceleration=_MORE * abs(above["limit"])))
+        suffices = isinstance(wider, Plan)
+    return {
+        "task": task.name,
+        "title": task.title.rpartition(" at ")[0],
+        "unit": task.unit,
+        "effort_limit": effort,
+        "fastest_with_plan": trials[low],
+        "slowest_without": above,
+        "starts": extent.starts if above else 0,
+        "suffices": suffices,
+        "trials": [trials[speed] for speed in sorted(trials)],
+    }
+
+
+def attempt(plans: Plans, case: Case) -> Record:
+    """Try one speed from the first guesses of a case, with its objective and with the gentlest motion as the aim."""
+    failed: Record = {}
+    for attempted in (case, case.with_options(objective=(("carrier_acceleration", 1.0),))):
+        record = {"speed": case.option("speed"), "feasible": False, "status": INFEASIBLE, "peak": math.nan,
+                  "binding": [], "constraint": "", "carrier": "", "time": math.nan, "limit": math.nan, "unit": "",
+                  "fraction": math.nan, "said": ""}  # fmt: skip
+        outcome = plans.outcome(attempted)
+        if isinstance(outcome, InfeasiblePlanError):
+            given = {
+                key: outcome.details.get(key) for key in ("constraint", "carrier", "time", "limit", "unit", "fraction")
+            }
+            failed = {**record, **{key: value for key, value in given.items() if value is not None},
+                      "said": outcome.message}  # fmt: skip
+        elif outcome.status in (PlanStatus.WITHIN_LIMITS, PlanStatus.STOPPED_EARLY):
+            binding = sorted({f"{event.quantity} of {event.carrier}" for event in outcome.limits.binding})
+            peak = max(float(outcome.peak_effort.max()), dense_peak(attempted, outcome))
+            return {**record, "feasible": True, "status": outcome.status.value, "peak": peak, "binding": binding}
+        else:
+            failed = {
+                **record,
+                "status": outcome.status.value,
+                "said": "the plan breaks limits or has no finite efforts",
+            }
+    return failed
+
+
+def _ramps_fit(case: Case) -> bool:
+    try:
+        case.trajectory()
+    except InputError:
+        return False
+    return True
+
+
+# --- working modes, backends, first guesses, trade-off -------------------------------------------------------------
+
+
+def mode_records(plans: Plans, modes: Sequence[Mode], coarser: float) -> list[Record]:
+    """Return both corners in every working mode."""
+    records = []
+    for task in TURNS[:2]:
+        for mode in modes:
+            moded = replace(task, working_mode=mode)
+            rows = {method: plan_record(plans, moded, method, coarser) for method in MODE_METHODS}
+            ratio = rows[PEAK]["worst"] / rows[NONE]["worst"]
+            records.append({"radius": task.option("radius"), "mode": mode, "rows": rows, "ratio": ratio,
+                            "lower": bool(rows[PEAK]["sound"] and ratio < 1.0)})  # fmt: skip
+    return records
+
+
+def backend_record(plans: Plans, case: Case) -> Record:
+    """Plan a case with both backends and compare; the differences are infinite where only one backend has a plan."""
+    first, second = (plans.outcome(case, backend) for backend in case.backends)
+    statuses = [INFEASIBLE if isinstance(one, InfeasiblePlanError) else one.status.value for one in (first, second)]
+    if isinstance(first, Plan) and isinstance(second, Plan):
+        differences = plan_differences(first, second)
+        costs = [float(str(plan.diagnostics["cost"])) for plan in (first, second)]
+        cost = abs(costs[0] - costs[1]) / max(abs(costs[0]), abs(costs[1]))
+    else:
+        cost = 0.0 if type(first) is type(second) else math.inf
+        differences = dict.fromkeys(("position", "speed", "acceleration", "tau", "carrier_force"), cost)
+    worst = max(differences.values())
+    return {"case": case.name, **differences, "cost": cost, "statuses": statuses, "worst": worst,
+            "same": worst <= SAME_PLAN and statuses[0] == statuses[1]}  # fmt: skip
+
+
+def starts_record(plans: Plans, case: Case) -> Record:
+    """Return the scaled costs of a case from each first guess, parked carriers first; NaN where none was reached."""
+    outcome = plans.outcome(case)
+    given: Any = (
+        [math.nan] * case.option("starts") if isinstance(outcome, InfeasiblePlanError) else outcome.diagnostics["costs"]
+    )
+    costs = [float(cost) for cost in given]
+    reached = sorted(cost for cost in costs if not math.isnan(cost))
+    optima, last = 0, -math.inf
+    for cost in reached:
+        if cost > last + SAME_COST * abs(cost):
+            optima, last = optima + 1, cost
+    return {
+        "case": case.name,
+        "step": case.dt,
+        "costs": costs,
+        "missing": len(costs) - len(reached),
+        "best": reached[0] if reached else math.nan,
+        "excess": (reached[-1] - reached[0]) / reached[0] if reached else math.nan,
+        "optima": optima,
+        "parked_is_best": bool(reached) and costs[0] <= reached[0] * (1.0 + SAME_COST),
+    }
+
+
+def trade_record(plans: Plans, task: Case, extent: Extent) -> Record:
+    """Return effort against the carriers' acceleration: what each weight between the two leads to.
+
+    ``ratio`` is the weight over the one at which both parts of the cost are the same for the plan of least effort.
+
+    Raises:
+        InfeasiblePlanError: the task has no plan at all.
+    """
+    case = by_method(task, EFFORT, extent.coarser)
+    least = plans.plan(case)
+    effort: Mapping[str, Any] = least.diagnostics["objective"]  # type: ignore[assignment]
+    equal = float(effort["effort"]) / square_integral(least.t, least.carriers.sdd)
+    points = [_trade_point(0.0, 0.0, least)]
+    for ratio in extent.ratios:
+        weighted = case.with_options(objective=(("effort", 1.0), ("carrier_acceleration", ratio * equal)))
+        points.append(_trade_point(ratio, ratio * equal, plans.outcome(weighted)))
+    efforts, accelerations = ([point[key] for point in points] for key in ("rms_effort", "rms_acceleration"))
+    # between global optima effort rises and acceleration falls with the weight
+    monotone = rises(efforts) and rises(accelerations[::-1])
+    return {"task": task.name, "title": task.title, "unit": task.unit, "monotone": monotone, "points": points}
+
+
+def _trade_point(ratio: float, weight: float, outcome: Plan | InfeasiblePlanError) -> Record:
+    if isinstance(outcome, InfeasiblePlanError):
+        values = dict.fromkeys(("rms_effort", "rms_acceleration", "peak"), 0.0)
+        return {"ratio": ratio, "weight": weight, **values, "status": INFEASIBLE}
+    shown = numbers(outcome)
+    return {"ratio": ratio, "weight": weight, "rms_effort": shown["rms"], "rms_acceleration": rms_acceleration(outcome),
+            "peak": shown["peak"], "status": shown["status"]}  # fmt: skip
+
+
+def rises(values: Sequence[float]) -> bool:
+    """Return whether values rise, but for rounding."""
+    return all(after >= before * (1.0 - ORDERED) for before, after in pairwise(values))
+
+
+# --- findings ------------------------------------------------------------------------------------------------------
+
+
+def findings(chapter: Mapping[str, Any]) -> list[Record]:
+    """Return what follows from the chapter: verdicts, and the numbers of the sentences in ``claims.yaml``."""
+    groups = by_task(chapter["plans"])
+    singular = {task.name: groups[task.name] for task in SINGULAR if task.name in groups}
+    turns = {task.name: groups[task.name] for task in TURNS if task.name in groups}
+    return [
+        _singular(singular),
+        _heavy(singular),
+        _speed(chapter["fastest"]),
+        *(_turn(name, task, turns[task.name], chapter["working_modes"])
+          for name, task in zip(("corner_wide", "corner_sharp", "corner_square"), TURNS, strict=True)),
+        _cost(turns),
+        _between(chapter["plans"]),
+        _calm(groups),
+        _backends(chapter["backends"]),
+        _starts(chapter["first_guesses"]),
+    ]  # fmt: skip
+
+
+def _singular(groups: Mapping[str, Mapping[str, Record]]) -> Record:
+    sound = [task for task, group in groups.items() if group[EFFORT]["sound"] and group[PEAK]["sound"]]
+    off = {task: group[SWITCH_OFF] for task, group in groups.items()}
+    broken = [task for task, record in off.items() if record["exists"] and not record["sound"]]
+    both = [
+        (group[EFFORT], off[task]) for task, group in groups.items() if group[EFFORT]["exists"] and off[task]["exists"]
+    ]
+    late = {task: group[SWITCH_OFF_LATE] for task, group in groups.items() if SWITCH_OFF_LATE in group}
+    return claim(
+        "singular",
+        verdict(len(sound), len(groups)),
+        total=len(groups),
+        sound=sound,
+        kept=[task for task, record in off.items() if record["sound"]],
+        broken=broken,
+        without=[task for task, record in off.items() if not record["exists"]],
+        late=LATE,
+        saved=[(task, headline_cell(late[task])) for task in broken if task in late and late[task]["sound"]],
+        factors=[whole["worst"] / other["worst"] for whole, other in both],
+        before=[whole["worst"] / other["before"] for whole, other in both if not math.isnan(other["before"])],
+    )
+
+
+def _heavy(groups: Mapping[str, Mapping[str, Record]]) -> Record:
+    without = {task: group for task, group in groups.items() if not group[SWITCH_OFF]["exists"]}
+    good = sum(group[EFFORT]["sound"] and group[PEAK]["sound"] for group in without.values())
+    motions = [
+        {
+            "task": task,
+            "missing": group[SWITCH_OFF]["missing"],
+            "effort": headline_cell(group[EFFORT]),
+            "peak": headline_cell(group[PEAK]),
+        }
+        for task, group in without.items()
+    ]
+    stands = verdict(good, len(without)) if without else "does not stand"
+    return claim("heavy", stands, total=len(without), good=good, motions=motions)
+
+
+def _speed(races: Sequence[Record]) -> Record:
+    circles = [race for race in races if race["task"].startswith("circle") and math.isinf(race["effort_limit"])]
+    good = sum(race["fastest_with_plan"]["speed"] > THESIS_SPEED for race in circles)
+    shown = [
+        {
+            **{key: race[key] for key in ("title", "unit", "effort_limit")},
+            "capped": math.isfinite(race["effort_limit"]),
+            "slower": race["fastest_with_plan"],
+            "faster": race["slowest_without"],
+        }
+        for race in races
+    ]
+    return claim("speed", verdict(good, len(circles)), thesis_speed=THESIS_SPEED, races=shown)
+
+
+def _turn(name: str, task: Case, group: Mapping[str, Record], modes: Sequence[Record]) -> Record:
+    none, aims = group[NONE], {"effort": group[EFFORT], "peak": group[PEAK]}
+    same = [record for record in modes if task.path == "corner" and record["radius"] == task.option("radius")]
+    good = (
+        sum(record["lower"] for record in same)
+        if same
+        else int(group[PEAK]["sound"] and group[PEAK]["worst"] < none["worst"])
+    )
+    lower = {
+        method: sum(
+            record["rows"][STEPWISE]["exists"]
+            and not record["rows"][STEPWISE]["worst"] >= record["rows"][method]["worst"]
+            for record in same
+        )
+        for method in (PEAK, PEAK_FREE)
+    }
+    quantities = ("worst", "rms", "main_energy", "energy")
+    return claim(
+        name,
+        verdict(good, len(same) or 1),
+        total=len(same) or 1,
+        good=good,
+        without=none["worst"],
+        stepwise=headline_cell(group[STEPWISE]),
+        **{aim: headline_cell(record) for aim, record in aims.items()},
+        factors=[record["ratio"] for record in same if not math.isnan(record["ratio"])],
+        stepwise_lower=lower[PEAK],
+        stepwise_lower_free=lower[PEAK_FREE],
+        against=[
+            {"aim": aim, "factors": [text(record[quantity] / none[quantity], ".2g") for quantity in quantities]}
+            for aim, record in aims.items()
+            if record["exists"]
+        ],
+    )
+
+
+def _cost(groups: Mapping[str, Mapping[str, Record]]) -> Record:
+    pairs = [
+        (record, group[NONE])
+        for group in groups.values()
+        for method, record in group.items()
+        if method in OBJECTIVES and record["exists"]
+    ]
+    least = [(record, none) for record, none in pairs if record["way"] == ENERGY]
+    better = sum(record["energy"] < none["energy"] for record, none in pairs)
+    return claim(
+        "cost",
+        verdict(better, len(pairs)),
+        total=len(pairs),
+        better=better,
+        factors=[record["energy"] / none["energy"] for record, none in pairs],
+        carrier_force=max(record["carrier_force"] for record, _ in pairs),
+        least=[record["energy"] / none["energy"] for record, none in least],
+        least_peaks=[record["worst"] / none["worst"] for record, none in least],
+    )
+
+
+def _between(records: Sequence[Record]) -> Record:
+    whole = [record for record in records if record["way"] in OBJECTIVES]
+    factors = {_name(record): record["dense_peak"] / record["peak"] for record in whole if record["exists"]}
+    worst = max(factors, key=lambda name: factors[name])
+    good = sum(factor <= BETWEEN for factor in factors.values())
+    return claim(
+        "between",
+        verdict(good, len(factors)),
+        total=len(factors),
+        good=good,
+        accepted=BETWEEN,
+        worst=factors[worst],
+        worst_plan=worst,
+        early=[_name(record) for record in whole if record["status"] == PlanStatus.STOPPED_EARLY.value],
+        missing=[_name(record) for record in whole if not record["exists"]],
+    )
+
+
+def _calm(groups: Mapping[str, Mapping[str, Record]]) -> Record:
+    whole = [
+        record
+        for group in groups.values()
+        for method, record in group.items()
+        if method in OBJECTIVES and record["exists"]
+    ]
+    restless = [record for record in whole if record["reversals"] > CALM]
+    worst = max(whole, key=lambda record: float(record["reversals"]))
+    smooth = [record for record in whole if record["way"] == SMOOTH]
+    return claim(
+        "calm",
+        verdict(len(whole) - len(restless), len(whole)),
+        total=len(whole),
+        good=len(whole) - len(restless),
+        accepted=CALM,
+        worst=worst["reversals"],
+        worst_plan=_name(worst),
+        restless=sorted({record["task"] for record in restless}),
+        weight=SMOOTHING,
+        smooth_reversals=max((record["reversals"] for record in smooth), default=None),
+        smooth_peaks=[record["worst"] / groups[record["task"]][EFFORT]["worst"] for record in smooth],
+    )
+
+
+def _backends(backends: Sequence[Record]) -> Record:
+    worst = max(backends, key=lambda record: float(record["worst"]))
+    good = sum(record["same"] for record in backends)
+    return claim(
+        "backends",
+        verdict(good, len(backends)),
+        total=len(backends),
+        good=good,
+        accepted=SAME_PLAN,
+        worst=worst["worst"],
+        worst_plan=worst["case"],
+        cost=max(record["cost"] for record in backends),
+        apart=[record["case"] for record in backends if not record["same"] and record["cost"] <= SAME_PLAN],
+    )
+
+
+def _starts(starts: Sequence[Record]) -> Record:
+    good = sum(record["parked_is_best"] for record in starts)
+    return claim(
+        "first_guesses",
+        verdict(good, len(starts)),
+        total=len(starts),
+        good=good,
+        tried=max(len(record["costs"]) for record in starts),
+        several=[(record["case"], record["optima"], record["excess"]) for record in starts if record["optima"] > 1],
+    )
+
+
+def _name(record: Record) -> str:
+    return f"{record['task']} ({record['way']})"

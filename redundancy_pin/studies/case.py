@@ -1,0 +1,372 @@
+"""One case of a study: a robot, a trajectory, and who plans its carriers; and the memo that makes each plan once."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.virtual_work import VirtualWork
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.loading import load_robot
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.plan import Plan, finish_plan
+from redundancy_pin.planners.stepwise.planner import plan_stepwise
+from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
+from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.trajectory import (
+    Path,
+    SpeedProfile,
+    Trajectory,
+    reference,
+    rounded_polygon,
+    through_points,
+    with_constant,
+)
+from redundancy_pin.workers import parallel
+
+RNEA = "rnea"
+VIRTUAL_WORK = "virtual-work"
+
+BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {RNEA: RneaDynamics, VIRTUAL_WORK: VirtualWork}
+"""Dynamics of a robot, by the name the command line uses."""
+
+Mode: TypeAlias = tuple[int, ...]
+"""Working mode, ±1 a leg."""
+
+Options: TypeAlias = tuple[tuple[str, Any], ...]
+"""Keyword arguments as sorted pairs: cases are hashable and go to other processes."""
+
+Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory"]
+"""What moves the carriers: nobody as there are none, nobody as they stay at s = 0, or a planner."""
+
+
+def points(
+    points: ArrayLike,
+    speed: float,
+    ramp_time: float,
+    ramp_length: float | None = None,
+    closed: bool = False,
+    alpha: float | None = None,
+) -> Trajectory:
+    """Return a motion along a smooth path through points; two of them give a straight line.
+
+    Args:
+        points: (N, n) points, m.
+        speed: cruising speed, m/s.
+        ramp_time: duration of each ramp, s.
+        ramp_length: length of each ramp, m.
+        closed: whether to return to the first point.
+        alpha: constant orientation, rad, added as last coordinate.
+
+    Raises:
+        InputError: as ``through_points`` and ``SpeedProfile``.
+    """
+    return _along(through_points(points, closed=closed), speed, ramp_time, ramp_length, alpha)
+
+
+def polygon(
+    vertices: ArrayLike,
+    radius: float,
+    speed: float,
+    ramp_time: float,
+    ramp_length: float | None = None,
+    closed: bool = False,
+    alpha: float | None = None,
+) -> Trajectory:
+    """Return a motion along a polygon with rounded corners.
+
+    Args:
+        vertices: (N, n) corners, m; the first and last are the ends unless ``closed``.
+        radius: of the arcs, m.
+        speed: cruising speed, m/s.
+        ramp_time: duration of each ramp, s.
+        ramp_length: length of each ramp, m.
+        closed: whether to return to the first corner.
+        alpha: constant orientation, rad, added as last coordinate.
+
+    Raises:
+        InputError: as ``rounded_polygon`` and ``SpeedProfile``.
+    """
+    return _along(rounded_polygon(vertices, radius, closed=closed), speed, ramp_time, ramp_length, alpha)
+
+
+def _along(path: Path, speed: float, ramp_time: float, ramp_length: float | None, alpha: float | None) -> Trajectory:
+    whole = path if alpha is None else with_constant(path, alpha)
+    return Trajectory(whole, SpeedProfile(whole.length, speed, ramp_time, ramp_length))
+
+
+PATHS: Mapping[str, Callable[..., Trajectory]] = {
+    "circle": reference.circle,
+    "line": reference.line,
+    "corner": reference.corner,
+    "square": reference.square,
+}
+"""Makers of the trajectories of the thesis."""
+
+TRAJECTORIES: Mapping[str, Callable[..., Trajectory]] = {**PATHS, "points": points, "polygon": polygon}
+"""Makers of trajectories by name: those of the thesis, and two for the user's own paths."""
+
+
+def options(**values: Any) -> Options:
+    """Return keyword arguments as the options of a case; lists and mappings become tuples, which are hashable."""
+    return tuple(sorted((name, _hashable(value)) for name, value in values.items()))
+
+
+def _hashable(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return tuple((key, _hashable(entry)) for key, entry in value.items())
+    return tuple(_hashable(entry) for entry in value) if isinstance(value, (list, tuple)) else value
+
+
+@functools.lru_cache(maxsize=64)
+def load(
+    robot: str, working_mode: Mode = (), arguments: Options = (), gravity: tuple[float, ...] | None = None
+) -> Robot:
+    """Load a robot once a process: that takes longer than many a plan, and constraint models do not pickle.
+
+    Args:
+        robot: shipped name or path of a declaration.
+        working_mode: ±1 a leg; as declared if empty.
+        arguments: xacro arguments.
+        gravity: (3,) m/s²; as declared when left out.
+
+    Raises:
+        RedundancyPinError: as ``load_robot``.
+    """
+    return load_robot(robot, working_mode=working_mode or None, gravity=gravity, **dict(arguments))
+
+
+@functools.lru_cache(maxsize=64)
+def _dynamics(
+    backend: str,
+    robot: str,
+    working_mode: Mode,
+    arguments: Options,
+    gravity: tuple[float, ...] | None,
+    limits: Options,
+) -> Dynamics:
+    found = load(robot, working_mode, arguments, gravity)
+    limited = tuple(_limited(own, dict(limits)) for own in found.carrier_limits)
+    return BACKENDS[backend](replace(found, carrier_limits=limited) if limits else found)
+
+
+def _limited(own: CarrierLimits, limits: Mapping[str, float]) -> CarrierLimits:
+    """Return the limits of a carrier with those of a case in place of its own; a stroke lies about its own middle."""
+    fields = {"max_speed": "speed", "max_acceleration": "acceleration", "max_carrier_force": "force"}
+    changed = {field: limits[name] for name, field in fields.items() if name in limits}
+    if "stroke" in limits:
+        middle, half = 0.5 * (own.lower + own.upper), 0.5 * limits["stroke"]
+        changed |= {"lower": middle - half, "upper": middle + half}
+    return replace(own, **changed)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A robot, its motion, and who plans the carriers. Variations: ``dataclasses.replace`` and the ``with_`` methods.
+
+    Attributes:
+        name: unique among the cases of a table, and the stem of files.
+        robot: shipped name or path of a declaration.
+        path: name of the trajectory in ``TRAJECTORIES``.
+        path_options: its arguments, m, m/s, s, rad.
+        planner: who moves the carriers.
+        options: keyword arguments of the planner; an ``objective`` of several weights as pairs.
+        working_mode: ±1 a leg; as declared if empty.
+        arguments: xacro arguments of the robot.
+        dt: sampling interval, time step or largest step between nodes, s.
+        two_sided: whether a stepwise plan sees instants at which the acceleration jumps from both sides.
+        title: of the motion, for people.
+        gravity: (3,) m/s²; as declared when left out.
+        limits: of the carriers in place of the robot's own: "stroke" (length of every track, about its middle),
+            "max_speed", "max_acceleration", "max_carrier_force"; m, s, N.
+    """
+
+    name: str
+    robot: str
+    path: str
+    path_options: Options = ()
+    planner: Planner = "parked"
+    options: Options = ()
+    working_mode: Mode = ()
+    arguments: Options = ()
+    dt: float = 1e-3
+    two_sided: bool = True
+    title: str = ""
+    gravity: tuple[float, ...] | None = None
+    limits: Options = ()
+
+    @property
+    def backends(self) -> tuple[str, ...]:
+        """Backends that know the robot; the first one plans."""
+        return (VIRTUAL_WORK, RNEA) if self.robot in ("2rpr", "3rrr") else (RNEA,)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the main efforts."""
+        return "N" if self.robot == "2rpr" else "N·m"
+
+    def option(self, name: str, default: Any = None) -> Any:
+        """Return an option of the planner or, if it has none of that name, of the path."""
+        return dict(self.path_options + self.options).get(name, default)
+
+    def with_options(self, **changed: Any) -> Case:
+        """Return the case with other options of its planner."""
+        return replace(self, options=options(**{**dict(self.options), **changed}))
+
+    def with_path(self, **changed: Any) -> Case:
+        """Return the case with other options of its trajectory."""
+        return replace(self, path_options=options(**{**dict(self.path_options), **changed}))
+
+    def with_planner(self, planner: Planner, dt: float | None = None, **changed: Any) -> Case:
+        """Return the same motion by another planner, with options of its own."""
+        return replace(self, planner=planner, options=options(**changed), dt=dt or self.dt)
+
+    def load_robot(self) -> Robot:
+        """Return the robot with its own limits, loaded once.
+
+        Raises:
+            RedundancyPinError: it does not load.
+        """
+        return load(self.robot, self.working_mode, self._arguments, self.gravity)
+
+    def dynamics(self, backend: str | None = None) -> Dynamics:
+        """Return its dynamics by a backend (the first of ``backends`` when left out), made once."""
+        by = backend or self.backends[0]
+        return _dynamics(by, self.robot, self.working_mode, self._arguments, self.gravity, self.limits)
+
+    @property
+    def has_baseline(self) -> bool:
+        """Whether the robot can be loaded without carriers."""
+        return isinstance(self.load_robot().parameters.get("carriers"), bool)
+
+    def trajectory(self) -> Trajectory:
+        """Make the reference trajectory.
+
+        Raises:
+            InputError: an option the path does not take, or ramps that do not fit in.
+        """
+        return TRAJECTORIES[self.path](**dict(self.path_options))
+
+    def plan(self, backend: str | None = None) -> Plan:
+        """Plan the case.
+
+        Raises:
+            InfeasiblePlanError: there is no plan, and why.
+            RedundancyPinError: as the planners.
+        """
+        dynamics, given = self.dynamics(backend), dict(self.options)
+        match self.planner:
+            case "switch_off":
+                return plan_switch_off(dynamics, self.trajectory(), dt=self.dt, **given)
+            case "stepwise":
+                motion = self.trajectory().sample(self.dt, two_sided=self.two_sided)
+                return plan_stepwise(dynamics, motion, baseline=self._baseline(backend), **given)
+            case "whole_trajectory":
+                if not isinstance(given.get("objective", ""), str):
+                    given["objective"] = dict(given["objective"])
+                if given.get("lam"):
+                    given["baseline"] = self._baseline(backend)
+                return plan_whole_trajectory(dynamics, self.trajectory(), dt=self.dt, **given)
+        return _at_rest(dynamics, self.trajectory(), self.dt, "baseline" if self.planner == "none" else "parked")
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the configuration as plain data, for JSON."""
+        return {
+            "robot": self.robot,
+            "arguments": dict(self.arguments),
+            "working_mode": list(self.working_mode),
+            "carriers": self.planner,
+            "path": self.path,
+            "path_options": dict(self.path_options),
+            "options": dict(self.options),
+            "dt": self.dt,
+        }
+
+    def _baseline(self, backend: str | None) -> Dynamics | None:
+        return replace(self, planner="none").dynamics(backend) if self.has_baseline else None
+
+    @property
+    def _arguments(self) -> Options:
+        return options(**{**dict(self.arguments), "carriers": False}) if self.planner == "none" else self.arguments
+
+
+def _at_rest(machine: Dynamics, trajectory: Trajectory, dt: float, name: str) -> Plan:
+    motion = trajectory.sample(dt)
+    return finish_plan(
+        machine.along(motion),
+        CarrierMotion.parked(len(motion), machine.robot.k),
+        planner=name,
+        phase=np.zeros(len(motion), dtype=np.intp),
+        phases=("parked",),
+        parameters={"dt": dt},
+        diagnostics={},
+    )
+
+
+@dataclass
+class Plans:
+    """Plans made on demand and kept: chapters, figures and tables share them.
+
+    It is the one thing in a study that changes while it runs. Cases that differ in name or title alone are one.
+    """
+
+    _kept: dict[tuple[Case, str], Plan | InfeasiblePlanError] = field(default_factory=dict)
+
+    def outcome(self, case: Case, backend: str | None = None) -> Plan | InfeasiblePlanError:
+        """Return the plan of a case, or why there is none; by the first backend of the case when left out."""
+        by = backend or case.backends[0]
+        key = (replace(case, name="", title=""), by)
+        if key not in self._kept:
+            self._kept[key] = _outcome(case, by)
+        return self._kept[key]
+
+    def prepare(
+        self, cases: Sequence[tuple[Case, str]], jobs: int = -1, tell: Callable[[str], None] | None = None
+    ) -> None:
+        """Plan cases by backends in several processes, so that they are there when they are wanted.
+
+        Args:
+            cases: with their backends.
+            jobs: processes; -1 for all cores.
+            tell: called for each of them.
+        """
+        keys = {(replace(case, name="", title=""), backend): case.name for case, backend in cases}
+        missing = [key for key in keys if key not in self._kept]
+        for key, outcome in zip(missing, parallel(_outcome, missing, jobs, ordered=True), strict=True):
+            self._kept[key] = outcome
+            if tell:
+                tell(keys[key])
+        for _ in range(len(cases) - len(missing)):
+            if tell:
+                tell("plans that were there already")
+
+    def plan(self, case: Case, backend: str | None = None) -> Plan:
+        """Return the plan of a case.
+
+        Raises:
+            InfeasiblePlanError: there is none.
+        """
+        result = self.outcome(case, backend)
+        if isinstance(result, InfeasiblePlanError):
+            raise result
+        return result
+
+    def existing(self, cases: Sequence[Case]) -> list[tuple[Case, Plan]]:
+        """Return the cases that have a plan, with it."""
+        pairs = [(case, self.outcome(case)) for case in cases]
+        return [(case, result) for case, result in pairs if isinstance(result, Plan)]
+
+
+def _outcome(case: Case, backend: str) -> Plan | InfeasiblePlanError:
+    try:
+        return case.plan(backend)
+    except InfeasiblePlanError as error:
+        return error

@@ -1,0 +1,344 @@
+"""A trial: one machine that is not quite as planned, driven through a planned crossing."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.allocation import AllocationStatus
+from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.kinematics.coordinates import turning_velocities
+from redundancy_pin.loading import load_robot
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.controllers.base import Controller, Sampling, Tracking
+from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
+from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
+from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
+from redundancy_pin.simulation.reference import MotionReference, plan_reference
+from redundancy_pin.simulation.simulate import simulate
+from redundancy_pin.simulation.state import State, closed_state
+from redundancy_pin.studies.case import RNEA, Case, Planner, load, options
+
+MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
+"""The 2-RPR of the thesis is massless but for its carriers: forces would not determine its motion. kg."""
+
+PLANNED_TRACK = 0.16
+"""Half of the track that plans may use, m; the machine has 0.2: a controller needs room."""
+
+DRAWN_MASSES = (*MASSES, "carrier_mass")
+DRAWN_LENGTHS = ("base_distance", "track_offset", "cylinder_length")
+
+Drive = Literal["open loop", "computed torque", "LQR"]
+DRIVES: tuple[Drive, ...] = ("open loop", "computed torque", "LQR")
+
+Key = tuple[str, str, int]
+"""Names of scenario and drive, number of the draw."""
+
+SUCCESS = 0.01
+"""m; a crossing counts where the simulation reaches its end and the platform was never farther from its plan."""
+
+RTOL, ATOL = 1e-6, 1e-8
+"""Of the integrator: a hundredth of an encoder's step over a crossing."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A planned crossing.
+
+    Attributes:
+        case: robot, path and planner.
+        start, end: time that is simulated, s: the singular poses and what leads there.
+    """
+
+    case: Case
+    start: float
+    end: float
+
+    @property
+    def name(self) -> str:
+        """For tables."""
+        return self.case.name
+
+
+def crossing(
+    path: str, planner: Planner, speed: float, dt: float, start: float, end: float, **parameters: float
+) -> Scenario:
+    """Return a scenario of the 2-RPR with masses, whose plan may use part of its tracks."""
+    arguments = options(**MASSES, track_half_length=PLANNED_TRACK)
+    name = f"{path}, {planner.replace('_', ' ')}"
+    case = Case(name, "2rpr", path, options(speed=speed), planner, options(**parameters), arguments=arguments, dt=dt)
+    return Scenario(case, start, end)
+
+
+SCENARIOS: tuple[Scenario, ...] = (
+    crossing("line", "switch_off", 0.2, 5e-3, 1.9, 3.1, threshold=4.0, ramp_down=0.36),
+    crossing("line", "whole_trajectory", 0.2, 1e-2, 1.9, 3.1),
+    crossing("circle", "whole_trajectory", 0.5, 5e-3, 0.2, 1.1),
+)
+"""On the circle the machine with masses has no switch-off plan: its end-effector accelerates at the singular poses."""
+
+
+def nominal() -> Robot:
+    """Return the robot as planned, with its own track."""
+    return load("2rpr", arguments=options(**MASSES))
+
+
+@functools.cache
+def planned(case: Case) -> MotionReference:
+    """Return the planned motion of a case, made once a process.
+
+    Raises:
+        InfeasiblePlanError: there is none.
+    """
+    return plan_reference(case.plan(RNEA), robot=case.load_robot(), motion=case.trajectory())
+
+
+@dataclass(frozen=True)
+class Imperfections:
+    """How wrong things may be; each is drawn uniformly within its bounds, one draw a machine.
+
+    Attributes:
+        mass: relative error of each mass, ±.
+        length: error of each length of the geometry, m, ±.
+        start_position: where platform and carriers start beside their plan, m, ± along each coordinate.
+        start_speed: by how much faster or slower, m/s, ±.
+        prismatic_coulomb: Coulomb friction of prismatic joints, N; a draw has 0.5 to 1.5 times it, each joint its own.
+        prismatic_viscous: N·s/m.
+        revolute_coulomb: N·m.
+        revolute_viscous: N·m·s.
+        prismatic_smoothing, revolute_smoothing: speed v₀ of tanh(v / v₀), m/s and rad/s.
+        period, delay: of the digital controller, s.
+        time_constant: of the filter of the speeds, s.
+        noise: standard deviation of the force of every actuator, one value a period, N.
+        effort_limit, carrier_force_limit: of the amplifiers, N.
+    """
+
+    mass: float = 0.05
+    length: float = 1e-3
+    start_position: float = 2e-4
+    start_speed: float = 2e-3
+    prismatic_coulomb: float = 0.1
+    prismatic_viscous: float = 0.2
+    revolute_coulomb: float = 5e-3
+    revolute_viscous: float = 5e-3
+    prismatic_smoothing: float = 0.01
+    revolute_smoothing: float = 0.05
+    period: float = 1e-3
+    delay: float = 1e-3
+    time_constant: float = 5e-3
+    noise: float = 0.05
+    effort_limit: float = 20.0
+    carrier_force_limit: float = 40.0
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """One machine that is not quite as planned.
+
+    Attributes:
+        arguments: of ``load_robot``.
+        coulomb, viscous: (nv,) factors on friction.
+        phase: (nq,) of the encoders, fractions of a step.
+        x, xd: (n,) errors of the platform at the start, m and m/s.
+        s, sd: (k,) those of the carriers.
+        random: for the noise of the forces.
+    """
+
+    arguments: Mapping[str, float]
+    coulomb: Array
+    viscous: Array
+    phase: Array
+    x: Array
+    xd: Array
+    s: Array
+    sd: Array
+    random: np.random.Generator
+
+
+def draw(nominal: Robot, imperfections: Imperfections, seed: int, number: int) -> Draw:
+    """Return a draw; the same seed and number give the same machine, whatever was drawn before."""
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    known: Mapping[str, Any] = nominal.parameters
+    # every call of a stream moves it on: another order of these lines is another machine
+    masses = {name: known[name] * (1.0 + imperfections.mass * random.uniform(-1.0, 1.0)) for name in DRAWN_MASSES}
+    lengths = {name: known[name] + imperfections.length * random.uniform(-1.0, 1.0) for name in DRAWN_LENGTHS}
+    model = nominal.model
+    # a stream of its own: with or without errors of the start, everything else is the same machine
+    start = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 1)))
+    position, speed = imperfections.start_position, imperfections.start_speed
+    return Draw(
+        {**masses, **lengths},
+        random.uniform(0.5, 1.5, model.nv),
+        random.uniform(0.5, 1.5, model.nv),
+        random.uniform(-0.5, 0.5, model.nq),
+        start.uniform(-position, position, nominal.n),
+        start.uniform(-speed, speed, nominal.n),
+        start.uniform(-position, position, nominal.k),
+        start.uniform(-speed, speed, nominal.k),
+        random,
+    )
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What became of one draw.
+
+    Attributes:
+        scenario, drive: names.
+        number: of the draw.
+        status: of the simulation; "error" where none came about, with why in ``reason``.
+        reason: of a failure; the event at a stop; else empty.
+        largest: largest distance of the platform from its plan, m; NaN where nothing was simulated.
+        rms: its root mean square over time.
+        effort: largest |τ|, N.
+        carrier_force: largest |F|, N.
+        given_up: share of the readings at which a computed torque found no answer.
+    """
+
+    scenario: str
+    drive: str
+    number: int
+    status: str
+    reason: str
+    largest: float
+    rms: float
+    effort: float
+    carrier_force: float
+    given_up: float
+
+    @property
+    def success(self) -> bool:
+        """Whether the machine crossed."""
+        return self.status == "completed" and self.largest <= SUCCESS
+
+    @property
+    def key(self) -> Key:
+        """What identifies it within a study."""
+        return self.scenario, self.drive, self.number
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data; NaN is left to the reader."""
+        return asdict(self)
+
+
+def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, seed: int, number: int) -> Trial:
+    """Simulate one draw of a study.
+
+    The machine is homed at the pose and carrier positions that the plan starts with, and starts a little beside them.
+    The controller knows the robot as planned, and the machine through encoders alone.
+    """
+    motion = planned(scenario.case)
+    drawn = draw(nominal(), imperfections, seed, number)
+    control = controller(scenario, drive, imperfections)
+    if isinstance(control, ComputedTorque):
+        control.history.clear()  # of the draw before: a controller is made once a process
+    point = motion.at(scenario.start)
+    arguments: dict[str, Any] = {**MASSES, **drawn.arguments}
+    try:
+        robot = load_robot("2rpr", **arguments)
+        homed = closed_state(robot, point.x, point.xd, point.s, point.sd, t=scenario.start).q - point.q
+        seen = Encoders(
+            control,
+            motion,
+            period=imperfections.period,
+            time_constant=imperfections.time_constant,
+            phase=drawn.phase,
+            home=homed,
+        )
+        run = simulate(
+            robot,
+            Amplifier(seen, drawn.random, imperfections.noise),
+            start=closed_state(
+                robot,
+                point.x + drawn.x,
+                point.xd + drawn.xd,
+                point.s + drawn.s,
+                point.sd + drawn.sd,
+                t=scenario.start,
+            ),
+            duration=scenario.end - scenario.start,
+            dt=imperfections.period,  # every value that the amplifiers put out is among the samples
+            sampling=Sampling(imperfections.period, imperfections.delay),
+            effort_limit=imperfections.effort_limit,
+            carrier_force_limit=imperfections.carrier_force_limit,
+            external=_friction(drawn, imperfections),
+            rtol=RTOL,
+            atol=ATOL,
+            integrator="RK45",
+        )
+    except RedundancyPinError as error:
+        return Trial(scenario.name, drive, number, "error", str(error), *5 * (float("nan"),))
+    reference = np.array([motion.platform(float(t))[0] for t in run.t])
+    away = np.linalg.norm(run.x - reference, axis=1)
+    span = float(run.t[-1] - run.t[0])
+    last = run.events[-1] if run.events else None
+    return Trial(
+        scenario.name,
+        drive,
+        number,
+        run.status.value,
+        run.reason or (last.name if last is not None and last.terminal else ""),
+        float(away.max()),
+        float(np.sqrt(np.trapezoid(away**2, run.t) / span)) if span > 0.0 else float(away[0]),
+        float(np.nanmax(np.abs(run.tau))),
+        float(np.nanmax(np.abs(run.carrier_force))),
+        _given_up(control),
+    )
+
+
+@functools.cache
+def controller(scenario: Scenario, drive: Drive, imperfections: Imperfections) -> Controller:
+    """Return the controller of a cell, made once a process; it knows the robot as planned."""
+    motion = planned(scenario.case)
+    sampling = Sampling(imperfections.period, imperfections.delay)
+    if drive == "open loop":
+        return _OpenLoop(motion, None, sampling)
+    return (ComputedTorque if drive == "computed torque" else TimeVaryingLqr)(
+        motion,
+        effort_limit=imperfections.effort_limit,
+        carrier_force_limit=imperfections.carrier_force_limit,
+        sampling=sampling,
+    )
+
+
+class _OpenLoop(Tracking):
+    """The planned efforts, those of the middle of the interval in which they will act."""
+
+    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        return self.reference.loads(t + self.lead)
+
+
+class Amplifier:
+    """A controller whose forces come out with noise of a standard deviation, N or N·m; one value a period."""
+
+    def __init__(self, controller: Controller, random: np.random.Generator, noise: float) -> None:
+        self._controller, self._random, self._noise = controller, random, noise
+
+    def effort(self, t: float, state: State) -> tuple[Array, Array]:
+        """Return main efforts (m,) and carrier forces (k,) with noise."""
+        tau, force = self._controller.effort(t, state)
+        return (
+            tau + self._noise * self._random.standard_normal(len(tau)),
+            force + self._noise * self._random.standard_normal(len(force)),
+        )
+
+
+def _friction(drawn: Draw, imperfections: Imperfections) -> JointFriction:
+    turning = turning_velocities(nominal())
+    return JointFriction(
+        drawn.coulomb * np.where(turning, imperfections.revolute_coulomb, imperfections.prismatic_coulomb),
+        drawn.viscous * np.where(turning, imperfections.revolute_viscous, imperfections.prismatic_viscous),
+        np.where(turning, imperfections.revolute_smoothing, imperfections.prismatic_smoothing),
+    )
+
+
+def _given_up(control: Controller) -> float:
+    if not isinstance(control, ComputedTorque) or not control.history:
+        return 0.0
+    lost = sum(one.allocation.status is AllocationStatus.UNBALANCED for one in control.history)
+    return lost / len(control.history)

@@ -1,0 +1,348 @@
+"""What the thesis states (``thesis.yaml``) against our runs: the rule, the verdicts, and ranges over the unstated."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.studies.case import Case, Plans
+from redundancy_pin.studies.cases import BY_NAME, CORNERS, CROSSINGS, Extent, mode_text
+from redundancy_pin.studies.measures import Measure, Numbers, entry_forces, exit_forces, first_bound, measure
+from redundancy_pin.studies.motions import MotionRun
+from redundancy_pin.studies.table import Record, span, text
+
+Verdict = Literal["reproduced", "differs"]
+
+ROUNDING = 1e-12
+"""A gap up to this is none: the limits of an interval are themselves rounded."""
+
+FACTOR = 1.25
+"""By what factor all four pairs of forces may be missed if one step and one return time are to explain them."""
+
+DIFFERENCES = "backward_differences"
+
+
+@functools.cache
+def thesis() -> Mapping[str, Any]:
+    """Return what the data file holds."""
+    data: Mapping[str, Any] = yaml.safe_load(files(__package__).joinpath("thesis.yaml").read_text(encoding="utf-8"))
+    return data
+
+
+# --- the rule ------------------------------------------------------------------------------------------------------
+
+
+def interval(stated: str) -> tuple[float, float]:
+    """Return what printed digits can stand for: ± half a unit of the last one; with a ``~``, a factor of √10."""
+    if stated.startswith("~"):
+        value = float(stated[1:])
+        return value / math.sqrt(10.0), value * math.sqrt(10.0)
+    half = 0.5 * 10.0 ** -len(stated.partition(".")[2])
+    return float(stated) - half, float(stated) + half
+
+
+def gap(stated: str, low: float, high: float) -> float:
+    """Return how far a stated number is beyond a range of ours, 0 inside; infinite if there is no such number."""
+    bottom, top = interval(stated)
+    return math.inf if math.isnan(low) else max(0.0, low - top, bottom - high)
+
+
+def limits_of(values: Sequence[float]) -> tuple[float, float]:
+    """Return smallest and largest of the values that are numbers; NaN if there are none."""
+    known = [value for value in values if not math.isnan(value)]
+    return (min(known), max(known)) if known else (math.nan, math.nan)
+
+
+def given_by(stated: Sequence[str], values: Numbers, late: float = 0.0) -> bool:
+    """Return whether one run gives all the numbers that are stated together.
+
+    Args:
+        stated: digits as printed.
+        values: of the run.
+        late: how much larger than the run's the stated number may be, besides its rounding.
+    """
+    gaps = (gap(digits, value, value + late) for digits, value in zip(stated, values, strict=True))
+    return max(gaps) <= ROUNDING
+
+
+# --- what is unstated ----------------------------------------------------------------------------------------------
+
+_RAMP_TIME = {"circle": 0.2, "line": 1.0, "corner": 0.4, "square": 0.2}
+"""Duration T of the ramps, s."""
+
+_CORNER_SPEED = 0.2
+"""Cruising speed v of the 3-RRR, m/s; the 2-RPR's cases have their own."""
+
+_PARAMETERS = {
+    "ramp_length": ("ramp length p", "v T"),
+    "return_time": ("return time", "s"),
+    "dt": ("step δt", "ms"),
+    "ramp_down": ("sample at which the ramp starts", "s before the threshold"),
+    "threshold": ("threshold", ""),
+    "working_mode": ("working mode", ""),
+    "alpha": ("orientation α", "rad"),
+}
+"""What the parameters of a grid are called, and their units."""
+
+
+def vary(case: Case, parameter: str, value: Any) -> Case:
+    """Return a case with another value of one unstated parameter, all others as they are."""
+    match parameter:
+        case "ramp_length":
+            return case.with_path(ramp_length=value * case.option("speed", _CORNER_SPEED) * _RAMP_TIME[case.path])
+        case "alpha":
+            return case.with_path(alpha=value)
+        case "working_mode":
+            return replace(case, working_mode=value)
+        case "dt":
+            # of a crossing the step matters by backward differences only
+            crossing = case.planner == "switch_off"
+            return replace(case.with_options(scheme=DIFFERENCES) if crossing else case, dt=value)
+    return case.with_options(**{parameter: value})
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Values of unstated parameters, all combinations of them.
+
+    Attributes:
+        values: by parameter.
+    """
+
+    values: Mapping[str, Sequence[Any]]
+
+    @property
+    def parameter(self) -> str:
+        """What is varied, for people."""
+        return " and ".join(_PARAMETERS[name][0] for name in self.values)
+
+    @property
+    def shown(self) -> str:
+        """The values, for people."""
+        return "; ".join(self._listed(name, values) for name, values in self.values.items())
+
+    def cases(self, case: Case) -> list[tuple[Case, str]]:
+        """Return the variations of a case, each with what it changes."""
+        variations = []
+        for combination in product(*self.values.values()):
+            changed, labels = case, []
+            for name, value in zip(self.values, combination, strict=True):
+                before, changed = changed, vary(changed, name, value)
+                labels += [self._label(name, value)] if changed != before else []
+            variations.append((changed, ", ".join(labels)))
+        return variations
+
+    def _label(self, name: str, value: Any) -> str:
+        if name == "working_mode":
+            return f"mode {mode_text(value)}"
+        called, unit = _PARAMETERS[name]
+        return f"{called} = {1e3 * value if unit == 'ms' else value:g} {unit}".rstrip()
+
+    def _listed(self, name: str, values: Sequence[Any]) -> str:
+        if name == "working_mode":
+            return f"{len(values)} modes"
+        unit = _PARAMETERS[name][1]
+        return (", ".join(f"{1e3 * value if unit == 'ms' else value:g}" for value in values) + f" {unit}").rstrip()
+
+
+def grid(name: str, extent: Extent) -> Grid:
+    """Return a grid of the data file; only the ends of its values unless whole grids are run."""
+    values = {
+        parameter: list(extent.modes) if entry == "all" else entry if extent.whole_grids else [entry[0], entry[-1]]
+        for parameter, entry in thesis()["grids"][name].items()
+    }
+    return Grid(values)
+
+
+# --- verdicts ------------------------------------------------------------------------------------------------------
+
+
+def compare_motions(runs: Sequence[MotionRun]) -> list[Record]:
+    """Return every statement about the motions that were run, beside our numbers; no verdict."""
+    by_name = {run.case.name: run for run in runs}
+    return [
+        {
+            "source": entry["source"],
+            "experiment": entry["case"],
+            "quantity": entry["quantity"],
+            "unit": entry["unit"],
+            "stated": entry["stated"],
+            "computed": measure(*entry["measure"])(by_name[entry["case"]]),
+            "note": entry.get("note", ""),
+        }
+        for entry in thesis()["motions"]
+        if entry["case"] in by_name
+    ]
+
+
+def judge_all(plans: Plans, extent: Extent) -> list[Record]:
+    """Judge every number, and every joint statement, about the planned cases."""
+    records = [_judged(entry, plans, extent) for entry in thesis()["planned"]]
+    for entry in thesis()["jointly"]:
+        outcome = {"same_step": same_step, "growth_with_threshold": growth_with_threshold,
+                   "same_before_the_corner": same_before_the_corner}[entry["test"]](plans, extent)  # fmt: skip
+        records.append({"deviation": "", "covered": "", **entry, **outcome})
+    return records
+
+
+def in_order(records: Sequence[Record]) -> list[Record]:
+    """Return judged records in the order of the thesis's figures."""
+    order = list(thesis()["rows"])
+    return sorted(records, key=lambda record: order.index(record["row"]))
+
+
+def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
+    case, read, late = BY_NAME[entry["case"]], measure(*entry["measure"]), entry.get("late", 0.0)
+    if entry.get("differences"):
+        case = case.with_options(scheme=DIFFERENCES)
+    stated, unit = [str(digits) for digits in entry["stated"]], entry["unit"]
+    grids = [grid(name, extent) for name in entry["grids"]]
+    plan = plans.plan(case)
+    ours = read(plan)
+    as_run = given_by(stated, ours, late)
+    variations = [(ours, ""), *_varied(case, grids, read, plans)]
+    values = [varied for varied, _ in variations]
+    # the nearest run: one that gives the numbers before one that does not
+    _, _, nearest = min(
+        (not given_by(stated, varied, late), _miss(stated, varied), label) for varied, label in variations
+    )
+    ranges = [limits_of(column) for column in zip(*values, strict=True)]
+    reproduced = any(given_by(stated, varied, late) for varied in values)
+    beyond = max(gap(digits, low, high + late) for digits, (low, high) in zip(stated, ranges, strict=True))
+    if reproduced:
+        reason = "" if as_run else f"with {nearest}"
+    elif beyond <= ROUNDING:
+        reason = "inside the range, but no single run gives it" + (f"; nearest with {nearest}" if nearest else "")
+    else:
+        reason = f"{beyond:.2g} {unit} beyond the range" if math.isfinite(beyond) else "never happens here"
+        reason += "; " + entry["why"].format(*measure(*entry["of"])(plan)) if "why" in entry else ""
+    over = [varied.parameter for varied in grids] + ([f"step up to {late:g} s"] if late else [])
+    return {
+        "row": entry["row"],
+        "source": entry["source"],
+        "condition": thesis()["rows"][entry["row"]],
+        "quantity": f"{entry['quantity']} [{unit}]",
+        "stated": ", ".join(stated),
+        "ours": text(ours),
+        "deviation": ", ".join(
+            text(value - _value(digits), "+.2g") for value, digits in zip(ours, stated, strict=True)
+        ),
+        "covered": ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}",
+        "verdict": "reproduced" if reproduced else "differs",
+        "reason": reason,
+        "as_run": as_run,
+    }
+
+
+def _varied(case: Case, grids: Sequence[Grid], read: Measure, plans: Plans) -> list[tuple[Numbers, str]]:
+    """Return what a measure reads off every variation that has a plan, with what the variation changes."""
+    results = []
+    for variation, label in (pair for entry in grids for pair in entry.cases(case)):
+        outcome = plans.outcome(variation)
+        if isinstance(outcome, Plan):
+            results.append((read(outcome), label))
+    return results
+
+
+def _value(stated: str) -> float:
+    return float(stated.removeprefix("~"))
+
+
+def _miss(stated: Sequence[str], values: Numbers) -> float:
+    miss = [abs(value - _value(digits)) for value, digits in zip(values, stated, strict=True)]
+    return max(math.inf if math.isnan(value) else value for value in miss)
+
+
+def same_step(plans: Plans, extent: Extent) -> Record:
+    """Judge whether one time step and one return time give all stated forces on switching on."""
+    entries = [entry for entry in thesis()["planned"] if entry["measure"] == ["exit_forces"]]
+    best: tuple[float, str] = (math.inf, "")
+    variations = [grid("steps_and_returns", extent).cases(BY_NAME[entry["case"]]) for entry in entries]
+    for runs in zip(*variations, strict=True):
+        worst = 1.0
+        for entry, (case, _) in zip(entries, runs, strict=True):
+            for value, digits in zip(exit_forces(plans.plan(case)), entry["stated"], strict=True):
+                ratio = value / _value(digits)
+                worst = max(worst, ratio, 1.0 / ratio)
+        best = min(best, (worst, runs[0][1]))
+    return {
+        "ours": f"missed by a factor of {best[0]:.2g} at best",
+        "verdict": "reproduced" if best[0] <= FACTOR else "differs",
+        "reason": f"best with {best[1]}; a factor of {FACTOR:g} would pass",
+        "as_run": False,
+    }
+
+
+def growth_with_threshold(plans: Plans, extent: Extent) -> Record:
+    """Judge whether the forces on the line grow with threshold and speed."""
+    slow, fast, high = (entry_forces(plans.plan(case)) for case in CROSSINGS[4:])
+    holds = max(slow) < max(fast) < max(high)
+    return {
+        "ours": "; ".join(text(pair, ".2g") for pair in (slow, fast, high)) + " N",
+        "verdict": "reproduced" if holds else "differs",
+        "reason": "forces as they begin to fall",
+        "as_run": holds,
+    }
+
+
+def same_before_the_corner(plans: Plans, extent: Extent) -> Record:
+    """Judge whether carrier 2 can meet its speed limit at 0.65 s on one corner and at 0.4 s on the other."""
+    wide, sharp = plans.plan(CORNERS[0]), plans.plan(CORNERS[2])
+    entered = float(wide.motion.t[wide.motion.jumps][0])
+    first, second = wide.t < entered - 1e-9, sharp.t < entered - 1e-9
+    apart = float(np.abs(wide.carriers.s[first] - sharp.carriers.s[second]).max())
+    met = [first_bound(plan, "speed", 2)[0] for plan in (wide, sharp)]
+    return {
+        "ours": f"{text(met[0])} and {text(met[1])}",
+        "verdict": "differs" if apart < 1e-9 else "reproduced",
+        "reason": f"up to {entered:.2g} s the plans differ by at most {apart:.1g} m: no set-up meets both times",
+        "as_run": False,
+    }
+
+
+# --- sensitivity ---------------------------------------------------------------------------------------------------
+
+
+def sensitivity(plans: Plans, extent: Extent) -> list[Record]:
+    """Vary every unstated parameter, one at a time; NaN where a number exists nowhere on the grid."""
+    circles = CROSSINGS[:4] if extent.whole_grids else CROSSINGS[:1]
+    return [
+        record
+        for case in (*circles, *CORNERS)
+        for name in thesis()["sensitivity"][case.path]["grids"]
+        for record in _ranges(case, grid(name, extent), plans)
+    ]
+
+
+def _ranges(case: Case, over: Grid, plans: Plans) -> list[Record]:
+    differences = "dt" in over.values and case.planner == "switch_off"
+    own = case.with_options(scheme=DIFFERENCES) if differences else case
+    variations = [variation for variation, _ in over.cases(own)]
+    existing = [plan for _, plan in plans.existing(variations)]
+    records = []
+    for quantity, reading in thesis()["sensitivity"][case.path]["quantities"].items():
+        read = measure(*reading)
+        low, high = limits_of([value for plan in existing for value in read(plan)])
+        records.append(
+            {
+                "case": case.name + (" (backward differences)" if differences else ""),
+                "quantity": quantity,
+                "parameter": over.parameter,
+                "grid": over.shown,
+                "ours": max(read(plans.plan(own))),
+                "low": low,
+                "high": high,
+                "plans": len(variations),
+                "without": len(variations) - len(existing),
+            }
+        )
+    return records

@@ -1,0 +1,178 @@
+"""A table: columns with name, unit and format, rows of plain values; as Markdown, CSV, JSON or on a terminal."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table as TerminalTable
+
+NONE = "–"
+"""Stands for a number that does not exist."""
+
+Record: TypeAlias = dict[str, Any]
+"""A row: plain values by the name of their column."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A cell that links to a file of the results folder."""
+
+    text: str
+    path: str
+
+    def __str__(self) -> str:
+        """Return the text."""
+        return self.text
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        name: key of its values in the records, and its name in CSV and JSON.
+        title: heading; the name when left out.
+        unit: shown in brackets behind the heading.
+        format: of numbers, as in an f-string.
+        value: from a record to the cell, where that is more than ``record[name]``.
+    """
+
+    name: str
+    title: str = ""
+    unit: str = ""
+    format: str = ".3g"
+    value: Callable[[Record], Any] | None = None
+
+    @property
+    def heading(self) -> str:
+        """Heading with the unit."""
+        return (self.title or self.name) + (f" [{self.unit}]" if self.unit else "")
+
+    def cell(self, record: Record) -> Any:
+        """Return the value of the column in a record."""
+        return self.value(record) if self.value else record.get(self.name)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Records under headings.
+
+    Attributes:
+        columns: in order.
+        records: rows; values that no column names are not shown.
+        title: above it; may be empty.
+    """
+
+    columns: tuple[Column, ...]
+    records: tuple[Record, ...]
+    title: str = ""
+
+    @staticmethod
+    def of(columns: Sequence[Column], records: Sequence[Record], title: str = "") -> Table:
+        """Return a table from any sequences."""
+        return Table(tuple(columns), tuple(records), title)
+
+    def only(self, *names: str) -> Table:
+        """Return the table with some of its columns, such as those that fit a terminal."""
+        return replace(self, columns=tuple(column for column in self.columns if column.name in names))
+
+    @property
+    def texts(self) -> list[list[str]]:
+        """Cells as texts."""
+        return [[text(column.cell(record), column.format) for column in self.columns] for record in self.records]
+
+    def markdown(self) -> str:
+        """Return a table of GitHub's Markdown, without a caption; cells that are links stay links."""
+        lines = [[column.heading for column in self.columns], ["---"] * len(self.columns)]
+        for record, texts in zip(self.records, self.texts, strict=True):
+            cells = [column.cell(record) for column in self.columns]
+            lines.append(
+                [
+                    f"[{shown}]({cell.path})" if isinstance(cell, Link) else shown.replace("|", "\\|")
+                    for cell, shown in zip(cells, texts, strict=True)
+                ]
+            )
+        return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+    def terminal(self) -> TerminalTable:
+        """Return the table for a rich console."""
+        shown = TerminalTable(title=self.title or None)
+        for column in self.columns:
+            shown.add_column(column.heading, overflow="fold")
+        for row in self.texts:
+            shown.add_row(*row)
+        return shown
+
+    def csv(self, digits: int | None = None) -> str:
+        """Return CSV text; as ``csv_text``."""
+        return csv_text(
+            {column.name: np.array([column.cell(record) for record in self.records]) for column in self.columns}, digits
+        )
+
+
+def text(value: Any, form: str = ".3g") -> str:
+    """Return a value as a cell: numbers formatted, several of them joined, a dash where there is none."""
+    if value is None:
+        return NONE
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if isinstance(value, (float, np.floating)):
+        return NONE if math.isnan(value) else "unbounded" if math.isinf(value) else f"{value:{form}}"
+    if isinstance(value, (tuple, list, np.ndarray)):
+        return ", ".join(text(part, form) for part in value)
+    return str(value)
+
+
+def span(values: Sequence[float], form: str = ".3g") -> str:
+    """Return the range of the values that are numbers, ``"0.2 to 0.4"``; one number where both ends print the same."""
+    known = [value for value in values if not math.isnan(value)]
+    if not known:
+        return NONE
+    low, high = text(min(known), form), text(max(known), form)
+    return low if low == high else f"{low} to {high}"
+
+
+def json_data(value: Any) -> Any:
+    """Return data for JSON: enumerations by value, arrays and tuples as lists, None for numbers that do not exist."""
+    if isinstance(value, Mapping):
+        return {str(key): json_data(entry) for key, entry in value.items()}
+    if isinstance(value, (tuple, list, np.ndarray)):
+        return [json_data(entry) for entry in value]
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, np.generic):
+        return json_data(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None) -> str:
+    """Return a CSV table: a row of names, then one row a sample; NaN as ``nan``.
+
+    Args:
+        columns: by name: (N,) numbers or texts, or (N, c) numbers, which become name0, name1, ....
+        digits: significant digits of numbers; the shortest text that brings the float back when left out.
+    """
+    names: list[str] = []
+    cells: list[list[str]] = []
+    for name, values in columns.items():
+        array = np.asarray(values)
+        parts = [array] if array.ndim == 1 else list(array.T)
+        names += [name] if array.ndim == 1 else [f"{name}{i}" for i in range(len(parts))]
+        cells += [_column_texts(part, digits) for part in parts]
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([names, *zip(*cells, strict=True)])
+    return out.getvalue()
+
+
+def _column_texts(values: NDArray[Any], digits: int | None) -> list[str]:
+    if values.dtype.kind in "US":
+        return [str(value) for value in values.tolist()]
+    return [repr(value) if digits is None else f"{value:.{digits}g}" for value in values.tolist()]

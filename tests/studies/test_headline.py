@@ -1,0 +1,123 @@
+"""The headline table: what its cells show, and that the README shows what the job writes."""
+
+from __future__ import annotations
+
+import functools
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from redundancy_pin.studies.beyond import BREAKS, INFEASIBLE, NO_PLAN, headline, headline_cell, plan_record
+from redundancy_pin.studies.case import Plans
+from redundancy_pin.studies.cases import (
+    EFFORT,
+    NONE,
+    PEAK,
+    SINGULAR,
+    SMOOTH,
+    STEPWISE,
+    SWITCH_OFF,
+    SWITCH_OFF_LATE,
+    TASKS,
+    TURNS,
+    crosses,
+)
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+
+ROUNDING = 0.01
+"""Three digits are shown, and a solver that takes another path to the optimum refines another grid."""
+
+CHEAP = (SINGULAR[0], SINGULAR[2], SINGULAR[4], SINGULAR[5], *TURNS[:2])
+"""Motions that are planned again here; the others take as long as all of these."""
+
+PLANS = Plans()
+record = functools.cache(functools.partial(plan_record, PLANS))
+
+
+def row(task: str, method: str, worst: float, status: str = "within_limits", unit: str = "N") -> dict[str, Any]:
+    return {"task": task, "way": method, "unit": unit, "worst": worst, "status": status,
+            "exists": status != INFEASIBLE, "sound": status == "within_limits"}  # fmt: skip
+
+
+def cells(line: str) -> list[str]:
+    return [part.strip() for part in line.strip().strip("|").split("|")]
+
+
+def in_readme() -> list[list[str]]:
+    """The table of the README: cells by line."""
+    text = README.read_text(encoding="utf-8")
+    (table,) = re.findall(r"results/headline\.md -->\n(.*?)<!-- end of headline -->", text, flags=re.DOTALL)
+    return [cells(line) for line in table.strip().splitlines()]
+
+
+def test_a_cell_shows_what_is_wrong_with_a_plan() -> None:
+    shown = {0.52: "0.520 N", 28.54: "28.5 N", 285.4: "285 N"}
+    for worst, text in shown.items():
+        assert headline_cell(row("a", EFFORT, worst)) == text
+    assert headline_cell(row("a", EFFORT, 0.52, "violates_limits")) == f"0.520 N, {BREAKS}"
+    assert headline_cell(row("a", EFFORT, 0.52, "stopped_early")) == "0.520 N, stopped early"
+    assert headline_cell(row("a", EFFORT, float("inf"), "unbounded_effort")) == "unbounded, unbounded effort"
+    assert headline_cell(row("a", EFFORT, 0.52, INFEASIBLE)) == NO_PLAN
+    assert headline_cell(None) is None
+
+
+@pytest.mark.parametrize(
+    ("off", "late", "shown"),
+    [
+        ((28.0, "within_limits"), 23.0, "23.0 N"),
+        ((18.0, "within_limits"), 23.0, "18.0 N"),
+        ((18.0, "violates_limits"), 23.0, "23.0 N"),
+        ((0.0, INFEASIBLE), 23.0, "23.0 N"),
+    ],
+)
+def test_the_best_plan_of_the_thesis_is_shown(off: tuple[float, str], late: float, shown: str) -> None:
+    rows = [row("line-0.1", EFFORT, 0.52), row("line-0.1", SWITCH_OFF, *off), row("line-0.1", SWITCH_OFF_LATE, late)]
+    assert cells(headline(rows).markdown().splitlines()[2])[2] == shown
+
+
+def test_a_table_has_a_line_for_each_motion() -> None:
+    rows = [row("line-0.1", SWITCH_OFF, 0.0, INFEASIBLE), row("line-0.1", EFFORT, 0.52),
+            row("line-0.1", STEPWISE, 99.0),  # no method to cross a singularity
+            *(row("corner-r0.025", method, peak, unit="N·m") for method, peak in
+              ((STEPWISE, 7.0), (EFFORT, 3.0), (PEAK, 2.0)))]  # fmt: skip
+    lines = [cells(line) for line in headline(rows).markdown().splitlines()]
+    assert lines[0] == in_readme()[0]
+    assert lines[2:] == [
+        ["2-RPR, line at 0.1 m/s", "–", NO_PLAN, "0.520 N", "–"],
+        [TURNS[0].title, "–", "7.00 N·m", "3.00 N·m", "2.00 N·m"],
+    ]
+
+
+def test_the_readme_shows_what_the_job_writes() -> None:
+    shown = {motion: rest for motion, *rest in in_readme()[2:]}
+    assert list(shown) == [task.title for task in TASKS]
+    rows = []
+    for task in CHEAP:
+        thesis = (SWITCH_OFF, SWITCH_OFF_LATE) if crosses(task) else (NONE, STEPWISE)
+        rows += [record(task, method) for method in (*thesis, EFFORT, PEAK)]
+    written = [cells(line) for line in headline(rows).markdown().splitlines()[2:]]
+    assert len(written) == len(CHEAP)
+    for motion, *values in written:
+        for here, there in zip(values, shown[motion], strict=True):
+            assert re.sub(r"[0-9.]+", "#", here) == re.sub(r"[0-9.]+", "#", there), (motion, here, there)
+            numbers = [[float(value) for value in re.findall(r"[0-9.]+", text)] for text in (there, here)]
+            assert numbers[0] == pytest.approx(numbers[1], rel=ROUNDING), (motion, here, there)
+
+
+def test_what_the_readme_tells_below_the_table() -> None:
+    for task in TURNS[:2]:
+        none = record(task, NONE)
+        for best in (record(task, EFFORT), record(task, PEAK)):
+            assert best["energy"] > none["energy"]
+            assert best["rms"] > none["rms"]
+    for task in (SINGULAR[0], SINGULAR[4]):
+        off = record(task, SWITCH_OFF)
+        assert off["before"] < 0.5 * off["peak"]
+    calm = record(SINGULAR[0], SMOOTH)
+    assert calm["worst"] == pytest.approx(0.222, rel=ROUNDING)
+    assert calm["reversals"] <= 6
+    assert record(SINGULAR[0], EFFORT)["reversals"] > 25
+    assert record(SINGULAR[0], PEAK)["reversals"] > 80

@@ -1,0 +1,85 @@
+"""Numbers read off plans: reversals, peaks between samples, differences."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.studies.cases import EFFORT, SINGULAR, TURNS, by_method, parked, without_carriers
+from redundancy_pin.studies.measures import dense_peak, missing_force, numbers, plan_differences, reversals
+
+CIRCLE, LINE, CORNER = SINGULAR[0], SINGULAR[4], TURNS[0]
+T = np.linspace(0.0, 1.0, 1001)
+
+
+@functools.cache
+def switched_off() -> Plan:
+    return CIRCLE.plan()
+
+
+@functools.cache
+def whole() -> Plan:
+    return by_method(LINE, EFFORT, 8.0).plan()
+
+
+def with_efforts(*columns: Array) -> Plan:
+    return replace(whole(), tau=np.stack(columns, axis=1))
+
+
+def test_reversals_count_turns_and_not_ripple() -> None:
+    ripple = 0.01 * np.sin(200.0 * np.pi * T)  # 2 % of the peak from top to bottom
+    swing = np.sin(10.0 * np.pi * T)  # five maxima and five minima
+    assert reversals(with_efforts(swing, 0.5 * swing)).tolist() == [10, 10]
+    assert reversals(with_efforts(T + ripple, swing)).tolist() == [0, 10]
+    assert reversals(with_efforts(0.0 * T, 0.0 * T)).tolist() == [0, 0]
+
+
+def test_switch_off_between_its_samples_is_what_finer_samples_show() -> None:
+    fine = replace(CIRCLE, dt=2.5e-4).plan("rnea")
+    # curvature of τ at its peak: both grids see it to better than 1e-4
+    assert dense_peak(CIRCLE, switched_off()) == pytest.approx(float(np.nanmax(np.abs(fine.tau))), rel=1e-4)
+
+
+def test_motors_that_are_off_need_no_force() -> None:
+    plan = switched_off()
+    off = np.flatnonzero(plan.phase == plan.phases.index("off"))[3:-3]
+    sdd = np.array(plan.carriers.sdd)
+    sdd[off] += 1e3  # would take forces of kilonewtons, were the motors on
+    shaken = replace(plan, carriers=CarrierMotion(plan.carriers.s, plan.carriers.sd, sdd))
+    assert dense_peak(CIRCLE, plan) == dense_peak(CIRCLE, shaken)
+
+
+def test_numbers_of_a_switch_off_plan() -> None:
+    plan, shown = switched_off(), numbers(switched_off())
+    off = plan.phase == plan.phases.index("off")
+    assert shown["before"] == np.abs(plan.tau[plan.t < plan.t[off][0]]).max()
+    assert shown["before"] < shown["peak"] == np.nanmax(np.abs(plan.tau))
+    assert "track of carrier_1 by" in shown["broken"]
+    assert np.isnan(numbers(whole())["before"])
+
+
+def test_peak_at_rest_by_hand() -> None:
+    """Without carriers the 3-RRR's torques at the corner are known: 3.03 N·m at r = 0.025 m."""
+    none, still = without_carriers(CORNER), parked(CORNER)
+    assert dense_peak(none, none.plan()) == pytest.approx(3.03, abs=0.01)
+    assert dense_peak(still, still.plan()) > 3.0 * 3.03  # three carriers of 3 kg
+
+
+def test_differences_of_plans_are_seen() -> None:
+    plan = whole()
+    assert max(plan_differences(plan, plan).values()) == 0.0
+    off = plan_differences(plan, replace(plan, tau=plan.tau * (1.0 + 1e-5)))
+    assert off["tau"] == pytest.approx(1e-5, rel=1e-3)
+    assert off["position"] == 0.0
+
+
+def test_a_missing_plan_carries_its_force() -> None:
+    assert missing_force(InfeasiblePlanError("no", constraint="singular_pose", amount=0.25)) == 0.25
+    assert np.isnan(missing_force(InfeasiblePlanError("no", constraint="track", amount=0.25)))

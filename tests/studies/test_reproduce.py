@@ -1,0 +1,223 @@
+"""The main job: what it writes, that it writes all or nothing, and that disagreement stops it."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import quick_results
+from quick_results import motion, reproduction, require_self_contained
+
+from redundancy_pin import crosscheck
+from redundancy_pin.dynamics.virtual_work import VirtualWorkAlongMotion
+from redundancy_pin.errors import CrossCheckError, OutputError
+from redundancy_pin.studies import reproduce as job
+from redundancy_pin.studies.cases import CHAPTERS, FULL
+from redundancy_pin.studies.figures import THESIS, pictures
+from redundancy_pin.studies.report import html
+from redundancy_pin.studies.reproduce import Reproduction
+from redundancy_pin.visualisation.figures import style
+
+reproduce = functools.partial(job.reproduce, extent=replace(FULL, chapters=()), samples=4)
+"""The job without chapters, which are run once in ``quick_results``; the cross-check has tests of its own."""
+
+NAMES = ("circle-0.5-parked", "corner-r0.025-baseline", "corner-r0.025-parked")
+BASELINE, SHARP = "corner-r0.025-baseline", "corner-r0.013-baseline"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _coarse_pictures() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(style._SETTINGS, "savefig.dpi", 40)
+        yield
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Reproduction:
+    return reproduce(tmp_path_factory.mktemp("job") / "results", [motion(name) for name in NAMES])
+
+
+def test_every_promised_file_is_there_and_nothing_beside_them(done: Reproduction) -> None:
+    expected = {"summary.json", "report.md", "report.html", *(f"{name}.csv" for name in NAMES)}
+    stems = [f"{name}-{kind}" for name in NAMES for kind in ("efforts", "path")] + ["corner-r0.025-comparison"]
+    expected |= {f"{stem}{suffix}" for stem in stems for suffix in (".png", ".svg")}
+    assert {path.name for path in done.folder.iterdir()} == expected
+    assert [path.name for path in done.folder.parent.iterdir()] == ["results"]
+
+
+def test_summary_is_strict_json_with_versions(done: Reproduction) -> None:
+    def refuse(text: str) -> None:
+        raise AssertionError(text)
+
+    data = json.loads((done.folder / "summary.json").read_text(), parse_constant=refuse)
+    assert list(data) == ["format", "format_version", "versions", "cross_check", "experiments", "thesis", "planned",
+                          "beyond", "replay", "notes", "files"]  # fmt: skip
+    assert data["format_version"] == 1
+    assert {"redundancy_pin", "python", "pin", "numpy"} <= set(data["versions"])
+    assert data["cross_check"]["passed"]
+    assert list(data["experiments"]) == list(NAMES)
+    circle = data["experiments"]["circle-0.5-parked"]
+    assert not circle["bounded"]
+    assert len(circle["singular_instants"]) == 2
+    assert data["experiments"][BASELINE]["bounded"]
+    assert sorted([*data["files"], "summary.json"]) == sorted(path.name for path in done.folder.iterdir())
+    assert done.summary == data
+
+
+def test_csv_holds_both_backends_and_the_singular_instants(done: Reproduction) -> None:
+    with (done.folder / "circle-0.5-parked.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == [
+        "t", "x0", "x1", "xd0", "xd1", "xdd0", "xdd1", "tau0", "tau1", "tau_virtual_work0", "tau_virtual_work1",
+        "carrier_force0", "carrier_force1", "status", "margin", "condition", "residual",
+    ]  # fmt: skip
+    first, second = (np.array([float(row[name]) for row in rows]) for name in ("tau0", "tau_virtual_work0"))
+    regular = np.array([row["status"] == "regular" for row in rows])
+    np.testing.assert_allclose(first[regular], second[regular], rtol=1e-9, atol=1e-11)  # twelve digits are written
+    singular = [row for row in rows if row["status"] == "singular_inconsistent"]
+    assert len(singular) == 2
+    assert all(row["tau0"] == "nan" and float(row["residual"]) > 0.1 for row in singular)
+
+
+def test_the_same_run_gives_the_same_bytes(done: Reproduction, tmp_path: Path) -> None:
+    again = reproduce(tmp_path / "again", [motion(name) for name in NAMES])
+    for path in done.folder.iterdir():
+        assert path.read_bytes() == (again.folder / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize("chapter", [*CHAPTERS, ""])
+def test_reports_show_every_figure_and_link_to_files_that_exist(chapter: str, done: Reproduction) -> None:
+    made = reproduction(chapter) if chapter else done
+    text = (made.folder / "report.md").read_text()
+    links = [part.split(")")[0] for part in text.split("](")[1:]]
+    for link in links:
+        assert (made.folder / link).is_file(), link
+    drawn = [picture for group in pictures(made.results).values() for picture in group]
+    assert {f"{picture.stem}.png" for picture in drawn} <= set(links)
+    for picture in drawn:
+        assert (made.folder / f"{picture.stem}.png").read_bytes().startswith(b"\x89PNG")
+    listed = json.loads((made.folder / "summary.json").read_text())["files"]
+    assert sorted([*listed, "summary.json"]) == sorted(path.name for path in made.folder.iterdir())
+    assert len(require_self_contained((made.folder / "report.html").read_text())) == len(drawn)
+
+
+def test_every_result_figure_of_the_thesis_is_drawn() -> None:
+    assert [number for number, _, _ in THESIS] == [*(f"3.{i}" for i in range(6, 23)), *(f"4.{i}" for i in range(2, 19))]
+
+
+def test_verdicts_of_the_run_are_in_the_report() -> None:
+    text = (reproduction("planned").folder / "report.md").read_text()
+    for record in quick_results.chapter("planned")["conclusions"]:
+        assert f"| {record['claim']} | {record['stands']} | {record['here']} |".replace("|τ|", "\\|τ\\|") in text
+    judged = quick_results.chapter("planned")["against_thesis"]
+    assert f"{len(judged)}; {sum(record['as_run'] for record in judged)} are reproduced by the run itself" in text
+
+
+def test_html_escapes_text_colours_verdicts_and_embeds_pictures(tmp_path: Path) -> None:
+    (tmp_path / "picture.png").write_bytes(b"\x89PNG")
+    markdown = (
+        "# A & b\n\n## Part <two>\n\n`code` <script>\n\n| [run](run.csv) | v |\n| --- | --- |\n| <b> | differs: x |\n"
+    )
+    page = html(markdown + '\n![a "caption"](picture.png)\n', tmp_path)
+    assert len(require_self_contained(page)) == 1
+    seen = quick_results.Page(page)
+    assert not [tag for tag, _ in seen.tags if tag in ("two", "b")]
+    assert "<script>" in seen.text
+    assert [attributes.get("class") for tag, attributes in seen.tags if tag == "td"] == [None, "bad"]
+    with pytest.raises(OutputError, match=r"picture\.png"):
+        html(markdown + "\n![a](picture.png)\n", tmp_path / "elsewhere")
+
+
+def test_earlier_results_are_replaced_as_a_whole(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    reproduce(folder, [motion(BASELINE)])
+    reproduce(folder, [motion(SHARP)])
+    assert not list(folder.glob("corner-r0.025*"))
+    assert list(folder.glob("corner-r0.013*"))
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
+def test_a_failure_midway_keeps_earlier_results_or_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "results"
+    reproduce(folder, [motion(BASELINE)])
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def fails(*_: object) -> str:
+        raise OutputError("The disk is full.")
+
+    monkeypatch.setattr(job, "report", fails)  # after data and figures are written
+    for target in (folder, tmp_path / "other"):
+        with pytest.raises(OutputError):
+            reproduce(target, [motion(SHARP)])
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
+def test_disagreeing_backends_stop_the_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sign flipped in one backend must be seen by the cross-check, before anything is run or written."""
+    original = VirtualWorkAlongMotion.reduce
+
+    def flipped(self: VirtualWorkAlongMotion, carriers: object = None) -> object:
+        right = original(self, carriers)  # type: ignore[arg-type]
+        return type(right)(**{**vars(right), "f": -right.f})
+
+    monkeypatch.setattr(VirtualWorkAlongMotion, "reduce", flipped)
+    monkeypatch.setattr(job, "run", lambda case: pytest.fail("an experiment was run"))
+    with pytest.raises(CrossCheckError, match="cross-check fails"):
+        reproduce(tmp_path / "results", [motion(BASELINE)])
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("what", ["file", "foreign", "parent"])
+def test_a_folder_that_cannot_be_written_is_refused_first(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(crosscheck, "run", lambda *_: pytest.fail("work was done"))
+    folder = tmp_path / "results"
+    if what == "file":
+        folder.write_text("mine")
+    elif what == "foreign":
+        folder.mkdir()
+        (folder / "notes.txt").write_text("mine")
+    else:
+        folder = tmp_path / "no" / "results"
+    with pytest.raises(OutputError):
+        reproduce(folder)
+    if what == "foreign":
+        assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_progress_counts_up_to_the_total(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    reproduce(tmp_path / "results", [motion(BASELINE)], progress=lambda done, total, what: told.append((done, total)))
+    assert told == sorted(told)
+    assert told[-1][0] == told[-1][1]
+    assert len({total for _, total in told}) == 1
+
+
+def test_each_plan_is_replayed_or_the_reason_is_there() -> None:
+    made = reproduction("replay")
+    records = {(record["plan"], record["drive"]): record for record in quick_results.chapter("replay")["replays"]}
+    massless = records["circle-0.5, switching off", "open loop"]
+    assert massless["status"] == "ill_posed"
+    assert "no inertia" in massless["reason"]
+    corner = records["corner-r0.025, whole trajectory: effort", "open loop"]
+    assert corner["status"] == "completed"
+    assert corner["largest"] < 1e-6
+    (missing,) = quick_results.chapter("replay")["without_plan"].values()
+    assert "nothing can carry the inertial force" in missing
+    text = (made.folder / "report.md").read_text()
+    assert massless["reason"] in text
+    assert missing in text
+    lines = (made.folder / "replay.csv").read_text().splitlines()
+    assert len(lines) == 1 + len(records)
+    assert {line.count(",") for line in lines} == {11}
+    assert made.summary["replay"]["replays"][0]["largest"] is None
