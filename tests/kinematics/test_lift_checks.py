@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import zoo
@@ -195,6 +197,19 @@ def test_a_crank_that_cannot_go_round_stops_where_the_coupler_stretches() -> Non
         lift(robot, along(np.linspace(1.0, np.pi, 40)[:, None]))
     limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
     assert caught.value.details["sample"] == int(np.argmax(np.linspace(1.0, np.pi, 40) > limit))
+
+
+def test_a_jump_to_another_branch_is_refused_or_marked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fault injected: the guess of one sample has the other elbow, on a robot that declares no modes to tell them."""
+    shipped = zoo.robot_of("five_bar")
+    robot = replace(shipped, working_modes=None, working_mode=())
+    other = np.array(load_robot("five_bar", working_mode=tuple(-sign for sign in shipped.working_mode)).q_reference)
+    motion = along(zoo.home_of(shipped) + np.array([[0.0, 0.0], [0.0, -0.01], [0.0, -0.02]]))
+    guesses = np.stack([np.array(shipped.q_reference), np.array(shipped.q_reference), other])
+    monkeypatch.setattr(state, "_guesses", lambda *_: guesses)
+    with pytest.raises(WorkingModeError, match="continuously from sample 1 to 2"):
+        lift(robot, motion)
+    np.testing.assert_array_equal(lift(robot, motion, mark_unreachable=True).reachable, [True, True, False])
 
 
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar"])

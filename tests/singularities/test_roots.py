@@ -29,8 +29,10 @@ def test_simple_zeros_are_all_found_however_near(roots: list[float]) -> None:
 def test_touches_of_either_kind(at: float, sign: float) -> None:
     (smooth,) = zeros(lambda t: sign * (t - at) ** 2, TIMES, 1e-12)
     (sharp,) = zeros(lambda t: sign * np.abs(t - at), TIMES, 1e-12)
+    (cusp,) = zeros(lambda t: sign * np.sqrt(np.abs(t - at)), TIMES, 1e-6)
     assert smooth.t == pytest.approx(at, abs=1e-6)
     assert sharp.t == pytest.approx(at, abs=ROUNDING)
+    assert cusp.t == pytest.approx(at, abs=1e-12)
     assert not smooth.crosses
     assert not sharp.crosses
 
