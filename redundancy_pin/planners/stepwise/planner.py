@@ -142,7 +142,7 @@ def plan_stepwise(
     settings = checked_settings(
         robot,
         motion,
-        grouped("limits", limits, Limits, {"track": track, "speed": speed, "acceleration": acceleration}),
+        grouped("limits", limits, Limits, track=track, speed=speed, acceleration=acceleration),
         lam=lam,
         active=active,
         start=start,
