@@ -138,10 +138,7 @@ def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = Non
 
 def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
     """Return sizes from the limits, and from the parked robot where there are none."""
-    lower, upper, speed, acceleration = (
-        np.array([getattr(limit, name) for limit in settings.limits])
-        for name in ("lower", "upper", "speed", "acceleration")
-    )
+    (lower, upper), speed, acceleration = settings.limits.track.T, settings.limits.speed, settings.limits.acceleration
     s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0)
     sd = np.where(np.isfinite(speed), speed, 10.0 * s / duration)
     sdd = np.where(np.isfinite(acceleration), acceleration, 10.0 * sd / duration)

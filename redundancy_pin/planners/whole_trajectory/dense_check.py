@@ -95,10 +95,10 @@ def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau
     times = np.setdiff1d(np.concatenate([inside.ravel(), beside]), grid.t)
     reduced = task.dynamics.along(task.source.sample_at(times)).reduce(carriers_at(position, times))
     efforts, forces = _efforts(reduced, grid.t, tau), np.asarray(reduced.carrier_force)
-    force_limit = np.array([limits.force for limits in settings.limits])
+    effort_limit, force_limit = settings.limits.effort, settings.limits.carrier_force
     size, at_nodes = np.where(np.isfinite(efforts), np.abs(efforts), np.inf), float(np.abs(tau).max())
     # an actuator with a limit below the peak of the others is judged by its limit
-    relative = (size / np.maximum(np.minimum(at_nodes, settings.effort), SMALL * problem.scales.tau)).max(axis=1)
+    relative = (size / np.maximum(np.minimum(at_nodes, effort_limit), SMALL * problem.scales.tau)).max(axis=1)
     marked = (relative > MARKED) | (np.abs(forces) > MARKED * force_limit).any(axis=1)
     exceeding = np.zeros(len(grid.h), dtype=bool)
     exceeding[np.searchsorted(grid.t, times[marked], side="right") - 1] = True
@@ -110,7 +110,7 @@ def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau
         ratio=max(float(relative.max()), 1.0),
         points=len(times),
         exceeding=widened(exceeding, BESIDE),
-        broken=limits_broken("effort", robot.actuated, times, efforts, settings.effort, ALLOWED)
+        broken=limits_broken("effort", robot.actuated, times, efforts, effort_limit, ALLOWED)
         + limits_broken("force", robot.carriers, times, forces, force_limit, ALLOWED),
     )
 

@@ -145,7 +145,7 @@ def _quantity(
     if kind == "jerk":
         h = np.where(problem.grid.h > 0.0, problem.grid.h, np.inf)[:, None]
         jerk = np.diff(elastic.values["sdd"], axis=0) * u.sdd / h
-        return jerk, -problem.settings.jerk, problem.settings.jerk, robot.carriers
+        return jerk, -problem.settings.limits.jerk, problem.settings.limits.jerk, robot.carriers
     name = next(name for name, limit in KIND_OF.items() if limit == kind)
     size = np.broadcast_to(getattr(u, name), elastic.values[name].shape[1:])
     low, high = (bound * size for bound in scaled_bounds(problem)[name])

@@ -13,12 +13,15 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, frozen, positive
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.planners.limits import Limits, as_typed
+from redundancy_pin.planners.limits import Limits, ResolvedLimits, as_typed
 from redundancy_pin.planners.whole_trajectory.objectives import OBJECTIVES
-from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot import Robot
 
 End = Literal["free", "rest", "datum", "periodic"]
 """How the carriers end: anyhow; at rest; at rest where they park; or as they began (s, ṡ and s̈)."""
+
+LIMITS = ("speed", "acceleration", "carrier_force", "jerk", "effort")
+"""Limits by one number a carrier or actuator, in the order in which plans have them."""
 
 Progress = Callable[[str], None]
 """Takes one line of text."""
@@ -74,9 +77,7 @@ class Settings:
     objective: Mapping[str, float]
     lam: float
     baseline: Dynamics | None
-    limits: tuple[CarrierLimits, ...]
-    jerk: Array
-    effort: Array
+    limits: ResolvedLimits
     start: Array
     start_speed: Array
     end: End
@@ -90,11 +91,10 @@ class Settings:
         return {
             "objective": dict(self.objective),
             "lam": self.lam,
-            "track": [(limit.lower, limit.upper) for limit in self.limits],
-            "speed": [limit.speed for limit in self.limits],
-            "acceleration": [limit.acceleration for limit in self.limits],
-            "carrier_force": [limit.force for limit in self.limits],
-            **{name: getattr(self, name).tolist() for name in ("jerk", "effort", "start", "start_speed")},
+            "track": [tuple(ends) for ends in self.limits.track.tolist()],
+            **{name: getattr(self.limits, name).tolist() for name in LIMITS},
+            "start": self.start.tolist(),
+            "start_speed": self.start_speed.tolist(),
             "end": self.end,
             "datum": self.datum.tolist(),
             "dt": self.mesh.dt,
@@ -143,9 +143,7 @@ def checked_settings(
         objective=weights,
         lam=float(lam),
         baseline=objective.baseline,
-        limits=resolved.of_carriers,
-        jerk=resolved.jerk,
-        effort=resolved.effort,
+        limits=resolved,
         start=park if start is None else resolved.on_track(start, "start"),
         start_speed=_vector(start_speed, "start_speed", robot.k),
         end=end,

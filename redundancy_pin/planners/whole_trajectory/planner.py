@@ -259,7 +259,7 @@ def _plan(task: Task, result: Multistart, checks: list[DenseCheck], seconds: flo
             "seconds": seconds,
         },
         prescribed=prescribed,
-        carrier_limits=settings.limits,
+        carrier_limits=settings.limits.of_carriers,
         functions=PlanFunctions(
             task.source,
             solution.position(problem).made_continuous(),
@@ -272,7 +272,7 @@ def _plan(task: Task, result: Multistart, checks: list[DenseCheck], seconds: flo
     sample_status[at] = np.where(
         sample_status[at] == SampleStatus.REGULAR, SampleStatus.SINGULAR_CONSISTENT, sample_status[at]
     )
-    at_nodes = limits_broken("effort", robot.actuated, plan.t, plan.tau, settings.effort, 1.0 + ROUNDING)
+    at_nodes = limits_broken("effort", robot.actuated, plan.t, plan.tau, settings.limits.effort, 1.0 + ROUNDING)
     broken = sorted((*plan.limits.violated, *at_nodes, *checks[-1].broken), key=lambda event: event.start)
     status = plan.status
     if status is PlanStatus.WITHIN_LIMITS and (broken or not solution.optimal):

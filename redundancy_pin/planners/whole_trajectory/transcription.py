@@ -106,10 +106,8 @@ class NLP:
 def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
     """Return lower and upper bounds of s, ṡ, s̈, τ and the carriers' force over their sizes, a little narrowed."""
     settings, u = problem.settings, problem.scales
-    lower, upper, speed, acceleration, force = (
-        np.array([getattr(bound, name) for bound in settings.limits])
-        for name in ("lower", "upper", "speed", "acceleration", "force")
-    )
+    limits = settings.limits
+    (lower, upper), speed = limits.track.T, limits.speed
     width = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
     # a start or an end on its limit needs that limit whole, and a little more: the solver needs an interior
     fixed = [settings.start] + ([settings.datum] if settings.end == "datum" else [])
@@ -121,9 +119,9 @@ def scaled_bounds(problem: Problem) -> dict[str, tuple[Array, Array]]:
     on_limit = (at_start > speed * (1.0 - RESERVE)) & (at_start <= speed)
     most = {
         "sd": np.where(on_limit, speed * (1.0 + BEYOND + RESERVE), speed) / u.sd,
-        "sdd": acceleration / u.sdd,
-        "tau": settings.effort / u.tau,
-        "force": force / u.force,
+        "sdd": limits.acceleration / u.sdd,
+        "tau": limits.effort / u.tau,
+        "force": limits.carrier_force / u.force,
     }
     symmetric = {name: (-bound * (1.0 - RESERVE), bound * (1.0 - RESERVE)) for name, bound in most.items()}
     return {"s": ((lower + low_margin) / u.s, (upper - high_margin) / u.s), **symmetric}
@@ -230,8 +228,8 @@ class Transcription(Quantities):
         s0, s1, sd0, sd1, sdd0, sdd1 = (part for x in (s, sd, sdd) for part in (x[:-1, :], x[1:, :]))
         self.equal(s0 + h * sd0 + h**2 / 6.0 * (2.0 * sdd0 + sdd1) - s1, 0.0, u.s)
         self.equal(sd0 + h / 2.0 * (sdd0 + sdd1) - sd1, 0.0, u.sd)
-        if np.isfinite(settings.jerk).any():
-            most = h * settings.jerk / u.sdd
+        if np.isfinite(settings.limits.jerk).any():
+            most = h * settings.limits.jerk / u.sdd
             self.limit("jerk", (sdd1 - sdd0) / _rows(u.sdd, sdd0.shape), -most, most)
         # the jerk is the same on both sides of smooth nodes
         at = np.flatnonzero(grid.smooth)
@@ -330,7 +328,7 @@ def transcribe(
     programme = Transcription(problem, elastic)
     programme.motion()
     programme.dynamics()
-    if limit_force and any(np.isfinite(limit.force) for limit in problem.settings.limits):
+    if limit_force and np.isfinite(problem.settings.limits.carrier_force).any():
         programme.force  # noqa: B018 # adds the forces as variables within their limits
     programme.objective()
     for steps in [np.ones(len(problem.grid.h), dtype=bool)] if between is None else between:
