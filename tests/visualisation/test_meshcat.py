@@ -136,6 +136,12 @@ def test_arrows_and_path_are_drawn_over_what_is_see_through() -> None:
     assert {order[path] for path in order if path.startswith("robot/")} == {0}
 
 
+def test_only_what_covers_other_things_is_see_through() -> None:
+    sent = [c for c in commands_in(page_of("3rrr")) if c["type"] == "set_object" and "/robot/" in c["path"]]
+    clear = {c["path"] for c in sent if c["object"]["materials"][0]["opacity"] < 1.0}
+    assert clear == {"/meshcat/robot/base/plate", "/meshcat/robot/wrist_1/platform_0"}
+
+
 def test_animations_touch_groups_only() -> None:
     """A browser that joins a live server late is sent the animation before the objects."""
     for name in zoo.SHIPPED:

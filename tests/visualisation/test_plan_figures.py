@@ -156,6 +156,8 @@ def test_limits_that_differ_say_whose_they_are() -> None:
     axes = _panel(drawn, "carrier position")
     assert _horizontals(axes) == {0.2, 0.25, -0.2}
     assert {text.get_text() for text in axes.texts} == {"limit of 1", "limit of 2"}
+    (hatched,) = [patch for patch in axes.patches if patch.get_hatch()]  # what none of them may do
+    assert _span(hatched) == pytest.approx((0.25, axes.get_ylim()[1]))
 
 
 def test_broken_limits_are_marked_where_they_are_worst() -> None:
