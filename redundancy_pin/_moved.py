@@ -47,7 +47,8 @@ class _Finder(MetaPathFinder, Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         new = _new_name(module.__name__)
-        assert new is not None  # noqa: S101 - find_spec has seen to it
+        if new is None:  # find_spec has seen to it
+            raise ImportError(f"{module.__name__} has not moved.")
         warnings.warn(f"{module.__name__} is now {new}.", DeprecationWarning, stacklevel=2)
         # the import system hands out what stands in sys.modules after this
         sys.modules[module.__name__] = importlib.import_module(new)
