@@ -46,8 +46,8 @@ reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: resu
 validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random states
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin validate --samples $(SAMPLES) --jobs $(JOBS)
 
-long: $(STAMP) ## the planner against its oracle and its limits on long lists of random tasks
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m long
+long: $(STAMP) ## long lists of random cases, and every property on ten times as many examples
+	EXAMPLES=10 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "long or property"
 
 study: $(STAMP) ## DRAWS imperfect machines through singularities, into study/ (goes on where it was interrupted)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin study --draws $(DRAWS) --out study

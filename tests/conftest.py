@@ -20,3 +20,10 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 def shipped(request: pytest.FixtureRequest) -> Robot:
     """Each shipped robot in turn, loaded once a session."""
     return zoo.robot_of(request.param)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every property test, so that ``make long`` can run them with more examples."""
+    for item in items:
+        if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+            item.add_marker(pytest.mark.property)
