@@ -22,6 +22,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
+from redundancy_pin.planners.whole_trajectory.objectives import OBJECTIVES
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot.urdf import shipped_robots
 from redundancy_pin.studies.case import BACKENDS, RNEA
@@ -206,8 +207,7 @@ WHOLE_TRAJECTORY: Mapping[str, Parameter] = {
     "objective": Parameter(
         weights,
         "WORD[=WEIGHT]",
-        "What to minimise: effort, peak, tracking, carrier_force, carrier_acceleration, effort_rate, energy; may be "
-        "repeated.",
+        f"What to minimise: {', '.join(OBJECTIVES)}; may be repeated.",
         multiple=True,
     ),
     "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort that tracking aims at, 0 to 1."),

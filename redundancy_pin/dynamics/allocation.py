@@ -141,8 +141,8 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
     u = np.array(lower)
     if free.any():
         rest, box = goal - matrix[:, ~free] @ u[~free], (lower[free], upper[free])
-        found = lsq_linear(matrix[:, free], rest, box, method="bvls", tol=_ROUNDING, max_iter=1000)
-        u[free] = np.clip(found.x, *box)
+        fit = lsq_linear(matrix[:, free], rest, box, method="bvls", tol=_ROUNDING, max_iter=1000)
+        u[free] = np.clip(fit.x, *box)
     return u
 
 

@@ -89,8 +89,8 @@ class Distribution:
 
     def __repr__(self) -> str:
         """Return how many samples have which status, and peaks, not the arrays."""
-        found = [(status, int((self.status == status).sum())) for status in SampleStatus]
-        counts = ", ".join(f"{count} {status.label}" for status, count in found if count)
+        samples = [(status, int((self.status == status).sum())) for status in SampleStatus]
+        counts = ", ".join(f"{count} {status.label}" for status, count in samples if count)
         return (
             f"Distribution(N={len(self)}, m={self.tau.shape[1]}: {counts}; {peak('tau', self.tau, 'N or N·m')}, "
             f"least margin {np.nanmin(self.margin, initial=np.inf):.4g})"
@@ -184,6 +184,7 @@ def distribute(
     u[~consistent] = np.nan
     u, infeasible = _within_bounds(problem, u, rank)
     full, near = rank == min(problem.A.shape[1:]), spectrum.margin < near_singular
+    # the first condition that holds decides, so the order is part of the meaning
     status: IntArray = np.select(
         [~at, infeasible, consistent & ~full, consistent & near, consistent, full],
         [

@@ -108,6 +108,7 @@ def _second_pass(along: RneaAlongMotion, carriers: CarrierMotion | None, forces:
         external.append(pin.Force.Zero())
     result = np.empty((q.shape[1], model.njoints - 1, 6))
     for i in range(q.shape[1]):
+        # places first: RNEA takes external forces in the frames of the joints, and these are in world axes
         pin.forwardKinematics(model, data, q[:, i])
         for joint, wrench in forces.items():
             if joint > 0:

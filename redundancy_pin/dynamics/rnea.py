@@ -139,7 +139,7 @@ class RneaAlongMotion:
         q, v, a = self.tree_motion(carriers)
         samples = q.shape[1]
         root = np.zeros((7, samples))
-        root[6] = 1.0
+        root[6] = 1.0  # w of the quaternion: no rotation, so the root's axes are the world's
         still = np.zeros((6, samples))
         effort = _batched_rnea(
             self._floating_pool,
@@ -148,6 +148,7 @@ class RneaAlongMotion:
             np.asfortranarray(np.concatenate([still, v])),
             np.asfortranarray(np.concatenate([still, a])),
         )
+        # the effort at the root is what the ground exerts on the robot; the wrench on the base is its reaction
         wrench: Array = read_only(np.ascontiguousarray(-effort[:6].T))
         return wrench
 

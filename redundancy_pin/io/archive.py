@@ -93,15 +93,15 @@ def _encode_record(value: object, name: str, arrays: Arrays) -> Any:
             for field in fields(value)
         }
     if isinstance(value, Enum) and not isinstance(value, (int, str)):
-        return _encode_plain(value.value, name, arrays)
+        return _encode_value(value.value, name, arrays)
     if isinstance(value, np.ndarray):
         return _store(value, name, name, arrays)
     if isinstance(value, tuple):
         return {"$tuple": [_encode_record(entry, f"{name}.{i}", arrays) for i, entry in enumerate(value)]}
-    return _encode_plain(value, name, arrays)
+    return _encode_value(value, name, arrays)
 
 
-def _encode_plain(value: object, name: str, arrays: Arrays) -> Any:
+def _encode_value(value: object, name: str, arrays: Arrays) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or (isinstance(value, (bool, int, str)) and not isinstance(value, Enum)):
@@ -113,14 +113,14 @@ def _encode_plain(value: object, name: str, arrays: Arrays) -> Any:
         root = name.split("[")[0]
         return _store(value, f"{root}.{len(arrays)}", name, arrays)
     if isinstance(value, tuple):
-        return {"$tuple": [_encode_plain(entry, f"{name}[{i}]", arrays) for i, entry in enumerate(value)]}
+        return {"$tuple": [_encode_value(entry, f"{name}[{i}]", arrays) for i, entry in enumerate(value)]}
     if isinstance(value, list):
-        return [_encode_plain(entry, f"{name}[{i}]", arrays) for i, entry in enumerate(value)]
+        return [_encode_value(entry, f"{name}[{i}]", arrays) for i, entry in enumerate(value)]
     if isinstance(value, Mapping):
-        encoded = [(key, _encode_plain(entry, f"{name}[{key!r}]", arrays)) for key, entry in value.items()]
+        encoded = [(key, _encode_value(entry, f"{name}[{key!r}]", arrays)) for key, entry in value.items()]
         if all(type(key) is str and not key.startswith(_MARK) for key, _ in encoded):
             return dict(encoded)
-        return {"$mapping": [[_encode_plain(key, f"{name}, key", arrays), entry] for key, entry in encoded]}
+        return {"$mapping": [[_encode_value(key, f"{name}, key", arrays), entry] for key, entry in encoded]}
     raise InputError(
         f"{name} is a {type(value).__name__}, which a file cannot hold.",
         remedy="Use numbers, text, lists, tuples, mappings and arrays of numbers.",
@@ -216,16 +216,16 @@ def read_archive(path: str | Path, kind: str, version: int, word: str, make: Cal
 def _require_format(path: Path, content: Mapping[str, Any], kind: str, version: int, word: str) -> None:
     if content.get("format") != kind:
         raise _foreign(path, word, f"is a {content.get('format')!r}, not a {kind!r}")
-    found = content.get("format_version")
-    if type(found) is not int or found < 1:
-        raise _damaged(path, word, f"its format version is {found!r}")
-    if found > version:
+    written = content.get("format_version")
+    if type(written) is not int or written < 1:
+        raise _damaged(path, word, f"its format version is {written!r}")
+    if written > version:
         raise PlanFileError(
-            f"{path} has format version {found}, written by redundancy_pin {content.get('package_version')}; this "
+            f"{path} has format version {written}, written by redundancy_pin {content.get('package_version')}; this "
             f"one, {_package_version()}, reads up to version {version}.",
             remedy="Install a newer redundancy_pin.",
             path=str(path),
-            found=found,
+            found=written,
             readable=version,
         )
 
@@ -262,8 +262,8 @@ def _read_arrays(path: Path, word: str) -> Arrays:
 
 def _metadata(path: Path, arrays: Arrays, word: str) -> dict[str, Any]:
     if _METADATA not in arrays:
-        held = ", ".join(list(arrays)[:5]) or "nothing"
-        raise _foreign(path, word, f"is an npz archive without metadata (it holds {held})")
+        names = ", ".join(list(arrays)[:5]) or "nothing"
+        raise _foreign(path, word, f"is an npz archive without metadata (it holds {names})")
     try:
         content = json.loads(str(arrays[_METADATA]))
     except ValueError as error:

@@ -165,7 +165,8 @@ def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     inverse = inverses(state.K)
     rows = np.concatenate([system.closure_scale, row_scale(robot)])
     scale = np.outer(velocity_scale(robot)[columns] ** 2, 1.0 / rows**2)
-    with np.errstate(over="ignore"):
+    # 1 / σ_min is the 2-norm of the scaled inverse; the Frobenius norm bounds it within √p and needs no decomposition
+    with np.errstate(over="ignore"):  # next to a singularity, where the margin is zero all the same
         size = np.sqrt((inverse**2).reshape(len(inverse), scale.size) @ scale.ravel())
     margin = np.where(size < 1.0 / SINGULAR_MARGIN, 1.0 / np.where(size > 0.0, size, np.inf), 0.0)
     inverse[margin == 0.0] = np.nan
@@ -209,6 +210,7 @@ class _Equations:
             parts.append(difference(robot, self.target, coordinates(robot, state)))
         if self.actuated is not None:
             off = self.actuated - np.stack([joint_position(robot, name, state.q) for name in robot.actuated], axis=1)
+            # a continuous joint takes the shorter arc: its positions a turn apart are one
             endless = [robot.model.joints[robot.model.getJointId(name)].nq == 2 for name in robot.actuated]
             off[:, endless] = (off[:, endless] + np.pi) % (2.0 * np.pi) - np.pi
             parts.append(off)

@@ -82,6 +82,7 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
     """
     require_matching(robot, motion)
     system = constraint_system(robot)
+    # the guesses lie on the branch, so that all samples can be solved at once: no sample waits for the one before
     solved = assemble(system, _guesses(system, motion, mark_unreachable), motion.x, max_iterations=30)
     if not mark_unreachable:
         _require_usable(motion, solved)
@@ -89,7 +90,7 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
     breaks = _branch_breaks(motion, solved, good)
     if len(breaks) and not mark_unreachable:
         raise _discontinuous(motion, int(breaks[0]) - 1)
-    good[breaks] = False
+    good[breaks] = False  # closed, but on another branch than the sample before
     gamma, inverse = solved.gamma, solved.projection.inverse
     v = np.einsum("nvi,ni->nv", gamma, motion.xd)
     bias_c, bias_x = system.bias(solved.state, v)

@@ -260,7 +260,7 @@ def linearise(robot: Robot, state: State, tau: Array, carrier_force: Array | Non
     solved = np.linalg.solve(inverse.mass, np.concatenate([-inverse.force_y, -inverse.force_z, inverse.input], axis=1))
     A = np.block([[inverse.rate_y, np.eye(d)], [solved[:, : 2 * d]]])
     B = np.concatenate([np.zeros((d, robot.m + robot.k)), solved[:, 2 * d :]])
-    chain.update(state.q, state.v)
+    chain.update(state.q, state.v)  # the derivatives have left it at unit velocities
     platform = chain.platform_jacobian() @ a + chain.platform_jacobian_rate() @ state.v
     return Linearisation(
         read_only(A), read_only(B), read_only(np.concatenate([platform, a[robot.carrier_velocity]])), read_only(a)

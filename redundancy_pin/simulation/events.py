@@ -95,6 +95,7 @@ class EventFunctions:
         chain, columns, count = self._chain, self._columns, len(q)
         p, r = len(columns), chain.rows
         # [J_c; S], whose determinant is zero where actuators do not hold the platform, and [J_c; J_x]
+        # determinants, for their signs: a singular value only dips to zero, and a root needs a change of sign
         by_actuators, by_platform = np.empty((count, p, p)), np.empty((count, p, p))
         for i, one in enumerate(q):
             chain.update(one, self._still)

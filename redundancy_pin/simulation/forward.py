@@ -173,6 +173,7 @@ class ForwardDynamics:
             system[:, -1] = chain.bias()
             factor, _, solved, _ = lapack.dgesv(jacobian[:, :rows], system, overwrite_b=1)
             pivots = [abs(pivot) for pivot in factor.diagonal().tolist()]
+            # a choice just made for this pose is the best there is: without the flag a poor pose would recurse for ever
             if not self._fresh and min(pivots) < _POOR_CHOICE * max(pivots):
                 self.adapt(q)  # raises where the closures themselves have lost rank
                 return self.acceleration(q, v, force, carrier_acceleration)
@@ -185,6 +186,7 @@ class ForwardDynamics:
         # the binding leaves the lower triangle alone, and dsymm reads the upper one only
         reduced = blas.dgemm(1.0, basis, blas.dsymm(1.0, mass, basis), trans_a=1)
         factor, z, failed = lapack.dposv(reduced, basis.T.dot(force - effort))
+        # squares of the Cholesky diagonal: the inertia that is left of each motion when those before it yield
         inertia = ((factor.diagonal() * self._inverse_scale) ** 2).tolist()
         self.least_inertia = 0.0 if failed else min(inertia) / max(max(inertia), 1e-300)
         if not self.least_inertia > LEAST_INERTIA:
@@ -207,6 +209,7 @@ class ForwardDynamics:
         missing = np.array(pin.rnea(self.robot.model, chain.data, q, v, a)) - force
         closure = np.zeros(chain.rows)
         if chain.rows:
+            # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
             dependent, jacobian = self.partition.dependent, chain.jacobian()
             factor, _, closure, _ = lapack.dgesv(jacobian[:, dependent].T, missing[dependent])
             pivots = np.abs(factor.diagonal())

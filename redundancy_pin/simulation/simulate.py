@@ -135,7 +135,7 @@ def simulate(
     machine = Machine(robot, Amplifiers(controller, *limits), law, external, method)
     functions = EventFunctions(machine.chain, tuple(stop_at))
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
-    _require_closed(machine, first)
+    _require_closed(machine, first)  # before it is projected, which would close any start
     y, _, _ = machine.project(first.t, np.concatenate([first.q, first.v]))
     values = functions.at_start(y[: robot.model.nq])
     command = machine.command(first)

@@ -54,6 +54,7 @@ class Manifold:
             step = np.zeros(len(v))
             step[self._columns] = -self._shortest(chain.jacobian(), residual)
             q = pin.integrate(chain.model, q, step)
+        # velocities last: those that the closures allow are those of the projected configuration
         jacobian = chain.jacobian()
         v[self._columns] -= self._shortest(jacobian, jacobian.dot(v))
         return q, v, before, gap

@@ -253,7 +253,7 @@ def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: flo
     W = actuation_matrix(system, K)
     W[type_i] = np.nan
     spectrum = spectrum_of(W)
-    plain = spectrum_of(W * (rows[:, None] / column_scale(system.robot)))
+    unscaled = spectrum_of(W * (rows[:, None] / column_scale(system.robot)))
     type_ii = np.where(type_i, _lacks_rank(locked.S, tolerance), spectrum.rank(tolerance) < min(W.shape[1:]))
 
     twists = K[:, len(system.rows) :] @ locked.Vh.transpose(0, 2, 1)
@@ -269,7 +269,7 @@ def _classified(system: ConstraintSystem, state: ConstraintState, tolerance: flo
         parallel_margin=spectrum.margin,
         locked_margin=read_only(locked.S[:, -1].copy()),
         condition=_condition(spectrum.condition, type_i | type_ii),
-        condition_unscaled=_condition(plain.condition, type_i | type_ii),
+        condition_unscaled=_condition(unscaled.condition, type_i | type_ii),
         uncontrolled_twist=read_only(oriented(uncontrolled) / rows),
         lost_direction=read_only(oriented(lost) / rows),
         least_controlled=read_only(oriented(least_controlled) / rows),

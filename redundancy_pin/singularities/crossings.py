@@ -124,17 +124,17 @@ def _described(path: FollowedPath, zero: Zero, expected: SingularityKind) -> Cro
     time = np.array([zero.t])
     q = path.configurations(time)
     tolerance = SERIAL_TOUCH if expected == SingularityKind.TYPE_I else RANK_TOLERANCE
-    found = classify(robot, q, tolerance=tolerance)
+    classified = classify(robot, q, tolerance=tolerance)
     type_i = expected == SingularityKind.TYPE_I
-    kind = SingularityKind.COMBINED if type_i and found.type_ii[0] else expected
+    kind = SingularityKind.COMBINED if type_i and classified.type_ii[0] else expected
     nothing = np.full(robot.n, np.nan)
     leg = None
     if type_i and robot.working_modes is not None:
         leg = int(np.abs(mode_indicator(robot, q)[0]).argmin()) + 1
     if kind == SingularityKind.COMBINED:
-        uncontrolled = found.uncontrolled_twist[0]
+        uncontrolled = classified.uncontrolled_twist[0]
     else:
-        uncontrolled = nothing if type_i else found.least_controlled[0]
+        uncontrolled = nothing if type_i else classified.least_controlled[0]
     return Crossing(
         t=zero.t,
         until=zero.until,
@@ -145,7 +145,7 @@ def _described(path: FollowedPath, zero: Zero, expected: SingularityKind) -> Cro
         slope=0.0 if type_i else _slope(system, path, zero.t),
         leg=leg,
         uncontrolled_twist=frozen(uncontrolled),
-        lost_direction=frozen(found.least_producible[0] if type_i else nothing),
+        lost_direction=frozen(classified.least_producible[0] if type_i else nothing),
     )
 
 

@@ -67,18 +67,18 @@ def zeros(function: Function, times: Array, tolerance: float) -> list[Zero]:
     finite = np.isfinite(value)
     zero = finite & (np.abs(value) <= tolerance)
     runs = (_at_samples(function, times, value, first, last, tolerance) for first, last in _runs(zero))
-    found = [one for run in runs for one in run]
+    result = [one for run in runs for one in run]
     inside = finite & ~zero
     same = inside[:-1] & inside[1:] & (np.sign(value[:-1]) == np.sign(value[1:]))
     for k in np.flatnonzero(inside[:-1] & inside[1:] & ~same):
-        found.append(_crossed(function, times[k], times[k + 1]))
+        result.append(_crossed(function, times[k], times[k + 1]))
     for low, high in _brackets(np.where(finite, np.abs(value), np.inf), same, tolerance):
         t, lowest = _minimum(function, times[low], times[high], float(np.sign(value[low])))
         if lowest < -tolerance:
-            found += [_crossed(function, times[low], t), _crossed(function, t, times[high])]
+            result += [_crossed(function, times[low], t), _crossed(function, t, times[high])]
         elif lowest <= tolerance:
-            found.append(Zero(t, t, False))
-    return _distinct(sorted(found, key=lambda one: one.t), _SAME * (times[-1] - times[0]))
+            result.append(Zero(t, t, False))
+    return _distinct(sorted(result, key=lambda one: one.t), _SAME * (times[-1] - times[0]))
 
 
 def minima(function: Function, times: Array, interesting: float) -> list[tuple[float, float]]:
@@ -93,12 +93,12 @@ def minima(function: Function, times: Array, interesting: float) -> list[tuple[f
         interesting: minima above this value are not needed.
     """
     value = function(times)
-    found: list[tuple[float, float]] = []
+    lowest: list[tuple[float, float]] = []
     for low, high in _brackets(value, np.ones(len(times) - 1, dtype=bool), interesting):
         best = _minimum(function, times[low], times[high])
-        if not found or best[0] > found[-1][0]:
-            found.append(best)
-    return found
+        if not lowest or best[0] > lowest[-1][0]:
+            lowest.append(best)
+    return lowest
 
 
 def below_zero(function: Function, times: Array) -> list[Interval]:
@@ -200,10 +200,10 @@ def _runs(flags: BoolArray) -> list[tuple[int, int]]:
     return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))
 
 
-def _distinct(found: list[Zero], apart: float) -> list[Zero]:
+def _distinct(ordered: list[Zero], apart: float) -> list[Zero]:
     """Return zeros without the touches that repeat the one before."""
     return [
         one
-        for k, one in enumerate(found)
-        if k == 0 or one.crosses or found[k - 1].crosses or one.t - found[k - 1].until > apart
+        for k, one in enumerate(ordered)
+        if k == 0 or one.crosses or ordered[k - 1].crosses or one.t - ordered[k - 1].until > apart
     ]

@@ -1,7 +1,8 @@
 """Panels over a common time axis: how all curves over time are drawn.
 
 A figure is a list of panels, a panel a list of curves; time axis, legends, limits, phases and singular instants are
-the same in all of them. To add one, write a function like this one in ``plots.py`` and name it in its ``__all__``:
+the same in all of them. To add one, write a function like this one in ``plots.py``, with ``Panel`` and ``series``
+imported from here, and name it in its ``__all__``:
 
     def power(subject: Plan) -> Figure:
         \"\"\"Draw the power of the main actuators over time.\"\"\"
