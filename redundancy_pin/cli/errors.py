@@ -91,11 +91,7 @@ KEYS = Wording({"backend": "backend", "working_mode": "mode"}, ": ")
 
 @contextmanager
 def in_words(wording: Wording) -> Iterator[None]:
-    """Errors raised in the block are reworded.
-
-    Raises:
-        RedundancyPinError: the error of the block, reworded.
-    """
+    """Errors raised in the block are reworded."""
     try:
         yield
     except RedundancyPinError as error:

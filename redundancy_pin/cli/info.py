@@ -27,7 +27,7 @@ from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
 @click.command()
 @robot_options(required=False)
 @json_option
-def info(robot: str | None, settings: tuple[str, ...], mode: str | None, gravity: str | None, as_json: bool) -> None:
+def info(robot: RobotOptions, as_json: bool) -> None:
     r"""Show a robot, or which there are.
 
     Joints and their roles, closures, freedoms, parameters, limits, and how far the reference configuration is from
@@ -37,13 +37,12 @@ def info(robot: str | None, settings: tuple[str, ...], mode: str | None, gravity
     Example:
       redundancy-pin info --robot 3rrr --set carrier_mass=2.0
     """
-    options = RobotOptions(robot or "", settings, mode, gravity)
-    if robot is None:
-        if not options.is_plain:
+    if not robot.source:
+        if not robot.is_plain:
             raise InputError("--set, --mode and --gravity need a robot.", remedy="Add --robot.")
         _list_robots(as_json)
         return
-    facts = describe(options.load(), declaration_path(robot))
+    facts = describe(robot.load(), declaration_path(robot.source))
     if as_json:
         print_json(facts)
     else:
@@ -51,12 +50,7 @@ def info(robot: str | None, settings: tuple[str, ...], mode: str | None, gravity
 
 
 def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
-    """Return what there is to know about a robot as plain data.
-
-    Args:
-        robot: the robot.
-        declaration: path of its ``robot.yaml``, for the defaults of its parameters.
-    """
+    """Return what there is to know about a robot as plain data."""
     data = read_yaml(declaration)
     _, defaults = render(declaration.parent / data["urdf"], {})
     model = robot.model
@@ -142,27 +136,24 @@ def _tables(facts: dict[str, Any]) -> Group:
 
 
 def _general(facts: dict[str, Any]) -> Table:
-    title = ": ".join(part for part in (facts["name"], facts["description"]) if part)
-    table = Table(title=title, show_header=False)
-    for name, count in facts["counts"].items():
-        table.add_row(name, str(count))
-    independent = facts["independent"]
-    axes = independent["axes"]
-    table.add_row(
-        "independent",
-        f"{', '.join(axes)} of {independent['platform']}" if axes else ", ".join(independent["joints"]),
-    )
-    table.add_row("gravity [m/s²]", ", ".join(f"{value:g}" for value in facts["gravity"]))
-    if facts["working_modes"]:
-        table.add_row("working mode", f"{facts['working_mode']} of {', '.join(facts['working_modes'])}")
-    table.add_row("characteristic length [m]", f"{facts['characteristic_length']:.6g}")
-    table.add_row("closed form (virtual work)", facts["closed_form"] or "none")
-    reference = facts["reference"]
-    table.add_row(f"reference [{_unit(facts)}]", _coordinates(reference["coordinates"]))
-    table.add_row("type I margin there (lower bound)", f"{reference['type_i_margin']:.4g}")
-    table.add_row("type II margin there", f"{reference['type_ii_margin']:.4g}")
-    table.add_row("condition number there", f"{reference['condition']:.4g}")
-    return table
+    independent, reference = facts["independent"], facts["reference"]
+    axes, modes = independent["axes"], facts["working_modes"]
+    rows = [
+        *((name, str(count)) for name, count in facts["counts"].items()),
+        (
+            "independent",
+            f"{', '.join(axes)} of {independent['platform']}" if axes else ", ".join(independent["joints"]),
+        ),
+        ("gravity [m/s²]", ", ".join(f"{value:g}" for value in facts["gravity"])),
+        *([("working mode", f"{facts['working_mode']} of {', '.join(modes)}")] if modes else []),
+        ("characteristic length [m]", f"{facts['characteristic_length']:.6g}"),
+        ("closed form (virtual work)", facts["closed_form"] or "none"),
+        (f"reference [{_unit(facts)}]", _coordinates(reference["coordinates"])),
+        ("type I margin there (lower bound)", f"{reference['type_i_margin']:.4g}"),
+        ("type II margin there", f"{reference['type_ii_margin']:.4g}"),
+        ("condition number there", f"{reference['condition']:.4g}"),
+    ]
+    return table_of(": ".join(part for part in (facts["name"], facts["description"]) if part), (), rows)
 
 
 def _joints(facts: dict[str, Any]) -> Table:

@@ -13,9 +13,8 @@ import numpy as np
 import yaml
 
 from redundancy_pin.arrays import frozen
-from redundancy_pin.cli.options import RobotOptions
+from redundancy_pin.cli.options import RobotOptions, make_trajectory
 from redundancy_pin.cli.output import require_choice, require_known
-from redundancy_pin.cli.trajectory_options import make_trajectory
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
@@ -36,11 +35,7 @@ def _refuse(name: str, value: object, expected: str, example: str) -> InputError
 
 
 def number(name: str, value: object) -> float:
-    """Return a number; text with one is accepted (YAML reads ``1e-3`` as text).
-
-    Raises:
-        InputError: anything else.
-    """
+    """Return a number; text with one is accepted (YAML reads ``1e-3`` as text)."""
     try:
         if not isinstance(value, bool) and isinstance(value, (int, float, str)):
             return float(value)
@@ -50,11 +45,7 @@ def number(name: str, value: object) -> float:
 
 
 def numbers(name: str, value: object) -> Any:
-    """Return a number, or an array of the numbers of nested lists or of text such as ``0.1,-0.1``.
-
-    Raises:
-        InputError: anything else.
-    """
+    """Return a number, or an array of the numbers of nested lists or of text such as ``0.1,-0.1``."""
     if isinstance(value, str) and "," in value:
         value = [part.strip() for part in value.split(",")]
     if not isinstance(value, list):
@@ -66,11 +57,7 @@ def numbers(name: str, value: object) -> Any:
 
 
 def whole(name: str, value: object) -> int:
-    """Return a whole number.
-
-    Raises:
-        InputError: anything else.
-    """
+    """Return a whole number."""
     result = number(name, value)
     if not result.is_integer():
         raise _refuse(name, value, "not a whole number", "a number such as 4")
@@ -78,22 +65,14 @@ def whole(name: str, value: object) -> int:
 
 
 def word(name: str, value: object) -> str:
-    """Return a word as it stands.
-
-    Raises:
-        InputError: no text.
-    """
+    """Return a word as it stands."""
     if not isinstance(value, str):
         raise _refuse(name, value, "not a word", "text")
     return value
 
 
 def number_or_word(name: str, value: object) -> float | str:
-    """Return a number, or the word as it stands (the planner knows which words it takes).
-
-    Raises:
-        InputError: neither.
-    """
+    """Return a number, or the word as it stands (the planner knows which words it takes)."""
     try:
         return number(name, value)
     except InputError:
@@ -103,22 +82,14 @@ def number_or_word(name: str, value: object) -> float | str:
 
 
 def flag(name: str, value: object) -> bool:
-    """Return a truth value.
-
-    Raises:
-        InputError: neither true nor false.
-    """
+    """Return a truth value."""
     if not isinstance(value, bool):
         raise _refuse(name, value, "neither true nor false", "true or false")
     return value
 
 
 def weights(name: str, value: object) -> str | dict[str, float]:
-    """Return one word, or the weights of several: from a mapping, or from words such as ``effort`` and ``peak=2``.
-
-    Raises:
-        InputError: neither; a weight that is no number; a word twice.
-    """
+    """Return one word, or the weights of several: from a mapping, or from words such as ``effort`` and ``peak=2``."""
     if isinstance(value, Mapping):
         return {str(key): number(f"the weight of {key}", weight) for key, weight in value.items()}
     words = [value] if isinstance(value, str) else value
@@ -254,15 +225,7 @@ def _flag(name: str, parameter: Parameter) -> str:
 
 
 def read_parameters(planner: str, given: Mapping[str, object]) -> dict[str, Any]:
-    """Return the parameters of a planner, each as the kind of value it is.
-
-    Args:
-        planner: a key of ``PARAMETERS``.
-        given: values as written; None, or nothing of what may be repeated, for those left out.
-
-    Raises:
-        InputError: an unknown parameter, or a value of the wrong kind.
-    """
+    """Return the parameters of a planner, each as the kind of value it is."""
     known = PARAMETERS[planner]
     require_known(given, tuple(known), f"the planner {planner}")
     return {name: known[name].read(name, value) for name, value in given.items() if value is not None and value != ()}
@@ -323,11 +286,7 @@ class Problem:
     parameters: Mapping[str, Any]
 
     def solve(self, progress: Callable[[str], None] | None = None) -> Plan:
-        """Return the plan; planners that have stages call ``progress`` with a line of text at each.
-
-        Raises:
-            RedundancyPinError: as the planner.
-        """
+        """Return the plan; planners that have stages call ``progress`` with a line of text at each."""
         make = PLANNERS[self.planner]
         extra = {"progress": progress} if progress and "progress" in inspect.signature(make).parameters else {}
         return make(self.dynamics, self.motion, **self.parameters, **extra)
@@ -385,10 +344,6 @@ def read_problem(path: str | Path) -> Problem:
     """Read a problem file.
 
     Robots and motions given by path are looked for from the folder of the file.
-
-    Raises:
-        InputError: missing or unreadable file, broken YAML, unknown or missing keys, values of the wrong kind.
-        RedundancyPinError: whatever loading the robot or the motion raises.
     """
     place = Path(path).expanduser()
     data = _read_yaml(place)

@@ -9,9 +9,8 @@ import click
 from rich.table import Table
 
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
+from redundancy_pin.cli.options import RobotOptions, json_option, parse_trajectory, robot_options, trajectory_option
 from redundancy_pin.cli.output import console, number, print_json, progress, table_of
-from redundancy_pin.cli.trajectory_options import parse_trajectory, trajectory_option
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.motion import PlatformMotion
@@ -34,10 +33,7 @@ _DRAWN_STEP = 1e-3
 @click.option("--plot", metavar="PICTURE", help="Draw the singularities over the workspace (.png, .svg or .pdf).")
 @json_option
 def singularities(
-    robot: str,
-    settings: tuple[str, ...],
-    mode: str | None,
-    gravity: str | None,
+    robot: RobotOptions,
     motion_path: str | None,
     trajectory: str | None,
     plot: str | None,
@@ -63,7 +59,7 @@ def singularities(
         require_writable(plot)
     with progress("singularities") as advance, in_words(OPTIONS.knowing({"find_crossings": "--motion"})):
         advance(0, 3, "reading")
-        loaded = RobotOptions(robot, settings, mode, gravity).load()
+        loaded = robot.load()
         followed = from_csv(motion_path) if motion_path else parse_trajectory(trajectory, {}) if trajectory else None
         advance(1, 3, "along the motion")
         crossings = find_crossings(loaded, followed) if followed is not None else ()
