@@ -235,7 +235,7 @@ def test_weights_as_users_write_them() -> None:
     ("given", "said"),
     [
         ("1,2", "--max-effort is [1.0, 2.0], expected 3 numbers or one."),
-        ("1,-2,3", "--max-effort is [1.0, -2.0, 3.0], but limits must be positive. Pass inf for none."),
+        ("1,-2,3", "--max-effort is [1.0, -2.0, 3.0], but limits must be positive. Pass inf for no limit."),
     ],
 )
 def test_wrong_limits_are_said_as_they_were_typed(given: str, said: str) -> None:

@@ -89,10 +89,6 @@ def plot_feasibility(panels: Sequence[MapPanel], labels: MapLabels) -> Figure:
     Feasible tiles are coloured by effort; a ring says that the optimiser stopped early. Infeasible ones are hatched and
     carry the letter of the limit in the way, failed ones are dotted with a question mark. A thick line is the border
     between possible and infeasible, a dashed one that of the other planner (only with two of them).
-
-    Args:
-        panels: one for each planner.
-        labels: text and scales.
     """
     borders = [border_of(panel.tiles) for panel in panels]
     with figure(1.4 + 4.3 * len(panels), 5.4, labels.title) as drawn:
@@ -121,8 +117,7 @@ def plot_feasibility(panels: Sequence[MapPanel], labels: MapLabels) -> Figure:
 def border_of(tiles: Sequence[Tile]) -> Array:
     """Return (S, 2, 2) segments, start and end (x, y), where possible and infeasible tiles meet.
 
-    Args:
-        tiles: that do not overlap; neighbours share their edges exactly.
+    Tiles do not overlap, and neighbours share their edges exactly.
     """
     one = [tile for tile in tiles if tile.possible]
     other = [tile for tile in tiles if tile.kind == "infeasible"]

@@ -179,11 +179,7 @@ class LiveView:
 
 
 def serve_page(text: str) -> LiveView:
-    """Start a server for one HTML page, at ``PORT`` if it is free.
-
-    Raises:
-        RedundancyPinError: no port can be opened.
-    """
+    """Start a server for one HTML page, at ``PORT`` if it is free."""
     page = text.encode("utf-8")
 
     class Handler(BaseHTTPRequestHandler):
@@ -222,11 +218,7 @@ class _Server(ThreadingHTTPServer):
 
 
 def require_html(path: str | Path) -> None:
-    """Check that a file is to hold HTML.
-
-    Raises:
-        OutputError: its suffix says otherwise.
-    """
+    """Check that a file is to hold HTML."""
     if Path(path).suffix.lower() not in (".html", ".htm"):
         raise OutputError(
             f"Cannot write {path}: its name does not end in .html.",
@@ -236,11 +228,7 @@ def require_html(path: str | Path) -> None:
 
 
 def require_meshcat() -> None:
-    """Check that moving pictures can be made.
-
-    Raises:
-        RedundancyPinError: meshcat is not installed.
-    """
+    """Check that moving pictures can be made."""
     try:
         with warnings.catch_warnings():  # it uses a name of pyzmq that is to go
             warnings.simplefilter("ignore", DeprecationWarning)
