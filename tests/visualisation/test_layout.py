@@ -24,7 +24,7 @@ from redundancy_pin.visualisation.figures.comparisons import (
     plot_speed_border,
     plot_trade_off,
 )
-from redundancy_pin.visualisation.figures.feasibility_map import MapLabels, MapPanel, Tile, plot_feasibility
+from redundancy_pin.visualisation.figures.feasibility_map import Tile, plot_feasibility
 
 EDGE = 1.5
 """Pixels by which the box of a text may be larger than what is seen of it: ascenders and descenders it has not."""
@@ -47,10 +47,14 @@ def _map() -> Figure:
         for i in range(4)
         for j in range(4)
     )
-    labels = MapLabels("2rpr, circle: what the machine can do", "speed of the platform [m/s]",
-                       "stroke of the carriers [m]", "peak main effort [N]", {"T": "track"})  # fmt: skip
-    panels = [MapPanel("switch off: threshold 5, 10, 20", tiles), MapPanel("whole trajectory: least effort", tiles)]
-    return plot_feasibility(panels, labels)
+    return plot_feasibility(
+        "2rpr, circle: what the machine can do",
+        {"switch off: threshold 5, 10, 20": tiles, "whole trajectory: least effort": tiles},
+        x="speed of the platform [m/s]",
+        y="stroke of the carriers [m]",
+        value="peak main effort [N]",
+        marks={"T": "track"},
+    )
 
 
 def _trade() -> Figure:
