@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import click
@@ -46,7 +47,7 @@ def info(robot: RobotOptions, as_json: bool) -> None:
     if as_json:
         print_json(facts)
     else:
-        console().print(_tables(facts))
+        console().print(Group(_general(facts), *_tables(facts)))
 
 
 def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
@@ -83,9 +84,7 @@ def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
         "carrier_limits": {
             name: {
                 "position": [limits.lower, limits.upper],
-                "speed": limits.speed,
-                "acceleration": limits.acceleration,
-                "force": limits.force,
+                **{key: getattr(limits, key) for key in ("speed", "acceleration", "force")},
             }
             for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True)
         },
@@ -131,10 +130,6 @@ def _list_robots(as_json: bool) -> None:
     console().print(table_of("shipped robots", ("robot", "description"), robots))
 
 
-def _tables(facts: dict[str, Any]) -> Group:
-    return Group(_general(facts), _joints(facts), _closures(facts), *_parameters(facts), *_limits(facts))
-
-
 def _general(facts: dict[str, Any]) -> Table:
     independent, reference = facts["independent"], facts["reference"]
     axes, modes = independent["axes"], facts["working_modes"]
@@ -156,33 +151,27 @@ def _general(facts: dict[str, Any]) -> Table:
     return table_of(": ".join(part for part in (facts["name"], facts["description"]) if part), (), rows)
 
 
-def _joints(facts: dict[str, Any]) -> Table:
-    rows = [(joint["name"], joint["type"], joint["role"]) for joint in facts["joints"]]
-    return table_of("joints of the tree", ("joint", "type", "role"), rows)
-
-
-def _closures(facts: dict[str, Any]) -> Table:
-    rows = [(closure["frame_a"], closure["frame_b"], ", ".join(closure["axes"])) for closure in facts["closures"]]
-    return table_of("closures", ("frame a", "frame b", "axes"), rows)
-
-
-def _parameters(facts: dict[str, Any]) -> list[Table]:
-    rows = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
-    title, headings = "parameters (--set NAME=VALUE)", ("parameter", "value", "default")
-    return [table_of(title, headings, rows, numbers=True)] if rows else []
-
-
-def _limits(facts: dict[str, Any]) -> list[Table]:
-    rows = [
+def _tables(facts: dict[str, Any]) -> Iterator[Table]:
+    """Give the tables of joints and closures, and of parameters and limits where there are any."""
+    joints = [(joint["name"], joint["type"], joint["role"]) for joint in facts["joints"]]
+    yield table_of("joints of the tree", ("joint", "type", "role"), joints)
+    closures = [(each["frame_a"], each["frame_b"], ", ".join(each["axes"])) for each in facts["closures"]]
+    yield table_of("closures", ("frame a", "frame b", "axes"), closures)
+    values = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
+    if values:
+        headings: tuple[str, ...] = ("parameter", "value", "default")
+        yield table_of("parameters (--set NAME=VALUE)", headings, values, numbers=True)
+    limits = [
         (
             name,
-            " … ".join(f"{end:g}" for end in limits["position"]),
-            *(f"{limits[key]:g}" for key in ("speed", "acceleration", "force")),
+            " … ".join(f"{end:g}" for end in entry["position"]),
+            *(f"{entry[key]:g}" for key in ("speed", "acceleration", "force")),
         )
-        for name, limits in facts["carrier_limits"].items()
+        for name, entry in facts["carrier_limits"].items()
     ]
-    headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
-    return [table_of("carrier limits", headings, rows, numbers=True)] if rows else []
+    if limits:
+        headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
+        yield table_of("carrier limits", headings, limits, numbers=True)
 
 
 def _unit(facts: dict[str, Any]) -> str:

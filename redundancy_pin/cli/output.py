@@ -16,7 +16,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 from redundancy_pin.errors import InputError, OutputError, did_you_mean
+from redundancy_pin.io.files import require_writable
 from redundancy_pin.studies.table import json_data
+from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
 
 
 def require_known(given: Iterable[object], known: Sequence[str], where: str) -> None:
@@ -92,6 +94,13 @@ def require_suffix(flag: str, path: str, suffix: str) -> None:
         raise OutputError(
             f"{flag} {path} does not end in {suffix}.", remedy=f"Write {flag} {fitting}.", path=path, suffix=suffix
         )
+
+
+def require_picture(path: str) -> None:
+    """Check that a picture can be drawn, and written there."""
+    require_matplotlib()
+    picture_format(path)
+    require_writable(path)
 
 
 def same_file(first: str | Path, second: str | Path) -> bool:

@@ -21,7 +21,16 @@ from redundancy_pin.cli.options import (
     robot_options,
     trajectory_options,
 )
-from redundancy_pin.cli.output import console, number, print_json, progress, require_suffix, same_file, table_of
+from redundancy_pin.cli.output import (
+    console,
+    number,
+    print_json,
+    progress,
+    require_picture,
+    require_suffix,
+    same_file,
+    table_of,
+)
 from redundancy_pin.cli.plan_problem import (
     PARAMETERS,
     PREFIX,
@@ -42,7 +51,7 @@ from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.measures import SWING, reversals
 from redundancy_pin.trajectory import Trajectory, from_csv
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
-from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib, save
+from redundancy_pin.visualisation.figures.style import save
 
 _BACKENDS = {"Rnea": RNEA, "VirtualWork": VIRTUAL_WORK}
 """How the command line calls what a plan names by its class."""
@@ -57,9 +66,7 @@ def require_outputs(out: str | None, plot: str | None, inputs: Sequence[str] = (
         require_suffix("--out", out, ".npz")
         require_writable(out)
     if plot:
-        require_matplotlib()
-        picture_format(plot)
-        require_writable(plot)
+        require_picture(plot)
     for flag, path in (("--out", out), ("--plot", plot)):
         if path and any(same_file(path, given) for given in inputs):
             raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)

@@ -121,15 +121,7 @@ PREFIX = "parameter_"
 
 @dataclass(frozen=True)
 class Parameter:
-    """How users write a parameter of a planner.
-
-    Attributes:
-        read: from the value as written to the one the planner takes.
-        metavar: stands for the value in the help.
-        text: what it is, for the help.
-        flag: on the command line; made from the name when left out.
-        multiple: whether the flag may be repeated.
-    """
+    """How users write a parameter of a planner: how its value is read, its help, and a flag that is not its name."""
 
     read: Reader
     metavar: str
@@ -271,14 +263,7 @@ STEP = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Everything a planner needs.
-
-    Attributes:
-        planner: a key of ``PLANNERS``.
-        dynamics: the dynamics of the robot.
-        motion: the platform motion.
-        parameters: keyword arguments of the planner.
-    """
+    """Everything a planner needs; ``parameters`` are its keyword arguments."""
 
     planner: str
     dynamics: Dynamics
@@ -302,19 +287,10 @@ def problem(
     baseline: RobotOptions | None = None,
     step: float | None = None,
 ) -> Problem:
-    """Put a problem together from what flags or a file say.
+    """Put a problem together from what flags or a file say, its parameters as written.
 
-    Args:
-        planner: a key of ``PLANNERS``.
-        robot: the robot.
-        backend: a key of ``BACKENDS``.
-        motion: the platform motion.
-        parameters: parameters of the planner as written.
-        baseline: robot whose efforts a stepwise or whole-trajectory plan aims at a fraction of.
-        step: length of the steps of a stepwise plan along a trajectory, s.
-
-    Raises:
-        RedundancyPinError: whatever loading the robots raises, or a parameter that does not fit.
+    The ``baseline`` is the robot of whose efforts a plan aims at a fraction; ``step`` is the length of the steps of a
+    stepwise plan along a trajectory, s.
     """
     values = read_parameters(planner, parameters)
     make = BACKENDS[require_choice(backend, tuple(BACKENDS), "the backend")]
@@ -402,8 +378,9 @@ def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:
     if gravity is not None:
         vector = numbers("gravity", gravity)
         gravity = ",".join(repr(float(g)) for g in vector.ravel()) if hasattr(vector, "ravel") else str(vector)
+    source = word("robot", data["robot"])
     return RobotOptions(
-        _source(word("robot", data["robot"]), folder),
+        source if source in shipped_robots() or Path(source).is_absolute() else str(folder / source),
         tuple(f"{name}={value}" for name, value in settings.items()),
         None if mode is None else word("mode", mode),
         gravity,
@@ -416,10 +393,6 @@ def _baseline(given: Mapping[str, Any], data: Mapping[str, Any], folder: Path) -
     own = {} if "robot" in given else {key: data[key] for key in _ROBOT_KEYS if key in data}
     settings = {**_mapping(own.get("set", {}), "set"), **_mapping(given.get("set", {}), "set")}
     return _robot({**own, **given, "set": settings}, folder)
-
-
-def _source(text: str, folder: Path) -> str:
-    return text if text in shipped_robots() or Path(text).is_absolute() else str(folder / text)
 
 
 def _mapping(value: object, name: str) -> Mapping[str, Any]:

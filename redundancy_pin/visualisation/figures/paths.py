@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,12 +10,11 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
-from redundancy_pin.io.files import replacing_file
 from redundancy_pin.kinematics.modes import mode_name
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.singularities.locus import SingularLocus
-from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below, save
+from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below
 from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
 from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
@@ -132,13 +130,6 @@ _LOCUS_STROKES: dict[SingularityKind, dict[str, Any]] = {
                              "label": "type I (serial), border of the working mode"},
     SingularityKind.COMBINED: {"color": "#000000", "linewidth": 2.0, "linestyle": "-.", "label": "combined"},
 }  # fmt: skip
-
-
-def plot_locus(locus: SingularLocus, path: str | Path, **drawing: Any) -> None:
-    """Write ``draw_locus(locus, **drawing)`` to a picture (.png, .svg, .pdf), whole or not at all."""
-    drawn = draw_locus(locus, **drawing)
-    with replacing_file(path) as temporary:
-        save(drawn, temporary)
 
 
 def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: Sequence[Crossing] = ()) -> Figure:
