@@ -81,14 +81,6 @@ def write_outputs(plan: Plan, out: str | None, plot: str | None) -> None:
             plan.save(out)
 
 
-def print_plan(plan: Plan, out: str | None, plot: str | None, *, as_json: bool) -> None:
-    """Print what is worth knowing of a plan on stdout."""
-    if as_json:
-        print_json({**summary(plan), "out": out, "plot": plot})
-    else:
-        console().print(_table(plan, out, plot))
-
-
 def warn(plan: Plan) -> None:
     """Print in one line on stderr what is wrong with a plan; nothing if it is within its limits."""
     if plan.status is PlanStatus.VIOLATES_LIMITS:
@@ -145,14 +137,6 @@ def summary(plan: Plan) -> dict[str, Any]:
     }
 
 
-def status_text(plan: Plan) -> str:
-    """Return the status in words; of a plan that is no optimum, that as well."""
-    text = plan.status.value.replace("_", " ")
-    if plan.diagnostics.get("optimal", True):
-        return text
-    return f"{text}: no optimum, the solver says {plan.diagnostics.get('solver')}"
-
-
 def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
     """Give what an optimised plan says of its optimum and its nodes."""
     if "optimal" not in plan.diagnostics:
@@ -188,10 +172,12 @@ def _phase_times(plan: Plan) -> list[dict[str, Any]]:
 
 
 def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
-    facts = summary(plan)
+    facts, status = summary(plan), plan.status.value.replace("_", " ")
+    if not plan.diagnostics.get("optimal", True):
+        status = f"{status}: no optimum, the solver says {plan.diagnostics.get('solver')}"
     main, moved = plan.robot.effort_unit(*plan.robot.actuated), plan.robot.effort_unit(*plan.robot.carriers)
     rows = [
-        ("status", status_text(plan)),
+        ("status", status),
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples"),
         ("phases [s]", _phases(facts["phases"])),
         (f"peak main effort [{main}]", _row(facts["peak_effort"])),
@@ -383,6 +369,9 @@ def _run(
         result = task.solve(lambda text: advance(1, 3, text))
         advance(2, 3, "writing")
         write_outputs(result, out, plot)
-    print_plan(result, out, plot, as_json=as_json)
+    if as_json:
+        print_json({**summary(result), "out": out, "plot": plot})
+    else:
+        console().print(_table(result, out, plot))
     warn(result)
     return EXIT_CODES.get(result.status, BREAKS_LIMITS)

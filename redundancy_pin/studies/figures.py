@@ -200,7 +200,7 @@ def paths(plans: Plans, *cases: Case) -> Figure:
         lines,
         mechanism=mechanism,
         hinges=hinges,
-        singular=trajectory.sample_at(np.array(_instants(plans.plan(first)))).x,
+        singular=list(trajectory.sample_at(np.array(_instants(plans.plan(first)))).x),
     )
 
 

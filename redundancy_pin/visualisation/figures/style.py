@@ -44,13 +44,7 @@ def _page_class() -> type[Figure]:
 
 @dataclass(frozen=True)
 class Stroke:
-    """How one series is drawn.
-
-    Attributes:
-        color: a colour of the Okabe–Ito palette, told apart with any colour vision.
-        dash: matplotlib's line style, told apart without colour.
-        marker: marker for sparse points of the same series.
-    """
+    """How one series is drawn: a colour of the Okabe–Ito palette; line style and marker tell it apart in grey."""
 
     color: str
     dash: Any

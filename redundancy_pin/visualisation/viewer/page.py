@@ -203,10 +203,8 @@ def serve_page(text: str) -> LiveView:
         try:
             server = _Server((_HERE, 0), Handler)
         except OSError as error:
-            raise RedundancyPinError(
-                f"No port of {_HERE} can be opened for the view: {error}.",
-                remedy="Write a file instead (--html, View.save).",
-            ) from error
+            message = f"No port of {_HERE} can be opened for the view: {error}."
+            raise RedundancyPinError(message, remedy="Write a file instead (--html, View.save).") from error
     thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
     thread.start()
     return LiveView(f"http://{_HERE}:{server.server_address[1]}/", server, thread)
