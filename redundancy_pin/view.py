@@ -65,29 +65,25 @@ def show(
         if motion is not None or carriers is not None:
             raise InputError("A plan has its own motions.", remedy="Pass a robot instead of the plan, or no motion.")
         shown = robot or load_robot_of(subject)
+        motion, carriers, margin = subject.motion, subject.carriers, subject.margin
+        tau, force = subject.tau, subject.carrier_force
         title = f"{shown.name}: {subject.planner.replace('_', ' ')}, {subject.status.value.replace('_', ' ')}"
-        scene = make_scene(
-            shown, subject.motion, subject.carriers, subject.margin, subject.tau, subject.carrier_force,
-            title=title, force_scale=force_scale,
-        )  # fmt: skip
-        return View(scene, forces=forces, height=height)
-    if not isinstance(subject, (Robot, str, Path)):
+    elif isinstance(subject, (Robot, str, Path)):
+        if robot is not None:
+            raise InputError("robot= goes with a plan.", remedy="Pass the robot first, without robot=.")
+        shown = subject if isinstance(subject, Robot) else load_robot(subject)
+        motion = default_motion(shown) if motion is None else motion
+        require_sampled(motion)
+        carriers = CarrierMotion.parked(len(motion), shown.k) if carriers is None else carriers
+        reduced = RneaDynamics(shown).reduce(motion, carriers)
+        efforts = distribute(reduced)
+        margin, tau, force, title = efforts.margin, efforts.tau, reduced.carrier_force, shown.name
+    else:
         raise InputError(
             f"A plan, a robot or its name can be shown, not {type(subject).__name__}.",
             remedy="Pass show(plan), or show(robot, motion, carriers).",
         )
-    if robot is not None:
-        raise InputError("robot= goes with a plan.", remedy="Pass the robot first, without robot=.")
-    shown = subject if isinstance(subject, Robot) else load_robot(subject)
-    followed = default_motion(shown) if motion is None else motion
-    require_sampled(followed)
-    sliding = CarrierMotion.parked(len(followed), shown.k) if carriers is None else carriers
-    reduced = RneaDynamics(shown).reduce(followed, sliding)
-    efforts = distribute(reduced)
-    scene = make_scene(
-        shown, followed, sliding, efforts.margin, efforts.tau, reduced.carrier_force,
-        title=shown.name, force_scale=force_scale,
-    )  # fmt: skip
+    scene = make_scene(shown, motion, carriers, margin, tau, force, title=title, force_scale=force_scale)
     return View(scene, forces=forces, height=height)
 
 

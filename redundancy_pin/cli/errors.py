@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -91,11 +91,7 @@ KEYS = Wording({"backend": "backend", "working_mode": "mode"}, ": ")
 
 @contextmanager
 def in_words(wording: Wording) -> Iterator[None]:
-    """Errors raised in the block are reworded.
-
-    Raises:
-        RedundancyPinError: the error of the block, reworded.
-    """
+    """Errors raised in the block are reworded."""
     try:
         yield
     except RedundancyPinError as error:
@@ -160,19 +156,13 @@ BAD_INPUT = 2
 class OneLineErrors(click.Group):
     """A group of commands that reports every expected error in one line."""
 
-    def main(
-        self,
-        args: Sequence[str] | None = None,
-        prog_name: str | None = None,
-        complete_var: str | None = None,
-        standalone_mode: bool = True,
-        **extra: Any,
-    ) -> Any:
+    def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command line; see ``click.Group.main``."""
+        run: Callable[..., Any] = super().main
         if not standalone_mode:
-            return super().main(args, prog_name, complete_var, standalone_mode=False, **extra)
+            return run(*args, standalone_mode=False, **extra)
         try:
-            code = super().main(args, prog_name, complete_var, standalone_mode=False, **extra)
+            code = run(*args, standalone_mode=False, **extra)
             sys.exit(code if isinstance(code, int) else 0)
         except click.exceptions.Exit as leaving:
             sys.exit(leaving.exit_code)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import click
@@ -27,7 +28,7 @@ from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
 @click.command()
 @robot_options(required=False)
 @json_option
-def info(robot: str | None, settings: tuple[str, ...], mode: str | None, gravity: str | None, as_json: bool) -> None:
+def info(robot: RobotOptions, as_json: bool) -> None:
     r"""Show a robot, or which there are.
 
     Joints and their roles, closures, freedoms, parameters, limits, and how far the reference configuration is from
@@ -37,26 +38,20 @@ def info(robot: str | None, settings: tuple[str, ...], mode: str | None, gravity
     Example:
       redundancy-pin info --robot 3rrr --set carrier_mass=2.0
     """
-    options = RobotOptions(robot or "", settings, mode, gravity)
-    if robot is None:
-        if not options.is_plain:
+    if not robot.source:
+        if not robot.is_plain:
             raise InputError("--set, --mode and --gravity need a robot.", remedy="Add --robot.")
         _list_robots(as_json)
         return
-    facts = describe(options.load(), declaration_path(robot))
+    facts = describe(robot.load(), declaration_path(robot.source))
     if as_json:
         print_json(facts)
     else:
-        console().print(_tables(facts))
+        console().print(Group(_general(facts), *_tables(facts)))
 
 
 def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
-    """Return what there is to know about a robot as plain data.
-
-    Args:
-        robot: the robot.
-        declaration: path of its ``robot.yaml``, for the defaults of its parameters.
-    """
+    """Return what there is to know about a robot as plain data."""
     data = read_yaml(declaration)
     _, defaults = render(declaration.parent / data["urdf"], {})
     model = robot.model
@@ -89,9 +84,7 @@ def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
         "carrier_limits": {
             name: {
                 "position": [limits.lower, limits.upper],
-                "speed": limits.speed,
-                "acceleration": limits.acceleration,
-                "force": limits.force,
+                **{key: getattr(limits, key) for key in ("speed", "acceleration", "force")},
             }
             for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True)
         },
@@ -137,61 +130,48 @@ def _list_robots(as_json: bool) -> None:
     console().print(table_of("shipped robots", ("robot", "description"), robots))
 
 
-def _tables(facts: dict[str, Any]) -> Group:
-    return Group(_general(facts), _joints(facts), _closures(facts), *_parameters(facts), *_limits(facts))
-
-
 def _general(facts: dict[str, Any]) -> Table:
-    title = ": ".join(part for part in (facts["name"], facts["description"]) if part)
-    table = Table(title=title, show_header=False)
-    for name, count in facts["counts"].items():
-        table.add_row(name, str(count))
-    independent = facts["independent"]
-    axes = independent["axes"]
-    table.add_row(
-        "independent",
-        f"{', '.join(axes)} of {independent['platform']}" if axes else ", ".join(independent["joints"]),
-    )
-    table.add_row("gravity [m/s²]", ", ".join(f"{value:g}" for value in facts["gravity"]))
-    if facts["working_modes"]:
-        table.add_row("working mode", f"{facts['working_mode']} of {', '.join(facts['working_modes'])}")
-    table.add_row("characteristic length [m]", f"{facts['characteristic_length']:.6g}")
-    table.add_row("closed form (virtual work)", facts["closed_form"] or "none")
-    reference = facts["reference"]
-    table.add_row(f"reference [{_unit(facts)}]", _coordinates(reference["coordinates"]))
-    table.add_row("type I margin there (lower bound)", f"{reference['type_i_margin']:.4g}")
-    table.add_row("type II margin there", f"{reference['type_ii_margin']:.4g}")
-    table.add_row("condition number there", f"{reference['condition']:.4g}")
-    return table
-
-
-def _joints(facts: dict[str, Any]) -> Table:
-    rows = [(joint["name"], joint["type"], joint["role"]) for joint in facts["joints"]]
-    return table_of("joints of the tree", ("joint", "type", "role"), rows)
-
-
-def _closures(facts: dict[str, Any]) -> Table:
-    rows = [(closure["frame_a"], closure["frame_b"], ", ".join(closure["axes"])) for closure in facts["closures"]]
-    return table_of("closures", ("frame a", "frame b", "axes"), rows)
-
-
-def _parameters(facts: dict[str, Any]) -> list[Table]:
-    rows = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
-    title, headings = "parameters (--set NAME=VALUE)", ("parameter", "value", "default")
-    return [table_of(title, headings, rows, numbers=True)] if rows else []
-
-
-def _limits(facts: dict[str, Any]) -> list[Table]:
+    independent, reference = facts["independent"], facts["reference"]
+    axes, modes = independent["axes"], facts["working_modes"]
     rows = [
+        *((name, str(count)) for name, count in facts["counts"].items()),
+        (
+            "independent",
+            f"{', '.join(axes)} of {independent['platform']}" if axes else ", ".join(independent["joints"]),
+        ),
+        ("gravity [m/s²]", ", ".join(f"{value:g}" for value in facts["gravity"])),
+        *([("working mode", f"{facts['working_mode']} of {', '.join(modes)}")] if modes else []),
+        ("characteristic length [m]", f"{facts['characteristic_length']:.6g}"),
+        ("closed form (virtual work)", facts["closed_form"] or "none"),
+        (f"reference [{_unit(facts)}]", _coordinates(reference["coordinates"])),
+        ("type I margin there (lower bound)", f"{reference['type_i_margin']:.4g}"),
+        ("type II margin there", f"{reference['type_ii_margin']:.4g}"),
+        ("condition number there", f"{reference['condition']:.4g}"),
+    ]
+    return table_of(": ".join(part for part in (facts["name"], facts["description"]) if part), (), rows)
+
+
+def _tables(facts: dict[str, Any]) -> Iterator[Table]:
+    """Give the tables of joints and closures, and of parameters and limits where there are any."""
+    joints = [(joint["name"], joint["type"], joint["role"]) for joint in facts["joints"]]
+    yield table_of("joints of the tree", ("joint", "type", "role"), joints)
+    closures = [(each["frame_a"], each["frame_b"], ", ".join(each["axes"])) for each in facts["closures"]]
+    yield table_of("closures", ("frame a", "frame b", "axes"), closures)
+    values = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
+    if values:
+        headings: tuple[str, ...] = ("parameter", "value", "default")
+        yield table_of("parameters (--set NAME=VALUE)", headings, values, numbers=True)
+    limits = [
         (
             name,
-            " … ".join(f"{end:g}" for end in limits["position"]),
-            *(f"{limits[key]:g}" for key in ("speed", "acceleration", "force")),
+            " … ".join(f"{end:g}" for end in entry["position"]),
+            *(f"{entry[key]:g}" for key in ("speed", "acceleration", "force")),
         )
-        for name, limits in facts["carrier_limits"].items()
+        for name, entry in facts["carrier_limits"].items()
     ]
-    headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
-    return [table_of("carrier limits", headings, rows, numbers=True)] if rows else []
+    if limits:
+        headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
+        yield table_of("carrier limits", headings, limits, numbers=True)
 
 
 def _unit(facts: dict[str, Any]) -> str:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from typing import Any
 
 import click
 import numpy as np
-from rich.table import Table
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, robot_options
-from redundancy_pin.cli.output import console, print_json, progress, require_suffix
+from redundancy_pin.cli.output import console, print_json, progress, require_suffix, same_file, table_of
 from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import OutputError
@@ -38,10 +36,7 @@ from redundancy_pin.trajectory import carriers_from_csv, from_csv
 )
 @json_option
 def inverse_dynamics(
-    robot: str,
-    settings: tuple[str, ...],
-    mode: str | None,
-    gravity: str | None,
+    robot: RobotOptions,
     backend: str,
     motion_path: str,
     out: str,
@@ -64,13 +59,13 @@ def inverse_dynamics(
       redundancy-pin inverse-dynamics --robot 3rrr --set carrier_mass=2.0 \
           --motion motion.csv --out efforts.csv
     """
-    if _same_file(motion_path, out):
+    if same_file(motion_path, out):
         raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
     require_suffix("--out", out, ".csv")
     require_writable(out)
     with progress("inverse dynamics") as advance, in_words(OPTIONS.knowing({"unreachable": "--unreachable"})):
         advance(0, 4, "reading")
-        loaded = RobotOptions(robot, settings, mode, gravity).load()
+        loaded = robot.load()
         motion, carriers = from_csv(motion_path), carriers_from_csv(motion_path)
         advance(1, 4, "dynamics")
         reduced = BACKENDS[backend](loaded).reduce(motion, carriers, unreachable=unreachable)
@@ -82,27 +77,19 @@ def inverse_dynamics(
     if as_json:
         print_json({"robot": loaded.name, "backend": backend, "motion": motion_path, "out": out, **facts})
         return
-    table = Table(title=f"{loaded.name}, {backend}: {len(motion)} samples", show_header=False)
-    for name, count in facts["statuses"].items():
-        table.add_row(f"{name} samples", str(count))
     record = robot_record(loaded)
     main, moved = record.effort_unit(*loaded.actuated), record.effort_unit(*loaded.carriers)
-    table.add_row(f"largest |tau| [{main}]", ", ".join(f"{value:.6g}" for value in facts["largest_tau"]))
+    rows = [(f"{name} samples", str(count)) for name, count in facts["statuses"].items()]
+    rows.append((f"largest |tau| [{main}]", ", ".join(f"{value:.6g}" for value in facts["largest_tau"])))
     if loaded.k:
         forces = ", ".join(f"{value:.6g}" for value in facts["largest_carrier_force"])
-        table.add_row(f"largest |carrier force| [{moved}]", forces)
-    table.add_row("smallest margin", f"{facts['smallest_margin']:.6g}")
-    table.add_row("written to", out)
-    console().print(table)
+        rows.append((f"largest |carrier force| [{moved}]", forces))
+    rows += [("smallest margin", f"{facts['smallest_margin']:.6g}"), ("written to", out)]
+    console().print(table_of(f"{loaded.name}, {backend}: {len(motion)} samples", (), rows))
 
 
 def efforts_csv(reduced: ReducedDynamics, distribution: Distribution) -> str:
-    """Return the result of an inverse-dynamics computation as CSV text; floats come back bit by bit.
-
-    Args:
-        reduced: f, W and carrier forces.
-        distribution: its efforts.
-    """
+    """Return the result of an inverse-dynamics computation as CSV text; floats come back bit by bit."""
     return csv_text(
         {
             "t": reduced.t,
@@ -130,10 +117,3 @@ def _summary(reduced: ReducedDynamics, distribution: Distribution) -> dict[str, 
 def _largest(values: Array) -> list[float]:
     """Return the largest magnitude in each column, NaN left out; NaN for a column that has nothing else."""
     return [float(value) for value in np.fmax.reduce(np.abs(values), axis=0)]
-
-
-def _same_file(first: str, second: str) -> bool:
-    try:
-        return os.path.samefile(first, second)
-    except OSError:
-        return False

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from redundancy_pin.cli.errors import FAILED_CHECK
 from redundancy_pin.cli.options import (
@@ -19,11 +18,13 @@ from redundancy_pin.cli.options import (
     parse_mode,
     parse_setting,
     parse_vector,
-    robot_options,
+    robot_flags,
+    split_trajectory,
+    trajectory_option,
+    trajectory_value,
 )
 from redundancy_pin.cli.output import console, print_json, require_choice, resumable
 from redundancy_pin.cli.plan_problem import PARAMETERS, number, read_parameters
-from redundancy_pin.cli.trajectory_options import split_trajectory, trajectory_option, trajectory_value
 from redundancy_pin.errors import InputError
 from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.feasibility import (
@@ -41,7 +42,7 @@ from redundancy_pin.studies.feasibility import (
 )
 from redundancy_pin.studies.feasibility.picture import axis_label, effort_unit
 from redundancy_pin.studies.store import FILE
-from redundancy_pin.studies.table import Column, Table
+from redundancy_pin.studies.table import Column, Table, json_data
 from redundancy_pin.visualisation.figures.style import require_matplotlib
 
 
@@ -53,7 +54,7 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command("map")
-@robot_options()
+@robot_flags
 @backend_option(None, "How to compute; virtual-work where it can.")
 @trajectory_option("Motion")
 @click.option("--x", "x_text", metavar="AXIS", help="NAME=LOW:HIGH:COUNT, with :log at its end for a logarithmic one.")
@@ -119,11 +120,7 @@ def map_command(**given: Any) -> int:
 
 
 def problem_of(given: Mapping[str, Any]) -> MapProblem:
-    """Return the problem that the options describe; what is left out comes from the preset of the robot.
-
-    Raises:
-        InputError: an option that cannot be read, or does not fit the others.
-    """
+    """Return the problem that the options describe; what is left out comes from the preset of the robot."""
     robot = given["robot"]
     preset = PRESETS.get(robot, OTHER)
     if given["trajectory"] is None and robot not in PRESETS:
@@ -180,11 +177,7 @@ def _read(planner: str, given: Mapping[str, list[str]]) -> dict[str, Any]:
         key: tuple(texts) if (known := PARAMETERS[planner].get(key)) and known.multiple else texts[-1]
         for key, texts in given.items()
     }
-    return {key: _plain(value) for key, value in read_parameters(planner, values).items()}
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
+    return {key: json_data(value) for key, value in read_parameters(planner, values).items()}
 
 
 def _counts(result: FeasibilityMap) -> Table:

@@ -1,18 +1,24 @@
-"""Options that several commands share, and how they become a robot."""
+"""Options that several commands share, and how they become a robot and a trajectory."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import click
 
+from redundancy_pin.arrays import checked
+from redundancy_pin.cli.errors import OPTIONS, in_words
+from redundancy_pin.cli.output import require_choice, require_known
 from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import Robot
-from redundancy_pin.studies.case import BACKENDS
+from redundancy_pin.studies.case import BACKENDS, TRAJECTORIES
+from redundancy_pin.trajectory import Trajectory
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -34,12 +40,7 @@ class RobotOptions:
     gravity: str | None = None
 
     def load(self) -> Robot:
-        """Load the robot.
-
-        Raises:
-            InputError: an option that cannot be read.
-            RedundancyPinError: whatever ``load_robot`` raises.
-        """
+        """Load the robot."""
         arguments: dict[str, Any] = dict(parse_setting(text) for text in self.settings)
         return load_robot(
             self.source,
@@ -54,13 +55,40 @@ class RobotOptions:
         return not self.settings and self.mode is None and self.gravity is None
 
 
-def robot_options(*, required: bool = True) -> Callable[[_Command], _Command]:
+def robot_flags(command: _Command, *, required: bool = True) -> _Command:
     """Add ``--robot``, ``--set``, ``--mode`` and ``--gravity`` to a command."""
+    for option in (
+        click.option("--gravity", metavar="X,Y,Z", help="Acceleration of gravity, m/s², such as 0,-9.81,0."),
+        click.option("--mode", metavar="SIGNS", help="Working mode, one sign a leg, such as +-+."),
+        click.option(
+            "--set",
+            "settings",
+            multiple=True,
+            metavar="NAME=VALUE",
+            help="Parameter of the robot, such as carrier_mass=2.0; may be repeated.",
+        ),
+        click.option(
+            "--robot",
+            required=required,
+            metavar="NAME|PATH",
+            help="Shipped robot (see `info`), a robot.yaml, or the folder that holds one.",
+        ),
+    ):
+        command = option(command)
+    return command
 
-    def decorate(command: _Command) -> _Command:
-        for option in reversed(_robot_option_list(required)):
-            command = option(command)
-        return command
+
+def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[..., Any]]:
+    """Add the flags of the robot to a command that takes them as one ``RobotOptions``, its first argument."""
+
+    def decorate(command: _Command) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def called(
+            robot: str | None, settings: tuple[str, ...], mode: str | None, gravity: str | None, **given: Any
+        ) -> Any:
+            return command(RobotOptions(robot or "", settings, mode, gravity), **given)
+
+        return robot_flags(called, required=required)
 
     return decorate
 
@@ -72,12 +100,7 @@ def json_option(command: _Command) -> _Command:
 
 
 def backend_option(default: str | None, text: str = "How to compute.") -> Callable[[_Command], _Command]:
-    """Return the option ``--backend``.
-
-    Args:
-        default: the backend where none is named; None leaves it to the command.
-        text: its help.
-    """
+    """Return the option ``--backend``; the command chooses where neither the user nor ``default`` names one."""
     return click.option(
         "--backend", type=click.Choice(list(BACKENDS)), default=default, show_default=default is not None, help=text
     )
@@ -90,33 +113,8 @@ def jobs_option(default: int) -> Callable[[_Command], _Command]:
     )
 
 
-def _robot_option_list(required: bool) -> list[Callable[[Any], Any]]:
-    return [
-        click.option(
-            "--robot",
-            "robot",
-            required=required,
-            metavar="NAME|PATH",
-            help="Shipped robot (see `info`), a robot.yaml, or the folder that holds one.",
-        ),
-        click.option(
-            "--set",
-            "settings",
-            multiple=True,
-            metavar="NAME=VALUE",
-            help="Parameter of the robot, such as carrier_mass=2.0; may be repeated.",
-        ),
-        click.option("--mode", metavar="SIGNS", help="Working mode, one sign a leg, such as +-+."),
-        click.option("--gravity", metavar="X,Y,Z", help="Acceleration of gravity, m/s², such as 0,-9.81,0."),
-    ]
-
-
 def parse_setting(text: str) -> tuple[str, float | bool | str]:
-    """Return name and value of ``NAME=VALUE``.
-
-    Raises:
-        InputError: text of another form, or a name that has an option of its own.
-    """
+    """Return name and value of ``NAME=VALUE``."""
     name, separator, value = text.partition("=")
     name, value = name.strip(), value.strip()
     if not (separator and name and value):
@@ -133,11 +131,7 @@ def parse_setting(text: str) -> tuple[str, float | bool | str]:
 
 
 def parse_mode(text: str) -> tuple[int, ...]:
-    """Return the working mode that a row of signs stands for, ±1 a leg.
-
-    Raises:
-        InputError: anything but signs.
-    """
+    """Return the working mode that a row of signs stands for, ±1 a leg."""
     signs = {"+": 1, "-": -1}
     if not text or not set(text) <= set(signs):
         raise InputError(f"--mode {text!r} is not a row of + and -.", remedy="Write --mode +-+, one sign a leg.")
@@ -145,11 +139,7 @@ def parse_mode(text: str) -> tuple[int, ...]:
 
 
 def parse_vector(text: str) -> tuple[float, ...]:
-    """Return gravity from ``X,Y,Z``, m/s².
-
-    Raises:
-        InputError: not three numbers.
-    """
+    """Return gravity from ``X,Y,Z``, m/s²."""
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -157,3 +147,101 @@ def parse_vector(text: str) -> tuple[float, ...]:
     if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
         raise InputError(f"--gravity {text!r} is not three numbers.", remedy="Write --gravity 0,-9.81,0 (m/s²).")
     return numbers
+
+
+FLAGS = ("speed", "radius", "ramp_time", "ramp_length", "straight", "side", "alpha")
+"""Keys of trajectories that are flags of their own; the rest can be written as ``name:key=value``."""
+
+
+def make_trajectory(name: str, options: Mapping[str, Any]) -> Trajectory:
+    """Return a trajectory by name."""
+    make = TRAJECTORIES[require_choice(name, tuple(TRAJECTORIES), "the trajectory")]
+    signature = inspect.signature(make)
+    where = f"the trajectory {name}"
+    require_known(options, tuple(signature.parameters), where)
+    for key, parameter in signature.parameters.items():
+        if parameter.default is inspect.Parameter.empty and key not in options:
+            raise InputError(f"The trajectory {name} lacks the key {key!r}.", remedy=f"Add {key}.", key=key)
+    return make(**{key: _value(key, value, where) for key, value in options.items()})
+
+
+def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory:
+    """Return the trajectory that ``name`` or ``name:key=value,...`` and flags describe together."""
+    name, texts = split_trajectory(text)
+    options = {key: trajectory_value(key, value, f"the trajectory {name}") for key, value in texts.items()}
+    given = {key: value for key, value in flags.items() if value is not None}
+    known = inspect.signature(TRAJECTORIES[name]).parameters if name in TRAJECTORIES else given
+    for key in given:
+        flag = f"--{key.replace('_', '-')}"
+        if key in options:
+            raise InputError(f"{key} of the {name} is given twice.", remedy=f"Leave {flag} or {key}= out.", key=key)
+        if key not in known:
+            raise InputError(f"The trajectory {name} takes no {flag}.", remedy=f"It takes {', '.join(known)}.", key=key)
+    with in_words(OPTIONS.knowing({key: f"--{key.replace('_', '-')}" for key in given})):
+        return make_trajectory(name, {**options, **given})
+
+
+def split_trajectory(text: str) -> tuple[str, dict[str, str]]:
+    """Return the name and the options, as text, of ``name:key=value,...``."""
+    name, _, rest = text.partition(":")
+    options: dict[str, str] = {}
+    for pair in filter(None, rest.split(",")):
+        key, separator, value = pair.partition("=")
+        if not separator:
+            raise InputError(f"{pair!r} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
+        options[key.strip()] = value.strip()
+    return name, options
+
+
+def trajectory_value(key: str, text: str, where: str) -> Any:
+    """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;``."""
+    if text in ("true", "false"):
+        return text == "true"
+    try:
+        if ";" in text:
+            return [[float(number) for number in row.split()] for row in text.split(";") if row.strip()]
+        row = [float(number) for number in text.split()]
+    except ValueError:
+        row = []
+    if not row:
+        wanted = "Write a number, a row such as 1.0 0.4, or rows such as 1.0 0.4;1.0 0.5."
+        raise InputError(f"{key} of {where} is {text!r}, neither a number nor rows.", remedy=wanted, key=key)
+    return row[0] if len(row) == 1 else row
+
+
+def trajectory_option(what: str) -> Callable[[_Command], _Command]:
+    """Return the option ``--trajectory``; its help says what the trajectory is for."""
+    return click.option(
+        "--trajectory",
+        metavar="NAME[:KEY=VALUE,...]",
+        help=f"{what}: {', '.join(TRAJECTORIES)}; such as circle:speed=0.5, or "
+        "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'.",
+    )
+
+
+def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add ``--trajectory``, ``--motion`` and the flags of trajectories to a command."""
+    flags = {
+        "--speed": "Cruising speed of the trajectory, m/s.",
+        "--radius": "Corner radius, m.",
+        "--ramp-time": "Duration of each speed ramp, s.",
+        "--ramp-length": "Arc length of the ramp, m.",
+        "--straight": "Length of each straight of the corner, m.",
+        "--side": "Side of the square, m.",
+        "--alpha": "Constant orientation of the platform, rad.",
+    }
+    for flag, text in reversed(flags.items()):
+        command = click.option(flag, type=float, metavar="NUMBER", help=text)(command)
+    command = click.option(
+        "--motion", "motion_path", metavar="CSV", help="Motion to follow instead: columns t, x0.., xd0.., xdd0..."
+    )(command)
+    return trajectory_option("Trajectory to follow")(command)
+
+
+def _value(key: str, value: object, where: str) -> Any:
+    """Return a value as a number, a truth value or rows of numbers."""
+    if isinstance(value, (bool, list)) or value is None:
+        return value
+    if isinstance(value, str):
+        return trajectory_value(key, value, where)
+    return float(checked(value, f"{key} of {where}", ()))  # type: ignore[arg-type]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import json
-import math
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,44 +11,32 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from redundancy_pin.errors import InputError, OutputError
+from redundancy_pin.errors import InputError, OutputError, did_you_mean
+from redundancy_pin.io.files import require_writable
+from redundancy_pin.studies.table import json_data
+from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
 
 
 def require_known(given: Iterable[object], known: Sequence[str], where: str) -> None:
-    """Check that every key is known.
-
-    Args:
-        given: the keys as written.
-        known: the keys there are.
-        where: what takes them, for the message: "the circle".
-
-    Raises:
-        InputError: an unknown key, with the nearest known one.
-    """
+    """Check that every key is known to what takes them, such as "the circle"."""
     for key in given:
         if key not in known:
-            close = difflib.get_close_matches(str(key), known, n=1)
-            hint = f"Did you mean {close[0]!r}? " if close else ""
             takes = f"It takes {', '.join(known)}." if known else "It takes none."
-            raise InputError(f"{_capital(where)} has no key {str(key)!r}.", remedy=f"{hint}{takes}", key=str(key))
+            raise InputError(
+                f"{_capital(where)} has no key {str(key)!r}.", remedy=f"{did_you_mean(key, known)}{takes}", key=str(key)
+            )
 
 
 def require_choice(value: object, known: Sequence[str], where: str) -> str:
-    """Return a value that must be one of a few words.
-
-    Raises:
-        InputError: it is none of them.
-    """
+    """Return a value that must be one of a few words."""
     if isinstance(value, str) and value in known:
         return value
-    close = difflib.get_close_matches(str(value), known, n=1)
-    hint = f"Did you mean {close[0]!r}? " if close else ""
-    raise InputError(f"{_capital(where)} is {value!r}.", remedy=f"{hint}Choose one of {', '.join(known)}.", value=value)
+    remedy = f"{did_you_mean(value, known)}Choose one of {', '.join(known)}."
+    raise InputError(f"{_capital(where)} is {value!r}.", remedy=remedy, value=value)
 
 
 def _capital(text: str) -> str:
@@ -72,8 +59,7 @@ _PIPE_WIDTH = 140
 def console(*, markup: bool = False) -> Console:
     """Return a console on stdout; plain text of a fixed width when that is not a terminal.
 
-    Args:
-        markup: whether ``[green]`` in a text is a colour; if not it is shown as it stands, as texts of users must be.
+    With ``markup`` a ``[green]`` in a text is a colour; without, texts of users are shown as they stand.
     """
     if sys.stdout.isatty():
         return Console(markup=markup, highlight=False)
@@ -81,15 +67,8 @@ def console(*, markup: bool = False) -> Console:
 
 
 def table_of(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = False) -> Table:
-    """Return a table.
-
-    Args:
-        title: above it.
-        headings: of the columns.
-        rows: of it, a text a column.
-        numbers: whether all columns but the first hold numbers, and stand to the right.
-    """
-    table = Table(title=title)
+    """Return a table, without a head where there are no headings; columns of ``numbers`` stand to the right."""
+    table = Table(title=title, show_header=bool(headings))
     for place, heading in enumerate(headings):
         table.add_column(heading, justify="right" if numbers and place else "left")
     for row in rows:
@@ -99,7 +78,7 @@ def table_of(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]],
 
 def print_json(data: Mapping[str, Any]) -> None:
     """Print one JSON document on stdout. NaN and infinity, which JSON lacks, become null."""
-    click.echo(json.dumps(plain(data), indent=2, allow_nan=False))
+    click.echo(json.dumps(json_data(data), indent=2, allow_nan=False))
 
 
 def number(value: float) -> str:
@@ -107,33 +86,29 @@ def number(value: float) -> str:
     return f"{0.0 if abs(value) < _ROUNDING else value:.6g}"
 
 
-def plain(value: Any) -> Any:
-    """Return nested data as what JSON knows: arrays as lists, NaN and infinity as null."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def require_suffix(flag: str, path: str, suffix: str) -> None:
-    """Check that a file to write is named as what it will be: other programs, and people, go by the name.
-
-    Raises:
-        OutputError: it has another suffix, or none.
-    """
+    """Check that a file to write is named as what it will be: other programs, and people, go by the name."""
     named = Path(path)
     if named.suffix.lower() != suffix:
         fitting = named.with_name(f"{named.stem or 'result'}{suffix}")
         raise OutputError(
             f"{flag} {path} does not end in {suffix}.", remedy=f"Write {flag} {fitting}.", path=path, suffix=suffix
         )
+
+
+def require_picture(path: str) -> None:
+    """Check that a picture can be drawn, and written there."""
+    require_matplotlib()
+    picture_format(path)
+    require_writable(path)
+
+
+def same_file(first: str | Path, second: str | Path) -> bool:
+    """Return whether two paths lead to one file that exists."""
+    try:
+        return os.path.samefile(Path(first).expanduser(), Path(second).expanduser())
+    except OSError:
+        return False
 
 
 def _no_progress(done: int, total: int, what: str = "") -> None:
@@ -144,8 +119,7 @@ def _no_progress(done: int, total: int, what: str = "") -> None:
 def progress(title: str) -> Iterator[Advance]:
     """Show a progress bar on stderr while the block runs; nothing unless stdout and stderr are terminals.
 
-    Yields:
-        A function to call with steps done, steps in all, and what is being done.
+    What is yielded takes steps done, steps in all, and what is being done.
     """
     if not (sys.stderr.isatty() and sys.stdout.isatty()):
         yield _no_progress
@@ -170,19 +144,7 @@ def progress(title: str) -> Iterator[Advance]:
 
 @contextmanager
 def resumable(title: str, records: str, store: Path) -> Iterator[Advance]:
-    """Show progress while the block runs; after Ctrl-C tell what is kept.
-
-    Args:
-        title: of the progress bar.
-        records: what is counted, in the plural.
-        store: where it is kept.
-
-    Yields:
-        As ``progress``.
-
-    Raises:
-        click.exceptions.Exit: with ``INTERRUPTED``, after Ctrl-C.
-    """
+    """Show progress while the block runs; after Ctrl-C tell what is kept."""
     counts = (0, 0)
     try:
         with progress(title) as show:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import click
@@ -14,8 +12,25 @@ import numpy as np
 from rich.table import Table
 
 from redundancy_pin.cli.errors import KEYS, OPTIONS, in_words
-from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, robot_options
-from redundancy_pin.cli.output import console, number, print_json, progress, require_suffix
+from redundancy_pin.cli.options import (
+    FLAGS,
+    RobotOptions,
+    backend_option,
+    json_option,
+    parse_trajectory,
+    robot_options,
+    trajectory_options,
+)
+from redundancy_pin.cli.output import (
+    console,
+    number,
+    print_json,
+    progress,
+    require_picture,
+    require_suffix,
+    same_file,
+    table_of,
+)
 from redundancy_pin.cli.plan_problem import (
     PARAMETERS,
     PREFIX,
@@ -26,7 +41,6 @@ from redundancy_pin.cli.plan_problem import (
     problem,
     read_problem,
 )
-from redundancy_pin.cli.trajectory_options import FLAGS, parse_trajectory, trajectory_options
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import replacing_file, require_writable
 from redundancy_pin.motion import PlatformMotion
@@ -37,7 +51,7 @@ from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.measures import SWING, reversals
 from redundancy_pin.trajectory import Trajectory, from_csv
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
-from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib, save
+from redundancy_pin.visualisation.figures.style import save
 
 _BACKENDS = {"Rnea": RNEA, "VirtualWork": VIRTUAL_WORK}
 """How the command line calls what a plan names by its class."""
@@ -47,43 +61,24 @@ _LISTED = 6
 
 
 def require_outputs(out: str | None, plot: str | None, inputs: Sequence[str] = ()) -> None:
-    """Check that both files can be written and are none of the inputs, before the work is done.
-
-    Raises:
-        OutputError: one of them cannot be.
-        RedundancyPinError: a picture without matplotlib.
-    """
+    """Check that both files can be written and are none of the inputs, before the work is done."""
     if out:
         require_suffix("--out", out, ".npz")
         require_writable(out)
     if plot:
-        require_matplotlib()
-        picture_format(plot)
-        require_writable(plot)
+        require_picture(plot)
     for flag, path in (("--out", out), ("--plot", plot)):
-        if path and any(_same_file(path, given) for given in inputs):
+        if path and any(same_file(path, given) for given in inputs):
             raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
 
 
 def write_outputs(plan: Plan, out: str | None, plot: str | None) -> None:
-    """Write the plan and its picture: both or neither.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write the plan and its picture: both or neither."""
     with ExitStack() as stack:
         if plot:
             save(plot_plan(plan), stack.enter_context(replacing_file(plot)))
         if out:
             plan.save(out)
-
-
-def print_plan(plan: Plan, out: str | None, plot: str | None, *, as_json: bool) -> None:
-    """Print what is worth knowing of a plan on stdout."""
-    if as_json:
-        print_json({**summary(plan), "out": out, "plot": plot})
-    else:
-        console().print(_table(plan, out, plot))
 
 
 def warn(plan: Plan) -> None:
@@ -142,14 +137,6 @@ def summary(plan: Plan) -> dict[str, Any]:
     }
 
 
-def status_text(plan: Plan) -> str:
-    """Return the status in words; of a plan that is no optimum, that as well."""
-    text = plan.status.value.replace("_", " ")
-    if plan.diagnostics.get("optimal", True):
-        return text
-    return f"{text}: no optimum, the solver says {plan.diagnostics.get('solver')}"
-
-
 def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
     """Give what an optimised plan says of its optimum and its nodes."""
     if "optimal" not in plan.diagnostics:
@@ -166,13 +153,6 @@ def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
 def _ratio_between_nodes(plan: Plan) -> float:
     ratios: Any = plan.diagnostics.get("dense_ratios") or (1.0,)
     return float(ratios[-1])
-
-
-def _same_file(first: str, second: str) -> bool:
-    try:
-        return os.path.samefile(Path(first).expanduser(), Path(second).expanduser())
-    except OSError:
-        return False
 
 
 def _smallest_margin(plan: Plan) -> float:
@@ -192,30 +172,28 @@ def _phase_times(plan: Plan) -> list[dict[str, Any]]:
 
 
 def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
-    facts = summary(plan)
-    table = Table(
-        title=f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {_BACKENDS.get(plan.backend, plan.backend)}",
-        show_header=False,
-    )
-    table.add_row("status", status_text(plan))
-    table.add_row("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples")
-    table.add_row("phases [s]", _phases(facts["phases"]))
+    facts, status = summary(plan), plan.status.value.replace("_", " ")
+    if not plan.diagnostics.get("optimal", True):
+        status = f"{status}: no optimum, the solver says {plan.diagnostics.get('solver')}"
     main, moved = plan.robot.effort_unit(*plan.robot.actuated), plan.robot.effort_unit(*plan.robot.carriers)
-    table.add_row(f"peak main effort [{main}]", _row(facts["peak_effort"]))
-    table.add_row(f"rms main effort [{main}]", _row(facts["rms_effort"]))
-    table.add_row(f"reversals above {100.0 * SWING:g} % of the peak", _row(facts["reversals"]))
-    table.add_row(f"peak carrier effort [{moved}]", _row(facts["peak_carrier_force"]))
-    table.add_row("energy, main actuators [J]", number(plan.main_energy))
-    table.add_row("energy, carriers [J]", number(plan.carrier_energy))
-    table.add_row("smallest margin", number(facts["smallest_margin"]))
-    for name, text in _of_the_optimum(plan):
-        table.add_row(name, text)
-    table.add_row("limits broken", _events(plan, plan.limits.violated, broken=True))
-    table.add_row("limits touched", _events(plan, plan.limits.binding, broken=False))
-    for name, path in (("plan", out), ("picture", plot)):
-        if path:
-            table.add_row(f"{name} written to", path)
-    return table
+    rows = [
+        ("status", status),
+        ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples"),
+        ("phases [s]", _phases(facts["phases"])),
+        (f"peak main effort [{main}]", _row(facts["peak_effort"])),
+        (f"rms main effort [{main}]", _row(facts["rms_effort"])),
+        (f"reversals above {100.0 * SWING:g} % of the peak", _row(facts["reversals"])),
+        (f"peak carrier effort [{moved}]", _row(facts["peak_carrier_force"])),
+        ("energy, main actuators [J]", number(plan.main_energy)),
+        ("energy, carriers [J]", number(plan.carrier_energy)),
+        ("smallest margin", number(facts["smallest_margin"])),
+        *_of_the_optimum(plan),
+        ("limits broken", _events(plan, plan.limits.violated, broken=True)),
+        ("limits touched", _events(plan, plan.limits.binding, broken=False)),
+        *((f"{name} written to", path) for name, path in (("plan", out), ("picture", plot)) if path),
+    ]
+    title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {_BACKENDS.get(plan.backend, plan.backend)}"
+    return table_of(title, (), rows)
 
 
 def _phases(phases: list[dict[str, Any]]) -> str:
@@ -297,7 +275,7 @@ def plan(
 @plan.command("switch-off")
 @_shared_options
 @planner_options("switch-off")
-def switch_off(**given: Any) -> int:
+def switch_off(robot: RobotOptions, **given: Any) -> int:
     r"""Cross singularities with the actuators off.
 
     Wherever the condition number exceeds the threshold the main efforts are zero, and the carriers' inertia drives the
@@ -308,14 +286,14 @@ def switch_off(**given: Any) -> int:
       redundancy-pin plan switch-off --robot 2rpr --trajectory circle --speed 0.6 \
           --threshold 7 --return-time shortest --out plan.npz --plot plan.png
     """
-    return _from_flags("switch-off", given)
+    return _from_flags("switch-off", robot, given)
 
 
 @plan.command("stepwise")
 @_shared_options
 @planner_options("stepwise")
 @click.option("--step", type=float, metavar="SECONDS", help=f"Length of the steps.  [default: {STEP:g}]")
-def stepwise(**given: Any) -> int:
+def stepwise(robot: RobotOptions, **given: Any) -> int:
     r"""Least torque around corners, step by step.
 
     In every step the carriers' accelerations minimise the distance of the main efforts from a fraction of those of a
@@ -326,13 +304,13 @@ def stepwise(**given: Any) -> int:
       redundancy-pin plan stepwise --robot 3rrr --mode +++ --trajectory corner --radius 0.025 \
           --lam 0.5 --baseline carriers=false --out plan.npz
     """
-    return _from_flags("stepwise", given)
+    return _from_flags("stepwise", robot, given)
 
 
 @plan.command("whole-trajectory")
 @_shared_options
 @planner_options("whole-trajectory")
-def whole_trajectory(**given: Any) -> int:
+def whole_trajectory(robot: RobotOptions, **given: Any) -> int:
     r"""Least effort over the whole motion.
 
     Carriers and main actuators are planned together: the motors stay on, through singularities too, and every limit of
@@ -346,12 +324,11 @@ def whole_trajectory(**given: Any) -> int:
       redundancy-pin plan whole-trajectory --robot 3rrr --mode +++ --trajectory corner --radius 0.013 \
           --max-effort 8 --max-jerk 200 --json
     """
-    return _from_flags("whole-trajectory", given)
+    return _from_flags("whole-trajectory", robot, given)
 
 
-def _from_flags(planner: str, given: Mapping[str, Any]) -> int:
+def _from_flags(planner: str, robot: RobotOptions, given: Mapping[str, Any]) -> int:
     motion_path = given["motion_path"]
-    robot = RobotOptions(given["robot"], given["settings"], given["mode"], given["gravity"])
     settings = given.get("baseline", ())
     baseline = replace(robot, settings=(*robot.settings, *settings)) if settings else None
     parameters = {name.removeprefix(PREFIX): value for name, value in given.items() if name.startswith(PREFIX)}
@@ -392,6 +369,9 @@ def _run(
         result = task.solve(lambda text: advance(1, 3, text))
         advance(2, 3, "writing")
         write_outputs(result, out, plot)
-    print_plan(result, out, plot, as_json=as_json)
+    if as_json:
+        print_json({**summary(result), "out": out, "plot": plot})
+    else:
+        console().print(_table(result, out, plot))
     warn(result)
     return EXIT_CODES.get(result.status, BREAKS_LIMITS)

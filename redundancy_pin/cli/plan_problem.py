@@ -13,9 +13,8 @@ import numpy as np
 import yaml
 
 from redundancy_pin.arrays import frozen
-from redundancy_pin.cli.options import RobotOptions
+from redundancy_pin.cli.options import RobotOptions, make_trajectory
 from redundancy_pin.cli.output import require_choice, require_known
-from redundancy_pin.cli.trajectory_options import make_trajectory
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
@@ -37,11 +36,7 @@ def _refuse(name: str, value: object, expected: str, example: str) -> InputError
 
 
 def number(name: str, value: object) -> float:
-    """Return a number; text with one is accepted (YAML reads ``1e-3`` as text).
-
-    Raises:
-        InputError: anything else.
-    """
+    """Return a number; text with one is accepted (YAML reads ``1e-3`` as text)."""
     try:
         if not isinstance(value, bool) and isinstance(value, (int, float, str)):
             return float(value)
@@ -51,11 +46,7 @@ def number(name: str, value: object) -> float:
 
 
 def numbers(name: str, value: object) -> Any:
-    """Return a number, or an array of the numbers of nested lists or of text such as ``0.1,-0.1``.
-
-    Raises:
-        InputError: anything else.
-    """
+    """Return a number, or an array of the numbers of nested lists or of text such as ``0.1,-0.1``."""
     if isinstance(value, str) and "," in value:
         value = [part.strip() for part in value.split(",")]
     if not isinstance(value, list):
@@ -67,11 +58,7 @@ def numbers(name: str, value: object) -> Any:
 
 
 def whole(name: str, value: object) -> int:
-    """Return a whole number.
-
-    Raises:
-        InputError: anything else.
-    """
+    """Return a whole number."""
     result = number(name, value)
     if not result.is_integer():
         raise _refuse(name, value, "not a whole number", "a number such as 4")
@@ -79,22 +66,14 @@ def whole(name: str, value: object) -> int:
 
 
 def word(name: str, value: object) -> str:
-    """Return a word as it stands.
-
-    Raises:
-        InputError: no text.
-    """
+    """Return a word as it stands."""
     if not isinstance(value, str):
         raise _refuse(name, value, "not a word", "text")
     return value
 
 
 def number_or_word(name: str, value: object) -> float | str:
-    """Return a number, or the word as it stands (the planner knows which words it takes).
-
-    Raises:
-        InputError: neither.
-    """
+    """Return a number, or the word as it stands (the planner knows which words it takes)."""
     try:
         return number(name, value)
     except InputError:
@@ -104,22 +83,14 @@ def number_or_word(name: str, value: object) -> float | str:
 
 
 def flag(name: str, value: object) -> bool:
-    """Return a truth value.
-
-    Raises:
-        InputError: neither true nor false.
-    """
+    """Return a truth value."""
     if not isinstance(value, bool):
         raise _refuse(name, value, "neither true nor false", "true or false")
     return value
 
 
 def weights(name: str, value: object) -> str | dict[str, float]:
-    """Return one word, or the weights of several: from a mapping, or from words such as ``effort`` and ``peak=2``.
-
-    Raises:
-        InputError: neither; a weight that is no number; a word twice.
-    """
+    """Return one word, or the weights of several: from a mapping, or from words such as ``effort`` and ``peak=2``."""
     if isinstance(value, Mapping):
         return {str(key): number(f"the weight of {key}", weight) for key, weight in value.items()}
     words = [value] if isinstance(value, str) else value
@@ -151,15 +122,7 @@ PREFIX = "parameter_"
 
 @dataclass(frozen=True)
 class Parameter:
-    """How users write a parameter of a planner.
-
-    Attributes:
-        read: from the value as written to the one the planner takes.
-        metavar: stands for the value in the help.
-        text: what it is, for the help.
-        flag: on the command line; made from the name when left out.
-        multiple: whether the flag may be repeated.
-    """
+    """How users write a parameter of a planner: how its value is read, its help, and a flag that is not its name."""
 
     read: Reader
     metavar: str
@@ -254,15 +217,7 @@ def _flag(name: str, parameter: Parameter) -> str:
 
 
 def read_parameters(planner: str, given: Mapping[str, object]) -> dict[str, Any]:
-    """Return the parameters of a planner, each as the kind of value it is.
-
-    Args:
-        planner: a key of ``PARAMETERS``.
-        given: values as written; None, or nothing of what may be repeated, for those left out.
-
-    Raises:
-        InputError: an unknown parameter, or a value of the wrong kind.
-    """
+    """Return the parameters of a planner, each as the kind of value it is."""
     known = PARAMETERS[planner]
     require_known(given, tuple(known), f"the planner {planner}")
     return {name: known[name].read(name, value) for name, value in given.items() if value is not None and value != ()}
@@ -308,14 +263,7 @@ STEP = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Everything a planner needs.
-
-    Attributes:
-        planner: a key of ``PLANNERS``.
-        dynamics: the dynamics of the robot.
-        motion: the platform motion.
-        parameters: keyword arguments of the planner.
-    """
+    """Everything a planner needs; ``parameters`` are its keyword arguments."""
 
     planner: str
     dynamics: Dynamics
@@ -323,11 +271,7 @@ class Problem:
     parameters: Mapping[str, Any]
 
     def solve(self, progress: Callable[[str], None] | None = None) -> Plan:
-        """Return the plan; planners that have stages call ``progress`` with a line of text at each.
-
-        Raises:
-            RedundancyPinError: as the planner.
-        """
+        """Return the plan; planners that have stages call ``progress`` with a line of text at each."""
         make = PLANNERS[self.planner]
         extra = {"progress": progress} if progress and "progress" in inspect.signature(make).parameters else {}
         return make(self.dynamics, self.motion, **self.parameters, **extra)
@@ -343,19 +287,10 @@ def problem(
     baseline: RobotOptions | None = None,
     step: float | None = None,
 ) -> Problem:
-    """Put a problem together from what flags or a file say.
+    """Put a problem together from what flags or a file say, its parameters as written.
 
-    Args:
-        planner: a key of ``PLANNERS``.
-        robot: the robot.
-        backend: a key of ``BACKENDS``.
-        motion: the platform motion.
-        parameters: parameters of the planner as written.
-        baseline: robot whose efforts a stepwise or whole-trajectory plan aims at a fraction of.
-        step: length of the steps of a stepwise plan along a trajectory, s.
-
-    Raises:
-        RedundancyPinError: whatever loading the robots raises, or a parameter that does not fit.
+    The ``baseline`` is the robot of whose efforts a plan aims at a fraction; ``step`` is the length of the steps of a
+    stepwise plan along a trajectory, s.
     """
     values = read_parameters(planner, parameters)
     make = BACKENDS[require_choice(backend, tuple(BACKENDS), "the backend")]
@@ -385,10 +320,6 @@ def read_problem(path: str | Path) -> Problem:
     """Read a problem file.
 
     Robots and motions given by path are looked for from the folder of the file.
-
-    Raises:
-        InputError: missing or unreadable file, broken YAML, unknown or missing keys, values of the wrong kind.
-        RedundancyPinError: whatever loading the robot or the motion raises.
     """
     place = Path(path).expanduser()
     data = _read_yaml(place)
@@ -447,8 +378,9 @@ def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:
     if gravity is not None:
         vector = numbers("gravity", gravity)
         gravity = ",".join(repr(float(g)) for g in vector.ravel()) if hasattr(vector, "ravel") else str(vector)
+    source = word("robot", data["robot"])
     return RobotOptions(
-        _source(word("robot", data["robot"]), folder),
+        source if source in shipped_robots() or Path(source).is_absolute() else str(folder / source),
         tuple(f"{name}={value}" for name, value in settings.items()),
         None if mode is None else word("mode", mode),
         gravity,
@@ -461,10 +393,6 @@ def _baseline(given: Mapping[str, Any], data: Mapping[str, Any], folder: Path) -
     own = {} if "robot" in given else {key: data[key] for key in _ROBOT_KEYS if key in data}
     settings = {**_mapping(own.get("set", {}), "set"), **_mapping(given.get("set", {}), "set")}
     return _robot({**own, **given, "set": settings}, folder)
-
-
-def _source(text: str, folder: Path) -> str:
-    return text if text in shipped_robots() or Path(text).is_absolute() else str(folder / text)
 
 
 def _mapping(value: object, name: str) -> Mapping[str, Any]:

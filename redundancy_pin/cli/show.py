@@ -26,10 +26,7 @@ from redundancy_pin.visualisation.viewer.page import View, require_html, require
 @click.option("--open", "open_browser", is_flag=True, help="Open it in the default browser.")
 @json_option
 def show(
-    robot: str | None,
-    settings: tuple[str, ...],
-    mode: str | None,
-    gravity: str | None,
+    robot: RobotOptions,
     plan_path: str | None,
     motion_path: str | None,
     out: str | None,
@@ -55,8 +52,7 @@ def show(
     if out:
         require_html(out)
         require_writable(out)
-    options = RobotOptions(robot or "", settings, mode, gravity)
-    picture = _view(options, plan_path, motion_path, forces, force_scale)
+    picture = _view(robot, plan_path, motion_path, forces, force_scale)
     if out:
         picture.save(out)
         _report(picture, out, as_json=as_json)

@@ -9,19 +9,18 @@ import click
 from rich.table import Table
 
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import console, number, print_json, progress, table_of
-from redundancy_pin.cli.trajectory_options import parse_trajectory, trajectory_option
+from redundancy_pin.cli.options import RobotOptions, json_option, parse_trajectory, robot_options, trajectory_option
+from redundancy_pin.cli.output import console, number, print_json, progress, require_picture, table_of
 from redundancy_pin.errors import InputError
-from redundancy_pin.io.files import require_writable
+from redundancy_pin.io.files import replacing_file
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.singularities.locus import singular_locus
 from redundancy_pin.trajectory import Trajectory, from_csv
-from redundancy_pin.visualisation.figures.paths import plot_locus
-from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
+from redundancy_pin.visualisation.figures.paths import draw_locus
+from redundancy_pin.visualisation.figures.style import save
 
 _DRAWN_STEP = 1e-3
 """Sampling interval of a trajectory in the picture, as a fraction of its duration."""
@@ -34,10 +33,7 @@ _DRAWN_STEP = 1e-3
 @click.option("--plot", metavar="PICTURE", help="Draw the singularities over the workspace (.png, .svg or .pdf).")
 @json_option
 def singularities(
-    robot: str,
-    settings: tuple[str, ...],
-    mode: str | None,
-    gravity: str | None,
+    robot: RobotOptions,
     motion_path: str | None,
     trajectory: str | None,
     plot: str | None,
@@ -58,12 +54,10 @@ def singularities(
     if not (motion_path or trajectory or plot):
         raise InputError("There is nothing to do.", remedy="Ask for --plot, --motion or --trajectory.")
     if plot:
-        require_matplotlib()
-        picture_format(plot)
-        require_writable(plot)
+        require_picture(plot)
     with progress("singularities") as advance, in_words(OPTIONS.knowing({"find_crossings": "--motion"})):
         advance(0, 3, "reading")
-        loaded = RobotOptions(robot, settings, mode, gravity).load()
+        loaded = robot.load()
         followed = from_csv(motion_path) if motion_path else parse_trajectory(trajectory, {}) if trajectory else None
         advance(1, 3, "along the motion")
         crossings = find_crossings(loaded, followed) if followed is not None else ()
@@ -116,4 +110,6 @@ def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
 
 def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:
     motion = followed.sample(_DRAWN_STEP * followed.duration) if isinstance(followed, Trajectory) else followed
-    plot_locus(singular_locus(robot), plot, motion=None if motion is None else motion.x, crossings=crossings)
+    drawn = draw_locus(singular_locus(robot), motion=None if motion is None else motion.x, crossings=crossings)
+    with replacing_file(plot) as temporary:
+        save(drawn, temporary)

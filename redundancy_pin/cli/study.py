@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from redundancy_pin.cli.options import json_option
-from redundancy_pin.cli.output import console, plain, print_json, resumable
+from redundancy_pin.cli.output import console, print_json, resumable
 from redundancy_pin.io.files import write_text
 from redundancy_pin.studies.robustness import DRAWS, robustness_study, study_caption, study_csv, study_table
 from redundancy_pin.studies.store import FILE
+from redundancy_pin.studies.table import json_data
 
 _SHOWN = ("scenario", "drive", "success", "largest", "worst", "statuses")
 """Columns of the table that fit a terminal side by side; all of them are in study.md."""
@@ -51,12 +52,12 @@ def study(draws: int, seed: int, severity: float, jobs: int | None, out: str, as
         "imperfections": asdict(result.imperfections),
         "cells": [asdict(cell) for cell in result.cells],
     }
-    write_text(folder / "summary.json", json.dumps(plain(summary), indent=2, allow_nan=False) + "\n")
+    write_text(folder / "summary.json", json.dumps(json_data(summary), indent=2, allow_nan=False) + "\n")
     if as_json:
         print_json(summary)
         return
     screen = console()
     screen.print(extent)
-    screen.print(replace(table, columns=tuple(column for column in table.columns if column.name in _SHOWN)).terminal())
+    screen.print(table.only(*_SHOWN).terminal())
     screen.print(caption)
     screen.print(f"Tables and store are in {folder}: study.md, trials.csv, summary.json, {FILE}.")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
 from redundancy_pin.crosscheck.checks import (
+    CheckRow,
+    CrossCheckReport,
     Deviation,
     check_derivatives,
     check_leg_momentum,
@@ -14,8 +15,9 @@ from redundancy_pin.crosscheck.checks import (
     check_parity_on_singularities,
     check_power,
     check_round_trip,
+    checked_row,
+    merged,
 )
-from redundancy_pin.crosscheck.report import CheckRow, CrossCheckReport, checked_row, merged
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
@@ -28,18 +30,6 @@ __all__ = ["CheckRow", "CrossCheckReport", "run"]
 
 Progress = Callable[[int, int], None]
 """Called with the states done and the states in all."""
-
-
-@dataclass(frozen=True)
-class _Batch:
-    """One case that a worker draws and checks."""
-
-    robot: str
-    index: int
-    samples: int
-    seed: int
-    vary: bool
-    massless: bool = False
 
 
 def run(
@@ -69,37 +59,33 @@ def run(
         if value < least:
             raise InputError(f"{name} is {value}.", remedy=f"Pass {least} or more.", name=name, value=value)
     work = list(_batches(tuple(robots) if robots else shipped_robots(), samples, seed))
-    total, done = sum(batch.samples for batch in work), 0
+    total, done = sum(size for _, _, size, *_ in work), 0
     rows: list[CheckRow] = []
     # in order, so that the report does not depend on which process was faster
-    for batch, checked in zip(work, parallel(_checked, [(batch,) for batch in work], jobs, ordered=True), strict=True):
+    for (_, _, size, *_), checked in zip(work, parallel(_checked, work, jobs, ordered=True), strict=True):
         rows += checked
-        done += batch.samples
+        done += size
         if progress:
             progress(done, total)
     return CrossCheckReport(merged(rows), seed)
 
 
-def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[_Batch]:
+def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[tuple[str, int, int, int, bool, bool]]:
+    """Return what ``_checked`` takes, for each case."""
     for position, name in enumerate(names):
         vary = name in shipped_robots()
         own = seed + 1000 * position
-        yield from (_Batch(name, index, size, own, vary) for index, size in enumerate(batches(samples)))
+        yield from ((name, index, size, own, vary, False) for index, size in enumerate(batches(samples)))
         if vary and load_robot(name).closed_form == "2rpr":
             sizes = batches(max(1, samples // 4))
-            yield from (_Batch(name, index, size, seed + 7, vary, massless=True) for index, size in enumerate(sizes))
+            yield from ((name, index, size, seed + 7, vary, True) for index, size in enumerate(sizes))
 
 
-def _checked(batch: _Batch) -> list[CheckRow]:
-    """Draw the case of a batch and check it."""
-    if batch.massless:  # the 2-RPR of the thesis, whose only masses are the carriers
-        masses, carriers = Masses.ZERO_STAYS_ZERO, True
-    else:
-        masses, carriers = Masses.ALL, None
-    case = random_case(
-        batch.robot, batch.samples, batch.seed, batch.index, vary=batch.vary, carriers=carriers, masses=masses
-    )
-    deviations = _massless_deviations(case) if batch.massless else _deviations(case)
+def _checked(name: str, index: int, samples: int, seed: int, vary: bool, massless: bool) -> list[CheckRow]:
+    """Draw a case and check it; ``massless`` is the 2-RPR of the thesis, whose only masses are the carriers."""
+    masses, carriers = (Masses.ZERO_STAYS_ZERO, True) if massless else (Masses.ALL, None)
+    case = random_case(name, samples, seed, index, vary=vary, carriers=carriers, masses=masses)
+    deviations = _massless_deviations(case) if massless else _deviations(case)
     return [checked_row(case.robot.name, *deviation) for deviation in deviations]
 
 

@@ -106,19 +106,10 @@ def random_case(
     carriers: bool | None = None,
     masses: Masses = Masses.SOME,
 ) -> Case:
-    """Return one case; cases of different ``index`` are independent draws.
+    """Return one case of so many states; cases of different ``index`` are independent draws.
 
-    Args:
-        source: name of a shipped robot or path of a declaration.
-        samples: number of states.
-        seed: seed; the same seed and index give the same case.
-        index: number of the draw.
-        vary: draw xacro arguments, gravity and working mode at random.
-        carriers: force the argument ``carriers`` (drawn when left out, mostly true).
-        masses: which of the masses that are zero by default get a positive value.
-
-    Raises:
-        RedundancyPinError: no reachable motion was found (the robot's parameters leave no workspace).
+    A robot that may ``vary`` gets random arguments, gravity and working mode. ``carriers`` forces its argument of that
+    name, and ``masses`` says which of those that are zero by default get a positive value.
     """
     # the first draw has its carriers, so that nothing about carriers goes unchecked by chance
     with_carriers = True if carriers is None and index == 0 else carriers
@@ -151,11 +142,7 @@ def _draw(
 def random_robot(
     source: str, rng: np.random.Generator, carriers: bool | None = None, masses: Masses = Masses.SOME
 ) -> Robot:
-    """Load a robot with random arguments, gravity and working mode.
-
-    Raises:
-        DeclarationError: the drawn lengths do not close.
-    """
+    """Load a robot with random arguments, gravity and working mode; DeclarationError where the lengths do not close."""
     nominal = _nominal(source)
     arguments: dict[str, object] = {}
     for name, value in nominal.parameters.items():

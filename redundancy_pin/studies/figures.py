@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
@@ -40,20 +39,17 @@ from redundancy_pin.studies.measures import rms_acceleration, window
 from redundancy_pin.studies.motions import MotionRun
 from redundancy_pin.studies.results import Results
 from redundancy_pin.visualisation.figures.comparisons import (
-    EffortCurves,
+    TradeCurve,
+    plot_bars,
     plot_comparison,
     plot_efforts,
     plot_side_by_side,
-)
-from redundancy_pin.visualisation.figures.paths import PathCurves, PlanePath, plot_path, plot_plane_paths
-from redundancy_pin.visualisation.figures.summaries import (
-    Attempts,
-    TradeCurve,
-    plot_bars,
     plot_speed_border,
     plot_tracking,
     plot_trade_off,
 )
+from redundancy_pin.visualisation.figures.curves import curves
+from redundancy_pin.visualisation.figures.paths import plot_path, plot_plane_paths
 from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels
 from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
@@ -122,58 +118,40 @@ def motion_pictures(runs: Sequence[MotionRun]) -> list[Picture]:
 
 def effort_figure(run: MotionRun, title: str) -> Figure:
     """Return the efforts of a run by both backends."""
-    solved = run.distribution
+    drawn = curves(run.robot, run.reduced[RNEA], run.distribution, title=title)
     return plot_efforts(
-        EffortCurves(
-            title=title,
-            names=_effort_names(run),
-            unit=run.case.unit,
-            t=run.t,
-            tau=solved.tau,
-            check=run.solved[VIRTUAL_WORK].tau,
-            backends=("RNEA", "virtual work"),
-            regular=solved.status == SampleStatus.REGULAR,
-            margin=solved.margin,
-            scale=run.reduced[RNEA].column_scale,
-            carrier_force=run.reduced[RNEA].carrier_force,
-            windows=run.near_singular_windows,
-            instants=tuple(instant.t for instant in run.instants),
-            missing_force=tuple(instant.missing_force for instant in run.instants),
-        )
+        replace(drawn, instants=tuple(instant.t for instant in run.instants)),
+        run.solved[VIRTUAL_WORK].tau,
+        backends=("RNEA", "virtual work"),
+        scale=run.reduced[RNEA].column_scale,
+        missing_force=[instant.missing_force for instant in run.instants],
     )
 
 
 def path_figure(run: MotionRun, title: str) -> Figure:
     """Return the mechanism, the path and the condition number of a run."""
-    lines, hinges = _mechanism(run.robot, run.motion)
     return plot_path(
-        PathCurves(
-            title=title,
-            t=run.t,
-            point=run.motion.x[:, :2],
-            links=lines,
-            hinges=hinges,
-            condition=run.distribution.condition,
-            thresholds=thresholds(run.case),
-            windows=run.near_singular_windows,
-            instants=tuple(instant.t for instant in run.instants),
-            singular_points=tuple((instant.x[0], instant.x[1]) for instant in run.instants),
-        )
+        title,
+        run.t,
+        run.motion.x[:, :2],
+        *_mechanism(run.robot, run.motion),
+        run.distribution.condition,
+        thresholds=thresholds(run.case),
+        windows=run.near_singular_windows,
+        instants=[instant.t for instant in run.instants],
+        singular_points=[instant.x[:2] for instant in run.instants],
     )
 
 
 def comparison_figure(runs: Sequence[MotionRun]) -> Figure:
     """Return the efforts of several runs along one motion."""
-    curves = {_carriers(run.case): (run.t, run.distribution.tau) for run in runs}
-    return plot_comparison(runs[0].case.title, _effort_names(runs[0]), runs[0].case.unit, curves)
+    efforts = {_carriers(run.case): (run.t, run.distribution.tau) for run in runs}
+    names = tuple(f"τ{i + 1}" for i in range(runs[0].robot.m))
+    return plot_comparison(runs[0].case.title, names, runs[0].case.unit, efforts)
 
 
 def _carriers(case: Case) -> str:
     return "no carriers" if case.planner == "none" else "carriers parked"
-
-
-def _effort_names(run: MotionRun) -> tuple[str, ...]:
-    return tuple(f"τ{i + 1}" for i in range(run.robot.m))
 
 
 def _mechanism(robot: Robot, motion: PlatformMotion) -> tuple[tuple[Array, ...], Array]:
@@ -208,25 +186,21 @@ def displacement(plans: Plans, case: Case) -> Figure:
 
 def paths(plans: Plans, *cases: Case) -> Figure:
     """Draw the paths of cases; of a crossing with the mechanism at its start and the singular points."""
-    curves = [
-        PlanePath(
-            f"radius {case.option('radius'):g} m" if len(cases) > 1 else "path",
-            case.trajectory().sample(_FINE).x[:, :2],
-        )
+    lines = {
+        f"radius {case.option('radius'):g} m" if len(cases) > 1 else "path": case.trajectory().sample(_FINE).x[:, :2]
         for case in cases
-    ]
+    }
     first = cases[0]
     if first.planner != "switch_off":
-        return plot_plane_paths("Corners of the 3-RRR's platform" if len(cases) > 1 else first.title, curves)
+        return plot_plane_paths("Corners of the 3-RRR's platform" if len(cases) > 1 else first.title, lines)
     trajectory = first.trajectory()
-    places = trajectory.sample_at(np.array(_instants(plans.plan(first)))).x
-    lines, hinges = _mechanism(first.load_robot(), trajectory.sample(_FINE))
+    mechanism, hinges = _mechanism(first.load_robot(), trajectory.sample(_FINE))
     return plot_plane_paths(
         f"{first.title}: path and mechanism at the start",
-        curves,
-        links=lines,
+        lines,
+        mechanism=mechanism,
         hinges=hinges,
-        singular=[(float(x), float(y)) for x, y in places],
+        singular=list(trajectory.sample_at(np.array(_instants(plans.plan(first)))).x),
     )
 
 
@@ -483,7 +457,7 @@ def modes_figure(results: Results, radius: float) -> Figure:
 def fastest_figure(results: Results) -> Figure:
     """Return the largest main force over speed."""
     attempts = [
-        Attempts(
+        (
             race["title"] + ("" if np.isinf(race["effort_limit"]) else f", up to {race['effort_limit']:.2g} N"),
             np.array([(trial["speed"], trial["peak"]) for trial in race["trials"] if trial["feasible"]]),
             np.array([trial["speed"] for trial in race["trials"] if not trial["feasible"]]),
@@ -495,7 +469,7 @@ def fastest_figure(results: Results) -> Figure:
 
 def trade_figure(results: Results) -> Figure:
     """Return effort against acceleration, with other plans as marks."""
-    curves = []
+    trades = []
     for task, trade in zip(TRADED, results.chapters["beyond"]["trade_off"], strict=True):
         points = [point for point in trade["points"] if point["status"] != "infeasible"]
         marks = {
@@ -504,8 +478,8 @@ def trade_figure(results: Results) -> Figure:
             if method in (NONE, STEPWISE, SWITCH_OFF)
         }
         along = np.array([(point["rms_acceleration"], point["rms_effort"]) for point in points])
-        curves.append(TradeCurve(task.title, task.unit, along, marks))
-    return plot_trade_off("Main effort against the carriers' acceleration", curves)
+        trades.append(TradeCurve(task.title, task.unit, along, marks))
+    return plot_trade_off("Main effort against the carriers' acceleration", trades)
 
 
 # --- replay --------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import checks as physics
 from redundancy_pin.crosscheck.cases import Masses, Wave, random_case
-from redundancy_pin.crosscheck.report import CrossCheckReport, checked_row, merged, relative
+from redundancy_pin.crosscheck.checks import CrossCheckReport, checked_row, merged, relative
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import backend as virtual_work
 from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError, UnreachablePoseError
@@ -53,7 +53,7 @@ def test_an_error_in_a_process_reaches_the_caller():
         crosscheck.run(["four_bar", "no_such_robot"], samples=5, jobs=2)
 
 
-def killed_by_the_system(batch):
+def killed_by_the_system(*batch):
     """Stand in for the check of a batch."""
     os._exit(9)
 

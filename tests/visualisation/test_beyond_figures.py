@@ -7,11 +7,10 @@ import pytest
 
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies.cases import EFFORT, SINGULAR, by_method
-from redundancy_pin.visualisation.figures.comparisons import plot_side_by_side
-from redundancy_pin.visualisation.figures.summaries import (
-    Attempts,
+from redundancy_pin.visualisation.figures.comparisons import (
     TradeCurve,
     plot_bars,
+    plot_side_by_side,
     plot_speed_border,
     plot_trade_off,
 )
@@ -62,7 +61,7 @@ def test_bars_show_values_and_gaps() -> None:
 
 
 def test_border_shows_speeds_with_and_without_a_plan() -> None:
-    tried = Attempts("circle", np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3]))
+    tried = ("circle", np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3]))
     figure = plot_speed_border("title", [tried])
     found, without = figure.axes[0].lines
     assert list(found.get_xdata()) == [0.5, 1.0]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from redundancy_pin.studies.feasibility import (
     STEPWISE,
@@ -19,15 +21,14 @@ from redundancy_pin.studies.feasibility import (
     write_map,
 )
 from redundancy_pin.studies.feasibility.picture import axis_label, draw, tiles
-from redundancy_pin.visualisation.figures.feasibility_map import MapLabels, MapPanel, Tile, border_of, plot_feasibility
+from redundancy_pin.visualisation.figures.feasibility_map import Tile, border_of, plot_feasibility
 
 pytest.importorskip("matplotlib")
 
 
-def _labels(**changes: object) -> MapLabels:
-    return MapLabels(
-        **{"title": "t", "x": "x", "y": "y", "value": "N", "marks": {"T": "track", "E": "effort"}, **changes}
-    )  # type: ignore[arg-type]
+def _drawn(*panels: Sequence[Tile], **changes: object) -> Figure:
+    labels = {"x": "x", "y": "y", "value": "N", "marks": {"T": "track", "E": "effort"}, **changes}
+    return plot_feasibility("t", dict(zip("pqrs", panels, strict=False)), **labels)  # type: ignore[arg-type]
 
 
 def _lengths(segments: np.ndarray) -> float:
@@ -131,29 +132,28 @@ def test_edges_of_a_logarithmic_axis() -> None:
 # ------------------------------------------------------------------------------------------------------------ picture
 
 
-def _texts(panel: MapPanel) -> list[str]:
-    drawn = plot_feasibility([panel], _labels())
-    return [text.get_text() for text in drawn.axes[0].texts]
+def _texts(panel: Sequence[Tile]) -> list[str]:
+    return [text.get_text() for text in _drawn(panel).axes[0].texts]
 
 
 def test_letters_tell_what_is_in_the_way_and_a_question_mark_what_is_not_known() -> None:
-    panel = MapPanel("p", (
+    panel = (
         Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "infeasible", mark="T"),
         Tile(0, 1, 1, 2, "infeasible", mark="E"), Tile(1, 2, 1, 2, "failed"),
-    ))  # fmt: skip
+    )  # fmt: skip
     assert sorted(_texts(panel)) == ["?", "E", "T"]
 
 
 def test_the_legend_tells_only_what_there_is() -> None:
-    one = MapPanel("p", (Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "infeasible", mark="T")))
-    two = MapPanel("q", (Tile(0, 1, 0, 1, "stopped_early", 1.0), Tile(1, 2, 0, 1, "failed")))
+    one = (Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "infeasible", mark="T"))
+    two = (Tile(0, 1, 0, 1, "stopped_early", 1.0), Tile(1, 2, 0, 1, "failed"))
 
-    def said(*panels: MapPanel) -> str:
-        return " | ".join(text.get_text() for text in plot_feasibility(panels, _labels()).legends[0].get_texts())
+    def said(*panels: Sequence[Tile]) -> str:
+        return " | ".join(text.get_text() for text in _drawn(*panels).legends[0].get_texts())
 
-    good = MapPanel("r", (Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "failed")))
+    good = (Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "failed"))
     assert said(good, good) == "? not known (numerical failure)"  # no border anywhere
-    assert not plot_feasibility([MapPanel("s", good.tiles[:1])], _labels()).legends
+    assert not _drawn(good[:1]).legends
     assert said(one) == "border | not possible; in the way: T track"
     assert "border, other panel" in said(one, two)
     assert "optimiser stopped early" in said(one, two)
@@ -169,7 +169,7 @@ def test_kinds_of_cells_differ_without_colour() -> None:
         Tile(i, i + 1, 0, 1, kind, 1.0 if i < 2 else None, "T" if kind == "infeasible" else "")
         for i, kind in enumerate(kinds)
     )  # type: ignore[arg-type]
-    drawn = plot_feasibility([MapPanel("p", row)], _labels())
+    drawn = _drawn(row)
     canvas = FigureCanvasAgg(drawn)
     canvas.draw()
     grey = np.asarray(canvas.buffer_rgba())[..., :3] @ [0.299, 0.587, 0.114] / 255.0
@@ -218,5 +218,5 @@ def test_units_of_axes() -> None:
 
 
 def test_a_map_without_any_plan_can_be_drawn() -> None:
-    plot_feasibility([MapPanel("p", (Tile(0, 1, 0, 1, "infeasible", mark="T"), Tile(1, 2, 0, 1, "failed")))], _labels())
-    plot_feasibility([MapPanel("p", (Tile(0.1, 1, 1, 2, "feasible", 0.0),))], _labels(x_scale="log", y_scale="log"))
+    _drawn((Tile(0, 1, 0, 1, "infeasible", mark="T"), Tile(1, 2, 0, 1, "failed")))
+    _drawn((Tile(0.1, 1, 1, 2, "feasible", 0.0),), x_scale="log", y_scale="log")

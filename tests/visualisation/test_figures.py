@@ -7,17 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from redundancy_pin.errors import OutputError, RedundancyPinError
-from redundancy_pin.visualisation.figures.comparisons import EffortCurves, plot_comparison, plot_efforts
-from redundancy_pin.visualisation.figures.paths import PathCurves, plot_path
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.visualisation.figures.comparisons import plot_comparison, plot_efforts
+from redundancy_pin.visualisation.figures.curves import Curves
+from redundancy_pin.visualisation.figures.paths import plot_path
 from redundancy_pin.visualisation.figures.style import CARRIER_STROKES, STROKES, figure, save
 
 T = np.linspace(0.0, 1.0, 201)
 SINGULAR = 100
 
 
-def _efforts(*, singular: bool = True, carriers: int = 2) -> EffortCurves:
+def _efforts(*, singular: bool = True, carriers: int = 2) -> Figure:
     margin = np.abs(T - 0.5) if singular else np.ones(len(T))
     with np.errstate(divide="ignore"):
         tau = (
@@ -25,32 +28,33 @@ def _efforts(*, singular: bool = True, carriers: int = 2) -> EffortCurves:
         )
     if singular:
         tau[SINGULAR] = np.nan
-    return EffortCurves(
+    curves = Curves(
         title="title",
-        names=("τ1", "τ2"),
-        unit="N",
         t=T,
         tau=tau,
-        check=tau * (1.0 + 1e-15),
-        backends=("first", "second"),
-        regular=margin > 0.05,
-        margin=margin,
-        scale=np.ones(2),
+        main_unit="force [N]",
         carrier_force=np.zeros((len(T), carriers)),
-        windows=((0.45, 0.55),) if singular else (),
+        carriers=CarrierMotion.parked(len(T), carriers),
+        limits=(),
+        condition=1.0 / np.maximum(margin, 1e-300),
+        margin=margin,
+        regular=margin > 0.05,
         instants=(0.5,) if singular else (),
-        missing_force=(np.sqrt(2.0),) if singular else (),
+    )
+    missing = (np.sqrt(2.0),) if singular else ()
+    return plot_efforts(
+        curves, tau * (1.0 + 1e-15), backends=("first", "second"), scale=np.ones(2), missing_force=missing
     )
 
 
-def _path(*, singular: bool = True) -> PathCurves:
-    return PathCurves(
-        title="title",
-        t=T,
-        point=np.stack([np.cos(T), np.sin(T)], axis=1),
-        links=(np.array([[0.0, 0.0], [1.0, 0.0]]),),
-        hinges=np.zeros((1, 2)),
-        condition=np.where(T == 0.5, np.inf, 1.0 / np.maximum(np.abs(T - 0.5), 1e-300)) if singular else 2.0 + T,
+def _path(*, singular: bool = True) -> Figure:
+    return plot_path(
+        "title",
+        T,
+        np.stack([np.cos(T), np.sin(T)], axis=1),
+        (np.array([[0.0, 0.0], [1.0, 0.0]]),),
+        np.zeros((1, 2)),
+        np.where(T == 0.5, np.inf, 1.0 / np.maximum(np.abs(T - 0.5), 1e-300)) if singular else 2.0 + T,
         thresholds=(5.0,) if singular else (),
         instants=(0.5,) if singular else (),
         singular_points=((0.5, 0.5),) if singular else (),
@@ -60,14 +64,14 @@ def _path(*, singular: bool = True) -> PathCurves:
 @pytest.mark.parametrize("singular", [True, False])
 @pytest.mark.parametrize("carriers", [0, 2])
 def test_every_axis_has_a_quantity_and_a_unit(singular: bool, carriers: int) -> None:
-    for drawn in (plot_efforts(_efforts(singular=singular, carriers=carriers)), plot_path(_path(singular=singular))):
+    for drawn in (_efforts(singular=singular, carriers=carriers), _path(singular=singular)):
         for axes in drawn.axes:
             assert "[" in axes.get_ylabel()
         assert "[s]" in drawn.axes[-1].get_xlabel()
 
 
 def test_efforts_inside_the_window_are_not_drawn_and_do_not_scale_the_axis() -> None:
-    drawn = plot_efforts(_efforts())
+    drawn = _efforts()
     axes = drawn.axes[0]
     assert axes.get_ylim()[1] < 30.0  # 1/0.05 and some room; the largest sample is 200
     line = axes.get_lines()[0]
@@ -77,7 +81,7 @@ def test_efforts_inside_the_window_are_not_drawn_and_do_not_scale_the_axis() -> 
 
 
 def test_the_bounded_product_meets_the_missing_force() -> None:
-    axes = plot_efforts(_efforts()).axes[1]
+    axes = _efforts().axes[1]
     product, mark = axes.get_lines()[0], axes.get_lines()[2]
     np.testing.assert_allclose(np.delete(np.asarray(product.get_ydata()), SINGULAR), np.sqrt(2.0), rtol=1e-12)
     np.testing.assert_allclose(mark.get_ydata(), [np.sqrt(2.0)])
@@ -93,7 +97,7 @@ def test_carriers_have_strokes_of_their_own() -> None:
     assert len(carriers) == len(CARRIER_STROKES)
     assert not mains & carriers
     assert len({str(stroke.dash) for stroke in CARRIER_STROKES}) == len(CARRIER_STROKES)
-    drawn = plot_efforts(_efforts())
+    drawn = _efforts()
     (panel,) = [axes for axes in drawn.axes if axes.get_ylabel() == "carrier force [N]"]
     assert {line.get_color() for line in panel.lines[:2]} <= carriers
 
@@ -108,7 +112,7 @@ def test_comparison_shows_each_case_with_its_peak() -> None:
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_saving_twice_gives_the_same_bytes(suffix: str, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        save(plot_efforts(_efforts()), tmp_path / f"{name}{suffix}")
+        save(_efforts(), tmp_path / f"{name}{suffix}")
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
@@ -117,13 +121,13 @@ def test_user_defaults_do_not_leak_in_or_out() -> None:
 
     with matplotlib.rc_context({"lines.linewidth": 9.0}):
         before = dict(matplotlib.rcParams)
-        axes = plot_path(_path()).axes[0]
+        axes = _path().axes[0]
         assert dict(matplotlib.rcParams) == before
     assert all(line.get_linewidth() < 5.0 for line in axes.get_lines())
 
 
 def test_pictures_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
-    drawn = plot_path(_path())
+    drawn = _path()
     with pytest.raises(OutputError, match="picture format"):
         save(drawn, tmp_path / "a.txt")
     with pytest.raises(OutputError, match="Cannot write"):

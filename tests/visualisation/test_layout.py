@@ -17,15 +17,14 @@ import redundancy_pin as rp
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies.cases import SINGULAR, TASKS, TURNS
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.figures.comparisons import plot_side_by_side
-from redundancy_pin.visualisation.figures.feasibility_map import MapLabels, MapPanel, Tile, plot_feasibility
-from redundancy_pin.visualisation.figures.summaries import (
-    Attempts,
+from redundancy_pin.visualisation.figures.comparisons import (
     TradeCurve,
     plot_bars,
+    plot_side_by_side,
     plot_speed_border,
     plot_trade_off,
 )
+from redundancy_pin.visualisation.figures.feasibility_map import Tile, plot_feasibility
 
 EDGE = 1.5
 """Pixels by which the box of a text may be larger than what is seen of it: ascenders and descenders it has not."""
@@ -48,10 +47,14 @@ def _map() -> Figure:
         for i in range(4)
         for j in range(4)
     )
-    labels = MapLabels("2rpr, circle: what the machine can do", "speed of the platform [m/s]",
-                       "stroke of the carriers [m]", "peak main effort [N]", {"T": "track"})  # fmt: skip
-    panels = [MapPanel("switch off: threshold 5, 10, 20", tiles), MapPanel("whole trajectory: least effort", tiles)]
-    return plot_feasibility(panels, labels)
+    return plot_feasibility(
+        "2rpr, circle: what the machine can do",
+        {"switch off: threshold 5, 10, 20": tiles, "whole trajectory: least effort": tiles},
+        x="speed of the platform [m/s]",
+        y="stroke of the carriers [m]",
+        value="peak main effort [N]",
+        marks={"T": "track"},
+    )
 
 
 def _trade() -> Figure:
@@ -91,7 +94,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "trade-off": _trade,
     "bars": _bars,
     "speeds": lambda: plot_speed_border("2-RPR: largest main force over speed", [
-        Attempts(task.title, np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3])) for task in SINGULAR]),
+        (task.title, np.array([[0.5, 0.2], [1.0, 1.4]]), np.array([1.2, 1.3])) for task in SINGULAR]),
 }  # fmt: skip
 
 

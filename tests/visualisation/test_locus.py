@@ -13,7 +13,8 @@ from redundancy_pin.errors import OutputError
 from redundancy_pin.singularities.crossings import find_crossings
 from redundancy_pin.singularities.locus import SingularLocus, singular_locus
 from redundancy_pin.trajectory import reference
-from redundancy_pin.visualisation.figures.paths import draw_locus, plot_locus
+from redundancy_pin.visualisation.figures.paths import draw_locus
+from redundancy_pin.visualisation.figures.style import save
 from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 pytest.importorskip("matplotlib")
@@ -27,7 +28,7 @@ def locus_of(name: str) -> SingularLocus:
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_a_picture_is_written_in_the_format_of_its_suffix(tmp_path: Path, suffix: str) -> None:
     target = tmp_path / f"locus{suffix}"
-    plot_locus(locus_of("3rrr"), target)
+    save(draw_locus(locus_of("3rrr")), target)
     head = target.read_bytes()[:200]
     assert {".png": b"\x89PNG", ".svg": b"<svg", ".pdf": b"%PDF"}[suffix] in head or head.startswith(b"<?xml")
     assert list(tmp_path.iterdir()) == [target]
@@ -73,10 +74,10 @@ def test_a_single_coordinate_is_drawn_as_curves(tmp_path: Path) -> None:
 
 def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     locus = locus_of("2rpr")
-    with pytest.raises(OutputError, match="no folder"):
-        plot_locus(locus, tmp_path / "missing" / "locus.png")
+    with pytest.raises(OutputError, match="Cannot write"):
+        save(draw_locus(locus), tmp_path / "missing" / "locus.png")
     with pytest.raises(OutputError, match="picture format"):
-        plot_locus(locus, tmp_path / "locus.txt")
+        save(draw_locus(locus), tmp_path / "locus.txt")
     assert list(tmp_path.iterdir()) == []
 
 

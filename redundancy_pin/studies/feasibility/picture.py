@@ -14,7 +14,7 @@ from redundancy_pin.studies.feasibility.cell import Verdict
 from redundancy_pin.studies.feasibility.problem import LIMITS, SWITCH_OFF, WHOLE, MapProblem
 from redundancy_pin.studies.feasibility.sweep import FeasibilityMap
 from redundancy_pin.studies.store import make_folder
-from redundancy_pin.visualisation.figures.feasibility_map import MapLabels, MapPanel, Tile, plot_feasibility
+from redundancy_pin.visualisation.figures.feasibility_map import Tile, plot_feasibility
 from redundancy_pin.visualisation.figures.style import save
 
 if TYPE_CHECKING:
@@ -85,8 +85,9 @@ def draw(result: FeasibilityMap) -> Figure:
     fixed = {**problem.options, **problem.settings, **problem.limits}
     numbers = {name: value for name, value in fixed.items() if type(value) in (int, float)}
     rest = ", ".join(f"{name.replace('_', ' ')} {value:g} {_unit(name, effort)}" for name, value in numbers.items())
-    labels = MapLabels(
-        title=f"{problem.robot}, {problem.trajectory}{f' ({rest})' if rest else ''}: what the machine can do",
+    return plot_feasibility(
+        f"{problem.robot}, {problem.trajectory}{f' ({rest})' if rest else ''}: what the machine can do",
+        {_panel_title(problem, planner): tiles(result, planner) for planner in problem.planners},
         x=axis_label(problem.x.name, effort),
         y=axis_label(problem.y.name, effort),
         value=f"peak main effort [{effort}]",
@@ -94,8 +95,6 @@ def draw(result: FeasibilityMap) -> Figure:
         x_scale=problem.x.scale,
         y_scale=problem.y.scale,
     )
-    panels = [MapPanel(_panel_title(problem, planner), tiles(result, planner)) for planner in problem.planners]
-    return plot_feasibility(panels, labels)
 
 
 def tiles(result: FeasibilityMap, planner: str) -> tuple[Tile, ...]:

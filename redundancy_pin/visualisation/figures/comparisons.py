@@ -1,22 +1,22 @@
-"""Figures of the report that compare: two backends, several cases of one motion, several plans side by side."""
+"""Figures of the report that compare: two backends, cases of one motion, plans side by side, and sums of many plans."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.figures.curves import carrier_panels, curves_of_plan
-from redundancy_pin.visualisation.figures.style import STROKES
+from redundancy_pin.visualisation.figures.curves import Curves, carrier_panels, curves_of_plan
+from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, legend_below, log_scale
 from redundancy_pin.visualisation.figures.time_panels import (
     Background,
     Curve,
     Panel,
-    Windows,
     fitted_range,
     plot_panel_grid,
     plot_time_panels,
@@ -33,107 +33,77 @@ _STRETCHES = 300  # stretches of the curve of differences, whose rounding noise 
 _ROUNDING = 1e-17  # bottom of that curve; smaller differences are zero but for chance
 
 
-@dataclass(frozen=True, eq=False)
-class EffortCurves:
-    """What the plot shows.
-
-    Attributes:
-        title: of the figure.
-        names: of the m actuators.
-        unit: of the efforts, ``"N"`` or ``"N·m"``.
-        t: (N,) time, s.
-        tau: (N, m) efforts of the first backend; NaN where there are none.
-        check: (N, m) efforts of the second backend.
-        backends: names of the two.
-        regular: (N,) samples that are neither near-singular nor singular: the efforts axis is scaled to these.
-        margin: (N,) smallest scaled singular value of W.
-        scale: (m,) lengths, m, that turn the efforts into forces (1 for prismatic actuators).
-        carrier_force: (N, k) forces of the carrier actuators, N.
-        windows: near-singular time intervals, s.
-        instants: singular instants, s.
-        missing_force: force that no actuator effort balances at each instant, N, scaled.
-    """
-
-    title: str
-    names: tuple[str, ...]
-    unit: str
-    t: Array
-    tau: Array
-    check: Array
-    backends: tuple[str, str]
-    regular: BoolArray
-    margin: Array
-    scale: Array
-    carrier_force: Array
-    windows: Windows = ()
-    instants: tuple[float, ...] = ()
-    missing_force: tuple[float, ...] = ()
-
-
-def plot_efforts(curves: EffortCurves) -> Figure:
+def plot_efforts(
+    drawn: Curves,
+    check: Array,
+    *,
+    backends: tuple[str, str],
+    scale: Array,
+    missing_force: Sequence[float] = (),
+) -> Figure:
     """Draw efforts, what bounds them at singularities, carrier forces, and the difference of the backends.
 
     Inside near-singular windows efforts are not drawn: they grow as (missing force)/margin, without bound. What stays
     finite is drawn in the panel below, the norm of the efforts (as forces) times the margin; at a singular instant it
     is the force that no actuator can carry.
+
+    Args:
+        drawn: efforts of the first backend.
+        check: (N, m) efforts of the second one, N or N·m.
+        backends: names of the two.
+        scale: (m,) lengths, m, that turn the efforts into forces (1 for prismatic actuators).
+        missing_force: that no actuator effort balances at each singular instant, N, scaled.
     """
-    names = [f"carrier {i + 1}" for i in range(curves.carrier_force.shape[1])]
-    panels = [_both(curves)]
-    if curves.instants:
-        panels.append(_bounded(curves))
+    names = [f"carrier {i + 1}" for i in range(drawn.carrier_force.shape[1])]
+    panels = [_both(drawn, check, backends)]
+    if drawn.instants:
+        panels.append(_bounded(drawn, check, scale, missing_force))
     if names:
-        forces = series(names, curves.t, curves.carrier_force, carrier=True)
+        forces = series(names, drawn.t, drawn.carrier_force, carrier=True)
         panels.append(Panel("carrier force [N]", forces, height=0.9))
-    panels.append(_difference(curves))
-    return plot_time_panels(curves.title, panels, instants=curves.instants, windows=curves.windows)
+    panels.append(_difference(drawn, check, scale))
+    return plot_time_panels(drawn.title, panels, instants=drawn.instants, windows=drawn.windows)
 
 
-def _both(curves: EffortCurves) -> Panel:
+def _both(drawn: Curves, check: Array, backends: tuple[str, str]) -> Panel:
     """Return the first backend as lines and the second as markers on them, at regular samples."""
-    shown, checked = (np.where(curves.regular[:, None], tau, np.nan) for tau in (curves.tau, curves.check))
-    lines = series([f"{name}, {curves.backends[0]}" for name in curves.names], curves.t, shown)
-    every, markers = max(1, len(curves.t) // _MARKERS), []
-    for i, name in enumerate(curves.names):
-        style = {"marker": STROKES[i % len(STROKES)].marker, "markevery": ((i * every) // len(curves.names), every)}
-        markers.append(Curve(f"{name}, {curves.backends[1]}", curves.t, checked[:, i], i, style=_RING | style))
-    kind = "torque" if curves.unit == "N·m" else "force"
-    return Panel(f"actuator {kind} τ [{curves.unit}]", (*lines, *markers), height=1.7)
+    shown, checked = (np.where(drawn.regular[:, None], tau, np.nan) for tau in (drawn.tau, check))
+    names = [f"τ{i + 1}" for i in range(check.shape[1])]
+    lines = series([f"{name}, {backends[0]}" for name in names], drawn.t, shown)
+    every, markers = max(1, len(drawn.t) // _MARKERS), []
+    for i, name in enumerate(names):
+        style = {"marker": STROKES[i % len(STROKES)].marker, "markevery": ((i * every) // len(names), every)}
+        markers.append(Curve(f"{name}, {backends[1]}", drawn.t, checked[:, i], i, style=_RING | style))
+    return Panel(f"actuator {drawn.main_unit.replace(' ', ' τ ')}", (*lines, *markers), height=1.7)
 
 
-def _bounded(curves: EffortCurves) -> Panel:
-    force, check = (np.linalg.norm(tau / curves.scale, axis=1) * curves.margin for tau in (curves.tau, curves.check))
-    ring = _RING | {"marker": "o", "color": "#666666", "markevery": max(1, len(curves.t) // _MARKERS)}
+def _bounded(drawn: Curves, check: Array, scale: Array, missing_force: Sequence[float]) -> Panel:
+    first, second = (np.linalg.norm(tau / scale, axis=1) * drawn.margin for tau in (drawn.tau, check))
+    ring = _RING | {"marker": "o", "color": "#666666", "markevery": max(1, len(drawn.t) // _MARKERS)}
     cross = {"linestyle": "none", "marker": "x", "markersize": 7, "markeredgewidth": 1.6, "color": "#D55E00"}
     missing = "at the singular instant: force that no actuator can carry"
     lines = (
-        Curve("", curves.t, force, style={"color": "#000000", "linewidth": 1.2}),
-        Curve("", curves.t, check, style=ring),
-        Curve(missing, np.array(curves.instants), np.array(curves.missing_force), style=cross),
+        Curve("", drawn.t, first, style={"color": "#000000", "linewidth": 1.2}),
+        Curve("", drawn.t, second, style=ring),
+        Curve(missing, np.array(drawn.instants), np.array(missing_force), style=cross),
     )
     return Panel("|τ| · margin [N]", lines, height=0.8)
 
 
-def _difference(curves: EffortCurves) -> Panel:
+def _difference(drawn: Curves, check: Array, scale: Array) -> Panel:
     """Return |Δτ| · margin relative to the largest such value: the rounding of W⁻¹ grows as 1/margin."""
-    weighted = curves.margin[:, None] / curves.scale
-    difference = np.linalg.norm((curves.tau - curves.check) * weighted, axis=1)
-    size = float(np.nanmax(np.linalg.norm(curves.tau * weighted, axis=1), initial=0.0)) or 1.0
-    starts = np.arange(0, len(curves.t), max(1, len(curves.t) // _STRETCHES))
+    weighted = drawn.margin[:, None] / scale
+    difference = np.linalg.norm((drawn.tau - check) * weighted, axis=1)
+    size = float(np.nanmax(np.linalg.norm(drawn.tau * weighted, axis=1), initial=0.0)) or 1.0
+    starts = np.arange(0, len(drawn.t), max(1, len(drawn.t) // _STRETCHES))
     largest = np.maximum(np.maximum.reduceat(np.nan_to_num(difference / size), starts), _ROUNDING / 10.0)
-    curve = Curve("largest nearby", curves.t[starts], largest, style={"color": "#444444", "linewidth": 1.0})
+    curve = Curve("largest nearby", drawn.t[starts], largest, style={"color": "#444444", "linewidth": 1.0})
     within = (_ROUNDING / 3.0, 1e-9)
     return Panel("difference of\nbackends [–]", (curve,), ((1e-10, "tolerance"),), log=True, within=within, height=0.7)
 
 
 def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mapping[str, tuple[Array, Array]]) -> Figure:
-    """Draw the efforts of each case over time, one panel an actuator, with their peaks.
-
-    Args:
-        title: of the figure.
-        names: of the m actuators.
-        unit: of the efforts.
-        cases: by label: (N,) time, s, and (N, m) efforts.
-    """
+    """Draw the efforts of each case over time, (N,) and (N, m) by label, one panel an actuator, with their peaks."""
 
     def curve(i: int, stroke: int, label: str) -> Curve:
         t, tau = cases[label]
@@ -152,13 +122,8 @@ def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, insta
     """Draw plans of the same motion in columns: main efforts, and s, ṡ, s̈ of the carriers with their limits.
 
     Each effort panel has its own scale, as efforts of different planners can be orders of magnitude apart; its peak
-    stands above it. The rows of the carriers share their scales.
-
-    Args:
-        title: of the figure.
-        plans: by what the column is called.
-        unit: of the main efforts.
-        instants: singular instants, s, drawn as dotted lines.
+    stands above it. The rows of the carriers share their scales. ``plans`` are by what their column is called,
+    ``unit`` is that of the main efforts, ``instants`` are singular, s.
     """
     columns: list[list[Panel]] = []
     for name, plan in plans.items():
@@ -173,3 +138,105 @@ def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, insta
         ]
         columns.append([main, *rows])
     return plot_panel_grid(title, columns, (2.0 + 2.6 * len(plans), 8.0), Background(None, instants))
+
+
+_HATCHES = ("", "///", "...", "xxx", "---", "\\\\\\")  # so that bars can be told apart without colour
+
+
+def plot_bars(
+    title: str, groups: Sequence[str], groups_label: str, label: str, values: Mapping[str, Array]
+) -> Figure:  # fmt: skip
+    """Draw one group of bars a case, one bar a method, on a logarithmic axis.
+
+    Values are positive, (G,) by method for the G ``groups``; NaN leaves a gap that is marked "none".
+    """
+    width = max(8.0, 1.6 + 0.9 * len(groups))
+    with figure(width, 3.6, title) as drawn:
+        axes = drawn.subplots()
+        bar, places = 0.8 / len(values), np.arange(len(groups))
+        smallest = min(float(np.nanmin(heights)) for heights in values.values())
+        for i, (name, heights) in enumerate(values.items()):
+            at = places + (i - 0.5 * (len(values) - 1)) * bar
+            color, hatch = STROKES[i % len(STROKES)].color, _HATCHES[i % len(_HATCHES)]
+            axes.bar(at, np.nan_to_num(heights), bar, color=color, hatch=hatch, edgecolor="white", linewidth=0.4,
+                     label=name)  # fmt: skip
+            for x in at[np.isnan(heights)]:
+                axes.text(x, smallest, "none", rotation=90, ha="center", va="bottom", fontsize=7)
+        log_scale(axes)
+        axes.set_ylim(bottom=0.7 * smallest)
+        axes.set_xticks(places, groups)
+        axes.set(xlabel=groups_label, ylabel=label)
+        legend_above(axes, width - 0.8)
+        return drawn
+
+
+def plot_speed_border(title: str, attempts: Sequence[tuple[str, Array, Array]]) -> Figure:
+    """Draw effort over speed, logarithmic, with crosses on the lower edge where there is no plan.
+
+    Args:
+        title: of the figure.
+        attempts: a curve each: its label, (P, 2) speed, m/s, ascending, and largest effort, N, of those with a plan,
+            and (Q,) speeds without one, m/s.
+    """
+    with figure(7.0, 4.6, title) as drawn:
+        axes = drawn.subplots()
+        for stroke, (name, feasible, infeasible) in zip(STROKES, attempts, strict=False):
+            axes.plot(*feasible.T, color=stroke.color, linestyle=stroke.dash, marker=stroke.marker, markersize=4,
+                      label=name)  # fmt: skip
+            axes.plot(infeasible, [0.02] * len(infeasible), "x", color=stroke.color, clip_on=False,
+                      transform=axes.get_xaxis_transform())  # fmt: skip
+        log_scale(axes)
+        axes.set(xlabel="cruising speed [m/s] (crosses: no plan)", ylabel="largest main force [N]")
+        legend_above(axes, 6.2)
+        return drawn
+
+
+_LETTERS = 42  # of a line of a panel's title
+
+
+@dataclass(frozen=True, eq=False)
+class TradeCurve:
+    """One motion.
+
+    Attributes:
+        title: of its panel.
+        unit: of the effort.
+        points: (P, 2) root mean squares of acceleration, m/s², and effort, along the curve.
+        marks: the same of other plans, by name.
+    """
+
+    title: str
+    unit: str
+    points: Array
+    marks: Mapping[str, tuple[float, float]]
+
+
+def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
+    """Draw each curve in a panel of its own, with other plans as marks."""
+    with figure(3.8 * len(curves), 3.8, title) as drawn:
+        panels = drawn.subplots(1, len(curves), squeeze=False)[0]
+        names = list(dict.fromkeys(name for curve in curves for name in curve.marks))
+        for panel, curve in zip(panels, curves, strict=True):
+            panel.plot(curve.points[:, 0], curve.points[:, 1], color=STROKES[0].color, marker="o", markersize=4,
+                       label="whole trajectory, one point a weight")  # fmt: skip
+            for name, (acceleration, effort) in curve.marks.items():
+                stroke = STROKES[1 + names.index(name)]
+                panel.plot([acceleration], [effort], linestyle="none", marker=stroke.marker, color=stroke.color,
+                           markersize=7, label=name)  # fmt: skip
+            log_scale(panel)
+            panel.set_title(textwrap.fill(curve.title, _LETTERS), fontsize=9)
+            panel.set(xlabel="rms of s̈ [m/s²]", ylabel=f"rms of |τ| [{curve.unit}]")
+        handles = {line.get_label(): line for panel in panels for line in panel.lines}
+        legend_below(drawn, list(handles.values()))
+        return drawn
+
+
+LEAST = 1e-16  # m; what is smaller is drawn there
+
+
+def plot_tracking(title: str, curves: Mapping[str, tuple[Array, Array]]) -> Figure:
+    """Draw distances (N,), m, from a planned motion over times (N,), s; both by label."""
+    lines = tuple(Curve(label, t, np.maximum(error, LEAST), i) for i, (label, (t, error)) in enumerate(curves.items()))
+    top = max(float(np.nanmax(curve.value)) for curve in lines)
+    panel = Panel("distance from the plan [m]", lines, log=True, within=(0.5 * LEAST, 3.0 * top), height=1.8)
+    return plot_time_panels(title, [panel])

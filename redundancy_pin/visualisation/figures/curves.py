@@ -164,11 +164,7 @@ def plan_title(plan: Plan) -> str:
 
 
 def curves_of(subject: Plan | Curves) -> Curves:
-    """Return the curves of a plan, or curves as they are.
-
-    Raises:
-        InputError: something else.
-    """
+    """Return the curves of a plan, or curves as they are."""
     if isinstance(subject, Plan):
         return curves_of_plan(subject)
     if not isinstance(subject, Curves):

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 
 Kind = Literal["feasible", "stopped_early", "infeasible", "failed"]
+Scale = Literal["linear", "log"]
 
 _COLORS = "cividis"  # lightness rises evenly, so that it reads in grey too
 _DECADES = 30.0  # largest over smallest effort from which on colours are logarithmic
@@ -55,35 +56,17 @@ class Tile:
         return self.kind in ("feasible", "stopped_early")
 
 
-@dataclass(frozen=True)
-class MapPanel:
-    """The map of one planner."""
-
-    title: str
-    tiles: tuple[Tile, ...]
-
-
-@dataclass(frozen=True)
-class MapLabels:
-    """Text and scales of a map.
-
-    Attributes:
-        title: of the figure.
-        x, y, value: of the axes and the colours, with units.
-        marks: what each letter stands for.
-        x_scale, y_scale: "linear" or "log".
-    """
-
-    title: str
-    x: str
-    y: str
-    value: str
-    marks: Mapping[str, str]
-    x_scale: Literal["linear", "log"] = "linear"
-    y_scale: Literal["linear", "log"] = "linear"
-
-
-def plot_feasibility(panels: Sequence[MapPanel], labels: MapLabels) -> Figure:
+def plot_feasibility(
+    title: str,
+    panels: Mapping[str, Sequence[Tile]],
+    *,
+    x: str,
+    y: str,
+    value: str,
+    marks: Mapping[str, str],
+    x_scale: Scale = "linear",
+    y_scale: Scale = "linear",
+) -> Figure:
     """Draw the maps of several planners side by side, readable without colour.
 
     Feasible tiles are coloured by effort; a ring says that the optimiser stopped early. Infeasible ones are hatched and
@@ -91,38 +74,43 @@ def plot_feasibility(panels: Sequence[MapPanel], labels: MapLabels) -> Figure:
     between possible and infeasible, a dashed one that of the other planner (only with two of them).
 
     Args:
-        panels: one for each planner.
-        labels: text and scales.
+        title: of the figure.
+        panels: the tiles of each planner, by the title of its panel.
+        x: label of the axis, with its unit.
+        y: the same.
+        value: label of the colours.
+        marks: what each letter stands for.
+        x_scale: of the axis.
+        y_scale: the same.
     """
-    borders = [border_of(panel.tiles) for panel in panels]
-    with figure(1.4 + 4.3 * len(panels), 5.4, labels.title) as drawn:
+    borders = [border_of(tiles) for tiles in panels.values()]
+    with figure(1.4 + 4.3 * len(panels), 5.4, title) as drawn:
         from matplotlib.cm import ScalarMappable
 
         axes = list(drawn.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0])
-        norm = _norm([tile.value for panel in panels for tile in panel.tiles if tile.possible])
-        for i, (panel, on) in enumerate(zip(panels, axes, strict=True)):
-            on.set(title=panel.title, xlabel=labels.x, xscale=labels.x_scale, yscale=labels.y_scale)
-            _fit(on, panel.tiles)
-            _draw_tiles(on, panel.tiles, norm)
+        norm = _norm([tile.value for tiles in panels.values() for tile in tiles if tile.possible])
+        for i, ((name, tiles), on) in enumerate(zip(panels.items(), axes, strict=True)):
+            on.set(title=name, xlabel=x, xscale=x_scale, yscale=y_scale)
+            _fit(on, tiles)
+            _draw_tiles(on, tiles, norm)
             if len(panels) == 2:
                 _draw_border(on, borders[1 - i], own=False)
             _draw_border(on, borders[i], own=True)
-        axes[0].set_ylabel(labels.y)
+        axes[0].set_ylabel(y)
         if norm is not None:
-            drawn.colorbar(ScalarMappable(norm, _COLORS), ax=axes, label=labels.value, fraction=0.04, pad=0.02)
+            drawn.colorbar(ScalarMappable(norm, _COLORS), ax=axes, label=value, fraction=0.04, pad=0.02)
         # letters need to know how large the tiles have become
         drawn.draw_without_rendering()
-        for panel, on in zip(panels, axes, strict=True):
-            _draw_marks(on, panel.tiles)
-        _legend(drawn, panels, labels, any(len(segments) for segments in borders))
+        for tiles, on in zip(panels.values(), axes, strict=True):
+            _draw_marks(on, tiles)
+        _legend(drawn, list(panels.values()), marks, any(len(segments) for segments in borders))
         return drawn
 
 
 def border_of(tiles: Sequence[Tile]) -> Array:
     """Return (S, 2, 2) segments, start and end (x, y), where possible and infeasible tiles meet.
 
-    Args:
-        tiles: that do not overlap; neighbours share their edges exactly.
+    Tiles do not overlap, and neighbours share their edges exactly.
     """
     one = [tile for tile in tiles if tile.possible]
     other = [tile for tile in tiles if tile.kind == "infeasible"]
@@ -213,14 +201,14 @@ def _centre(axes: Axes, tile: Tile) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _legend(drawn: Figure, panels: Sequence[MapPanel], labels: MapLabels, bordered: bool) -> None:
+def _legend(drawn: Figure, panels: Sequence[Sequence[Tile]], marks: Mapping[str, str], bordered: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    tiles = [tile for panel in panels for tile in panel.tiles]
+    tiles = [tile for panel in panels for tile in panel]
     present = {tile.kind for tile in tiles}
     used = sorted({tile.mark for tile in tiles if tile.kind == "infeasible"})
-    limits = ", ".join(f"{mark} {labels.marks[mark]}" for mark in used)
+    limits = ", ".join(f"{mark} {marks[mark]}" for mark in used)
     handles: list[Any] = []
     if bordered:
         handles.append(Line2D([], [], color="#000000", linewidth=2.4, label="border"))

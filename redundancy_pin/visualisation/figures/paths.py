@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,12 +10,11 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
-from redundancy_pin.io.files import replacing_file
 from redundancy_pin.kinematics.modes import mode_name
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.singularities.locus import SingularLocus
-from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below, save
+from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below
 from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
 from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
@@ -57,93 +54,70 @@ def _draw_singular(axes: Axes, points: Sequence[ArrayLike], color: str, label: s
         axes.plot(*np.array(points).T, "x", color=color, markersize=9, markeredgewidth=2, zorder=3.1, label=label)
 
 
-@dataclass(frozen=True, eq=False)
-class PathCurves:
-    """What the plot shows, all in the plane of the base frame's x and y.
+def plot_path(
+    title: str,
+    t: Array,
+    point: Array,
+    mechanism: Sequence[Array],
+    hinges: Array,
+    condition: Array,
+    *,
+    thresholds: Sequence[float] = (),
+    windows: Windows = (),
+    instants: Sequence[float] = (),
+    singular_points: Sequence[ArrayLike] = (),
+) -> Figure:
+    """Draw the mechanism with the path, the path enlarged where it is small, and the condition number over time.
 
-    Attributes:
+    All of it in the plane of the base frame's x and y, m.
+
+    Args:
         title: of the figure.
         t: (N,) time, s.
-        point: (N, 2) path of the platform, m.
-        links: lines (2, 2) between the hinges of the mechanism at the start, m.
-        hinges: (h, 2) hinges on the base, m.
+        point: (N, 2) path of the platform.
+        mechanism: lines (2, 2) between the hinges at the start.
+        hinges: (h, 2) hinges on the base.
         condition: (N,) condition number of the scaled Jacobian; infinite at a singularity.
         thresholds: condition numbers to mark.
         windows: near-singular time intervals, s.
         instants: singular instants, s.
-        singular_points: (c, 2) where the path meets singularities, m.
+        singular_points: (2,) each, where the path meets singularities.
     """
-
-    title: str
-    t: Array
-    point: Array
-    links: tuple[Array, ...]
-    hinges: Array
-    condition: Array
-    thresholds: tuple[float, ...] = ()
-    windows: Windows = ()
-    instants: tuple[float, ...] = ()
-    singular_points: tuple[tuple[float, float], ...] = ()
-
-
-def plot_path(curves: PathCurves) -> Figure:
-    """Draw the mechanism with the path, the path enlarged where it is small, and the condition number over time."""
-    everything = np.concatenate([curves.point, curves.hinges, *curves.links])
-    zoomed = np.ptp(curves.point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
+    everything = np.concatenate([point, hinges, *mechanism])
+    zoomed = np.ptp(point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
     ratios = [1.0, 1.0, 1.4] if zoomed else [1.0, 1.4]
-    with figure(10.0 if zoomed else 8.0, 3.6, curves.title) as drawn:
+    with figure(10.0 if zoomed else 8.0, 3.6, title) as drawn:
         *planes, last = drawn.subplots(1, len(ratios), width_ratios=ratios)
-        _draw_mechanism(planes[0], curves.links, curves.hinges)
+        _draw_mechanism(planes[0], mechanism, hinges)
         for axes, title in zip(planes, ("mechanism at the start", "path"), strict=False):
-            _draw_path(axes, curves.point, STROKES[0], "path", "start")
-            _draw_singular(axes, curves.singular_points, STROKES[1].color)
+            _draw_path(axes, point, STROKES[0], "path", "start")
+            _draw_singular(axes, singular_points, STROKES[1].color)
             label_plane(axes)
             axes.set_title(title)
-        panel = condition_panel(curves.t, curves.condition, curves.thresholds, singular=bool(curves.instants))
+        panel = condition_panel(t, condition, thresholds, singular=bool(instants))
         draw_panel(last, panel, 1.4 * drawn.get_figwidth() / sum(ratios) - 0.8)
-        background = Background(instants=curves.instants, windows=curves.windows)
+        background = Background(instants=instants, windows=windows)
         background.draw(last)
-        last.set(xlim=(curves.t[0], curves.t[-1]), xlabel="time t [s]")
+        last.set(xlim=(t[0], t[-1]), xlabel="time t [s]")
         handles = planes[0].get_legend_handles_labels()[0]
         legend_below(drawn, [*handles, *background.handles(drawn)])
         return drawn
 
 
-@dataclass(frozen=True, eq=False)
-class PlanePath:
-    """One path.
-
-    Attributes:
-        label: in the legend.
-        point: (N, 2) m.
-    """
-
-    label: str
-    point: Array
-
-
 def plot_plane_paths(
     title: str,
-    paths: Sequence[PlanePath],
+    paths: Mapping[str, Array],
     *,
-    links: Sequence[Array] = (),
+    mechanism: Sequence[Array] = (),
     hinges: Array | None = None,
-    singular: Sequence[tuple[float, float]] = (),
+    singular: Sequence[ArrayLike] = (),
 ) -> Figure:
-    """Draw paths with their start, their direction, and singular points.
-
-    Args:
-        title: of the figure.
-        paths: what to draw.
-        links: lines (2, 2) of the mechanism, m; none where left out.
-        hinges: (h, 2) hinges on the base, m.
-        singular: where the path is singular, m.
-    """
+    """Draw paths (N, 2), m, by their label, with start, direction, mechanism and hinges, and singular points."""
     with figure(6.0, 5.2) as drawn:
         axes = drawn.add_subplot(title=title)
-        _draw_mechanism(axes, links, hinges)
-        for stroke, path in zip(STROKES, paths, strict=False):
-            _draw_path(axes, path.point, stroke, path.label)
+        _draw_mechanism(axes, mechanism, hinges)
+        for stroke, (label, point) in zip(STROKES, paths.items(), strict=False):
+            _draw_path(axes, point, stroke, label)
         _draw_singular(axes, singular, "#000000")
         label_plane(axes)
         legend_below(drawn, axes.get_legend_handles_labels()[0])
@@ -156,25 +130,6 @@ _LOCUS_STROKES: dict[SingularityKind, dict[str, Any]] = {
                              "label": "type I (serial), border of the working mode"},
     SingularityKind.COMBINED: {"color": "#000000", "linewidth": 2.0, "linestyle": "-.", "label": "combined"},
 }  # fmt: skip
-
-
-def plot_locus(
-    locus: SingularLocus, path: str | Path, *, motion: Array | None = None, crossings: Sequence[Crossing] = ()
-) -> None:
-    """Write the picture of a singular locus; the suffix (.png, .svg, .pdf) decides on the format.
-
-    Args:
-        locus: from ``singular_locus``.
-        path: the file to write; one that exists is replaced.
-        motion: as of ``draw_locus``.
-        crossings: as of ``draw_locus``.
-
-    Raises:
-        OutputError: the file cannot be written, or its suffix is no picture format; nothing is changed then.
-    """
-    drawn = draw_locus(locus, motion=motion, crossings=crossings)
-    with replacing_file(path) as temporary:
-        save(drawn, temporary)
 
 
 def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: Sequence[Crossing] = ()) -> Figure:

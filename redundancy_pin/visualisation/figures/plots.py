@@ -46,8 +46,8 @@ from redundancy_pin.visualisation.figures.curves import (
     plan_title,
     singularity_panel,
 )
-from redundancy_pin.visualisation.figures.paths import PathCurves, plot_path
 from redundancy_pin.visualisation.figures.paths import draw_locus as locus
+from redundancy_pin.visualisation.figures.paths import plot_path
 from redundancy_pin.visualisation.figures.snapshots import draw_snapshots as snapshots
 from redundancy_pin.visualisation.figures.style import STROKES, save
 from redundancy_pin.visualisation.figures.time_panels import Background, Curve, plot_panel_grid, plot_time_panels
@@ -175,18 +175,16 @@ def path(
     instants = tuple(crossing.t for crossing in crossings) or (planned.instants if planned else ())
     places = [np.array([np.interp(t, followed.t, point[:, i]) for i in range(2)]) for t in instants]
     return plot_path(
-        PathCurves(
-            title=title or (planned.title if planned else robot.name),
-            t=followed.t,
-            point=point,
-            links=tuple(np.stack(ends)[:, :2] for ends in links(robot, tree.q[0])),
-            hinges=base_hinges(robot)[:, :2],
-            condition=classify_motion(tree).condition,
-            thresholds=planned.thresholds if planned else (),
-            windows=planned.windows if planned else (),
-            instants=instants,
-            singular_points=tuple((float(place[0]), float(place[1])) for place in places),
-        )
+        title or (planned.title if planned else robot.name),
+        followed.t,
+        point,
+        [np.stack(ends)[:, :2] for ends in links(robot, tree.q[0])],
+        base_hinges(robot)[:, :2],
+        classify_motion(tree).condition,
+        thresholds=planned.thresholds if planned else (),
+        windows=planned.windows if planned else (),
+        instants=instants,
+        singular_points=places,
     )
 
 

@@ -75,16 +75,7 @@ def draw_snapshots(
 def draw_frame(
     axes: Axes, scene: Scene, frame: int, *, plane: str = "xy", alpha: float = 1.0, base: bool = True
 ) -> None:
-    """Draw the mechanism at one frame of a scene.
-
-    Args:
-        axes: where to.
-        scene: the scene.
-        frame: number of the frame.
-        plane: which coordinates are drawn.
-        alpha: opacity.
-        base: whether to draw the base, which is the same in every frame.
-    """
+    """Draw the mechanism at one frame of a scene; the ``base`` is the same in every frame."""
     columns = list(_PLANES[plane])
     platform = _COLORS[margin_classes(scene.margin[[frame]])[0]]
     for solid in scene.solids:

@@ -44,13 +44,7 @@ def _page_class() -> type[Figure]:
 
 @dataclass(frozen=True)
 class Stroke:
-    """How one series is drawn.
-
-    Attributes:
-        color: a colour of the Okabe–Ito palette, told apart with any colour vision.
-        dash: matplotlib's line style, told apart without colour.
-        marker: marker for sparse points of the same series.
-    """
+    """How one series is drawn: a colour of the Okabe–Ito palette; line style and marker tell it apart in grey."""
 
     color: str
     dash: Any
@@ -121,16 +115,7 @@ _SETTINGS: dict[str, Any] = {
 
 @contextmanager
 def figure(width: float, height: float, title: str = "") -> Iterator[Figure]:
-    """Give an empty figure drawn in the common style; no window and no global state.
-
-    Args:
-        width: in inches.
-        height: in inches.
-        title: of the figure; broken into lines where it is longer than the figure is wide.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
-    """
+    """Give an empty figure, inches, in the common style; no window and no global state. Long titles are broken."""
     require_matplotlib()
     with _styled():
         page = _page_class()(figsize=(width, height), layout="constrained")
@@ -149,11 +134,7 @@ def _styled() -> Iterator[None]:
 
 
 def require_matplotlib() -> None:
-    """Check that plots can be made.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
-    """
+    """Check that plots can be made."""
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
@@ -182,11 +163,7 @@ def save(drawn: Figure, *paths: str | Path) -> None:
 
 
 def picture_format(path: str | Path) -> str:
-    """Return the format that the suffix of a file stands for.
-
-    Raises:
-        OutputError: it stands for none that is written here.
-    """
+    """Return the format that the suffix of a file stands for."""
     kind = Path(path).suffix[1:].lower()
     if kind not in _FORMATS:
         raise OutputError(

@@ -161,11 +161,7 @@ def series(names: Sequence[str], t: Array, values: Array, **settings: Any) -> tu
 def condition_panel(t: Array, condition: Array, thresholds: Sequence[float] = (), *, singular: bool = False) -> Panel:
     """Return a panel of a condition number (N,): linear where it is small, and cut at 1000.
 
-    Args:
-        t: (N,) time, s.
-        condition: (N,) of the scaled W; infinite or NaN at a singular pose.
-        thresholds: to mark.
-        singular: whether the motion meets a singularity.
+    ``singular`` says that the motion meets a singularity, where the condition number is infinite or NaN.
     """
     shown = np.minimum(np.nan_to_num(condition, nan=np.inf), 10.0 * _CONDITION_TOP)
     top = max([float(shown.max()), *(2.0 * threshold for threshold in thresholds)])
@@ -219,14 +215,7 @@ def plot_panel_grid(
 
 
 def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel] = ()) -> None:
-    """Draw one panel.
-
-    Args:
-        axes: where to.
-        panel: the panel.
-        width: of the axes, inches.
-        alike: panels with the same scale, itself among them; none: it has its own.
-    """
+    """Draw one panel, ``width`` inches wide; ``alike`` are panels with its scale, itself among them."""
     for curve in panel.curves:
         strokes = CARRIER_STROKES if curve.carrier else STROKES
         stroke = strokes[curve.stroke % len(strokes)]

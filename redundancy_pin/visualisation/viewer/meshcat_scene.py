@@ -44,13 +44,7 @@ _Y_TO_Z = place(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 
 
 def send_scene(viewer: Any, scene: Scene, *, forces: bool = True) -> None:
-    """Send a scene to a viewer.
-
-    Args:
-        viewer: a ``meshcat.Visualizer``.
-        scene: the scene.
-        forces: whether arrows are shown at first; a viewer can switch them.
-    """
+    """Send a scene to a ``meshcat.Visualizer``; ``forces`` says whether arrows are shown at first."""
     from meshcat.animation import Animation
 
     clips: dict[Any, Any] = {}
@@ -265,15 +259,9 @@ def arc() -> Mesh:
 
 
 def tube(points: Array, radius: float) -> tuple[Array, IntArray, IntArray]:
-    """Return a tube along points.
+    """Return a tube along points (N, 3), m: vertices, triangles, and (V,) the index of the point of each vertex.
 
-    Args:
-        points: (N, 3), m; those that coincide with the one before are passed over.
-        radius: m.
-
-    Returns:
-        Vertices (V, 3), triangles (T, 3), and (V,) the index of the point each vertex belongs to. Without any length
-        all three are empty.
+    Points that coincide with the one before are passed over. Without any length all three are empty.
     """
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     kept = np.concatenate([[0], np.flatnonzero(step > 1e-3 * radius) + 1]) if len(points) else np.zeros(0, dtype=int)

@@ -179,11 +179,7 @@ class LiveView:
 
 
 def serve_page(text: str) -> LiveView:
-    """Start a server for one HTML page, at ``PORT`` if it is free.
-
-    Raises:
-        RedundancyPinError: no port can be opened.
-    """
+    """Start a server for one HTML page, at ``PORT`` if it is free."""
     page = text.encode("utf-8")
 
     class Handler(BaseHTTPRequestHandler):
@@ -207,10 +203,8 @@ def serve_page(text: str) -> LiveView:
         try:
             server = _Server((_HERE, 0), Handler)
         except OSError as error:
-            raise RedundancyPinError(
-                f"No port of {_HERE} can be opened for the view: {error}.",
-                remedy="Write a file instead (--html, View.save).",
-            ) from error
+            message = f"No port of {_HERE} can be opened for the view: {error}."
+            raise RedundancyPinError(message, remedy="Write a file instead (--html, View.save).") from error
     thread = Thread(target=server.serve_forever, name="redundancy_pin view", daemon=True)
     thread.start()
     return LiveView(f"http://{_HERE}:{server.server_address[1]}/", server, thread)
@@ -222,11 +216,7 @@ class _Server(ThreadingHTTPServer):
 
 
 def require_html(path: str | Path) -> None:
-    """Check that a file is to hold HTML.
-
-    Raises:
-        OutputError: its suffix says otherwise.
-    """
+    """Check that a file is to hold HTML."""
     if Path(path).suffix.lower() not in (".html", ".htm"):
         raise OutputError(
             f"Cannot write {path}: its name does not end in .html.",
@@ -236,11 +226,7 @@ def require_html(path: str | Path) -> None:
 
 
 def require_meshcat() -> None:
-    """Check that moving pictures can be made.
-
-    Raises:
-        RedundancyPinError: meshcat is not installed.
-    """
+    """Check that moving pictures can be made."""
     try:
         with warnings.catch_warnings():  # it uses a name of pyzmq that is to go
             warnings.simplefilter("ignore", DeprecationWarning)

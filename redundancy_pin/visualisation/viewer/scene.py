@@ -158,9 +158,6 @@ def frame_samples(t: Array) -> IntArray:
     """Return which samples become frames: (F,) indices, increasing in time, the first and the last among them.
 
     Every frame is a sample, shown at the time it has, so that the picture runs at true speed whatever the sampling.
-
-    Args:
-        t: (N,) time, s.
     """
     first_of_instant = np.concatenate([[0], np.flatnonzero(np.diff(t) > 0.0) + 1])
     times = t[first_of_instant]
@@ -175,11 +172,7 @@ def frame_samples(t: Array) -> IntArray:
 
 
 def path_samples(margin: Array) -> IntArray:
-    """Return which samples the drawn path goes through: enough to be smooth, and all where its colour changes.
-
-    Args:
-        margin: (N,) distance to type II, scaled.
-    """
+    """Return which samples the drawn path goes through: enough to be smooth, and all where its colour changes."""
     even = np.linspace(0, len(margin) - 1, min(len(margin), MOST_POINTS)).round().astype(np.intp)
     changes = np.flatnonzero(np.diff(margin_classes(margin)))
     return np.unique(np.concatenate([even, changes, changes + 1])).astype(np.intp)

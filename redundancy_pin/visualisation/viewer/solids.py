@@ -149,10 +149,6 @@ def find_mesh(filename: str, folder: str) -> Path | None:
 
     A relative name is looked for in the folder of the URDF. ``package://NAME/...`` is looked for in folders of that
     name beside and above the URDF, and where ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH`` point to.
-
-    Args:
-        filename: as the URDF gives it.
-        folder: of the URDF; empty where it is not known.
     """
     for scheme in _SCHEMES:
         if filename.startswith(scheme):
