@@ -1,31 +1,153 @@
-"""f and the carrier forces as exact polynomials of the carrier motion, with coefficients that depend on time alone.
+"""What planners read off a backend along a motion: W as a function of time, and how f depends on the carriers.
 
 A carrier on a straight track of its link stands at r = r₀ + s u, so its acceleration is r̈₀ + s ü + 2 ṡ u̇ + s̈ u and its
 velocity per unit of ẋ is J₀ + s J_u. With J_uᵀ u = 0 its share of f is a combination of s, s², ṡ, s ṡ and s̈: quadratic
-in (s, ṡ), affine in s̈, and carriers do not mix. The same holds for its own force. The coefficients are read off the
-backend by evaluating it a fixed number of times, so they are exact for whatever backend it is; planners never call it
-again.
-
-The actuation matrix and the carrier model as functions of time.
-
-Both are read off the backend in a few batched calls and then interpolated to rounding, so that root finding and the
-integration of the carriers' motion can ask for any time without calling the backend again.
+in (s, ṡ), affine in s̈, and carriers do not mix. The same holds for its own force. The coefficients, which depend on time
+alone, are read off a backend in a fixed number of evaluations, so they are exact for whatever backend it is; as
+functions of time they are interpolated to rounding, so that root finding and integration need no further call.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, TypeGuard, cast, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
-from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
-from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.actuation import SAMPLED_TOLERANCE, smooth_edges
+from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot import Robot
+from redundancy_pin.singularities.roots import Interval, below_zero, minima, zeros
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
+
+Measure = Literal["condition", "margin"]
+
+TOLERANCE = 1e-11
+"""Of the interpolated W, relative to its largest entry: the times of a window are then exact to about 1e-11 of it."""
+
+SAMPLED_TOLERANCE = 1e-9
+"""Of what is interpolated along a sampled motion: the quintics between samples a few milliseconds apart meet with kinks
+below this, and resolving every one of them would be of no use."""
+
+SAMPLES_A_PIECE = 33
+"""A piece is a polynomial of degree 15: its singular values have few dips, and a dip shows in the samples beside it."""
+
+LARGEST_CONDITION = 1e6
+"""Beyond it the times at which W reaches a threshold are lost in the rounding of W."""
+
+SINGULAR = 1e-9
+"""A smallest singular value below this fraction of the largest along the motion is zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Actuation:
+    """W (n, m) as a function of time.
+
+    Attributes:
+        interpolant: its entries, row by row.
+        row_scale, column_scale: (n,) and (m,) what forces and efforts are measured in.
+    """
+
+    interpolant: PiecewisePolynomial
+    row_scale: Array
+    column_scale: Array
+
+    @staticmethod
+    def along(dynamics: Dynamics, motion: ContinuousMotion) -> Actuation:
+        """Read W off a backend along a whole motion."""
+
+        def values(times: Array) -> Array:
+            return np.asarray(dynamics.along(motion.sample_at(times)).reduce().W).reshape(len(times), -1)
+
+        def scale(values: Array) -> Array:
+            return np.full(values.shape[1], np.abs(values).max())
+
+        sample = dynamics.along(motion.sample_at(np.array([motion.start]))).reduce()
+        tolerance = TOLERANCE if motion.exact else SAMPLED_TOLERANCE
+        edges = smooth_edges(motion, motion.start, motion.end)
+        entries = PiecewisePolynomial.fit(values, edges, motion.knots, scale, tolerance)
+        return Actuation(entries, sample.row_scale, sample.column_scale)
+
+    def at(self, times: Array) -> Array:
+        """Return W (N, n, m) at (N,) times."""
+        return self.interpolant(times).reshape(len(times), len(self.row_scale), len(self.column_scale))
+
+    @cached_property
+    def _times(self) -> Array:
+        return dense(self.interpolant.edges)
+
+    def singular_values(self, times: Array) -> Array:
+        """Return (N, min(n, m)) singular values of the scaled W, the largest first."""
+        return spectrum_of(scaled(self.at(times), self.row_scale, self.column_scale)).singular_values
+
+    def windows(self, measure: Measure, threshold: float) -> list[Interval]:
+        """Return the intervals in which W is nearer to singular than a threshold.
+
+        Args:
+            measure: "condition": where the condition number of the scaled W exceeds the threshold (that of the Jacobian
+                for the 2-RPR, Parsa 2014, section 3.2); "margin": where its smallest singular value is below it.
+            threshold: for the condition number above 1, for the margin positive.
+
+        Raises:
+            InputError: another measure, or a threshold out of range.
+        """
+        if measure not in get_args(Measure):
+            raise InputError(f"measure is {measure!r}.", remedy="Pass 'condition' or 'margin'.", measure=measure)
+        lower, upper = (1.0, LARGEST_CONDITION) if measure == "condition" else (0.0, np.inf)
+        if not lower < threshold < upper:
+            raise InputError(
+                f"threshold is {threshold}, but a {measure} between {lower:g} and {upper:g} is needed.",
+                remedy="The thesis works with condition numbers from 4 to 20.",
+                threshold=threshold,
+            )
+        least = 1.0 / threshold if measure == "condition" else threshold
+        return below_zero(lambda times: self._nearness(times, measure) - least, self._times)
+
+    def worst(self, measure: Measure) -> float:
+        """Return the largest condition number (infinite at a singularity), or the smallest margin, along the motion."""
+        lowest = min(value for _, value in minima(lambda t: self._nearness(t, measure), self._times, np.inf))
+        if measure == "margin":
+            return lowest
+        return 1.0 / lowest if lowest > SINGULAR else float("inf")
+
+    def singular_instants(self) -> list[float]:
+        """Return the times, s, at which the motion crosses or touches a type II singularity."""
+
+        def signed(times: Array) -> Array:
+            W = self.at(times)
+            sign = np.sign(np.linalg.det(W)) if W.shape[1] == W.shape[2] else 1.0
+            return np.asarray(self._nearness(times, "condition") * sign)
+
+        return [zero.t for zero in zeros(signed, self._times, SINGULAR)]
+
+    def _nearness(self, times: Array, measure: Measure) -> Array:
+        """Return σ_min/σ_max, or σ_min: continuous also at a singularity, where a condition number is not."""
+        values = self.singular_values(times)
+        nearness: Array = values[:, -1] / values[:, 0] if measure == "condition" else values[:, -1]
+        return nearness
+
+
+def smooth_edges(motion: ContinuousMotion, start: float, end: float) -> Array:
+    """Return (P + 1,) ends of pieces to fit a function along a motion on: jumps, and the few kinks of a trajectory."""
+    inner = np.concatenate([motion.breaks, motion.knots]) if motion.exact else motion.breaks
+    inner = np.unique(inner[(inner > start) & (inner < end)])
+    edges: Array = np.concatenate([[start], inner, [end]])
+    return edges
+
+
+def dense(edges: Array) -> Array:
+    """Return times that sample every piece densely, s; ``edges`` (P + 1,) are the ends of the pieces."""
+    fraction = np.linspace(0.0, 1.0, SAMPLES_A_PIECE)[:-1]
+    times: Array = np.append((edges[:-1, None] + np.diff(edges)[:, None] * fraction).ravel(), edges[-1])
+    return times
+
 
 TERMS = 5
 """s, s², ṡ, s ṡ, s̈."""
@@ -328,3 +450,46 @@ def _groups(n: int, m: int, k: int) -> Array:
         ]
     )
     return groups
+
+
+def target_effort(
+    robot: Robot, motion: PlatformMotion, lam: float, baseline: Dynamics | ArrayLike | None
+) -> tuple[Array, Array | None]:
+    """Return (N, m) λ τ̂, and τ̂ itself where there is a baseline.
+
+    Raises:
+        InputError: λ > 0 without a baseline, or one that does not fit the robot or the motion.
+        InfeasiblePlanError: the baseline has no finite efforts somewhere.
+    """
+    shape = (len(motion), robot.m)
+    if baseline is None:
+        if lam > 0.0:
+            raise InputError(
+                f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
+                remedy='Pass baseline=VirtualWork(load_robot("3rrr", carriers=False)) or an array (N, m).',
+            )
+        return np.zeros(shape), None
+    if is_dynamics(baseline):
+        other = baseline.robot
+        if (other.n, other.m) != (robot.n, robot.m):
+            raise InputError(
+                f"The baseline robot has n, m = {other.n}, {other.m}; {robot.name} has {robot.n}, {robot.m}.",
+                remedy="Pass the same mechanism without carriers.",
+            )
+        tau = distribute(baseline.reduce(motion)).tau
+        bad = np.flatnonzero(~np.isfinite(tau).all(axis=1))
+        if len(bad):
+            raise InfeasiblePlanError(
+                f"The baseline robot has no finite efforts at t = {motion.t[bad[0]]:.6g} s.",
+                remedy="Use lam = 0, which needs no baseline.",
+                constraint="baseline",
+                time=float(motion.t[bad[0]]),
+            )
+    else:
+        tau = checked(cast(ArrayLike, baseline), "baseline", shape)
+    return lam * tau, tau
+
+
+def is_dynamics(baseline: Dynamics | ArrayLike) -> TypeGuard[Dynamics]:
+    """Return whether a baseline is a backend, rather than efforts."""
+    return isinstance(getattr(baseline, "robot", None), Robot)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import checked, positive
-from redundancy_pin.trajectory.corners import corner_path, rounded_polygon
 from redundancy_pin.trajectory.paths import Line, circle_path, with_constant
 from redundancy_pin.trajectory.timing import LEAST_RAMP_FRACTION, RestToRest, SpeedProfile
 from redundancy_pin.trajectory.trajectory import PoseTrajectory, Trajectory
+from redundancy_pin.trajectory.waypoints import corner_path, rounded_polygon
 
 CIRCLE_RAMP_FRACTION = 0.765
 """Length of the ramp up on the thesis's circle as a fraction of v T: 0.153 v metres for T = 0.2 s. The thesis

@@ -24,7 +24,7 @@ from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.planners.carrier_model import EffortModel
 from redundancy_pin.planners.carrier_return import CarrierState
-from redundancy_pin.planners.stepwise.box import AccelerationBox
+from redundancy_pin.planners.stepwise.settings import AccelerationBox
 
 Linearised: TypeAlias = Callable[[list[float]], Array]
 """From u, k numbers, to [J r] (m, k + 1), J = ∂r/∂u."""

@@ -24,11 +24,9 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model
-from redundancy_pin.planners.stepwise.settings import target_effort
+from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort
 from redundancy_pin.planners.whole_trajectory.mesh import Grid
-from redundancy_pin.planners.whole_trajectory.objectives import Scales
-from redundancy_pin.planners.whole_trajectory.options import Settings
+from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, chebyshev_times
 

@@ -10,7 +10,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
-from redundancy_pin.planners.actuation import Actuation
+from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
 
 LEAST_STEPS = 2
