@@ -1,10 +1,10 @@
 """What planners read off a backend along a motion: W as a function of time, and how f depends on the carriers.
 
-A carrier on a straight track of its link stands at r = r₀ + s u, so its acceleration is r̈₀ + s ü + 2 ṡ u̇ + s̈ u and its
-velocity per unit of ẋ is J₀ + s J_u. With J_uᵀ u = 0 its share of f is a combination of s, s², ṡ, s ṡ and s̈: quadratic
-in (s, ṡ), affine in s̈, and carriers do not mix. The same holds for its own force. The coefficients, which depend on time
-alone, are read off a backend in a fixed number of evaluations, so they are exact for whatever backend it is; as
-functions of time they are interpolated to rounding, so that root finding and integration need no further call.
+A carrier on a straight track of its link stands at r = r₀ + s u, so its acceleration is r̈₀ + s ü + 2 ṡ u̇ + s̈ u and
+its velocity per unit of ẋ is J₀ + s J_u. With J_uᵀ u = 0 its share of f is a combination of s, s², ṡ, s ṡ and s̈:
+quadratic in (s, ṡ), affine in s̈, and carriers do not mix. The same holds for its own force. The coefficients, which
+depend on time alone, are read off a backend in a fixed number of evaluations, so they are exact for whatever backend it
+is; as functions of time they are interpolated to rounding, so that root finding and integration need no further call.
 """
 
 from __future__ import annotations
@@ -90,13 +90,9 @@ class Actuation:
     def windows(self, measure: Measure, threshold: float) -> list[Interval]:
         """Return the intervals in which W is nearer to singular than a threshold.
 
-        Args:
-            measure: "condition": where the condition number of the scaled W exceeds the threshold (that of the Jacobian
-                for the 2-RPR, Parsa 2014, section 3.2); "margin": where its smallest singular value is below it.
-            threshold: for the condition number above 1, for the margin positive.
-
-        Raises:
-            InputError: another measure, or a threshold out of range.
+        ``measure``: "condition": where the condition number of the scaled W exceeds the threshold (that of the Jacobian
+        for the 2-RPR, Parsa 2014, section 3.2); "margin": where its smallest singular value is below it; ``threshold``:
+        for the condition number above 1, for the margin positive.
         """
         if measure not in get_args(Measure):
             raise InputError(f"measure is {measure!r}.", remedy="Pass 'condition' or 'margin'.", measure=measure)
@@ -202,12 +198,7 @@ def terms(s: Array, sd: Array, sdd: Array) -> Array:
 def carrier_model(along: DynamicsAlongMotion) -> CarrierModel:
     """Read the coefficients off a backend.
 
-    Args:
-        along: dynamics along a platform motion, from either backend.
-
-    Raises:
-        UnsupportedRobotError: the robot has no carriers, or f is not of this form (a carrier on a curved track, or one
-            that carries another).
+    ``along``: dynamics along a platform motion, from either backend.
     """
     robot, samples = along.robot, len(along.motion)
     if robot.k == 0:
@@ -287,14 +278,8 @@ def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel
     With more actuators than freedoms the efforts are those of least norm, as ``distribute`` defines it: they too are
     linear in f.
 
-    Args:
-        along: dynamics along a platform motion, from either backend.
-        least_margin: smallest margin of W along the motion that is accepted.
-
-    Raises:
-        UnsupportedRobotError: no carriers, carriers on curved tracks, fewer actuators than freedoms, or more carriers
-            than actuators.
-        InfeasiblePlanError: the motion meets or crosses a type II singularity, or comes closer than ``least_margin``.
+    ``along``: dynamics along a platform motion, from either backend; ``least_margin``: smallest margin of W along the
+    motion that is accepted.
     """
     robot = along.robot
     if robot.k > robot.m or robot.m < robot.n:
@@ -392,11 +377,7 @@ class TimedModel:
 
     @staticmethod
     def of(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: float) -> TimedModel:
-        """Read the model off a backend over a part of a motion.
-
-        Raises:
-            UnsupportedRobotError: see ``carrier_model``.
-        """
+        """Read the model off a backend over a part of a motion."""
         robot = dynamics.robot
 
         def values(times: Array) -> Array:
@@ -455,12 +436,7 @@ def _groups(n: int, m: int, k: int) -> Array:
 def target_effort(
     robot: Robot, motion: PlatformMotion, lam: float, baseline: Dynamics | ArrayLike | None
 ) -> tuple[Array, Array | None]:
-    """Return (N, m) λ τ̂, and τ̂ itself where there is a baseline.
-
-    Raises:
-        InputError: λ > 0 without a baseline, or one that does not fit the robot or the motion.
-        InfeasiblePlanError: the baseline has no finite efforts somewhere.
-    """
+    """Return (N, m) λ τ̂, and τ̂ itself where there is a baseline."""
     shape = (len(motion), robot.m)
     if baseline is None:
         if lam > 0.0:

@@ -28,10 +28,8 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, car
 def stoppable_speed(gap: float, step: float, deceleration: float) -> float:
     """Return the largest speed towards the end of a track from which a carrier can still be stopped before it.
 
-    Args:
-        gap: distance to the end of the track before the step, m.
-        step: length of the step, s.
-        deceleration: largest deceleration, m/s²; infinite if there is no limit.
+    ``gap``: distance to the end of the track before the step, m; ``step``: length of the step, s; ``deceleration``:
+    largest deceleration, m/s²; infinite if there is no limit.
 
     Returns:
         Speed after the step, m/s: the root of h v + v²/(2a) = gap, or 0 where the gap is not positive.
@@ -48,10 +46,8 @@ def stoppable_speed(gap: float, step: float, deceleration: float) -> float:
 def braked_speeds(speed: Array, braking_time: Array, elapsed: Array) -> Array:
     """Return (J, k) the speeds of carriers that are braked by constant decelerations.
 
-    Args:
-        speed: (k,) speed at the start, m/s, either sign.
-        braking_time: (k,) time until rest, s; zero for a carrier at rest.
-        elapsed: (J,) time since the start at the end of each step, s.
+    ``speed`` (k,) speed at the start, m/s, either sign; ``braking_time`` (k,) time until rest, s; zero for a carrier at
+    rest; ``elapsed`` (J,) time since the start at the end of each step, s.
     """
     duration = np.where(braking_time > 0.0, braking_time, 1.0)
     left: Array = speed * np.clip(1.0 - elapsed[:, None] / duration, 0.0, None)
@@ -62,11 +58,8 @@ def braked_speeds(speed: Array, braking_time: Array, elapsed: Array) -> Array:
 def braking_times(speed: Array, room: Array, deceleration: Array, wanted: float) -> Array:
     """Return (k,) the time each carrier takes to stop: as wanted, sooner where the track asks for it.
 
-    Args:
-        speed: (k,) speed, m/s, either sign.
-        room: (k,) distance to the end of the track in the direction of motion, m.
-        deceleration: (k,) largest deceleration, m/s².
-        wanted: wanted time, s.
+    ``speed`` (k,) speed, m/s, either sign; ``room`` (k,) distance to the end of the track in the direction of motion,
+    m; ``deceleration`` (k,) largest deceleration, m/s²; ``wanted``: wanted time, s.
 
     Returns:
         Time, s; never below |v|/a, even where the track is too short for it.
@@ -175,12 +168,7 @@ def shortest_return(
     that keep the limits form an interval if there are any. It is bracketed on a logarithmic grid; where no candidate
     lies in it, the neighbourhood of the best ones is searched before it is called empty.
 
-    Args:
-        robot: the robot, for the limits.
-        force: forces of the carriers' actuators.
-        state: the carriers at the start.
-        datum: (k,) where to park, m.
-        available: longest duration, s.
+    ``force``: forces of the carriers' actuators; ``datum`` (k,) where to park, m; ``available``: longest duration, s.
 
     Returns:
         The duration, s, or None where none keeps the limits, and the limit use of that, or of the best, duration.

@@ -85,13 +85,9 @@ class PlanFunctions:
     ) -> PiecewisePolynomial:
         """Return the main efforts (m,) as polynomials.
 
-        Args:
-            edges: (P + 1,) ends of the pieces, s.
-            reduced: dynamics along these motions at the times of ``chebyshev_times`` of the pieces.
-            limits: efforts (m,) at edges, s, on a type II singularity, which W⁻¹ f tends to.
-
-        Raises:
-            InfeasiblePlanError: efforts that are not finite somewhere, or have a pole.
+        ``edges`` (P + 1,) ends of the pieces, s; ``reduced``: dynamics along these motions at the times of
+        ``chebyshev_times`` of the pieces; ``limits``: efforts (m,) at edges, s, on a type II singularity, which W⁻¹ f
+        tends to.
         """
         left, right = edges[:-1], edges[1:]
         times = reduced.t.reshape(len(left), -1)
@@ -114,10 +110,8 @@ class PlanFunctions:
 def _beside(distance: Array, tau: Array, value: Array) -> Array:
     """Return τ (d, m) in a piece with a singular instant at one end, from the rest of the piece and τ there.
 
-    Args:
-        distance: (d,) of the times in the piece from the instant, in lengths of the piece.
-        tau: (d, m) W⁻¹ f there.
-        value: (m,) at the instant.
+    ``distance`` (d,) of the times in the piece from the instant, in lengths of the piece; ``tau`` (d, m) W⁻¹ f there;
+    ``value`` (m,) at the instant.
     """
     kept = np.abs(distance) > BESIDE
     domain = sorted([0.0, float(np.sign(distance[0]))])

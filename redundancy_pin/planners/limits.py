@@ -101,12 +101,7 @@ class ResolvedLimits:
         }
 
     def on_track(self, values: ArrayLike, name: str) -> Array:
-        """Return (k,) positions after checking that they are on the tracks, m.
-
-        Raises:
-            InputError: wrong shape.
-            InfeasiblePlanError: a position off its track.
-        """
+        """Return (k,) positions after checking that they are on the tracks, m."""
         places = frozen(_each(values, name, (len(self.names),)))
         for carrier, (lower, upper), place in zip(self.names, self.track, places, strict=True):
             beyond = max(place - upper, lower - place)
@@ -158,14 +153,9 @@ Group = TypeVar("Group", bound=Any)
 def grouped(name: str, group: Group | None, kind: type[Group], **keywords: Any) -> Group:
     """Return a group of options, given as such or as flat keywords of the planner.
 
-    Args:
-        name: keyword of the group, for the message.
-        group: the group, or None where the keywords count.
-        kind: its dataclass; every field has a default.
-        keywords: values of its fields as flat keywords. One that equals its default counts as left out.
-
-    Raises:
-        InputError: an option is given both ways, or the group is of another type.
+    ``name``: keyword of the group, for the message; ``group``: the group, or None where the keywords count; ``kind``:
+    its dataclass; every field has a default; ``keywords``: values of its fields as flat keywords. One that equals its
+    default counts as left out.
     """
     if group is None:
         built: Group = kind(**keywords)
@@ -223,11 +213,8 @@ class LimitReport:
 def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force: Array) -> LimitReport:
     """Compare a carrier motion and its forces with the limits of the robot's carriers.
 
-    Args:
-        robot: the robot.
-        t: (N,) time, s.
-        carriers: carrier motion, N samples.
-        carrier_force: (N, k) forces of the carriers' actuators, N.
+    ``t`` (N,) time, s; ``carriers``: carrier motion, N samples; ``carrier_force`` (N, k) forces of the carriers'
+    actuators, N.
     """
     violated: list[LimitEvent] = []
     binding: list[LimitEvent] = []

@@ -1,4 +1,4 @@
-"""A plan: platform motion, carrier motion and all efforts, with what limits them; written without loss and read back."""
+"""A plan: platform motion, carrier motion and all efforts, with what limits them; saved and read back."""
 
 from __future__ import annotations
 
@@ -226,12 +226,7 @@ def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) ->
     Main actuators are off between two samples without effort, one of them at least in the phase "off": two samples
     without effort alone do not say it, for between two samples at rest there may be a motion that needs efforts.
 
-    Args:
-        plan: the plan.
-        platform: the platform's motion, where it is known.
-
-    Raises:
-        InputError: a plan for poses, whose samples do not say how the platform turns between them.
+    ``platform``: the platform's motion, where it is known.
     """
     t, names = plan.t, np.array(plan.phases)[plan.phase]
     left = np.flatnonzero(np.diff(t) > 0.0)
@@ -263,11 +258,7 @@ def _absolute_integral(power: Array, t: Array) -> float:
 
 
 def require_dynamics(dynamics: object) -> None:
-    """Check that the first argument of a planner is a backend.
-
-    Raises:
-        InputError: it is a robot, or something else.
-    """
+    """Check that the first argument of a planner is a backend."""
     if not (hasattr(dynamics, "along") and hasattr(dynamics, "robot")):
         raise InputError(
             f"The planner was given {type(dynamics).__name__} for the dynamics.",
@@ -276,11 +267,7 @@ def require_dynamics(dynamics: object) -> None:
 
 
 def require_motion(motion: object, *methods: str) -> None:
-    """Check that a motion is sampled, or a trajectory that offers some methods.
-
-    Raises:
-        InputError: it is neither.
-    """
+    """Check that a motion is sampled, or a trajectory that offers some methods."""
     if not isinstance(motion, PlatformMotion) and not all(hasattr(motion, method) for method in methods):
         raise InputError(
             f"The planner was given {type(motion).__name__} for the motion.",
@@ -308,20 +295,12 @@ def finish_plan(
 ) -> Plan:
     """Evaluate the backend once more along the planned motion and collect everything a plan carries.
 
-    Args:
-        along: dynamics along the platform motion of the plan.
-        carriers: planned carrier motion, N samples.
-        planner: name of the planner.
-        phase: (N,) index of the phase of each sample.
-        phases: names of the phases.
-        parameters: the planner's parameters.
-        diagnostics: what it found.
-        prescribed: (N, m) main efforts the planner decided on, NaN where W τ = f decides. Their imbalance is checked
-            and reported, never corrected.
-        carrier_limits: limits to judge the plan by in place of the robot's own, one for each carrier.
-        between: times, s, and carrier motions between the samples at which the limits of track, speed and acceleration
-            are judged as well.
-        functions: what the planner made, between the samples too.
+    ``along``: dynamics along the platform motion of the plan; ``carriers``: planned carrier motion, N samples;
+    ``phase`` (N,) index of the phase of each sample; ``prescribed`` (N, m) main efforts the planner decided on, NaN
+    where W τ = f decides. Their imbalance is checked and reported, never corrected; ``carrier_limits``: limits to judge
+    the plan by in place of the robot's own, one for each carrier; ``between``: times, s, and carrier motions between
+    the samples at which the limits of track, speed and acceleration are judged as well; ``functions``: what the planner
+    made, between the samples too.
     """
     robot = along.robot
     reduced = along.reduce(carriers)

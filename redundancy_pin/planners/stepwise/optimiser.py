@@ -56,22 +56,13 @@ def minimise(
 ) -> tuple[list[float], int]:
     """Return the minimum of ‖r(u)‖² over lower ≤ u ≤ upper.
 
-    Args:
-        linearised: J and, as its last column, r at a point.
-        lower: k lower bounds; −inf for none.
-        upper: k upper bounds, not below the lower ones.
-        start: k numbers, a guess, inside the box or not.
-        slope: size of J, positive.
-        curvature: size of C.
-        damping: (k, k) added to JᵀJ, see ``damping_of``.
-        tolerance: how far the gradient at the result may be from that of a minimum, divided by the slope; in the unit
-            of r.
+    ``linearised``: J and, as its last column, r at a point; ``lower``: k lower bounds; −inf for none; ``upper``: k
+    upper bounds, not below the lower ones; ``start``: k numbers, a guess, inside the box or not; ``damping`` (k, k)
+    added to JᵀJ, see ``damping_of``; ``tolerance``: how far the gradient at the result may be from that of a minimum,
+    divided by the slope; in the unit of r.
 
     Returns:
         The minimum, k numbers, and the number of Gauss–Newton steps it took.
-
-    Raises:
-        RedundancyPinError: no convergence (the curvature dominates).
     """
     u, k = start, len(start)
     for iteration in range(1, MOST_ITERATIONS + 1):
@@ -129,12 +120,8 @@ def optimality(residual: Array, jacobian: Array, lower: Array, upper: Array, u: 
     The largest component of the gradient that a move inside the box could follow downhill, divided by the size of J;
     zero at a minimum. In the unit of r.
 
-    Args:
-        residual: (P, m) r at the points.
-        jacobian: (P, m, k) J there.
-        lower: (P, k) lower bounds.
-        upper: (P, k) upper bounds.
-        u: (P, k) the points.
+    ``residual`` (P, m) r at the points; ``jacobian`` (P, m, k) J there; ``lower`` (P, k) lower bounds; ``upper`` (P, k)
+    upper bounds; ``u`` (P, k) the points.
     """
     gradient = np.einsum("pm,pmk->pk", residual, jacobian)
     gradient = np.where((u <= lower) & (gradient > 0.0), 0.0, gradient)
@@ -149,10 +136,7 @@ def definiteness(residual: Array, jacobian: Array, curvatures: Array) -> Array:
 
     The Hessian of ½ ‖r‖² is JᵀJ + 2 diag(Cᵀ r). Where it is positive everywhere in the box the minimum is the only one.
 
-    Args:
-        residual: (P, m) r at the points.
-        jacobian: (P, m, k) J there.
-        curvatures: (P, m, k) C.
+    ``residual`` (P, m) r at the points; ``jacobian`` (P, m, k) J there; ``curvatures`` (P, m, k) C.
     """
     hessian = np.einsum("pmk,pml->pkl", jacobian, jacobian)
     each = np.arange(hessian.shape[1])
@@ -206,10 +190,8 @@ class StepProblems:
 def step_problems(model: EffortModel, target: Array, at: IntArray) -> StepProblems:
     """Prepare the steps between chosen samples of a model.
 
-    Args:
-        model: coefficients of the efforts, N samples.
-        target: (N, m) efforts to aim at, λ τ̂, N or N·m.
-        at: (J + 1,) samples between which the steps lie; their times increase.
+    ``model``: coefficients of the efforts, N samples; ``target`` (N, m) efforts to aim at, λ τ̂, N or N·m; ``at`` (J +
+    1,) samples between which the steps lie; their times increase.
     """
     t = model.t[at]
     h = np.diff(t)
@@ -263,15 +245,7 @@ class Stretch:
 def optimise(problems: StepProblems, first: int, last: int, start: CarrierState, limits: AccelerationBox) -> Stretch:
     """Solve steps first ... last − 1, each from where the one before it ended.
 
-    Args:
-        problems: the prepared steps.
-        first: index of the first step.
-        last: one past the last.
-        start: the carriers before the first step; their accelerations are the first guess.
-        limits: what to keep to.
-
-    Raises:
-        InfeasiblePlanError: the box of a step is empty; names carrier, time and amount.
+    ``start``: the carriers before the first step; their accelerations are the first guess.
     """
     m, k = problems.C.shape[1:]
 

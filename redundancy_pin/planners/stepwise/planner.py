@@ -322,19 +322,13 @@ def between_samples(
     plan's at the samples; the positions lag behind the plan's by up to half a step, because backward differences move a
     carrier by its new speed.
 
-    Args:
-        dynamics: either backend, of the robot of the plan.
-        plan: from ``plan_stepwise``.
-        points: number of points inside each step.
-        trajectory: the platform motion that was sampled, for exact values between the samples; quintics through x, ẋ,
-            ẍ of the samples where left out, which smear a jump that is not two-sided over one step.
+    ``dynamics``: either backend, of the robot of the plan; ``points``: number of points inside each step;
+    ``trajectory``: the platform motion that was sampled, for exact values between the samples; quintics through x, ẋ, ẍ
+    of the samples where left out, which smear a jump that is not two-sided over one step.
 
     Returns:
         ``peak_effort`` (m) over these points, N or N·m, and ``time_of_peak`` (m), s; the same over the optimised steps,
         ``optimised_peak``, beside ``optimised_peak_at_samples``; ``largest_lag``, m.
-
-    Raises:
-        InputError: poses without a trajectory.
     """
     left = np.flatnonzero(np.diff(plan.t) > 0.0)
     if trajectory is not None:

@@ -51,14 +51,8 @@ class AccelerationBox:
         acceleration are one box. Two more bounds may narrow it: a carrier must be able to stop before its track ends
         (``anticipate``) and by the time ``rest_at``. Both give way to the largest deceleration, so they never empty it.
 
-        Args:
-            t: time at the end of the step, s.
-            step: length h of the step, s.
-            s: (k,) positions before the step, m.
-            sd: (k,) speeds before the step, m/s.
-
-        Raises:
-            InfeasiblePlanError: the limits leave nothing; names the carrier, the time and the amount.
+        ``t``: time at the end of the step, s; ``step``: length h of the step, s; ``s`` (k,) positions before the step,
+        m; ``sd`` (k,) speeds before the step, m/s.
         """
         lower, upper = [], []
         for j, (first, last, fastest, a) in enumerate(self._bounds):
@@ -87,11 +81,7 @@ class AccelerationBox:
         return lower, upper
 
     def _single(self, j: int, t: float, step: float, s: float, sd: float, lower: float, upper: float) -> float:
-        """Return the one acceleration left where rounding emptied the box.
-
-        Raises:
-            InfeasiblePlanError: it is empty by more than rounding.
-        """
+        """Return the one acceleration left where rounding emptied the box."""
         bounds = self.limits[j]
         if lower - upper <= _EMPTY * (abs(lower) + abs(upper)):
             return min(max(0.5 * (lower + upper), -bounds.acceleration), bounds.acceleration)
@@ -180,12 +170,7 @@ def checked_settings(
     least_margin: float,
     between: int,
 ) -> Settings:
-    """Return the settings of ``plan_stepwise`` after checking every one.
-
-    Raises:
-        InputError: a setting out of its domain; names it.
-        InfeasiblePlanError: a start or datum off the track.
-    """
+    """Return the settings of ``plan_stepwise`` after checking every one."""
     try:
         fraction = float(lam)
     except (TypeError, ValueError) as error:

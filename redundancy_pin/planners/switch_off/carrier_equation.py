@@ -149,11 +149,7 @@ class CarrierEquation:
     size: float
 
     def solve(self, start: float, end: float, s: Array, sd: Array) -> PiecewisePolynomial:
-        """Integrate from a state (k,), (k,) at ``start`` to ``end``.
-
-        Raises:
-            StepGivenUpError: no bounded motion of the carriers satisfies the equation.
-        """
+        """Integrate from a state (k,), (k,) at ``start`` to ``end``."""
         breaks = self.model.breaks
         ends = [*breaks[(breaks > start) & (breaks < end)].tolist(), end]
         least = LEAST_STEP * (end - start)

@@ -1,12 +1,12 @@
 """The carriers through one window without main efforts, and whether they can carry what has to be carried there.
 
 Where they cannot act in some direction, nothing may be left there. The motion is integrated with error control
-(``carrier_equation``), or follows from the thesis's own discretisation: there ṡ and s̈ are backward differences of s on a
-uniform grid, which makes f(s, ṡ, s̈) = W τ_ref k nonlinear equations for the k positions (Parsa 2014, eqs 3.5 and 3.6).
-They are solved exactly, so every sample is in balance; but the speed is that of half a step earlier and the acceleration
-that of a whole step, an error of first order. The first sample after switch-on, on the return polynomial, asks for
-efforts in one step: a jump in proportion to the step. It is here to reproduce the thesis and to show where its jumps
-come from.
+(``carrier_equation``), or follows from the thesis's own discretisation: there ṡ and s̈ are backward differences of s on
+a uniform grid, which makes f(s, ṡ, s̈) = W τ_ref k nonlinear equations for the k positions (Parsa 2014, eqs 3.5 and
+3.6). They are solved exactly, so every sample is in balance; but the speed is that of half a step earlier and the
+acceleration that of a whole step, an error of first order. The first sample after switch-on, on the return polynomial,
+asks for efforts in one step: a jump in proportion to the step. It is here to reproduce the thesis and to show where its
+jumps come from.
 """
 
 from __future__ import annotations
@@ -68,11 +68,7 @@ class LostDirection:
 
 
 def lost_directions(equation: CarrierEquation, start: float, end: float) -> list[LostDirection]:
-    """Return the instants between two times at which F lacks rank.
-
-    Raises:
-        InfeasiblePlanError: F lacks rank all along.
-    """
+    """Return the instants between two times at which F lacks rank."""
     model = equation.model
     times = dense(model.interpolant.edges)
     n = len(equation.row_scale)
@@ -112,11 +108,7 @@ def lost_directions(equation: CarrierEquation, start: float, end: float) -> list
 
 
 def require_balanced(equation: CarrierEquation, lost: Sequence[LostDirection]) -> None:
-    """Check that where the carriers cannot act, and cannot change what is left, nothing is left.
-
-    Raises:
-        InfeasiblePlanError: something is; carries the force, its direction and the time.
-    """
+    """Check that where the carriers cannot act, and cannot change what is left, nothing is left."""
     for instant in lost:
         helpless = instant.by_motion <= BALANCED * equation.size
         if helpless and abs(instant.parked) > BALANCED * equation.size:
@@ -126,10 +118,8 @@ def require_balanced(equation: CarrierEquation, lost: Sequence[LostDirection]) -
 def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> InfeasiblePlanError:
     """Return the error that says which force nothing can carry.
 
-    Args:
-        instant: where and in which direction.
-        force: uᵀ(f − W τ_ref), N.
-        circumstance: for which motion of the carriers.
+    ``instant``: where and in which direction; ``force``: uᵀ(f − W τ_ref), N; ``circumstance``: for which motion of the
+    carriers.
     """
     direction = np.round(np.sign(force) * instant.direction, 12) + 0.0  # no negative zeros
     along = ", ".join(f"{component:.6f}" for component in direction)
@@ -194,11 +184,7 @@ class Crossing:
 def cross(
     dynamics: Dynamics, motion: ContinuousMotion, window: Interval, ramp_time: float, datum: Array, row_scale: Array
 ) -> Crossing:
-    """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6).
-
-    Raises:
-        InfeasiblePlanError: a force that nothing can carry at the singular pose.
-    """
+    """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6)."""
     equation, lost = crossing_equation(dynamics, motion, window, window.start - ramp_time, datum, row_scale)
     start = equation.model.start
     zero = np.zeros_like(datum)
@@ -214,11 +200,7 @@ def cross(
 def crossing_equation(
     dynamics: Dynamics, motion: ContinuousMotion, window: Interval, start: float, datum: Array, row_scale: Array
 ) -> tuple[CarrierEquation, tuple[LostDirection, ...]]:
-    """Return what the carriers have to satisfy from the start of the ramp-down to switch-on, and where they cannot act.
-
-    Raises:
-        InfeasiblePlanError: where they cannot act a force is left that no motion of the carriers changes.
-    """
+    """Return what the carriers have to satisfy from the start of the ramp-down to switch-on, and where it fails."""
     ramp = ramp_down(dynamics, motion, start, window.start, datum)
     model = TimedModel.of(dynamics, motion, start, window.end)
     times = np.unique(np.concatenate([model.interpolant.edges, np.linspace(start, window.end, 201)]))
@@ -283,9 +265,6 @@ def cross_stepwise(
     """Solve the carriers through one window, sample by sample; the window is widened or narrowed to the grid.
 
     The actuators are off from the first to the last sample inside the window.
-
-    Raises:
-        InfeasiblePlanError: a force that nothing can carry at a singular pose, or a sample without solution.
     """
     first = int(np.ceil((window.start - motion.start) / dt - 1e-9))
     last = max(int(np.floor((window.end - motion.start) / dt + 1e-9)), first)

@@ -330,11 +330,7 @@ def _crossing(
 
 
 def _require_inside(window: Interval, start: float, end: float, ramp_down: float) -> None:
-    """Check that a window begins late enough for its ramp-down, and ends before the motion does.
-
-    Raises:
-        InfeasiblePlanError: it does not; carries the constraint, the time and the amount.
-    """
+    """Check that a window begins late enough for its ramp-down, and ends before the motion does."""
     if window.open_start:
         raise InfeasiblePlanError(
             f"The motion begins at t = {start:.6g} s inside the region in which the actuators have to be off.",

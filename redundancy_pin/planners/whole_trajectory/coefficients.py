@@ -103,15 +103,8 @@ class Problem:
 def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = None) -> Problem:
     """Read the coefficients at all nodes off the backend.
 
-    Args:
-        task: robot, motion and settings.
-        grid: the nodes.
-        around: for carriers on curved tracks, the motion at the nodes around which f is fitted.
-
-    Raises:
-        UnsupportedRobotError: carriers on curved tracks, and nothing to fit around.
-        InfeasiblePlanError: the baseline robot has no finite efforts somewhere, or the motion does not cross a
-            singularity that it meets.
+    ``task``: robot, motion and settings; ``around``: for carriers on curved tracks, the motion at the nodes around
+    which f is fitted.
     """
     settings, motion = task.settings, task.source.sample_at(grid.t)
     along = task.dynamics.along(motion)
@@ -155,16 +148,9 @@ def singular_node(
 ) -> SingularNode:
     """Read the derivatives of the model at a singular instant off the backend.
 
-    Args:
-        task: robot, motion and settings.
-        index: number of the node.
-        t: the instant, s.
-        around: for carriers on curved tracks, the motion (one sample) around which the model is fitted.
-        side: from which the derivatives are taken; "left" for the node before a jump of the reference acceleration.
-
-    Raises:
-        UnsupportedRobotError: see ``carrier_model``.
-        InfeasiblePlanError: the motion touches the singularity, rests in it or stays in it: (W; uᵀ Ẇ) lacks rank.
+    ``task``: robot, motion and settings; ``t``: the instant, s; ``around``: for carriers on curved tracks, the motion
+    (one sample) around which the model is fitted; ``side``: from which the derivatives are taken; "left" for the node
+    before a jump of the reference acceleration.
     """
     dynamics, source, dt = task.dynamics, task.source, task.settings.mesh.dt
     if around is None:
@@ -218,9 +204,7 @@ def second_order_fit(along: DynamicsAlongMotion, carriers: CarrierMotion) -> Car
     f is affine in s̈ and, to second order, a sum over the carriers: seven terms. The force of a carrier is fitted to
     first order in its own motion; what the others do to it is taken as it is.
 
-    Args:
-        along: dynamics along a platform motion, N samples.
-        carriers: motion to fit around, N samples.
+    ``along``: dynamics along a platform motion, N samples; ``carriers``: motion to fit around, N samples.
     """
     model = _first_order_fit(along, carriers)
     s, sd, sdd = carriers.s, carriers.sd, carriers.sdd

@@ -105,10 +105,8 @@ def multistart(
 ) -> Multistart:
     """Solve from all first guesses, as far as the time bound of the settings allows.
 
-    Args:
-        problem: what the guesses are made for.
-        warm: positions of the carriers to begin with in place of parked carriers.
-        solve_from: from a first guess, scaled blocks by name, and a time bound, s.
+    ``problem``: what the guesses are made for; ``warm``: positions of the carriers to begin with in place of parked
+    carriers; ``solve_from``: from a first guess, scaled blocks by name, and a time bound, s.
     """
     solver = problem.settings.solver
     deadline = time.perf_counter() + solver.seconds
@@ -159,14 +157,8 @@ LEAST_STEP = 1.0 / 32.0
 def fit_and_solve(task: Task, first: Problem, guess: dict[str, Array], seconds: float) -> Outcome:
     """Fit and solve in turn; the outcome is an optimum only where the true f is balanced.
 
-    Args:
-        task: robot, motion and settings.
-        first: the problem as fitted around parked carriers: its scales are kept.
-        guess: first guess, scaled.
-        seconds: time bound, s.
-
-    Raises:
-        InfeasiblePlanError: no motion keeps every limit, as far as the fit around the last course tells.
+    ``task``: robot, motion and settings; ``first``: the problem as fitted around parked carriers: its scales are kept;
+    ``seconds``: time bound, s.
     """
     deadline = time.perf_counter() + seconds
     grid, u = first.grid, first.scales

@@ -23,11 +23,7 @@ from redundancy_pin.robot import Robot
 
 
 def casadi() -> Any:
-    """Return the optional solver library.
-
-    Raises:
-        RedundancyPinError: it is not installed.
-    """
+    """Return the optional solver library."""
     try:
         import casadi as library
     except ImportError as error:
@@ -242,13 +238,7 @@ def checked_settings(
     end: End = "datum",
     datum: ArrayLike = 0.0,
 ) -> Settings:
-    """Return the settings after checking every option.
-
-    Raises:
-        InputError: an option out of its domain; names it.
-        UnsupportedRobotError: no carriers.
-        InfeasiblePlanError: a start or datum off the track.
-    """
+    """Return the settings after checking every option."""
     if robot.k == 0:
         raise UnsupportedRobotError(
             f"{robot.name} has no carriers to plan for.", remedy="Load it with carriers, or declare some."

@@ -112,11 +112,7 @@ class DenseCheck:
 def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau: Array) -> DenseCheck:
     """Evaluate the backend on a grid finer than the nodes, and right beside the singular ones.
 
-    Args:
-        task: robot and motion.
-        problem: the nodes.
-        position: of the planned carriers, m.
-        tau: (M, m) planned efforts at the nodes, N or N·m.
+    ``position``: of the planned carriers, m; ``tau`` (M, m) planned efforts at the nodes, N or N·m.
     """
     grid, settings, robot = problem.grid, task.settings, task.dynamics.robot
     left = np.flatnonzero(grid.h > 0.0)
@@ -152,13 +148,8 @@ def limits_broken(
 ) -> tuple[LimitEvent, ...]:
     """Return, for each actuator whose |value| exceeds its limit by more than a factor, where it does so most.
 
-    Args:
-        quantity: "effort" or "force".
-        names: (j,) of the actuators.
-        t: (N,) times, s.
-        values: (N, j) efforts or forces, N or N·m; those that are not finite are judged elsewhere.
-        limit: (j,) the largest allowed.
-        allowed: factor on the limit.
+    ``names`` (j,) of the actuators; ``t`` (N,) times, s; ``values`` (N, j) efforts or forces, N or N·m; those that are
+    not finite are judged elsewhere; ``limit`` (j,) the largest allowed.
     """
     events = []
     for name, own, most in zip(names, np.where(np.isfinite(values), values, 0.0).T, limit, strict=True):
@@ -327,12 +318,7 @@ def _objective(objective: str | Mapping[str, float] | Objective, lam: float, bas
 
 
 def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:
-    """Solve on a mesh from all first guesses, the first of which is a motion that is known.
-
-    Raises:
-        InfeasiblePlanError: no motion keeps every limit, or none was found in time; says which limit is in the way,
-            where, and how much would suffice.
-    """
+    """Solve on a mesh from all first guesses, the first of which is a motion that is known."""
     try:
         problem = read_coefficients(task, nodes)
     except UnsupportedRobotError as error:

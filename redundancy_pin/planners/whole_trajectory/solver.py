@@ -99,13 +99,9 @@ def solve_nlp(
 ) -> Solution:
     """Solve a programme by IPOPT from one first guess.
 
-    Args:
-        nlp: the programme.
-        guess: blocks by name, of which those left out start at zero; or a solution of this programme or of one with its
-            first rows only, begun from with its multipliers (of use with the options ``WARM``).
-        seconds: time bound, s.
-        options: of IPOPT.
-        progress: called with a line of text now and then where the programme is long.
+    ``guess``: blocks by name, of which those left out start at zero; or a solution of this programme or of one with its
+    first rows only, begun from with its multipliers (of use with the options ``WARM``); ``seconds``: time bound, s;
+    ``progress``: called with a line of text now and then where the programme is long.
     """
     began = time.perf_counter()
     bounds = nlp.bounds
@@ -305,10 +301,7 @@ AROUND = 2
 def solve(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution:
     """Solve a problem with every limit held at the nodes and between them.
 
-    Args:
-        problem: the numbers.
-        guess: first guess, scaled blocks by name.
-        seconds: time bound, s.
+    ``guess``: first guess, scaled blocks by name; ``seconds``: time bound, s.
 
     Returns:
         An optimum that keeps every limit; or where that is not reached, the outcome with all rows from the start.

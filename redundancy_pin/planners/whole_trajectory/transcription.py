@@ -318,12 +318,10 @@ def transcribe(
 ) -> NLP:
     """Return the programme of a problem.
 
-    Args:
-        problem: the numbers.
-        elastic: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way.
-        between: groups of steps, (M − 1,) each, in which track and speed limits hold between the nodes as well; all
-            when left out. Their rows come last and group by group, so that those of a longer list are appended.
-        limit_force: whether the limits of the carriers' forces are held.
+    ``elastic``: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way;
+    ``between``: groups of steps, (M − 1,) each, in which track and speed limits hold between the nodes as well; all
+    when left out. Their rows come last and group by group, so that those of a longer list are appended;
+    ``limit_force``: whether the limits of the carriers' forces are held.
     """
     programme = Transcription(problem, elastic)
     programme.motion()
