@@ -238,10 +238,7 @@ def _require_polynomial(along: DynamicsAlongMotion, model: CarrierModel) -> None
     rng = np.random.default_rng(5)
     s, sd, sdd = (rng.uniform(-1.0, 1.0, (len(model.t), model.k)) for _ in range(3))
     reduced = along.reduce(CarrierMotion(s, sd, sdd))
-    for ours, theirs in (
-        (model.f(s, sd, sdd), reduced.f),
-        (model.carrier_force(s, sd, sdd), reduced.carrier_force),
-    ):
+    for ours, theirs in ((model.f(s, sd, sdd), reduced.f), (model.carrier_force(s, sd, sdd), reduced.carrier_force)):
         size = float(np.nanmax(np.abs(theirs), initial=1e-9))
         error = float(np.nanmax(np.abs(ours - theirs), initial=0.0)) / size
         if error > _MODEL_TOLERANCE:

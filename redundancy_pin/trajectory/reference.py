@@ -19,10 +19,7 @@ does not state it; the times at which its circle reaches the singular line, at 0
 
 
 def circle(
-    speed: float = 0.5,
-    ramp_time: float = 0.2,
-    ramp_length: float | None = None,
-    end_ramp_length: float | None = None,
+    speed: float = 0.5, ramp_time: float = 0.2, ramp_length: float | None = None, end_ramp_length: float | None = None
 ) -> Trajectory:
     """Return the circle of the 2-RPR, (x, y) (Parsa 2014, section 3.2).
 

@@ -18,12 +18,7 @@ from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics, require_motion
 from redundancy_pin.planners.stepwise.course import OPTIMISE, PHASES, RETURN, Braking, Course, brake, run_course
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, definiteness, optimality, step_problems
-from redundancy_pin.planners.stepwise.settings import (
-    AccelerationBox,
-    Active,
-    Stop,
-    checked_settings,
-)
+from redundancy_pin.planners.stepwise.settings import AccelerationBox, Active, Stop, checked_settings
 from redundancy_pin.trajectory.functions_of_time import (
     PiecewisePolynomial,
     TimedTrajectory,

@@ -63,8 +63,7 @@ class Multistart:
     def best(self) -> Outcome:
         """The best optimum; where there is none, the best of what keeps the limits."""
         return min(
-            self.outcomes,
-            key=lambda one: (not one.solution.feasible, not one.solution.optimal, one.solution.cost),
+            self.outcomes, key=lambda one: (not one.solution.feasible, not one.solution.optimal, one.solution.cost)
         )
 
     @property

@@ -193,11 +193,7 @@ def _reporter(variables: int, rows: int, progress: Progress) -> Any:
     return Reporter()
 
 
-PREDICTED: Options = {
-    "ipopt.mehrotra_algorithm": "yes",
-    "ipopt.mu_strategy": "adaptive",
-    "ipopt.max_iter": 60,
-}
+PREDICTED: Options = {"ipopt.mehrotra_algorithm": "yes", "ipopt.mu_strategy": "adaptive", "ipopt.max_iter": 60}
 """Mehrotra's predictor and corrector, made for quadratic programmes, which these are but for a few bilinear rows. On
 least peak it takes 22 iterations where the monotone strategy takes 28 (the corner, 280 nodes), and 40 where that takes
 63 and 96 (the square, 1000 and 3000 nodes). It has no line search, hence the bound on its iterations: where it takes
@@ -207,11 +203,7 @@ of them of the five-bar, 368 took it up to 57, to the optimum of the monotone st
 ADAPTIVE: Options = {"ipopt.mu_strategy": "adaptive"}
 """This strategy often ends where the monotone one crawls."""
 
-LINEAR_SYSTEM: Options = {
-    "ipopt.mumps_permuting_scaling": 0,
-    "ipopt.mumps_scaling": 0,
-    "ipopt.mumps_pivot_order": 2,
-}
+LINEAR_SYSTEM: Options = {"ipopt.mumps_permuting_scaling": 0, "ipopt.mumps_scaling": 0, "ipopt.mumps_pivot_order": 2}
 """Leaves the linear system as it is, for the programme is scaled already, and orders it by approximate minimum fill.
 The search for a permutation takes a time that grows with the square of the nodes (25 s of 27 for six iterations at
 10 000 nodes), and METIS, which long problems get by themselves, takes 1.4 to 1.7 times as long."""

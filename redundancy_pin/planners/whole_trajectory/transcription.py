@@ -311,10 +311,7 @@ def objective_values(problem: Problem, values: dict[str, Array]) -> dict[str, fl
 
 
 def transcribe(
-    problem: Problem,
-    elastic: Sequence[str] = (),
-    between: Sequence[BoolArray] | None = None,
-    limit_force: bool = True,
+    problem: Problem, elastic: Sequence[str] = (), between: Sequence[BoolArray] | None = None, limit_force: bool = True
 ) -> NLP:
     """Return the programme of a problem.
 
