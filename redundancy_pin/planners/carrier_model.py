@@ -9,6 +9,7 @@ is; as functions of time they are interpolated to rounding, so that root finding
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeGuard, cast, get_args
@@ -196,39 +197,31 @@ def terms(s: Array, sd: Array, sdd: Array) -> Array:
 
 
 def carrier_model(along: DynamicsAlongMotion) -> CarrierModel:
-    """Read the coefficients off a backend.
-
-    ``along``: dynamics along a platform motion, from either backend.
-    """
+    """Read the coefficients off a backend along a platform motion."""
     robot, samples = along.robot, len(along.motion)
     if robot.k == 0:
         raise UnsupportedRobotError(
             f"{robot.name} has no carriers to plan for.", remedy="Load it with carriers, or declare some."
         )
 
-    def probe(s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
-        spread = (np.broadcast_to(part, (samples, robot.k)) for part in (s, sd, sdd))
-        reduced = along.reduce(CarrierMotion(*spread))
-        return np.asarray(reduced.f), np.asarray(reduced.carrier_force)
+    parked = along.reduce(CarrierMotion.parked(samples, robot.k))
+    n = parked.f.shape[1]
+
+    def added(*motion: Array) -> Array:
+        """Return what a motion (k,) adds to f and the forces (N, n + k) of parked carriers."""
+        reduced = along.reduce(CarrierMotion(*(np.broadcast_to(part, (samples, robot.k)) for part in motion)))
+        return np.concatenate([reduced.f - parked.f, reduced.carrier_force - parked.carrier_force], axis=1)
 
     zero = np.zeros(robot.k)
-    reduced = along.reduce(CarrierMotion.parked(samples, robot.k))
-    f0, force0 = np.asarray(reduced.f), np.asarray(reduced.carrier_force)
-    f_terms = np.empty((samples, f0.shape[1], robot.k, TERMS))
+    f_terms = np.empty((samples, n, robot.k, TERMS))
     force_terms = np.empty((samples, robot.k, TERMS))
-    for i in range(robot.k):
-        unit = np.eye(robot.k)[i]
-        values = [probe(unit, zero, zero), probe(-unit, zero, zero), probe(zero, unit, zero)]
-        values += [probe(unit, unit, zero), probe(zero, zero, unit)]
-        for target, base, which in ((f_terms, f0, 0), (force_terms, force0, 1)):
-            plus, minus, rate, both, push = (pair[which] - base for pair in values)
-            split = (0.5 * (plus - minus), 0.5 * (plus + minus), rate, both - plus - rate, push)
-            for term, value in enumerate(split):
-                if which == 0:
-                    target[:, :, i, term] = value
-                else:
-                    target[:, i, term] = value[:, i]
-    model = CarrierModel(along.motion.t, reduced.W, *(read_only(part) for part in (f0, f_terms, force0, force_terms)))
+    for i, unit in enumerate(np.eye(robot.k)):
+        plus, minus, rate = added(unit, zero, zero), added(-unit, zero, zero), added(zero, unit, zero)
+        both, push = added(unit, unit, zero), added(zero, zero, unit)
+        split = np.stack([0.5 * (plus - minus), 0.5 * (plus + minus), rate, both - plus - rate, push], axis=-1)
+        f_terms[:, :, i], force_terms[:, i] = split[:, :n], split[:, n + i]
+    parts = (parked.f, f_terms, parked.carrier_force, force_terms)
+    model = CarrierModel(along.motion.t, parked.W, *(read_only(np.asarray(part)) for part in parts))
     _require_polynomial(along, model)
     return model
 
@@ -260,13 +253,11 @@ class EffortModel:
         t: (N,) time, s.
         tau0: (N, m) efforts with the carriers at rest at s = 0, N or N·m.
         tau_terms: (N, m, k, 5) coefficients, by carrier and term.
-        margin: (N,) smallest singular value of the scaled W.
     """
 
     t: Array
     tau0: Array
     tau_terms: Array
-    margin: Array
 
 
 def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel:
@@ -275,8 +266,7 @@ def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel
     With more actuators than freedoms the efforts are those of least norm, as ``distribute`` defines it: they too are
     linear in f.
 
-    ``along``: dynamics along a platform motion, from either backend; ``least_margin``: smallest margin of W along the
-    motion that is accepted.
+    ``least_margin`` is the smallest margin of W along the motion that is accepted.
     """
     robot = along.robot
     if robot.k > robot.m or robot.m < robot.n:
@@ -291,12 +281,8 @@ def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel
     model = carrier_model(along)
     inverse, margin = _inverse(along.reduce())
     _require_regular(model, margin, least_margin)
-    return EffortModel(
-        model.t,
-        read_only(np.einsum("nmi,ni->nm", inverse, model.f0)),
-        read_only(np.einsum("nmi,nikj->nmkj", inverse, model.f_terms)),
-        margin,
-    )
+    tau0, tau_terms = np.einsum("nmi,ni->nm", inverse, model.f0), np.einsum("nmi,nikj->nmkj", inverse, model.f_terms)
+    return EffortModel(model.t, read_only(tau0), read_only(tau_terms))
 
 
 def _inverse(reduced: ReducedDynamics) -> tuple[Array, Array]:
@@ -316,29 +302,27 @@ def _inverse(reduced: ReducedDynamics) -> tuple[Array, Array]:
 
 def _require_regular(model: CarrierModel, margin: Array, least_margin: float) -> None:
     worst = int(np.argmin(margin))
-    remedy = "Plan with plan_switch_off, which crosses it, or lead the platform along another path."
     if margin[worst] < least_margin:
-        raise InfeasiblePlanError(
-            f"The motion comes too close to a type II singularity: at t = {model.t[worst]:.6g} s the margin of W is "
+        raise _singular(
+            f"comes too close to a type II singularity: at t = {model.t[worst]:.6g} s the margin of W is "
             f"{margin[worst]:.3g}, below {least_margin:.3g}; this planner needs W⁻¹.",
-            remedy=remedy,
-            constraint="margin",
-            time=float(model.t[worst]),
-            margin=float(margin[worst]),
+            float(model.t[worst]),
+            float(margin[worst]),
         )
     if model.W.shape[1] == model.W.shape[2]:
         side = np.sign(np.linalg.det(model.W))
-        crossed = np.flatnonzero(side[1:] != side[:-1])
-        if len(crossed):
-            j = int(crossed[0])
-            raise InfeasiblePlanError(
-                f"The motion crosses a type II singularity between t = {model.t[j]:.6g} and {model.t[j + 1]:.6g} s "
+        for j in np.flatnonzero(side[1:] != side[:-1])[:1].tolist():
+            raise _singular(
+                f"crosses a type II singularity between t = {model.t[j]:.6g} and {model.t[j + 1]:.6g} s "
                 f"(margins {margin[j]:.3g} and {margin[j + 1]:.3g}).",
-                remedy=remedy,
-                constraint="margin",
-                time=float(model.t[j]),
-                margin=0.0,
+                float(model.t[j]),
+                0.0,
             )
+
+
+def _singular(what: str, t: float, margin: float) -> InfeasiblePlanError:
+    remedy = "Plan with plan_switch_off, which crosses it, or lead the platform along another path."
+    return InfeasiblePlanError(f"The motion {what}", remedy=remedy, constraint="margin", time=t, margin=margin)
 
 
 MODEL_TOLERANCE = 1e-12
@@ -354,37 +338,36 @@ class TimedModel:
     """The carrier model as a function of time.
 
     Attributes:
-        start, end: interval, s.
         breaks: (b,) inner times at which f may jump, s.
         knots: (c,) further ends of the pieces, s.
         interpolant: all coefficients side by side.
         tolerance: of the coefficients, relative.
-        n, m, k: numbers of coordinates, main actuators and carriers.
+        shapes: of W, f0, f_terms, force0 and force_terms at one instant.
     """
 
-    start: float
-    end: float
     breaks: Array
     knots: Array
     interpolant: PiecewisePolynomial
     tolerance: float
-    n: int
-    m: int
-    k: int
+    shapes: tuple[tuple[int, ...], ...]
 
     @staticmethod
     def of(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: float) -> TimedModel:
         """Read the model off a backend over a part of a motion."""
-        robot = dynamics.robot
+        n, m, k = dynamics.robot.n, dynamics.robot.m, dynamics.robot.k
+        shapes = ((n, m), (n,), (n, k, TERMS), (k,), (k, TERMS))
+        terms = np.arange(TERMS)
+        units = (np.zeros(1, dtype=int), 1, 2 + terms, 2 + TERMS, 3 + TERMS + terms)
+        # coefficients of one unit are held to one tolerance
+        group = np.concatenate([np.broadcast_to(u, shape).ravel() for u, shape in zip(units, shapes, strict=True)])
 
         def values(times: Array) -> Array:
             model = carrier_model(dynamics.along(motion.sample_at(times)))
             parts = (model.W, model.f0, model.f_terms, model.force0, model.force_terms)
             return np.concatenate([np.asarray(part).reshape(len(times), -1) for part in parts], axis=1)
 
-        def scale(found: Array) -> Array:
-            group = _groups(robot.n, robot.m, robot.k)
-            largest = np.array([np.abs(found[:, group == g]).max() for g in range(group.max() + 1)])
+        def scale(values: Array) -> Array:
+            largest = np.array([np.abs(values[:, group == g]).max() for g in range(group.max() + 1)])
             limited: Array = np.maximum(largest, _LEAST_GROUP * largest.max())[group]
             return limited
 
@@ -392,42 +375,14 @@ class TimedModel:
         interpolant = PiecewisePolynomial.fit(values, smooth_edges(motion, start, end), motion.knots, scale, tolerance)
         inner = motion.breaks[(motion.breaks > start) & (motion.breaks < end)]
         knots = np.setdiff1d(interpolant.edges[1:-1], inner)
-        return TimedModel(start, end, inner, knots, interpolant, tolerance, robot.n, robot.m, robot.k)
+        return TimedModel(inner, knots, interpolant, tolerance, shapes)
 
     def at(self, times: Array, side: Side = "right") -> CarrierModel:
         """Return the model at (N,) times inside the interval; ``side`` decides at a break."""
         instants = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        W, f0, f_terms, force0, force_terms = np.split(
-            self.interpolant(instants, side), np.cumsum(_sizes(self.n, self.m, self.k))[:-1], axis=1
-        )
-        count = len(instants)
-        return CarrierModel(
-            instants,
-            W.reshape(count, self.n, self.m),
-            f0,
-            f_terms.reshape(count, self.n, self.k, TERMS),
-            force0,
-            force_terms.reshape(count, self.k, TERMS),
-        )
-
-
-def _sizes(n: int, m: int, k: int) -> list[int]:
-    return [n * m, n, n * k * TERMS, k, k * TERMS]
-
-
-def _groups(n: int, m: int, k: int) -> Array:
-    """Return (C,) the group of each coefficient: those of one unit are held to one tolerance."""
-    terms = np.arange(TERMS)
-    groups: Array = np.concatenate(
-        [
-            np.zeros(n * m, dtype=int),
-            np.full(n, 1),
-            2 + np.tile(terms, n * k),
-            np.full(k, 2 + TERMS),
-            3 + TERMS + np.tile(terms, k),
-        ]
-    )
-    return groups
+        ends = np.cumsum([math.prod(shape) for shape in self.shapes])
+        parts = zip(np.split(self.interpolant(instants, side), ends[:-1], axis=1), self.shapes, strict=True)
+        return CarrierModel(instants, *(part.reshape(len(instants), *shape) for part, shape in parts))
 
 
 def target_effort(

@@ -172,7 +172,7 @@ class CarrierEquation:
 
     def _step(self, a: float, b: float, s0: Array, sd0: Array) -> tuple[Array, float, float]:
         """Return the Legendre series (d, k) of s on one step, the largest defect and the largest F s̈, N."""
-        basis, half, k = _basis(), 0.5 * (b - a), self.model.k
+        basis, half = _basis(), 0.5 * (b - a)
         t = a + half * (basis.x + 1.0)
         model = self.model.at(t)
         scale = self.row_scale[:, None]
@@ -181,7 +181,7 @@ class CarrierEquation:
         idle = _idle_directions(by_sdd)
         value, first, second = basis.value, half * basis.first, half**2 * basis.second
         start = s0 + half * (basis.x[:, None] + 1.0) * sd0
-        c = np.zeros((DEGREE + 1, k))
+        c = np.zeros((DEGREE + 1, model.k))
         defect = force = np.inf
         for _ in range(_MOST_ITERATIONS):
             s, sd, sdd = start + second @ c, sd0 + first @ c, value @ c

@@ -186,7 +186,7 @@ def cross(
 ) -> Crossing:
     """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6)."""
     equation, lost = crossing_equation(dynamics, motion, window, window.start - ramp_time, datum, row_scale)
-    start = equation.model.start
+    start = equation.model.interpolant.start
     zero = np.zeros_like(datum)
     try:
         down = equation.solve(start, window.start, datum, zero)
