@@ -270,14 +270,12 @@ def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel
     """
     robot = along.robot
     if robot.k > robot.m or robot.m < robot.n:
-        raise UnsupportedRobotError(
+        message = (
             f"{robot.name} has {robot.n} freedoms, {robot.m} main actuators and {robot.k} carriers; the carriers of "
-            "least effort are not determined.",
-            remedy="This planner needs at least as many main actuators as freedoms and as carriers.",
-            n=robot.n,
-            m=robot.m,
-            k=robot.k,
+            "least effort are not determined."
         )
+        remedy = "This planner needs at least as many main actuators as freedoms and as carriers."
+        raise UnsupportedRobotError(message, remedy=remedy, n=robot.n, m=robot.m, k=robot.k)
     model = carrier_model(along)
     inverse, margin = _inverse(along.reduce())
     _require_regular(model, margin, least_margin)
@@ -357,7 +355,7 @@ class TimedModel:
         n, m, k = dynamics.robot.n, dynamics.robot.m, dynamics.robot.k
         shapes = ((n, m), (n,), (n, k, TERMS), (k,), (k, TERMS))
         terms = np.arange(TERMS)
-        units = (np.zeros(1, dtype=int), 1, 2 + terms, 2 + TERMS, 3 + TERMS + terms)
+        units = (np.array(0), np.array(1), 2 + terms, np.array(2 + TERMS), 3 + TERMS + terms)
         # coefficients of one unit are held to one tolerance
         group = np.concatenate([np.broadcast_to(u, shape).ravel() for u, shape in zip(units, shapes, strict=True)])
 

@@ -64,11 +64,12 @@ class PlanFunctions:
 
     def efforts(self, reduced: ReducedDynamics) -> Array:
         """Return main efforts (N, m), N or N·m, of the dynamics along these motions; NaN where none are finite."""
-        tau = np.array(distribute(reduced).tau)
         if self.preferred is not None and reduced.W.shape[2] > reduced.W.shape[1]:
             wanted = self.preferred(reduced.t)
             left = reduced.f - np.einsum("nij,nj->ni", reduced.W, wanted)
-            tau = wanted + np.einsum("nji,ni->nj", np.linalg.pinv(reduced.W), left)
+            tau: Array = wanted + np.einsum("nji,ni->nj", np.linalg.pinv(reduced.W), left)
+        else:
+            tau = np.array(distribute(reduced).tau)
         for part in self.prescribed:
             inside = (reduced.t >= part.start) & (reduced.t <= part.end)
             tau[inside] = part(reduced.t[inside])

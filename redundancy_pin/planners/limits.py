@@ -234,13 +234,8 @@ def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force:
                 touched = (excess > -BINDING * size) & ~broken
                 violated += _events(name, quantity, t, value, limit, excess, broken)
                 binding += _events(name, quantity, t, value, limit, excess, touched)
-    return LimitReport(
-        tuple(sorted(violated, key=_by_time)), tuple(sorted(binding, key=_by_time)), robot.carrier_limits
-    )
-
-
-def _by_time(event: LimitEvent) -> float:
-    return event.start
+    violated, binding = (sorted(events, key=lambda event: event.start) for events in (violated, binding))
+    return LimitReport(tuple(violated), tuple(binding), robot.carrier_limits)
 
 
 def _events(
@@ -250,16 +245,7 @@ def _events(
     events = []
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         worst = int(start) + int(np.argmax(excess[start:stop]))
-        events.append(
-            LimitEvent(
-                carrier,
-                quantity,
-                float(t[start]),
-                float(t[stop - 1]),
-                float(t[worst]),
-                float(value[worst]),
-                float(limit),
-                max(0.0, float(excess[worst])),
-            )
-        )
+        span = float(t[start]), float(t[stop - 1]), float(t[worst])
+        amount = max(0.0, float(excess[worst]))
+        events.append(LimitEvent(carrier, quantity, *span, float(value[worst]), float(limit), amount))
     return events

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, Side, frozen, largest, peak, read_only
+from redundancy_pin.arrays import Array, IntArray, Side, frozen, largest, peak, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InputError
@@ -203,6 +203,9 @@ class Plan:
     def save(self, path: str | Path) -> None:
         """Write the plan to a file without loss (npz with JSON inside); ``load_plan`` reads it.
 
+        Arrays are stored bit by bit; status, limits, robot, parameters and diagnostics as JSON text in the array
+        ``metadata``, with the version of the format and of the package.
+
         Raises:
             OutputError: the file cannot be written; an earlier one is as it was.
             InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
@@ -313,7 +316,8 @@ def finish_plan(
         imbalance = np.linalg.norm(imbalance / reduced.row_scale, axis=1)
         residual[given] = imbalance[given]
         size = float(np.abs(reduced.f / reduced.row_scale).max())
-        status[given] = _status_of_prescribed(imbalance[given] <= BALANCE_TOLERANCE * size)
+        balanced = imbalance[given] <= BALANCE_TOLERANCE * size
+        status[given] = np.where(balanced, SampleStatus.REGULAR, SampleStatus.SINGULAR_INCONSISTENT)
     judged = robot if carrier_limits is None else replace(robot, carrier_limits=carrier_limits)
     limits = check_limits(judged, along.motion.t, carriers, reduced.carrier_force)
     for times, motion in between:
@@ -335,7 +339,7 @@ def finish_plan(
         limits=limits,
         status=_plan_status(tau, status, bool(limits.violated)),
         planner=planner,
-        backend=_backend_name(along),
+        backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
         robot=robot_record(robot),
         parameters=dict(parameters),
         diagnostics=dict(diagnostics),
@@ -347,21 +351,12 @@ def _merged(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...])
     """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more."""
     kept = list(at_samples)
     for event in between:
-        same = [
-            other
-            for other in kept
-            if (other.carrier, other.quantity, other.limit) == (event.carrier, event.quantity, event.limit)
-            and other.start <= event.end
-            and event.start <= other.end
-        ]
+        what = (event.carrier, event.quantity, event.limit)
+        same = [one for one in kept if (one.carrier, one.quantity, one.limit) == what]
+        same = [one for one in same if one.start <= event.end and event.start <= one.end]
         if all(event.amount > other.amount for other in same):
             kept = [other for other in kept if other not in same] + [event]
     return tuple(sorted(kept, key=lambda event: event.start))
-
-
-def _status_of_prescribed(balanced: BoolArray) -> IntArray:
-    status: IntArray = np.where(balanced, SampleStatus.REGULAR, SampleStatus.SINGULAR_INCONSISTENT).astype(np.intp)
-    return status
 
 
 def _plan_status(tau: Array, status: IntArray, violated: bool) -> PlanStatus:
@@ -370,28 +365,8 @@ def _plan_status(tau: Array, status: IntArray, violated: bool) -> PlanStatus:
     return PlanStatus.VIOLATES_LIMITS if violated else PlanStatus.WITHIN_LIMITS
 
 
-def _backend_name(along: DynamicsAlongMotion) -> str:
-    return type(along).__name__.replace("AlongMotion", "").replace("Along", "")
-
-
-_T = TypeVar("_T")
-
-
-def save_plan(plan: Plan, path: str | Path) -> None:
-    """Write a plan to a file without loss: an npz archive with JSON inside.
-
-    Arrays are stored bit by bit; status, limits, robot, parameters and diagnostics as JSON text in the array
-    ``metadata``, with the version of the format and of the package.
-
-    Raises:
-        OutputError: the file cannot be written; an earlier one is as it was.
-        InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
-    """
-    plan.save(path)
-
-
 def load_plan(path: str | Path) -> Plan:
-    """Read a plan that was saved with ``save_plan`` or ``Plan.save``. Nothing in the file is executed.
+    """Read a plan that was saved with ``Plan.save``. Nothing in the file is executed.
 
     Raises:
         PlanFileError: the file is missing, truncated, damaged, no plan, of a newer format, or its arrays do not fit
@@ -417,17 +392,15 @@ def _plan(record: Mapping[str, Any]) -> Plan:
     """Return the plan of a record, checked."""
     values = _values(Plan, {"functions": None, **record})  # files of version 1 have no functions of time
     limits = _values(LimitReport, values["limits"])
-    values["motion"] = _make(PlatformMotion, values["motion"])
-    values["carriers"] = _make(CarrierMotion, values["carriers"])
-    values["limits"] = LimitReport(
-        violated=tuple(_make(LimitEvent, event) for event in limits["violated"]),
-        binding=tuple(_make(LimitEvent, event) for event in limits["binding"]),
-        judged_by=tuple(_make(CarrierLimits, entry) for entry in limits["judged_by"]),
-    )
-    values["status"] = PlanStatus(values["status"])
-    values["robot"] = read_robot(values["robot"])
-    if values["functions"] is not None:
-        values["functions"] = _functions(values["functions"])
+    kinds = {"violated": LimitEvent, "binding": LimitEvent, "judged_by": CarrierLimits}
+    values |= {
+        "motion": PlatformMotion(**values["motion"]),
+        "carriers": CarrierMotion(**values["carriers"]),
+        "limits": LimitReport(**{key: tuple(kind(**one) for one in limits[key]) for key, kind in kinds.items()}),
+        "status": PlanStatus(values["status"]),
+        "robot": read_robot(values["robot"]),
+        "functions": None if values["functions"] is None else _functions(values["functions"]),
+    }
     plan = Plan(**values)
     _check(plan)
     return plan
@@ -458,25 +431,18 @@ def _values(kind: type[Any], record: Mapping[str, Any]) -> dict[str, Any]:
     return {field.name: record[field.name] for field in fields(kind)}
 
 
-def _make(kind: Callable[..., _T], record: Mapping[str, Any]) -> _T:
-    return kind(**record)
-
-
 def _check(plan: Plan) -> None:
     """Check that the arrays of a plan fit together and that its codes mean something."""
     samples, actuators, carriers = len(plan.motion), len(plan.robot.actuated), len(plan.robot.carriers)
-    for name, value, kind, shape in (
-        ("carriers.s", plan.carriers.s, "f", (samples, carriers)),
-        ("tau", plan.tau, "f", (samples, actuators)),
-        ("carrier_force", plan.carrier_force, "f", (samples, carriers)),
-        ("actuated_rate", plan.actuated_rate, "f", (samples, actuators)),
-        ("sample_status", plan.sample_status, "i", (samples,)),
-        ("residual", plan.residual, "f", (samples,)),
-        ("margin", plan.margin, "f", (samples,)),
-        ("condition", plan.condition, "f", (samples,)),
-        ("phase", plan.phase, "i", (samples,)),
+    _require_array("carriers.s", plan.carriers.s, "f", (samples, carriers))
+    for columns, kind, names in (
+        ((actuators,), "f", ("tau", "actuated_rate")),
+        ((carriers,), "f", ("carrier_force",)),
+        ((), "f", ("residual", "margin", "condition")),
+        ((), "i", ("sample_status", "phase")),
     ):
-        _require_array(name, value, kind, shape)
+        for name in names:
+            _require_array(name, getattr(plan, name), kind, (samples, *columns))
     for entries in (plan.robot.carrier_limits, plan.limits.judged_by):
         if len(entries) != carriers:
             raise InputError(f"it has limits of {len(entries)} carriers, but {carriers} carriers")

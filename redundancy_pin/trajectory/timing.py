@@ -285,14 +285,12 @@ class SpeedProfile:
         _require_forward("ramp_length", up, v, time_up, total)
         _require_forward("end_ramp_length", down, v, time_down, total)
         if up + down > total * (1.0 + ROUNDING):
-            raise InputError(
+            message = (
                 f"The path is too short: it is {total:.6g} m long, and reaching {v:g} m/s takes {up:.6g} m, "
-                f"stopping {down:.6g} m.",
-                remedy="Lower the speed, shorten the ramps, or lengthen the path.",
-                length=total,
-                ramp_length=up,
-                end_ramp_length=down,
+                f"stopping {down:.6g} m."
             )
+            remedy = "Lower the speed, shorten the ramps, or lengthen the path."
+            raise InputError(message, remedy=remedy, length=total, ramp_length=up, end_ramp_length=down)
         assign(self, length=total, speed=v, ramp_time=time_up, ramp_length=up)
         assign(self, end_ramp_time=time_down, end_ramp_length=down)
 
@@ -360,14 +358,12 @@ class SpeedProfile:
 def _require_forward(name: str, ramp: float, speed: float, time: float, length: float) -> None:
     least = LEAST_RAMP_FRACTION * speed * time
     if ramp < least * (1.0 - ROUNDING):
-        raise InputError(
-            f"{name} = {ramp:.6g} m is too short: the ramp to {speed:g} m/s in {time:g} s would start backwards.",
-            remedy=f"Admissible is {least:.6g} m (0.4 v T) to {length:.6g} m (the path); up to "
-            f"{1.5 * least:.6g} m (0.6 v T) it does not overshoot the speed.",
-            name=name,
-            least=least,
-            most=length,
+        message = f"{name} = {ramp:.6g} m is too short: the ramp to {speed:g} m/s in {time:g} s would start backwards."
+        remedy = (
+            f"Admissible is {least:.6g} m (0.4 v T) to {length:.6g} m (the path); up to "
+            f"{1.5 * least:.6g} m (0.6 v T) it does not overshoot the speed."
         )
+        raise InputError(message, remedy=remedy, name=name, least=least, most=length)
 
 
 def _peak(fraction: float) -> float:

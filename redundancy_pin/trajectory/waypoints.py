@@ -146,26 +146,21 @@ def _require_fit(edges: Array, at_start: Array, at_end: Array, radius: float) ->
     k = int(np.argmax(excess))
     if excess[k] > ROUNDING * edges[k]:
         fits = float(np.min(edges[taken > 0.0] / taken[taken > 0.0]) * radius)
-        raise InputError(
+        message = (
             f"Corner radius {radius:g} m does not fit: edge {k} is {edges[k]:.6g} m long and its rounded ends "
-            f"take {taken[k]:.6g} m.",
-            remedy=f"Use a radius of at most {fits:.6g} m.",
-            edge=k,
-            largest_radius=fits,
+            f"take {taken[k]:.6g} m."
         )
+        remedy = f"Use a radius of at most {fits:.6g} m."
+        raise InputError(message, remedy=remedy, edge=k, largest_radius=fits)
 
 
 def _start_offset(start: float | None, edge: float, lower: float, trim: float) -> float:
     upper = edge - trim
     offset = 0.5 * (lower + upper) if start is None else float(start)
     if not lower - ROUNDING * edge <= offset <= upper + ROUNDING * edge:
-        raise InputError(
-            f"start = {offset:.6g} m is not on the straight part of the first edge, [{lower:.6g}, {upper:.6g}] m.",
-            remedy="Start on the straight part, or leave start out.",
-            start=offset,
-            lower=lower,
-            upper=upper,
-        )
+        message = f"start = {offset:.6g} m is not on the straight part of the first edge, [{lower:.6g}, {upper:.6g}] m."
+        remedy = "Start on the straight part, or leave start out."
+        raise InputError(message, remedy=remedy, start=offset, lower=lower, upper=upper)
     return offset
 
 

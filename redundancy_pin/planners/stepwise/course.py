@@ -224,15 +224,12 @@ def _require_time(settings: Settings, course: Course, stopping: Array, left: flo
         if settings.stop == "after"
         else f"which takes {late:.3g} s longer than the motion"
     )
-    raise InfeasiblePlanError(
+    message = (
         f"{carrier} still has {course.sd[course.brake_from, j]:.6g} m/s at t = {course.t[course.brake_from]:.6g} s and "
-        f"must be stopped, {why}.",
-        remedy='Use a motion that ends at rest, stop="after", or a shorter return_time.',
-        constraint="rest",
-        carrier=carrier,
-        time=end,
-        amount=late,
+        f"must be stopped, {why}."
     )
+    remedy = 'Use a motion that ends at rest, stop="after", or a shorter return_time.'
+    raise InfeasiblePlanError(message, remedy=remedy, constraint="rest", carrier=carrier, time=end, amount=late)
 
 
 def _require_on_track(settings: Settings, times: Array, path: Array, sd: Array) -> None:

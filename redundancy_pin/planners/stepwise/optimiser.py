@@ -259,11 +259,7 @@ def optimise(problems: StepProblems, first: int, last: int, start: CarrierState,
     damping = damping_of(k, float(problems.slope.max()))
     lengths, times = problems.h.tolist(), problems.t.tolist()
     slopes, curvatures = problems.slope.tolist(), problems.curvature.tolist()
-    positions: list[float] = []
-    speeds: list[float] = []
-    accelerations: list[float] = []
-    lower: list[float] = []
-    upper: list[float] = []
+    results: list[tuple[list[float], ...]] = []
     iterations: list[int] = []
     s, sd, u = start.s.tolist(), start.sd.tolist(), start.sdd.tolist()
     guess = u
@@ -283,13 +279,7 @@ def optimise(problems: StepProblems, first: int, last: int, start: CarrierState,
         guess = [2.0 * now - then for now, then in zip(u, before)]  # noqa: B905
         sd = [v + h * a for v, a in zip(sd, u)]  # noqa: B905
         s = [x + h * v for x, v in zip(s, sd)]  # noqa: B905
-        positions += s
-        speeds += sd
-        accelerations += u
-        lower += low
-        upper += high
+        results.append((s, sd, u, low, high))
         iterations.append(count)
-    s, sd, sdd, low_box, high_box = (
-        np.array(part).reshape(-1, k) for part in (positions, speeds, accelerations, lower, upper)
-    )
-    return Stretch(s, sd, sdd, low_box, high_box, np.array(iterations, dtype=np.intp))
+    position, speed, acceleration, lower, upper = np.moveaxis(np.array(results).reshape(-1, 5, k), 1, 0).copy()
+    return Stretch(position, speed, acceleration, lower, upper, np.array(iterations, dtype=np.intp))

@@ -238,14 +238,9 @@ def _held(motion: PlatformMotion, added: Array) -> PlatformMotion:
     """Return the motion with the platform held at its end for the added times."""
     if not len(added):
         return motion
-    hold = np.repeat(motion.x[-1:], len(added), axis=0)
-    rest = np.zeros((len(added), motion.xd.shape[1]))
-    return PlatformMotion(
-        np.concatenate([motion.t, added]),
-        np.concatenate([motion.x, hold]),
-        np.concatenate([motion.xd, rest]),
-        np.concatenate([motion.xdd, rest]),
-    )
+    x = np.concatenate([motion.x, np.repeat(motion.x[-1:], len(added), axis=0)])
+    xd, xdd = (np.pad(part, ((0, len(added)), (0, 0))) for part in (motion.xd, motion.xdd))
+    return PlatformMotion(np.append(motion.t, added), x, xd, xdd)
 
 
 _MET = 1e-9

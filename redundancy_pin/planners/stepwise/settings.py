@@ -96,15 +96,13 @@ class AccelerationBox:
         else:
             what, amount, unit = "speed", float(excess), "m/s"
             text = f"braked by {a:g} m/s² it would still be {excess:.3g} m/s above its speed limit"
-        raise InfeasiblePlanError(
+        message = (
             f"{self.carriers[j]} cannot keep its limits at t = {t:.6g} s: it arrives at s = {s:.6g} m with "
-            f"{sd:.6g} m/s, and {text}.",
-            remedy="Use anticipate=True, a larger lam, higher limits, or a gentler motion.",
-            constraint=what,
-            carrier=self.carriers[j],
-            time=t,
-            amount=amount,
-            unit=unit,
+            f"{sd:.6g} m/s, and {text}."
+        )
+        remedy = "Use anticipate=True, a larger lam, higher limits, or a gentler motion."
+        raise InfeasiblePlanError(
+            message, remedy=remedy, constraint=what, carrier=self.carriers[j], time=t, amount=amount, unit=unit
         )
 
 

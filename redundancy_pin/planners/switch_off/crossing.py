@@ -236,14 +236,12 @@ def _unbounded(
         ahead = near[0].t - stuck.t
         force = near[0].left(equation, stuck.s + ahead * stuck.sd, stuck.sd)
         return nothing_carries(near[0], force, f"brought there at s = {np.round(stuck.s, 4).tolist()} m")
-    return InfeasiblePlanError(
+    message = (
         f"Past t = {stuck.t:.6g} s no bounded motion of the carriers balances the prescribed efforts: "
-        f"{stuck.defect:.3g} N are left.",
-        remedy="Shorten the window (a threshold nearer to the singularity) or slow down.",
-        constraint="carrier_motion",
-        time=stuck.t,
-        amount=stuck.defect,
+        f"{stuck.defect:.3g} N are left."
     )
+    remedy = "Shorten the window (a threshold nearer to the singularity) or slow down."
+    return InfeasiblePlanError(message, remedy=remedy, constraint="carrier_motion", time=stuck.t, amount=stuck.defect)
 
 
 STEP_TOLERANCE = 1e-9
@@ -301,10 +299,6 @@ def _position(
         slope = by_s + 2.0 * by_s2 * s + by_sd / dt + by_ssd * (sd + s / dt) + by_sdd / dt**2
         s = s + np.linalg.lstsq(slope, residual, rcond=None)[0]
     t = float(model.t[i])
-    raise InfeasiblePlanError(
-        f"At t = {t:.6g} s no position of the carriers balances the prescribed efforts: {left:.3g} N are left.",
-        remedy="Use the integration scheme, or a shorter step.",
-        constraint="carrier_motion",
-        time=t,
-        amount=left,
-    )
+    message = f"At t = {t:.6g} s no position of the carriers balances the prescribed efforts: {left:.3g} N are left."
+    remedy = "Use the integration scheme, or a shorter step."
+    raise InfeasiblePlanError(message, remedy=remedy, constraint="carrier_motion", time=t, amount=left)

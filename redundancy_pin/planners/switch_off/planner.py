@@ -254,13 +254,12 @@ def _settings(
 ) -> Settings:
     robot = dynamics.robot
     if robot.k < robot.n:
-        raise UnsupportedRobotError(
+        message = (
             f"{robot.name} has {robot.k} carrier(s) for {robot.n} coordinates: they cannot take over from the main "
-            "actuators.",
-            remedy=f"Switching off needs at least {robot.n} carriers.",
-            carriers=robot.k,
-            coordinates=robot.n,
+            "actuators."
         )
+        remedy = f"Switching off needs at least {robot.n} carriers."
+        raise UnsupportedRobotError(message, remedy=remedy, carriers=robot.k, coordinates=robot.n)
     if not isinstance(scheme, str) or scheme not in ("integration", "backward_differences"):
         raise InputError(
             f"scheme is {scheme!r}.", remedy="Pass 'integration' or 'backward_differences'.", scheme=scheme
@@ -287,7 +286,9 @@ def _leg(
     row_scale: Array,
 ) -> Leg | None:
     """Return the crossing of one window with its return, or None where the next window comes too soon for it."""
-    crossing = _crossing(dynamics, source, window, settings, row_scale)
+    task = (dynamics, source, window, settings.ramp_down, settings.datum, row_scale)
+    by_differences = settings.scheme == "backward_differences"
+    crossing = cross_stepwise(*task, settings.dt) if by_differences else cross(*task)
     state = crossing.exit
     available = source.end - state.t
     room = min(available, later[0].start - settings.ramp_down - state.t) if later else available
@@ -321,40 +322,22 @@ def _leg(
     return Leg(crossing, return_polynomial(state, duration, settings.datum))
 
 
-def _crossing(
-    dynamics: Dynamics, source: ContinuousMotion, window: Interval, settings: Settings, row_scale: Array
-) -> Crossing:
-    if settings.scheme == "backward_differences":
-        return cross_stepwise(dynamics, source, window, settings.ramp_down, settings.datum, row_scale, settings.dt)
-    return cross(dynamics, source, window, settings.ramp_down, settings.datum, row_scale)
-
-
 def _require_inside(window: Interval, start: float, end: float, ramp_down: float) -> None:
     """Check that a window begins late enough for its ramp-down, and ends before the motion does."""
     if window.open_start:
-        raise InfeasiblePlanError(
-            f"The motion begins at t = {start:.6g} s inside the region in which the actuators have to be off.",
-            remedy="Start the motion further from the singularity, or move the threshold.",
-            constraint="ramp_down",
-            time=start,
-            amount=ramp_down,
-        )
+        message = f"The motion begins at t = {start:.6g} s inside the region in which the actuators have to be off."
+        remedy = "Start the motion further from the singularity, or move the threshold."
+        raise InfeasiblePlanError(message, remedy=remedy, constraint="ramp_down", time=start, amount=ramp_down)
     earliest = window.start - ramp_down
     if earliest < start:
         missing = start - earliest
-        raise InfeasiblePlanError(
+        message = (
             f"The actuators have to be off from t = {window.start:.6g} s and need {ramp_down:g} s to ramp down, "
-            f"but the motion begins at {start:.6g} s: {missing:.3g} s are missing.",
-            remedy="Start the motion further from the singularity, shorten ramp_down, or move the threshold.",
-            constraint="ramp_down",
-            time=window.start,
-            amount=missing,
+            f"but the motion begins at {start:.6g} s: {missing:.3g} s are missing."
         )
+        remedy = "Start the motion further from the singularity, shorten ramp_down, or move the threshold."
+        raise InfeasiblePlanError(message, remedy=remedy, constraint="ramp_down", time=window.start, amount=missing)
     if window.open_end:
-        raise InfeasiblePlanError(
-            f"The motion ends at t = {end:.6g} s inside the region in which the actuators have to be off.",
-            remedy="End the motion further from the singularity, or move the threshold.",
-            constraint="window_end",
-            time=end,
-            amount=end - window.start,
-        )
+        message = f"The motion ends at t = {end:.6g} s inside the region in which the actuators have to be off."
+        remedy = "End the motion further from the singularity, or move the threshold."
+        raise InfeasiblePlanError(message, remedy=remedy, constraint="window_end", time=end, amount=end - window.start)

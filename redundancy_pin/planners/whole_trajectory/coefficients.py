@@ -178,14 +178,13 @@ def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
         return
     speed, most = (float(np.abs(source.sample_at(at).xd).max()) for at in (np.array([t]), _spread(source)))
     how = "rests in" if speed <= CROSSED * most else "touches, or follows,"
-    raise InfeasiblePlanError(
+    message = (
         f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: what f and its rate say there "
-        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite beside it.",
-        remedy="Lead the motion across the singularity with a speed, or keep a distance from it.",
-        constraint="singular_touch",
-        time=t,
-        amount=changed,
-        at_rest=speed <= CROSSED * most,
+        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite beside it."
+    )
+    remedy = "Lead the motion across the singularity with a speed, or keep a distance from it."
+    raise InfeasiblePlanError(
+        message, remedy=remedy, constraint="singular_touch", time=t, amount=changed, at_rest=speed <= CROSSED * most
     )
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, read_only
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
-from redundancy_pin.dynamics.distribution import SampleStatus, distribute
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
@@ -122,7 +122,9 @@ def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau
     # nodes were judged already; between them no acceleration jumps, so every time may stand once
     times = np.setdiff1d(np.concatenate([inside.ravel(), beside]), grid.t)
     reduced = task.dynamics.along(task.source.sample_at(times)).reduce(carriers_at(position, times))
-    efforts, forces = _efforts(reduced, grid.t, tau), np.asarray(reduced.carrier_force)
+    # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
+    planned = PlanFunctions(task.source, position, preferred=PiecewisePolynomial.linear(grid.t, tau))
+    efforts, forces = planned.efforts(reduced), np.asarray(reduced.carrier_force)
     effort_limit, force_limit = settings.limits.effort, settings.limits.carrier_force
     size, at_nodes = np.where(np.isfinite(efforts), np.abs(efforts), np.inf), float(np.abs(tau).max())
     # an actuator with a limit below the peak of the others is judged by its limit
@@ -162,17 +164,6 @@ def limits_broken(
             at = float(np.copysign(most, value))
             events.append(LimitEvent(name, quantity, *span, float(t[worst]), value, at, excess))
     return tuple(events)
-
-
-def _efforts(reduced: ReducedDynamics, nodes: Array, tau: Array) -> Array:
-    """Return W⁻¹ f; with more actuators than coordinates the efforts nearest to the planned ones, linear in a step."""
-    n, m = reduced.W.shape[1:]
-    if m <= n:
-        return np.asarray(distribute(reduced).tau)
-    planned = PiecewisePolynomial.linear(nodes, tau)(reduced.t)
-    left = reduced.f - np.einsum("nim,nm->ni", reduced.W, planned)
-    nearest: Array = planned + np.einsum("nmi,ni->nm", np.linalg.pinv(reduced.W), left)
-    return nearest
 
 
 PHASES = ("optimised",)
