@@ -51,9 +51,8 @@ SINGULAR = 1e-9
 class Actuation:
     """W (n, m) as a function of time.
 
-    Attributes:
-        interpolant: its entries, row by row.
-        row_scale, column_scale: (n,) and (m,) what forces and efforts are measured in.
+    ``interpolant``: its entries, row by row; ``row_scale``, ``column_scale`` (n,) and (m,) what forces and efforts are
+    measured in.
     """
 
     interpolant: PiecewisePolynomial
@@ -127,23 +126,20 @@ class Actuation:
     def _nearness(self, times: Array, measure: Measure) -> Array:
         """Return σ_min/σ_max, or σ_min: continuous also at a singularity, where a condition number is not."""
         values = self.singular_values(times)
-        nearness: Array = values[:, -1] / values[:, 0] if measure == "condition" else values[:, -1]
-        return nearness
+        return values[:, -1] / values[:, 0] if measure == "condition" else values[:, -1]
 
 
 def smooth_edges(motion: ContinuousMotion, start: float, end: float) -> Array:
     """Return (P + 1,) ends of pieces to fit a function along a motion on: jumps, and the few kinks of a trajectory."""
     inner = np.concatenate([motion.breaks, motion.knots]) if motion.exact else motion.breaks
     inner = np.unique(inner[(inner > start) & (inner < end)])
-    edges: Array = np.concatenate([[start], inner, [end]])
-    return edges
+    return np.concatenate([[start], inner, [end]])
 
 
 def dense(edges: Array) -> Array:
     """Return times that sample every piece densely, s; ``edges`` (P + 1,) are the ends of the pieces."""
     fraction = np.linspace(0.0, 1.0, SAMPLES_A_PIECE)[:-1]
-    times: Array = np.append((edges[:-1, None] + np.diff(edges)[:, None] * fraction).ravel(), edges[-1])
-    return times
+    return np.append((edges[:-1, None] + np.diff(edges)[:, None] * fraction).ravel(), edges[-1])
 
 
 TERMS = 5
@@ -249,10 +245,8 @@ class EffortModel:
 
     N samples, m main actuators, k carriers; last axis of ``tau_terms``: s, s², ṡ, s ṡ, s̈.
 
-    Attributes:
-        t: (N,) time, s.
-        tau0: (N, m) efforts with the carriers at rest at s = 0, N or N·m.
-        tau_terms: (N, m, k, 5) coefficients, by carrier and term.
+    ``t`` (N,) time, s; ``tau0`` (N, m) efforts with the carriers at rest at s = 0, N or N·m; ``tau_terms`` (N, m, k, 5)
+    coefficients, by carrier and term.
     """
 
     t: Array

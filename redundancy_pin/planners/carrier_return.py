@@ -60,8 +60,7 @@ def braking_times(speed: Array, room: Array, deceleration: Array, wanted: float)
     size = np.abs(speed)
     moving = size > 0.0
     by_track = np.where(moving, 2.0 * room / np.where(moving, size, 1.0), np.inf)
-    times: Array = np.where(moving, np.maximum(np.minimum(wanted, by_track), size / deceleration), 0.0)
-    return times
+    return np.where(moving, np.maximum(np.minimum(wanted, by_track), size / deceleration), 0.0)
 
 
 CANDIDATES = 160
@@ -86,9 +85,7 @@ _TIME_TOLERANCE = 1e-11
 class CarrierState:
     """Carriers at an instant.
 
-    Attributes:
-        t: time, s.
-        s, sd, sdd: (k,) m, m/s, m/s².
+    ``t``: time, s; ``s``, ``sd``, ``sdd`` (k,) m, m/s, m/s².
     """
 
     t: float
@@ -154,8 +151,7 @@ def limit_uses(robot: Robot, s: Array, sd: Array, sdd: Array, force: Array) -> A
         middle = np.where(np.isfinite(lower) & np.isfinite(upper), 0.5 * (lower + upper), 0.0)
     value = np.stack([s, sd, sdd, force], axis=-2)
     side = np.where(value >= middle, upper, lower)
-    use: Array = np.where(np.isfinite(side), (value - middle) / (side - middle), 0.0)
-    return use
+    return np.where(np.isfinite(side), (value - middle) / (side - middle), 0.0)
 
 
 def shortest_return(

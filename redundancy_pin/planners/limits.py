@@ -249,3 +249,24 @@ def _events(
         amount = max(0.0, float(excess[worst]))
         events.append(LimitEvent(carrier, quantity, *span, float(value[worst]), float(limit), amount))
     return events
+
+
+def limits_broken(
+    quantity: str, names: tuple[str, ...], t: Array, values: Array, limit: Array, allowed: float
+) -> tuple[LimitEvent, ...]:
+    """Return, for each actuator whose |value| exceeds its limit by more than a factor, where it does so most.
+
+    ``names`` (j,) of the actuators; ``t`` (N,) times, s; ``values`` (N, j) efforts or forces, N or N·m; those that are
+    not finite are judged elsewhere; ``limit`` (j,) the largest allowed.
+    """
+    events = []
+    for name, own, most in zip(names, np.where(np.isfinite(values), values, 0.0).T, limit, strict=True):
+        over = np.flatnonzero(np.abs(own) > allowed * most)
+        if len(over):
+            worst = int(over[np.abs(own[over]).argmax()])
+            value = float(own[worst])
+            excess = abs(value) - float(most)
+            span = float(t[over[0]]), float(t[over[-1]])
+            at = float(np.copysign(most, value))
+            events.append(LimitEvent(name, quantity, *span, float(t[worst]), value, at, excess))
+    return tuple(events)

@@ -168,14 +168,12 @@ class Plan:
     @property
     def main_power(self) -> Array:
         """(N, m) power of the main actuators, W."""
-        power: Array = self.tau * self.actuated_rate
-        return power
+        return self.tau * self.actuated_rate
 
     @property
     def carrier_power(self) -> Array:
         """(N, k) power of the carriers' actuators, W."""
-        power: Array = self.carrier_force * self.carriers.sd
-        return power
+        return self.carrier_force * self.carriers.sd
 
     @property
     def main_energy(self) -> float:

@@ -87,8 +87,7 @@ def minimise(
 
 def damping_of(k: int, slope: float) -> Array:
     """Return the (k, k) damping of ``minimise`` for slopes of a given size."""
-    damping: Array = _DAMPING * slope * slope * np.eye(k)
-    return damping
+    return _DAMPING * slope * slope * np.eye(k)
 
 
 def _outside(values: list[float], lower: list[float], upper: list[float]) -> bool:

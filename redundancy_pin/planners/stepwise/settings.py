@@ -117,9 +117,7 @@ Stop = Literal["after", "within"]
 class Settings:
     """Checked options of ``plan_stepwise``; see there.
 
-    Attributes:
-        limits: of the carriers.
-        box: what they leave in a step.
+    ``limits``: of the carriers; ``box``: what they leave in a step.
     """
 
     limits: ResolvedLimits

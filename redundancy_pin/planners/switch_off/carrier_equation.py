@@ -42,9 +42,8 @@ _NARROW = 1e-3
 class RampDown:
     """The main efforts on their way to zero, and zero after it.
 
-    Attributes:
-        polynomial: quintic with values (m,), N or N·m (Parsa 2014, eq. 3.4).
-        parked_at_entry: (m,) what they would be at its end with the carriers parked.
+    ``polynomial``: quintic with values (m,), N or N·m (Parsa 2014, eq. 3.4); ``parked_at_entry`` (m,) what they would
+    be at its end with the carriers parked.
     """
 
     polynomial: Polynomial
@@ -119,10 +118,8 @@ _MOST_ITERATIONS = 8
 class StepGivenUpError(ArithmeticError):
     """No bounded s̈ satisfies the equation past a time; never leaves the planner.
 
-    Attributes:
-        t: that time, s.
-        s, sd: (k,) carrier motion there, m and m/s.
-        defect: what was left of the equation, N.
+    ``t``: that time, s; ``s``, ``sd`` (k,) carrier motion there, m and m/s; ``defect``: what was left of the equation,
+    N.
     """
 
     def __init__(self, t: float, s: Array, sd: Array, defect: float) -> None:

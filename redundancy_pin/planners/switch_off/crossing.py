@@ -74,14 +74,12 @@ def lost_directions(equation: CarrierEquation, start: float, end: float) -> list
     n = len(equation.row_scale)
 
     def forces(t: Array) -> Array:
-        matrices: Array = model.at(t).f_terms[..., 4] / equation.row_scale[:, None]
-        return matrices
+        return model.at(t).f_terms[..., 4] / equation.row_scale[:, None]
 
     largest = float(spectrum_of(forces(times)).singular_values.max())
 
     def smallest(t: Array) -> Array:
-        value: Array = spectrum_of(forces(t)).singular_values[:, n - 1] / largest
-        return value
+        return spectrum_of(forces(t)).singular_values[:, n - 1] / largest
 
     if largest == 0.0 or np.median(smallest(times)) < RANK_LOSS:
         raise InfeasiblePlanError(

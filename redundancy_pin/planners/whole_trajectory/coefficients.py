@@ -189,8 +189,7 @@ def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
 
 
 def _spread(source: ContinuousMotion) -> Array:
-    times: Array = np.linspace(source.start, source.end, 101)
-    return times
+    return np.linspace(source.start, source.end, 101)
 
 
 STEP = 1e-4

@@ -41,10 +41,8 @@ SAME_MOTION = 0.01
 class Outcome:
     """What one first guess led to.
 
-    Attributes:
-        problem: the numbers that were solved with.
-        solution: the solution.
-        fits: how often f was fitted, for carriers on curved tracks.
+    ``problem``: the numbers that were solved with; ``solution``: the solution; ``fits``: how often f was fitted, for
+    carriers on curved tracks.
     """
 
     problem: Problem

@@ -16,7 +16,7 @@ from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import LimitEvent, Limits, grouped
+from redundancy_pin.planners.limits import LimitEvent, Limits, grouped, limits_broken
 from redundancy_pin.planners.plan import Plan, PlanStatus, finish_plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task, read_coefficients
@@ -143,27 +143,6 @@ def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau
         broken=limits_broken("effort", robot.actuated, times, efforts, effort_limit, ALLOWED)
         + limits_broken("force", robot.carriers, times, forces, force_limit, ALLOWED),
     )
-
-
-def limits_broken(
-    quantity: str, names: tuple[str, ...], t: Array, values: Array, limit: Array, allowed: float
-) -> tuple[LimitEvent, ...]:
-    """Return, for each actuator whose |value| exceeds its limit by more than a factor, where it does so most.
-
-    ``names`` (j,) of the actuators; ``t`` (N,) times, s; ``values`` (N, j) efforts or forces, N or N·m; those that are
-    not finite are judged elsewhere; ``limit`` (j,) the largest allowed.
-    """
-    events = []
-    for name, own, most in zip(names, np.where(np.isfinite(values), values, 0.0).T, limit, strict=True):
-        over = np.flatnonzero(np.abs(own) > allowed * most)
-        if len(over):
-            worst = int(over[np.abs(own[over]).argmax()])
-            value = float(own[worst])
-            excess = abs(value) - float(most)
-            span = float(t[over[0]]), float(t[over[-1]])
-            at = float(np.copysign(most, value))
-            events.append(LimitEvent(name, quantity, *span, float(t[worst]), value, at, excess))
-    return tuple(events)
 
 
 PHASES = ("optimised",)

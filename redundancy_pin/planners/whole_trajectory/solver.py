@@ -86,8 +86,7 @@ class Solution:
 
     def tau(self, problem: Problem) -> Array:
         """Return (M, m) the main efforts, N or N·m."""
-        efforts: Array = self.values["tau"] * problem.scales.tau
-        return efforts
+        return self.values["tau"] * problem.scales.tau
 
 
 def solve_nlp(
