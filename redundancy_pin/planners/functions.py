@@ -8,7 +8,7 @@ somebody plays the plan, not when it is made: ten evaluations of the backend in 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Chebyshev
@@ -102,10 +102,6 @@ class PlanFunctions:
                 tau[i] = _beside((times[i] - t) / (right[i] - left[i]), tau[i], value)
         _require_finite(tau, left)
         return PiecewisePolynomial.from_values(edges, tau)
-
-    def in_polynomials(self) -> PlanFunctions:
-        """Return the same with the platform as polynomials, for a file."""
-        return replace(self, platform=replace(self.platform, source=self.platform.polynomials))
 
 
 def _beside(distance: Array, tau: Array, value: Array) -> Array:

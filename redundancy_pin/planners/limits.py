@@ -49,7 +49,7 @@ class Limits:
         own, k = robot.carrier_limits, robot.k
         track = np.array([(limit.lower, limit.upper) for limit in own]).reshape(k, 2)
         if self.track is not None:
-            track = np.array(_each(self.track, "track", (k, 2)))
+            track = np.array(broadcast_to(self.track, "track", (k, 2)))
             if not (track[:, 0] < track[:, 1]).all():
                 raise InputError(
                     f"track is {as_typed(self.track)}, but the ends of a track must increase.",
@@ -102,7 +102,7 @@ class ResolvedLimits:
 
     def on_track(self, values: ArrayLike, name: str) -> Array:
         """Return (k,) positions after checking that they are on the tracks, m."""
-        places = frozen(_each(values, name, (len(self.names),)))
+        places = frozen(broadcast_to(values, name, (len(self.names),)))
         for carrier, (lower, upper), place in zip(self.names, self.track, places, strict=True):
             beyond = max(place - upper, lower - place)
             if not beyond <= 0.0:
@@ -125,7 +125,7 @@ def as_typed(values: ArrayLike) -> object:
 def _positive(values: ArrayLike | None, name: str, own: list[float]) -> Array:
     if values is None:
         return np.array(own)
-    bounds = _each(values, name, (len(own),))
+    bounds = broadcast_to(values, name, (len(own),))
     if not (bounds > 0.0).all():
         raise InputError(
             f"{name} is {as_typed(values)}, but limits must be positive.",
@@ -136,7 +136,8 @@ def _positive(values: ArrayLike | None, name: str, own: list[float]) -> Array:
     return bounds
 
 
-def _each(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+def broadcast_to(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+    """Return one number, or numbers for each carrier, as an array of a shape."""
     try:
         values = np.broadcast_to(np.asarray(given, dtype=float), shape)
     except (TypeError, ValueError) as error:

@@ -208,8 +208,11 @@ class Plan:
             OutputError: the file cannot be written; an earlier one is as it was.
             InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
         """
-        record = self if self.functions is None else replace(self, functions=self.functions.in_polynomials())
-        write_archive(path, PLAN_FORMAT, PLAN_VERSION, record)
+        functions = self.functions
+        if functions is not None:  # a trajectory is no plain data
+            platform = replace(functions.platform, source=functions.platform.polynomials)
+            functions = replace(functions, platform=platform)
+        write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions))
 
 
 def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) -> PlanFunctions:
@@ -322,6 +325,9 @@ def finish_plan(
         # the forces are not known there
         inner = check_limits(judged, times, motion, np.zeros_like(motion.s))
         limits = replace(limits, violated=_merged(limits.violated, inner.violated))
+    overall = PlanStatus.VIOLATES_LIMITS if limits.violated else PlanStatus.WITHIN_LIMITS
+    if not np.isfinite(tau).all() or (status > SampleStatus.SINGULAR_CONSISTENT).any():
+        overall = PlanStatus.UNBOUNDED_EFFORT
     return Plan(
         motion=along.motion,
         carriers=carriers,
@@ -335,7 +341,7 @@ def finish_plan(
         phase=read_only(np.array(phase, dtype=np.intp)),
         phases=phases,
         limits=limits,
-        status=_plan_status(tau, status, bool(limits.violated)),
+        status=overall,
         planner=planner,
         backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
         robot=robot_record(robot),
@@ -355,12 +361,6 @@ def _merged(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...])
         if all(event.amount > other.amount for other in same):
             kept = [other for other in kept if other not in same] + [event]
     return tuple(sorted(kept, key=lambda event: event.start))
-
-
-def _plan_status(tau: Array, status: IntArray, violated: bool) -> PlanStatus:
-    if not np.isfinite(tau).all() or (status > SampleStatus.SINGULAR_CONSISTENT).any():
-        return PlanStatus.UNBOUNDED_EFFORT
-    return PlanStatus.VIOLATES_LIMITS if violated else PlanStatus.WITHIN_LIMITS
 
 
 def load_plan(path: str | Path) -> Plan:

@@ -37,13 +37,6 @@ _FEWEST_SAMPLES = 10
 """Differences of second order over fewer steps than this have nothing to do with a motion."""
 
 
-def _baseline_name(baseline: Dynamics | ArrayLike | None) -> str | None:
-    """Return what the baseline was, for the plan's record."""
-    if baseline is None:
-        return None
-    return repr(baseline.robot) if is_dynamics(baseline) else "efforts"
-
-
 class SampledOnDemand(Protocol):
     """A trajectory that can be sampled at a time step."""
 
@@ -172,7 +165,9 @@ def plan_stepwise(
     if len(ending.t):
         along = dynamics.along(held)
     found = diagnostics(problems, course, ending, settings.box)
-    if reference is not None:
+    aimed_at = None
+    if baseline is not None and reference is not None:
+        aimed_at = repr(baseline.robot) if is_dynamics(baseline) else "efforts"
         found["baseline_peak"] = tuple(np.abs(reference).max(axis=0).tolist())
     plan = finish_plan(
         along,
@@ -180,7 +175,7 @@ def plan_stepwise(
         planner="stepwise",
         phase=phase,
         phases=PHASES,
-        parameters={**settings.parameters, "baseline": _baseline_name(baseline)},
+        parameters={**settings.parameters, "baseline": aimed_at},
         diagnostics=found,
         carrier_limits=settings.box.limits,
         between=course.between,

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, frozen, positive
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError
-from redundancy_pin.planners.limits import Limits, ResolvedLimits, as_typed
+from redundancy_pin.planners.limits import Limits, ResolvedLimits, as_typed, broadcast_to
 from redundancy_pin.robot import Robot
 
 
@@ -154,7 +154,7 @@ class Objective:
     """What a plan minimises.
 
     Attributes:
-        weights: name of an objective (``objectives.OBJECTIVES``), or weights of several.
+        weights: name of an objective (``OBJECTIVES``), or weights of several.
         lam: λ of "tracking", 0 to 1.
         baseline: backend of the robot whose efforts are τ̂.
     """
@@ -255,13 +255,16 @@ def checked_settings(
         )
     resolved = limits.resolved(robot)
     park = resolved.on_track(datum, "datum")
+    speeds = broadcast_to(start_speed, "start_speed", (robot.k,))
+    if not np.isfinite(speeds).all():
+        raise InputError(f"start_speed is {as_typed(start_speed)!r}, expected finite numbers.", name="start_speed")
     return Settings(
         objective=weights,
         lam=float(lam),
         baseline=objective.baseline,
         limits=resolved,
         start=park if start is None else resolved.on_track(start, "start"),
-        start_speed=_vector(start_speed, "start_speed", robot.k),
+        start_speed=frozen(speeds),
         end=end,
         datum=park,
         mesh=Mesh(positive(mesh.dt, "dt", "s"), _whole(mesh.refinements, "refinements", 0)),
@@ -290,13 +293,3 @@ def _weights(objective: str | Mapping[str, float]) -> dict[str, float]:
     if not kept:
         raise InputError("Nothing to minimise: every weight is zero.", remedy="Give one objective a weight.")
     return kept
-
-
-def _vector(values: ArrayLike, name: str, length: int) -> Array:
-    try:
-        vector = np.broadcast_to(np.asarray(values, dtype=float), (length,))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is {as_typed(values)!r}, expected {length} numbers or one.", name=name) from error
-    if not np.isfinite(vector).all():
-        raise InputError(f"{name} is {as_typed(values)!r}, expected finite numbers.", name=name)
-    return frozen(vector)

@@ -187,7 +187,7 @@ def plan_whole_trajectory(
     Track and speed limits hold between the nodes as well, by their Bézier hulls where they are met. For carriers on
     straight tracks f is quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone
     (``carrier_model``): they are read off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
-    For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory.curved_tracks``).
+    For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory.multistart``).
 
     The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
     included. Where efforts between the nodes exceed the peak at the nodes, or efforts or carrier forces their limits,
@@ -198,7 +198,7 @@ def plan_whole_trajectory(
     Args:
         dynamics: either backend.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
-        objective: what to minimise, or weights of several, each in its own unit (``whole_trajectory.objectives``; or
+        objective: what to minimise, or weights of several, each in its own unit (``OBJECTIVES``; or
             ``Objective``, with ``lam`` and ``baseline``): "effort" ∫ Σ τ² dt, "peak" max |τ|,
             "tracking" ∫ Σ (τ − λ τ̂)² dt, "carrier_force" ∫ Σ F² dt, "carrier_acceleration" ∫ Σ s̈² dt,
             "effort_rate" ∫ Σ τ̇² dt (0.01 of it beside "effort" calms the efforts next to singularities), "energy"
@@ -241,9 +241,13 @@ def plan_whole_trajectory(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     began = time.perf_counter()
+    if isinstance(objective, Objective):
+        goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline)
+    else:
+        goal = Objective(objective, lam, baseline)
     settings = checked_settings(
         dynamics.robot,
-        _objective(objective, lam, baseline),
+        goal,
         grouped(
             "limits",
             limits,
@@ -279,12 +283,6 @@ def plan_whole_trajectory(
         if check.passed or len(checks) > settings.mesh.refinements or not solution.optimal:
             return _plan(task, result, checks, time.perf_counter() - began)
         nodes = with_middles(nodes, check.exceeding)
-
-
-def _objective(objective: str | Mapping[str, float] | Objective, lam: float, baseline: Dynamics | None) -> Objective:
-    if not isinstance(objective, Objective):
-        return Objective(objective, lam, baseline)
-    return grouped("objective", objective, Objective, lam=lam, baseline=baseline)
 
 
 def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:
