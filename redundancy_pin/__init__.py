@@ -8,8 +8,7 @@ from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.plan_file import load_plan, load_robot_of
+from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory

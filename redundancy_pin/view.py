@@ -16,8 +16,7 @@ from redundancy_pin.kinematics.coordinates import coordinates, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.plan_file import load_robot_of
+from redundancy_pin.planners.plan import Plan, load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.viewer.page import View

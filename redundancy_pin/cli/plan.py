@@ -46,7 +46,7 @@ from redundancy_pin.io.files import replacing_file, require_writable
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.whole_trajectory.dense_check import ALLOWED
+from redundancy_pin.planners.whole_trajectory.planner import ALLOWED
 from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.measures import SWING, reversals
 from redundancy_pin.trajectory import Trajectory, from_csv

@@ -8,8 +8,7 @@ from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
 from redundancy_pin.cli.output import print_json
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
-from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.plan_file import load_plan, load_robot_of
+from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import carriers_from_csv, from_csv
 from redundancy_pin.view import show as view

@@ -1,31 +1,146 @@
-"""f and the carrier forces as exact polynomials of the carrier motion, with coefficients that depend on time alone.
+"""What planners read off a backend along a motion: W as a function of time, and how f depends on the carriers.
 
-A carrier on a straight track of its link stands at r = r₀ + s u, so its acceleration is r̈₀ + s ü + 2 ṡ u̇ + s̈ u and its
-velocity per unit of ẋ is J₀ + s J_u. With J_uᵀ u = 0 its share of f is a combination of s, s², ṡ, s ṡ and s̈: quadratic
-in (s, ṡ), affine in s̈, and carriers do not mix. The same holds for its own force. The coefficients are read off the
-backend by evaluating it a fixed number of times, so they are exact for whatever backend it is; planners never call it
-again.
-
-The actuation matrix and the carrier model as functions of time.
-
-Both are read off the backend in a few batched calls and then interpolated to rounding, so that root finding and the
-integration of the carriers' motion can ask for any time without calling the backend again.
+A carrier on a straight track of its link stands at r = r₀ + s u, so its acceleration is r̈₀ + s ü + 2 ṡ u̇ + s̈ u and
+its velocity per unit of ẋ is J₀ + s J_u. With J_uᵀ u = 0 its share of f is a combination of s, s², ṡ, s ṡ and s̈:
+quadratic in (s, ṡ), affine in s̈, and carriers do not mix. The same holds for its own force. The coefficients, which
+depend on time alone, are read off a backend in a fixed number of evaluations, so they are exact for whatever backend it
+is; as functions of time they are interpolated to rounding, so that root finding and integration need no further call.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, TypeGuard, cast, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
-from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
-from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.actuation import SAMPLED_TOLERANCE, smooth_edges
+from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot import Robot
+from redundancy_pin.singularities.roots import Interval, below_zero, minima, zeros
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
+
+Measure = Literal["condition", "margin"]
+
+TOLERANCE = 1e-11
+"""Of the interpolated W, relative to its largest entry: the times of a window are then exact to about 1e-11 of it."""
+
+SAMPLED_TOLERANCE = 1e-9
+"""Of what is interpolated along a sampled motion: the quintics between samples a few milliseconds apart meet with kinks
+below this, and resolving every one of them would be of no use."""
+
+SAMPLES_A_PIECE = 33
+"""A piece is a polynomial of degree 15: its singular values have few dips, and a dip shows in the samples beside it."""
+
+LARGEST_CONDITION = 1e6
+"""Beyond it the times at which W reaches a threshold are lost in the rounding of W."""
+
+SINGULAR = 1e-9
+"""A smallest singular value below this fraction of the largest along the motion is zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Actuation:
+    """W (n, m) as a function of time.
+
+    ``interpolant``: its entries, row by row; ``row_scale``, ``column_scale`` (n,) and (m,) what forces and efforts are
+    measured in.
+    """
+
+    interpolant: PiecewisePolynomial
+    row_scale: Array
+    column_scale: Array
+
+    @staticmethod
+    def along(dynamics: Dynamics, motion: ContinuousMotion) -> Actuation:
+        """Read W off a backend along a whole motion."""
+
+        def values(times: Array) -> Array:
+            return np.asarray(dynamics.along(motion.sample_at(times)).reduce().W).reshape(len(times), -1)
+
+        def scale(values: Array) -> Array:
+            return np.full(values.shape[1], np.abs(values).max())
+
+        sample = dynamics.along(motion.sample_at(np.array([motion.start]))).reduce()
+        tolerance = TOLERANCE if motion.exact else SAMPLED_TOLERANCE
+        edges = smooth_edges(motion, motion.start, motion.end)
+        entries = PiecewisePolynomial.fit(values, edges, motion.knots, scale, tolerance)
+        return Actuation(entries, sample.row_scale, sample.column_scale)
+
+    def at(self, times: Array) -> Array:
+        """Return W (N, n, m) at (N,) times."""
+        return self.interpolant(times).reshape(len(times), len(self.row_scale), len(self.column_scale))
+
+    @cached_property
+    def _times(self) -> Array:
+        return dense(self.interpolant.edges)
+
+    def singular_values(self, times: Array) -> Array:
+        """Return (N, min(n, m)) singular values of the scaled W, the largest first."""
+        return spectrum_of(scaled(self.at(times), self.row_scale, self.column_scale)).singular_values
+
+    def windows(self, measure: Measure, threshold: float) -> list[Interval]:
+        """Return the intervals in which W is nearer to singular than a threshold.
+
+        ``measure``: "condition": where the condition number of the scaled W exceeds the threshold (that of the Jacobian
+        for the 2-RPR, Parsa 2014, section 3.2); "margin": where its smallest singular value is below it; ``threshold``:
+        for the condition number above 1, for the margin positive.
+        """
+        if measure not in get_args(Measure):
+            raise InputError(f"measure is {measure!r}.", remedy="Pass 'condition' or 'margin'.", measure=measure)
+        lower, upper = (1.0, LARGEST_CONDITION) if measure == "condition" else (0.0, np.inf)
+        if not lower < threshold < upper:
+            raise InputError(
+                f"threshold is {threshold}, but a {measure} between {lower:g} and {upper:g} is needed.",
+                remedy="The thesis works with condition numbers from 4 to 20.",
+                threshold=threshold,
+            )
+        least = 1.0 / threshold if measure == "condition" else threshold
+        return below_zero(lambda times: self._nearness(times, measure) - least, self._times)
+
+    def worst(self, measure: Measure) -> float:
+        """Return the largest condition number (infinite at a singularity), or the smallest margin, along the motion."""
+        lowest = min(value for _, value in minima(lambda t: self._nearness(t, measure), self._times, np.inf))
+        if measure == "margin":
+            return lowest
+        return 1.0 / lowest if lowest > SINGULAR else float("inf")
+
+    def singular_instants(self) -> list[float]:
+        """Return the times, s, at which the motion crosses or touches a type II singularity."""
+
+        def signed(times: Array) -> Array:
+            W = self.at(times)
+            sign = np.sign(np.linalg.det(W)) if W.shape[1] == W.shape[2] else 1.0
+            return np.asarray(self._nearness(times, "condition") * sign)
+
+        return [zero.t for zero in zeros(signed, self._times, SINGULAR)]
+
+    def _nearness(self, times: Array, measure: Measure) -> Array:
+        """Return σ_min/σ_max, or σ_min: continuous also at a singularity, where a condition number is not."""
+        values = self.singular_values(times)
+        return values[:, -1] / values[:, 0] if measure == "condition" else values[:, -1]
+
+
+def smooth_edges(motion: ContinuousMotion, start: float, end: float) -> Array:
+    """Return (P + 1,) ends of pieces to fit a function along a motion on: jumps, and the few kinks of a trajectory."""
+    inner = np.concatenate([motion.breaks, motion.knots]) if motion.exact else motion.breaks
+    inner = np.unique(inner[(inner > start) & (inner < end)])
+    return np.concatenate([[start], inner, [end]])
+
+
+def dense(edges: Array) -> Array:
+    """Return times that sample every piece densely, s; ``edges`` (P + 1,) are the ends of the pieces."""
+    fraction = np.linspace(0.0, 1.0, SAMPLES_A_PIECE)[:-1]
+    return np.append((edges[:-1, None] + np.diff(edges)[:, None] * fraction).ravel(), edges[-1])
+
 
 TERMS = 5
 """s, s², ṡ, s ṡ, s̈."""
@@ -78,44 +193,31 @@ def terms(s: Array, sd: Array, sdd: Array) -> Array:
 
 
 def carrier_model(along: DynamicsAlongMotion) -> CarrierModel:
-    """Read the coefficients off a backend.
-
-    Args:
-        along: dynamics along a platform motion, from either backend.
-
-    Raises:
-        UnsupportedRobotError: the robot has no carriers, or f is not of this form (a carrier on a curved track, or one
-            that carries another).
-    """
+    """Read the coefficients off a backend along a platform motion."""
     robot, samples = along.robot, len(along.motion)
     if robot.k == 0:
         raise UnsupportedRobotError(
             f"{robot.name} has no carriers to plan for.", remedy="Load it with carriers, or declare some."
         )
 
-    def probe(s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
-        spread = (np.broadcast_to(part, (samples, robot.k)) for part in (s, sd, sdd))
-        reduced = along.reduce(CarrierMotion(*spread))
-        return np.asarray(reduced.f), np.asarray(reduced.carrier_force)
+    parked = along.reduce(CarrierMotion.parked(samples, robot.k))
+    n = parked.f.shape[1]
+
+    def added(*motion: Array) -> Array:
+        """Return what a motion (k,) adds to f and the forces (N, n + k) of parked carriers."""
+        reduced = along.reduce(CarrierMotion(*(np.broadcast_to(part, (samples, robot.k)) for part in motion)))
+        return np.concatenate([reduced.f - parked.f, reduced.carrier_force - parked.carrier_force], axis=1)
 
     zero = np.zeros(robot.k)
-    reduced = along.reduce(CarrierMotion.parked(samples, robot.k))
-    f0, force0 = np.asarray(reduced.f), np.asarray(reduced.carrier_force)
-    f_terms = np.empty((samples, f0.shape[1], robot.k, TERMS))
+    f_terms = np.empty((samples, n, robot.k, TERMS))
     force_terms = np.empty((samples, robot.k, TERMS))
-    for i in range(robot.k):
-        unit = np.eye(robot.k)[i]
-        values = [probe(unit, zero, zero), probe(-unit, zero, zero), probe(zero, unit, zero)]
-        values += [probe(unit, unit, zero), probe(zero, zero, unit)]
-        for target, base, which in ((f_terms, f0, 0), (force_terms, force0, 1)):
-            plus, minus, rate, both, push = (pair[which] - base for pair in values)
-            split = (0.5 * (plus - minus), 0.5 * (plus + minus), rate, both - plus - rate, push)
-            for term, value in enumerate(split):
-                if which == 0:
-                    target[:, :, i, term] = value
-                else:
-                    target[:, i, term] = value[:, i]
-    model = CarrierModel(along.motion.t, reduced.W, *(read_only(part) for part in (f0, f_terms, force0, force_terms)))
+    for i, unit in enumerate(np.eye(robot.k)):
+        plus, minus, rate = added(unit, zero, zero), added(-unit, zero, zero), added(zero, unit, zero)
+        both, push = added(unit, unit, zero), added(zero, zero, unit)
+        split = np.stack([0.5 * (plus - minus), 0.5 * (plus + minus), rate, both - plus - rate, push], axis=-1)
+        f_terms[:, :, i], force_terms[:, i] = split[:, :n], split[:, n + i]
+    parts = (parked.f, f_terms, parked.carrier_force, force_terms)
+    model = CarrierModel(along.motion.t, parked.W, *(read_only(np.asarray(part)) for part in parts))
     _require_polynomial(along, model)
     return model
 
@@ -125,10 +227,7 @@ def _require_polynomial(along: DynamicsAlongMotion, model: CarrierModel) -> None
     rng = np.random.default_rng(5)
     s, sd, sdd = (rng.uniform(-1.0, 1.0, (len(model.t), model.k)) for _ in range(3))
     reduced = along.reduce(CarrierMotion(s, sd, sdd))
-    for ours, theirs in (
-        (model.f(s, sd, sdd), reduced.f),
-        (model.carrier_force(s, sd, sdd), reduced.carrier_force),
-    ):
+    for ours, theirs in ((model.f(s, sd, sdd), reduced.f), (model.carrier_force(s, sd, sdd), reduced.carrier_force)):
         size = float(np.nanmax(np.abs(theirs), initial=1e-9))
         error = float(np.nanmax(np.abs(ours - theirs), initial=0.0)) / size
         if error > _MODEL_TOLERANCE:
@@ -146,17 +245,13 @@ class EffortModel:
 
     N samples, m main actuators, k carriers; last axis of ``tau_terms``: s, s², ṡ, s ṡ, s̈.
 
-    Attributes:
-        t: (N,) time, s.
-        tau0: (N, m) efforts with the carriers at rest at s = 0, N or N·m.
-        tau_terms: (N, m, k, 5) coefficients, by carrier and term.
-        margin: (N,) smallest singular value of the scaled W.
+    ``t`` (N,) time, s; ``tau0`` (N, m) efforts with the carriers at rest at s = 0, N or N·m; ``tau_terms`` (N, m, k, 5)
+    coefficients, by carrier and term.
     """
 
     t: Array
     tau0: Array
     tau_terms: Array
-    margin: Array
 
 
 def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel:
@@ -165,34 +260,21 @@ def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel
     With more actuators than freedoms the efforts are those of least norm, as ``distribute`` defines it: they too are
     linear in f.
 
-    Args:
-        along: dynamics along a platform motion, from either backend.
-        least_margin: smallest margin of W along the motion that is accepted.
-
-    Raises:
-        UnsupportedRobotError: no carriers, carriers on curved tracks, fewer actuators than freedoms, or more carriers
-            than actuators.
-        InfeasiblePlanError: the motion meets or crosses a type II singularity, or comes closer than ``least_margin``.
+    ``least_margin`` is the smallest margin of W along the motion that is accepted.
     """
     robot = along.robot
     if robot.k > robot.m or robot.m < robot.n:
-        raise UnsupportedRobotError(
+        message = (
             f"{robot.name} has {robot.n} freedoms, {robot.m} main actuators and {robot.k} carriers; the carriers of "
-            "least effort are not determined.",
-            remedy="This planner needs at least as many main actuators as freedoms and as carriers.",
-            n=robot.n,
-            m=robot.m,
-            k=robot.k,
+            "least effort are not determined."
         )
+        remedy = "This planner needs at least as many main actuators as freedoms and as carriers."
+        raise UnsupportedRobotError(message, remedy=remedy, n=robot.n, m=robot.m, k=robot.k)
     model = carrier_model(along)
     inverse, margin = _inverse(along.reduce())
     _require_regular(model, margin, least_margin)
-    return EffortModel(
-        model.t,
-        read_only(np.einsum("nmi,ni->nm", inverse, model.f0)),
-        read_only(np.einsum("nmi,nikj->nmkj", inverse, model.f_terms)),
-        margin,
-    )
+    tau0, tau_terms = np.einsum("nmi,ni->nm", inverse, model.f0), np.einsum("nmi,nikj->nmkj", inverse, model.f_terms)
+    return EffortModel(model.t, read_only(tau0), read_only(tau_terms))
 
 
 def _inverse(reduced: ReducedDynamics) -> tuple[Array, Array]:
@@ -212,29 +294,27 @@ def _inverse(reduced: ReducedDynamics) -> tuple[Array, Array]:
 
 def _require_regular(model: CarrierModel, margin: Array, least_margin: float) -> None:
     worst = int(np.argmin(margin))
-    remedy = "Plan with plan_switch_off, which crosses it, or lead the platform along another path."
     if margin[worst] < least_margin:
-        raise InfeasiblePlanError(
-            f"The motion comes too close to a type II singularity: at t = {model.t[worst]:.6g} s the margin of W is "
+        raise _singular(
+            f"comes too close to a type II singularity: at t = {model.t[worst]:.6g} s the margin of W is "
             f"{margin[worst]:.3g}, below {least_margin:.3g}; this planner needs W⁻¹.",
-            remedy=remedy,
-            constraint="margin",
-            time=float(model.t[worst]),
-            margin=float(margin[worst]),
+            float(model.t[worst]),
+            float(margin[worst]),
         )
     if model.W.shape[1] == model.W.shape[2]:
         side = np.sign(np.linalg.det(model.W))
-        crossed = np.flatnonzero(side[1:] != side[:-1])
-        if len(crossed):
-            j = int(crossed[0])
-            raise InfeasiblePlanError(
-                f"The motion crosses a type II singularity between t = {model.t[j]:.6g} and {model.t[j + 1]:.6g} s "
+        for j in np.flatnonzero(side[1:] != side[:-1])[:1].tolist():
+            raise _singular(
+                f"crosses a type II singularity between t = {model.t[j]:.6g} and {model.t[j + 1]:.6g} s "
                 f"(margins {margin[j]:.3g} and {margin[j + 1]:.3g}).",
-                remedy=remedy,
-                constraint="margin",
-                time=float(model.t[j]),
-                margin=0.0,
+                float(model.t[j]),
+                0.0,
             )
+
+
+def _singular(what: str, t: float, margin: float) -> InfeasiblePlanError:
+    remedy = "Plan with plan_switch_off, which crosses it, or lead the platform along another path."
+    return InfeasiblePlanError(f"The motion {what}", remedy=remedy, constraint="margin", time=t, margin=margin)
 
 
 MODEL_TOLERANCE = 1e-12
@@ -250,41 +330,36 @@ class TimedModel:
     """The carrier model as a function of time.
 
     Attributes:
-        start, end: interval, s.
         breaks: (b,) inner times at which f may jump, s.
         knots: (c,) further ends of the pieces, s.
         interpolant: all coefficients side by side.
         tolerance: of the coefficients, relative.
-        n, m, k: numbers of coordinates, main actuators and carriers.
+        shapes: of W, f0, f_terms, force0 and force_terms at one instant.
     """
 
-    start: float
-    end: float
     breaks: Array
     knots: Array
     interpolant: PiecewisePolynomial
     tolerance: float
-    n: int
-    m: int
-    k: int
+    shapes: tuple[tuple[int, ...], ...]
 
     @staticmethod
     def of(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: float) -> TimedModel:
-        """Read the model off a backend over a part of a motion.
-
-        Raises:
-            UnsupportedRobotError: see ``carrier_model``.
-        """
-        robot = dynamics.robot
+        """Read the model off a backend over a part of a motion."""
+        n, m, k = dynamics.robot.n, dynamics.robot.m, dynamics.robot.k
+        shapes = ((n, m), (n,), (n, k, TERMS), (k,), (k, TERMS))
+        terms = np.arange(TERMS)
+        units = (np.array(0), np.array(1), 2 + terms, np.array(2 + TERMS), 3 + TERMS + terms)
+        # coefficients of one unit are held to one tolerance
+        group = np.concatenate([np.broadcast_to(u, shape).ravel() for u, shape in zip(units, shapes, strict=True)])
 
         def values(times: Array) -> Array:
             model = carrier_model(dynamics.along(motion.sample_at(times)))
             parts = (model.W, model.f0, model.f_terms, model.force0, model.force_terms)
             return np.concatenate([np.asarray(part).reshape(len(times), -1) for part in parts], axis=1)
 
-        def scale(found: Array) -> Array:
-            group = _groups(robot.n, robot.m, robot.k)
-            largest = np.array([np.abs(found[:, group == g]).max() for g in range(group.max() + 1)])
+        def scale(values: Array) -> Array:
+            largest = np.array([np.abs(values[:, group == g]).max() for g in range(group.max() + 1)])
             limited: Array = np.maximum(largest, _LEAST_GROUP * largest.max())[group]
             return limited
 
@@ -292,39 +367,49 @@ class TimedModel:
         interpolant = PiecewisePolynomial.fit(values, smooth_edges(motion, start, end), motion.knots, scale, tolerance)
         inner = motion.breaks[(motion.breaks > start) & (motion.breaks < end)]
         knots = np.setdiff1d(interpolant.edges[1:-1], inner)
-        return TimedModel(start, end, inner, knots, interpolant, tolerance, robot.n, robot.m, robot.k)
+        return TimedModel(inner, knots, interpolant, tolerance, shapes)
 
     def at(self, times: Array, side: Side = "right") -> CarrierModel:
         """Return the model at (N,) times inside the interval; ``side`` decides at a break."""
         instants = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        W, f0, f_terms, force0, force_terms = np.split(
-            self.interpolant(instants, side), np.cumsum(_sizes(self.n, self.m, self.k))[:-1], axis=1
-        )
-        count = len(instants)
-        return CarrierModel(
-            instants,
-            W.reshape(count, self.n, self.m),
-            f0,
-            f_terms.reshape(count, self.n, self.k, TERMS),
-            force0,
-            force_terms.reshape(count, self.k, TERMS),
-        )
+        ends = np.cumsum([math.prod(shape) for shape in self.shapes])
+        parts = zip(np.split(self.interpolant(instants, side), ends[:-1], axis=1), self.shapes, strict=True)
+        return CarrierModel(instants, *(part.reshape(len(instants), *shape) for part, shape in parts))
 
 
-def _sizes(n: int, m: int, k: int) -> list[int]:
-    return [n * m, n, n * k * TERMS, k, k * TERMS]
+def target_effort(
+    robot: Robot, motion: PlatformMotion, lam: float, baseline: Dynamics | ArrayLike | None
+) -> tuple[Array, Array | None]:
+    """Return (N, m) λ τ̂, and τ̂ itself where there is a baseline."""
+    shape = (len(motion), robot.m)
+    if baseline is None:
+        if lam > 0.0:
+            raise InputError(
+                f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
+                remedy='Pass baseline=VirtualWork(load_robot("3rrr", carriers=False)) or an array (N, m).',
+            )
+        return np.zeros(shape), None
+    if is_dynamics(baseline):
+        other = baseline.robot
+        if (other.n, other.m) != (robot.n, robot.m):
+            raise InputError(
+                f"The baseline robot has n, m = {other.n}, {other.m}; {robot.name} has {robot.n}, {robot.m}.",
+                remedy="Pass the same mechanism without carriers.",
+            )
+        tau = distribute(baseline.reduce(motion)).tau
+        bad = np.flatnonzero(~np.isfinite(tau).all(axis=1))
+        if len(bad):
+            raise InfeasiblePlanError(
+                f"The baseline robot has no finite efforts at t = {motion.t[bad[0]]:.6g} s.",
+                remedy="Use lam = 0, which needs no baseline.",
+                constraint="baseline",
+                time=float(motion.t[bad[0]]),
+            )
+    else:
+        tau = checked(cast(ArrayLike, baseline), "baseline", shape)
+    return lam * tau, tau
 
 
-def _groups(n: int, m: int, k: int) -> Array:
-    """Return (C,) the group of each coefficient: those of one unit are held to one tolerance."""
-    terms = np.arange(TERMS)
-    groups: Array = np.concatenate(
-        [
-            np.zeros(n * m, dtype=int),
-            np.full(n, 1),
-            2 + np.tile(terms, n * k),
-            np.full(k, 2 + TERMS),
-            3 + TERMS + np.tile(terms, k),
-        ]
-    )
-    return groups
+def is_dynamics(baseline: Dynamics | ArrayLike) -> TypeGuard[Dynamics]:
+    """Return whether a baseline is a backend, rather than efforts."""
+    return isinstance(getattr(baseline, "robot", None), Robot)

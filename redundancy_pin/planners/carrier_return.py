@@ -26,15 +26,10 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, car
 
 
 def stoppable_speed(gap: float, step: float, deceleration: float) -> float:
-    """Return the largest speed towards the end of a track from which a carrier can still be stopped before it.
+    """Return the largest speed, m/s, from which a carrier can still be stopped before the end of its track.
 
-    Args:
-        gap: distance to the end of the track before the step, m.
-        step: length of the step, s.
-        deceleration: largest deceleration, m/s²; infinite if there is no limit.
-
-    Returns:
-        Speed after the step, m/s: the root of h v + v²/(2a) = gap, or 0 where the gap is not positive.
+    It is the root of h v + v²/(2a) = gap, or 0 where the gap, m, is not positive; h is the step, s, and a the largest
+    deceleration, m/s², infinite if there is no limit.
     """
     if gap <= 0.0:
         return 0.0
@@ -48,10 +43,8 @@ def stoppable_speed(gap: float, step: float, deceleration: float) -> float:
 def braked_speeds(speed: Array, braking_time: Array, elapsed: Array) -> Array:
     """Return (J, k) the speeds of carriers that are braked by constant decelerations.
 
-    Args:
-        speed: (k,) speed at the start, m/s, either sign.
-        braking_time: (k,) time until rest, s; zero for a carrier at rest.
-        elapsed: (J,) time since the start at the end of each step, s.
+    ``speed`` (k,) speed at the start, m/s, either sign; ``braking_time`` (k,) time until rest, s; zero for a carrier at
+    rest; ``elapsed`` (J,) time since the start at the end of each step, s.
     """
     duration = np.where(braking_time > 0.0, braking_time, 1.0)
     left: Array = speed * np.clip(1.0 - elapsed[:, None] / duration, 0.0, None)
@@ -60,22 +53,14 @@ def braked_speeds(speed: Array, braking_time: Array, elapsed: Array) -> Array:
 
 
 def braking_times(speed: Array, room: Array, deceleration: Array, wanted: float) -> Array:
-    """Return (k,) the time each carrier takes to stop: as wanted, sooner where the track asks for it.
+    """Return (k,) the time, s, each carrier takes to stop: as wanted, sooner where the track asks for it.
 
-    Args:
-        speed: (k,) speed, m/s, either sign.
-        room: (k,) distance to the end of the track in the direction of motion, m.
-        deceleration: (k,) largest deceleration, m/s².
-        wanted: wanted time, s.
-
-    Returns:
-        Time, s; never below |v|/a, even where the track is too short for it.
+    Never below |v|/a, even where the ``room`` (k,) to the end of the track, m, is too short for it.
     """
     size = np.abs(speed)
     moving = size > 0.0
     by_track = np.where(moving, 2.0 * room / np.where(moving, size, 1.0), np.inf)
-    times: Array = np.where(moving, np.maximum(np.minimum(wanted, by_track), size / deceleration), 0.0)
-    return times
+    return np.where(moving, np.maximum(np.minimum(wanted, by_track), size / deceleration), 0.0)
 
 
 CANDIDATES = 160
@@ -100,9 +85,7 @@ _TIME_TOLERANCE = 1e-11
 class CarrierState:
     """Carriers at an instant.
 
-    Attributes:
-        t: time, s.
-        s, sd, sdd: (k,) m, m/s, m/s².
+    ``t``: time, s; ``s``, ``sd``, ``sdd`` (k,) m, m/s, m/s².
     """
 
     t: float
@@ -151,19 +134,24 @@ def return_polynomial(state: CarrierState, duration: float, datum: Array) -> Pie
     return PiecewisePolynomial.from_bernstein(polynomial.control[:, None], [polynomial.t0, polynomial.t1])
 
 
+def _bounds(robot: Robot) -> tuple[Array, Array]:
+    """Return lower and upper limits (4, k) of track, speed, acceleration and force."""
+    limits = robot.carrier_limits
+    lower = np.array([[c.lower, -c.speed, -c.acceleration, -c.force] for c in limits]).T
+    return lower, np.array([[c.upper, c.speed, c.acceleration, c.force] for c in limits]).T
+
+
 def limit_uses(robot: Robot, s: Array, sd: Array, sdd: Array, force: Array) -> Array:
     """Return the fraction of each limit that is used (..., 4, k): track, speed, acceleration, force; each (..., k).
 
     Above 1 the limit is broken. Tracks are measured from their middle; a limit that is not declared is never used.
     """
-    lower = np.array([[c.lower, -c.speed, -c.acceleration, -c.force] for c in robot.carrier_limits]).T
-    upper = np.array([[c.upper, c.speed, c.acceleration, c.force] for c in robot.carrier_limits]).T
+    lower, upper = _bounds(robot)
     with np.errstate(invalid="ignore"):
         middle = np.where(np.isfinite(lower) & np.isfinite(upper), 0.5 * (lower + upper), 0.0)
     value = np.stack([s, sd, sdd, force], axis=-2)
     side = np.where(value >= middle, upper, lower)
-    use: Array = np.where(np.isfinite(side), (value - middle) / (side - middle), 0.0)
-    return use
+    return np.where(np.isfinite(side), (value - middle) / (side - middle), 0.0)
 
 
 def shortest_return(
@@ -173,17 +161,9 @@ def shortest_return(
 
     The overshoot of the polynomial grows with its duration and its acceleration with the inverse, so the durations
     that keep the limits form an interval if there are any. It is bracketed on a logarithmic grid; where no candidate
-    lies in it, the neighbourhood of the best ones is searched before it is called empty.
-
-    Args:
-        robot: the robot, for the limits.
-        force: forces of the carriers' actuators.
-        state: the carriers at the start.
-        datum: (k,) where to park, m.
-        available: longest duration, s.
-
-    Returns:
-        The duration, s, or None where none keeps the limits, and the limit use of that, or of the best, duration.
+    lies in it, the neighbourhood of the best ones is searched before it is called empty. ``datum`` (k,) is where to
+    park, m, ``available`` the longest duration, s. Returned are the duration, s, or None where none keeps the limits,
+    and the limit use of that, or of the best.
     """
 
     def use(duration: float) -> LimitUse:
@@ -211,8 +191,7 @@ def _sampled_uses(robot: Robot, force: CarrierForce, state: CarrierState, datum:
     times = np.array([np.linspace(path.start, path.end, SAMPLES) for path in paths])
     motions = [carriers_at(path, t) for path, t in zip(paths, times, strict=True)]
     s, sd, sdd = (np.concatenate([getattr(motion, name) for motion in motions]) for name in ("s", "sd", "sdd"))
-    flat = times.ravel()
-    uses = limit_uses(robot, s, sd, sdd, force(flat, s, sd, sdd))
+    uses = limit_uses(robot, s, sd, sdd, force(times.ravel(), s, sd, sdd))
     largest: Array = uses.reshape(len(durations), -1).max(axis=1)
     return largest
 
@@ -227,10 +206,8 @@ def _limit_use(robot: Robot, force: CarrierForce, path: PiecewisePolynomial) -> 
     uses = limit_uses(robot, s, sd, sdd, efforts)
     at, which, i = (int(index) for index in np.unravel_index(int(uses.argmax()), uses.shape))
     value = float((s, sd, sdd, efforts)[which][at, i])
-    limits = robot.carrier_limits[i]
-    bound = (limits.upper, limits.speed, limits.acceleration, limits.force)[which]
-    other = (limits.lower, -limits.speed, -limits.acceleration, -limits.force)[which]
-    limit = bound if abs(value - bound) <= abs(value - other) else other
+    lower, upper = (float(bounds[which, i]) for bounds in _bounds(robot))
+    limit = upper if abs(value - upper) <= abs(value - lower) else lower
     return LimitUse(float(uses[at, which, i]), QUANTITIES[which], robot.carriers[i], float(times[at]), value, limit)
 
 

@@ -8,7 +8,7 @@ somebody plays the plan, not when it is made: ten evaluations of the backend in 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Chebyshev
@@ -64,11 +64,12 @@ class PlanFunctions:
 
     def efforts(self, reduced: ReducedDynamics) -> Array:
         """Return main efforts (N, m), N or N·m, of the dynamics along these motions; NaN where none are finite."""
-        tau = np.array(distribute(reduced).tau)
         if self.preferred is not None and reduced.W.shape[2] > reduced.W.shape[1]:
             wanted = self.preferred(reduced.t)
             left = reduced.f - np.einsum("nij,nj->ni", reduced.W, wanted)
-            tau = wanted + np.einsum("nji,ni->nj", np.linalg.pinv(reduced.W), left)
+            tau: Array = wanted + np.einsum("nji,ni->nj", np.linalg.pinv(reduced.W), left)
+        else:
+            tau = np.array(distribute(reduced).tau)
         for part in self.prescribed:
             inside = (reduced.t >= part.start) & (reduced.t <= part.end)
             tau[inside] = part(reduced.t[inside])
@@ -85,13 +86,9 @@ class PlanFunctions:
     ) -> PiecewisePolynomial:
         """Return the main efforts (m,) as polynomials.
 
-        Args:
-            edges: (P + 1,) ends of the pieces, s.
-            reduced: dynamics along these motions at the times of ``chebyshev_times`` of the pieces.
-            limits: efforts (m,) at edges, s, on a type II singularity, which W⁻¹ f tends to.
-
-        Raises:
-            InfeasiblePlanError: efforts that are not finite somewhere, or have a pole.
+        ``edges`` (P + 1,) ends of the pieces, s; ``reduced``: dynamics along these motions at the times of
+        ``chebyshev_times`` of the pieces; ``limits``: efforts (m,) at edges, s, on a type II singularity, which W⁻¹ f
+        tends to.
         """
         left, right = edges[:-1], edges[1:]
         times = reduced.t.reshape(len(left), -1)
@@ -106,18 +103,12 @@ class PlanFunctions:
         _require_finite(tau, left)
         return PiecewisePolynomial.from_values(edges, tau)
 
-    def in_polynomials(self) -> PlanFunctions:
-        """Return the same with the platform as polynomials, for a file."""
-        return replace(self, platform=replace(self.platform, source=self.platform.polynomials))
-
 
 def _beside(distance: Array, tau: Array, value: Array) -> Array:
     """Return τ (d, m) in a piece with a singular instant at one end, from the rest of the piece and τ there.
 
-    Args:
-        distance: (d,) of the times in the piece from the instant, in lengths of the piece.
-        tau: (d, m) W⁻¹ f there.
-        value: (m,) at the instant.
+    ``distance`` (d,) of the times in the piece from the instant, in lengths of the piece; ``tau`` (d, m) W⁻¹ f there;
+    ``value`` (m,) at the instant.
     """
     kept = np.abs(distance) > BESIDE
     domain = sorted([0.0, float(np.sign(distance[0]))])

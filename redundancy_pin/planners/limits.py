@@ -49,7 +49,7 @@ class Limits:
         own, k = robot.carrier_limits, robot.k
         track = np.array([(limit.lower, limit.upper) for limit in own]).reshape(k, 2)
         if self.track is not None:
-            track = np.array(_each(self.track, "track", (k, 2)))
+            track = np.array(broadcast_to(self.track, "track", (k, 2)))
             if not (track[:, 0] < track[:, 1]).all():
                 raise InputError(
                     f"track is {as_typed(self.track)}, but the ends of a track must increase.",
@@ -101,13 +101,8 @@ class ResolvedLimits:
         }
 
     def on_track(self, values: ArrayLike, name: str) -> Array:
-        """Return (k,) positions after checking that they are on the tracks, m.
-
-        Raises:
-            InputError: wrong shape.
-            InfeasiblePlanError: a position off its track.
-        """
-        places = frozen(_each(values, name, (len(self.names),)))
+        """Return (k,) positions after checking that they are on the tracks, m."""
+        places = frozen(broadcast_to(values, name, (len(self.names),)))
         for carrier, (lower, upper), place in zip(self.names, self.track, places, strict=True):
             beyond = max(place - upper, lower - place)
             if not beyond <= 0.0:
@@ -130,7 +125,7 @@ def as_typed(values: ArrayLike) -> object:
 def _positive(values: ArrayLike | None, name: str, own: list[float]) -> Array:
     if values is None:
         return np.array(own)
-    bounds = _each(values, name, (len(own),))
+    bounds = broadcast_to(values, name, (len(own),))
     if not (bounds > 0.0).all():
         raise InputError(
             f"{name} is {as_typed(values)}, but limits must be positive.",
@@ -141,7 +136,8 @@ def _positive(values: ArrayLike | None, name: str, own: list[float]) -> Array:
     return bounds
 
 
-def _each(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+def broadcast_to(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
+    """Return one number, or numbers for each carrier, as an array of a shape."""
     try:
         values = np.broadcast_to(np.asarray(given, dtype=float), shape)
     except (TypeError, ValueError) as error:
@@ -158,14 +154,9 @@ Group = TypeVar("Group", bound=Any)
 def grouped(name: str, group: Group | None, kind: type[Group], **keywords: Any) -> Group:
     """Return a group of options, given as such or as flat keywords of the planner.
 
-    Args:
-        name: keyword of the group, for the message.
-        group: the group, or None where the keywords count.
-        kind: its dataclass; every field has a default.
-        keywords: values of its fields as flat keywords. One that equals its default counts as left out.
-
-    Raises:
-        InputError: an option is given both ways, or the group is of another type.
+    ``name``: keyword of the group, for the message; ``group``: the group, or None where the keywords count; ``kind``:
+    its dataclass; every field has a default; ``keywords``: values of its fields as flat keywords. One that equals its
+    default counts as left out.
     """
     if group is None:
         built: Group = kind(**keywords)
@@ -223,11 +214,8 @@ class LimitReport:
 def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force: Array) -> LimitReport:
     """Compare a carrier motion and its forces with the limits of the robot's carriers.
 
-    Args:
-        robot: the robot.
-        t: (N,) time, s.
-        carriers: carrier motion, N samples.
-        carrier_force: (N, k) forces of the carriers' actuators, N.
+    ``t`` (N,) time, s; ``carriers``: carrier motion, N samples; ``carrier_force`` (N, k) forces of the carriers'
+    actuators, N.
     """
     violated: list[LimitEvent] = []
     binding: list[LimitEvent] = []
@@ -247,13 +235,8 @@ def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force:
                 touched = (excess > -BINDING * size) & ~broken
                 violated += _events(name, quantity, t, value, limit, excess, broken)
                 binding += _events(name, quantity, t, value, limit, excess, touched)
-    return LimitReport(
-        tuple(sorted(violated, key=_by_time)), tuple(sorted(binding, key=_by_time)), robot.carrier_limits
-    )
-
-
-def _by_time(event: LimitEvent) -> float:
-    return event.start
+    violated, binding = (sorted(events, key=lambda event: event.start) for events in (violated, binding))
+    return LimitReport(tuple(violated), tuple(binding), robot.carrier_limits)
 
 
 def _events(
@@ -263,16 +246,28 @@ def _events(
     events = []
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         worst = int(start) + int(np.argmax(excess[start:stop]))
-        events.append(
-            LimitEvent(
-                carrier,
-                quantity,
-                float(t[start]),
-                float(t[stop - 1]),
-                float(t[worst]),
-                float(value[worst]),
-                float(limit),
-                max(0.0, float(excess[worst])),
-            )
-        )
+        span = float(t[start]), float(t[stop - 1]), float(t[worst])
+        amount = max(0.0, float(excess[worst]))
+        events.append(LimitEvent(carrier, quantity, *span, float(value[worst]), float(limit), amount))
     return events
+
+
+def limits_broken(
+    quantity: str, names: tuple[str, ...], t: Array, values: Array, limit: Array, allowed: float
+) -> tuple[LimitEvent, ...]:
+    """Return, for each actuator whose |value| exceeds its limit by more than a factor, where it does so most.
+
+    ``names`` (j,) of the actuators; ``t`` (N,) times, s; ``values`` (N, j) efforts or forces, N or N·m; those that are
+    not finite are judged elsewhere; ``limit`` (j,) the largest allowed.
+    """
+    events = []
+    for name, own, most in zip(names, np.where(np.isfinite(values), values, 0.0).T, limit, strict=True):
+        over = np.flatnonzero(np.abs(own) > allowed * most)
+        if len(over):
+            worst = int(over[np.abs(own[over]).argmax()])
+            value = float(own[worst])
+            excess = abs(value) - float(most)
+            span = float(t[over[0]]), float(t[over[-1]])
+            at = float(np.copysign(most, value))
+            events.append(LimitEvent(name, quantity, *span, float(t[worst]), value, at, excess))
+    return tuple(events)

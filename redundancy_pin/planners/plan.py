@@ -1,26 +1,27 @@
-"""A plan: platform motion, carrier motion and all efforts, with what limits them."""
+"""A plan: platform motion, carrier motion and all efforts, with what limits them; saved and read back."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, Side, frozen, largest, peak, read_only
+from redundancy_pin.arrays import Array, IntArray, Side, frozen, largest, peak, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InputError
-from redundancy_pin.io.archive import write_archive
+from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.limits import LimitEvent, LimitReport, check_limits
-from redundancy_pin.planners.robot_record import RobotRecord, robot_record
-from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot, robot_record
+from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory.functions_of_time import (
     ContinuousMotion,
     PiecewisePolynomial,
@@ -167,14 +168,12 @@ class Plan:
     @property
     def main_power(self) -> Array:
         """(N, m) power of the main actuators, W."""
-        power: Array = self.tau * self.actuated_rate
-        return power
+        return self.tau * self.actuated_rate
 
     @property
     def carrier_power(self) -> Array:
         """(N, k) power of the carriers' actuators, W."""
-        power: Array = self.carrier_force * self.carriers.sd
-        return power
+        return self.carrier_force * self.carriers.sd
 
     @property
     def main_energy(self) -> float:
@@ -202,12 +201,18 @@ class Plan:
     def save(self, path: str | Path) -> None:
         """Write the plan to a file without loss (npz with JSON inside); ``load_plan`` reads it.
 
+        Arrays are stored bit by bit; status, limits, robot, parameters and diagnostics as JSON text in the array
+        ``metadata``, with the version of the format and of the package.
+
         Raises:
             OutputError: the file cannot be written; an earlier one is as it was.
             InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
         """
-        record = self if self.functions is None else replace(self, functions=self.functions.in_polynomials())
-        write_archive(path, PLAN_FORMAT, PLAN_VERSION, record)
+        functions = self.functions
+        if functions is not None:  # a trajectory is no plain data
+            platform = replace(functions.platform, source=functions.platform.polynomials)
+            functions = replace(functions, platform=platform)
+        write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions))
 
 
 def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) -> PlanFunctions:
@@ -225,12 +230,7 @@ def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) ->
     Main actuators are off between two samples without effort, one of them at least in the phase "off": two samples
     without effort alone do not say it, for between two samples at rest there may be a motion that needs efforts.
 
-    Args:
-        plan: the plan.
-        platform: the platform's motion, where it is known.
-
-    Raises:
-        InputError: a plan for poses, whose samples do not say how the platform turns between them.
+    ``platform``: the platform's motion, where it is known.
     """
     t, names = plan.t, np.array(plan.phases)[plan.phase]
     left = np.flatnonzero(np.diff(t) > 0.0)
@@ -262,11 +262,7 @@ def _absolute_integral(power: Array, t: Array) -> float:
 
 
 def require_dynamics(dynamics: object) -> None:
-    """Check that the first argument of a planner is a backend.
-
-    Raises:
-        InputError: it is a robot, or something else.
-    """
+    """Check that the first argument of a planner is a backend."""
     if not (hasattr(dynamics, "along") and hasattr(dynamics, "robot")):
         raise InputError(
             f"The planner was given {type(dynamics).__name__} for the dynamics.",
@@ -275,11 +271,7 @@ def require_dynamics(dynamics: object) -> None:
 
 
 def require_motion(motion: object, *methods: str) -> None:
-    """Check that a motion is sampled, or a trajectory that offers some methods.
-
-    Raises:
-        InputError: it is neither.
-    """
+    """Check that a motion is sampled, or a trajectory that offers some methods."""
     if not isinstance(motion, PlatformMotion) and not all(hasattr(motion, method) for method in methods):
         raise InputError(
             f"The planner was given {type(motion).__name__} for the motion.",
@@ -307,20 +299,12 @@ def finish_plan(
 ) -> Plan:
     """Evaluate the backend once more along the planned motion and collect everything a plan carries.
 
-    Args:
-        along: dynamics along the platform motion of the plan.
-        carriers: planned carrier motion, N samples.
-        planner: name of the planner.
-        phase: (N,) index of the phase of each sample.
-        phases: names of the phases.
-        parameters: the planner's parameters.
-        diagnostics: what it found.
-        prescribed: (N, m) main efforts the planner decided on, NaN where W τ = f decides. Their imbalance is checked
-            and reported, never corrected.
-        carrier_limits: limits to judge the plan by in place of the robot's own, one for each carrier.
-        between: times, s, and carrier motions between the samples at which the limits of track, speed and acceleration
-            are judged as well.
-        functions: what the planner made, between the samples too.
+    ``along``: dynamics along the platform motion of the plan; ``carriers``: planned carrier motion, N samples;
+    ``phase`` (N,) index of the phase of each sample; ``prescribed`` (N, m) main efforts the planner decided on, NaN
+    where W τ = f decides. Their imbalance is checked and reported, never corrected; ``carrier_limits``: limits to judge
+    the plan by in place of the robot's own, one for each carrier; ``between``: times, s, and carrier motions between
+    the samples at which the limits of track, speed and acceleration are judged as well; ``functions``: what the planner
+    made, between the samples too.
     """
     robot = along.robot
     reduced = along.reduce(carriers)
@@ -333,13 +317,17 @@ def finish_plan(
         imbalance = np.linalg.norm(imbalance / reduced.row_scale, axis=1)
         residual[given] = imbalance[given]
         size = float(np.abs(reduced.f / reduced.row_scale).max())
-        status[given] = _status_of_prescribed(imbalance[given] <= BALANCE_TOLERANCE * size)
+        balanced = imbalance[given] <= BALANCE_TOLERANCE * size
+        status[given] = np.where(balanced, SampleStatus.REGULAR, SampleStatus.SINGULAR_INCONSISTENT)
     judged = robot if carrier_limits is None else replace(robot, carrier_limits=carrier_limits)
     limits = check_limits(judged, along.motion.t, carriers, reduced.carrier_force)
     for times, motion in between:
         # the forces are not known there
         inner = check_limits(judged, times, motion, np.zeros_like(motion.s))
         limits = replace(limits, violated=_merged(limits.violated, inner.violated))
+    overall = PlanStatus.VIOLATES_LIMITS if limits.violated else PlanStatus.WITHIN_LIMITS
+    if not np.isfinite(tau).all() or (status > SampleStatus.SINGULAR_CONSISTENT).any():
+        overall = PlanStatus.UNBOUNDED_EFFORT
     return Plan(
         motion=along.motion,
         carriers=carriers,
@@ -353,9 +341,9 @@ def finish_plan(
         phase=read_only(np.array(phase, dtype=np.intp)),
         phases=phases,
         limits=limits,
-        status=_plan_status(tau, status, bool(limits.violated)),
+        status=overall,
         planner=planner,
-        backend=_backend_name(along),
+        backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
         robot=robot_record(robot),
         parameters=dict(parameters),
         diagnostics=dict(diagnostics),
@@ -367,28 +355,108 @@ def _merged(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...])
     """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more."""
     kept = list(at_samples)
     for event in between:
-        same = [
-            other
-            for other in kept
-            if (other.carrier, other.quantity, other.limit) == (event.carrier, event.quantity, event.limit)
-            and other.start <= event.end
-            and event.start <= other.end
-        ]
+        what = (event.carrier, event.quantity, event.limit)
+        same = [one for one in kept if (one.carrier, one.quantity, one.limit) == what]
+        same = [one for one in same if one.start <= event.end and event.start <= one.end]
         if all(event.amount > other.amount for other in same):
             kept = [other for other in kept if other not in same] + [event]
     return tuple(sorted(kept, key=lambda event: event.start))
 
 
-def _status_of_prescribed(balanced: BoolArray) -> IntArray:
-    status: IntArray = np.where(balanced, SampleStatus.REGULAR, SampleStatus.SINGULAR_INCONSISTENT).astype(np.intp)
-    return status
+def load_plan(path: str | Path) -> Plan:
+    """Read a plan that was saved with ``Plan.save``. Nothing in the file is executed.
+
+    Raises:
+        PlanFileError: the file is missing, truncated, damaged, no plan, of a newer format, or its arrays do not fit
+            together.
+    """
+    return read_archive(path, PLAN_FORMAT, PLAN_VERSION, "plan", _plan)
 
 
-def _plan_status(tau: Array, status: IntArray, violated: bool) -> PlanStatus:
-    if not np.isfinite(tau).all() or (status > SampleStatus.SINGULAR_CONSISTENT).any():
-        return PlanStatus.UNBOUNDED_EFFORT
-    return PlanStatus.VIOLATES_LIMITS if violated else PlanStatus.WITHIN_LIMITS
+def load_robot_of(plan: Plan, source: str | Path | None = None) -> Robot:
+    """Load the robot a plan was made for, with the arguments, gravity and working mode it had.
+
+    Args:
+        plan: the plan.
+        source: where the robot is now (as for ``load_robot``), if its files have moved.
+
+    Raises:
+        PlanFileError: the robot's files are gone, or describe another robot than when the plan was made.
+    """
+    return load_recorded(plan.robot, source)
 
 
-def _backend_name(along: DynamicsAlongMotion) -> str:
-    return type(along).__name__.replace("AlongMotion", "").replace("Along", "")
+def _plan(record: Mapping[str, Any]) -> Plan:
+    """Return the plan of a record, checked."""
+    values = _values(Plan, {"functions": None, **record})  # files of version 1 have no functions of time
+    limits = _values(LimitReport, values["limits"])
+    kinds = {"violated": LimitEvent, "binding": LimitEvent, "judged_by": CarrierLimits}
+    values |= {
+        "motion": PlatformMotion(**values["motion"]),
+        "carriers": CarrierMotion(**values["carriers"]),
+        "limits": LimitReport(**{key: tuple(kind(**one) for one in limits[key]) for key, kind in kinds.items()}),
+        "status": PlanStatus(values["status"]),
+        "robot": read_robot(values["robot"]),
+        "functions": None if values["functions"] is None else _functions(values["functions"]),
+    }
+    plan = Plan(**values)
+    _check(plan)
+    return plan
+
+
+def _functions(record: Mapping[str, Any]) -> PlanFunctions:
+    platform = _values(ContinuousMotion, record["platform"])
+    preferred = record["preferred"]
+    return PlanFunctions(
+        platform=ContinuousMotion(**{**platform, "source": _polynomial(platform["source"])}),
+        carriers=_polynomial(record["carriers"]),
+        prescribed=tuple(_polynomial(part) for part in record["prescribed"]),
+        preferred=None if preferred is None else _polynomial(preferred),
+    )
+
+
+def _polynomial(record: Mapping[str, Any]) -> PiecewisePolynomial:
+    function = PiecewisePolynomial(**record)
+    _require_array("functions, edges", function.edges, "f", (function.coefficients.shape[1] + 1,))
+    _require_array("functions, coefficients", function.coefficients, "f", function.coefficients.shape)
+    if function.coefficients.ndim != 3 or not (np.diff(function.edges) > 0.0).all():
+        raise InputError("functions hold polynomials whose pieces do not follow each other")
+    return function
+
+
+def _values(kind: type[Any], record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of all fields of a dataclass."""
+    return {field.name: record[field.name] for field in fields(kind)}
+
+
+def _check(plan: Plan) -> None:
+    """Check that the arrays of a plan fit together and that its codes mean something."""
+    samples, actuators, carriers = len(plan.motion), len(plan.robot.actuated), len(plan.robot.carriers)
+    _require_array("carriers.s", plan.carriers.s, "f", (samples, carriers))
+    for columns, kind, names in (
+        ((actuators,), "f", ("tau", "actuated_rate")),
+        ((carriers,), "f", ("carrier_force",)),
+        ((), "f", ("residual", "margin", "condition")),
+        ((), "i", ("sample_status", "phase")),
+    ):
+        for name in names:
+            _require_array(name, getattr(plan, name), kind, (samples, *columns))
+    for entries in (plan.robot.carrier_limits, plan.limits.judged_by):
+        if len(entries) != carriers:
+            raise InputError(f"it has limits of {len(entries)} carriers, but {carriers} carriers")
+    _require_codes("phase", plan.phase, range(len(plan.phases)))
+    _require_codes("sample_status", plan.sample_status, [int(status) for status in SampleStatus])
+
+
+def _require_array(name: str, value: NDArray[Any], kind: str, shape: tuple[int, ...]) -> None:
+    if not isinstance(value, np.ndarray) or value.dtype.kind != kind or value.dtype.itemsize != 8:
+        found = f"array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise InputError(f"{name} is an {found}, expected one of 8-byte {'floats' if kind == 'f' else 'integers'}")
+    if value.shape != shape:
+        raise InputError(f"{name} has shape {value.shape}, but the rest of the plan needs {shape}")
+
+
+def _require_codes(name: str, codes: NDArray[Any], known: Sequence[int]) -> None:
+    foreign = codes[~np.isin(codes, list(known))]
+    if len(foreign):
+        raise InputError(f"{name} holds {int(foreign[0])}, which stands for nothing (known: 0 to {len(known) - 1})")

@@ -61,9 +61,8 @@ class RobotRecord:
     def limit_unit(self, quantity: str, joint: str) -> str:
         """Return the unit of a limit of a joint.
 
-        Args:
-            quantity: "track", "speed", "acceleration" or "jerk" of its motion; anything else is an effort.
-            joint: name of an actuated joint or a carrier.
+        ``quantity``: "track", "speed", "acceleration" or "jerk" of its motion; anything else is an effort; ``joint``:
+        name of an actuated joint or a carrier.
         """
         if quantity not in _RATES:
             return self.effort_unit(joint)
@@ -93,11 +92,7 @@ def robot_record(robot: Robot) -> RobotRecord:
 
 
 def read_robot(record: Mapping[str, Any]) -> RobotRecord:
-    """Return the record that a file holds as a mapping of its fields.
-
-    Raises:
-        KeyError, TypeError: a field is missing, or is none.
-    """
+    """Return the record that a file holds as a mapping of its fields."""
     values = {field.name: record[field.name] for field in fields(RobotRecord)}
     values["carrier_limits"] = tuple(CarrierLimits(**entry) for entry in values["carrier_limits"])
     return RobotRecord(**values)
@@ -106,12 +101,7 @@ def read_robot(record: Mapping[str, Any]) -> RobotRecord:
 def load_recorded(record: RobotRecord, source: str | Path | None = None) -> Robot:
     """Load the robot of a record, and make sure that it is still the same.
 
-    Args:
-        record: the record.
-        source: where the robot is now, if its files have moved.
-
-    Raises:
-        PlanFileError: the files are gone, or describe another robot than when the record was made.
+    ``source``: where the robot is now, if its files have moved.
     """
     place = record.source if source is None else source
     if not str(place):

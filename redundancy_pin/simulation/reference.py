@@ -22,8 +22,7 @@ from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DEGREE, SINGULAR, PlanFunctions, apart
-from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.plan_file import load_robot_of
+from redundancy_pin.planners.plan import Plan, load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import (
     SHIFT,

@@ -20,7 +20,7 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.stepwise.report import between_samples
+from redundancy_pin.planners.stepwise.planner import between_samples
 from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.motions import MotionRun, relative_difference, windows
 from redundancy_pin.trajectory import Trajectory

@@ -12,7 +12,7 @@ import numpy as np
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.stepwise.report import between_samples
+from redundancy_pin.planners.stepwise.planner import between_samples
 from redundancy_pin.studies.case import Case, Mode, Plans
 from redundancy_pin.studies.cases import (
     CORNERS,

@@ -15,7 +15,7 @@ from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.whole_trajectory.objectives import casadi
+from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.studies import beyond, planned
 from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import FULL, MOTIONS, TASKS, Extent, by_method, motion_name

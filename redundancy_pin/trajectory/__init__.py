@@ -5,18 +5,20 @@ The thesis's own trajectories are the functions of ``reference``.
 
 from redundancy_pin.arrays import Side
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.corners import corner_path, rounded_polygon
 from redundancy_pin.trajectory.csv_file import carriers_from_csv, from_csv
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, circle_path, with_constant
-from redundancy_pin.trajectory.polynomials import (
+from redundancy_pin.trajectory.timing import (
     Polynomial,
+    RestToRest,
+    SpeedProfile,
+    TimingLaw,
+    TimingPoint,
     boundary_polynomial,
     rest_to_rest_345,
     rest_to_rest_4567,
 )
-from redundancy_pin.trajectory.splines import SplinePath, through_points
-from redundancy_pin.trajectory.timing import RestToRest, SpeedProfile, TimingLaw, TimingPoint
 from redundancy_pin.trajectory.trajectory import PoseTrajectory, Trajectory, TrajectoryPoint
+from redundancy_pin.trajectory.waypoints import SplinePath, corner_path, rounded_polygon, through_points
 
 __all__ = [
     "Arc",

@@ -102,8 +102,7 @@ class PiecewisePolynomial:
         """Return the values (C,) at one time, s, in a few microseconds: a third of what ``PPoly`` takes."""
         left, right, pieces, exponents = self._by_piece
         i = max(bisect_right(left, t) - 1, 0)
-        value: Array = (min(max(t, left[i]), right[i]) - left[i]) ** exponents @ pieces[i]
-        return value
+        return (min(max(t, left[i]), right[i]) - left[i]) ** exponents @ pieces[i]
 
     def derivative(self, order: int = 1) -> PiecewisePolynomial:
         """Return the derivative of an order, unit of the values / s^order."""
@@ -183,10 +182,8 @@ class PiecewisePolynomial:
     def hermite(edges: ArrayLike, start: tuple[Array, ...], end: tuple[Array, ...]) -> PiecewisePolynomial:
         """Return the quintics with given values and first and second derivatives at both ends of every piece.
 
-        Args:
-            edges: (P + 1,) ends of the pieces, s.
-            start: three (P, C) values, rates and second derivatives where the pieces begin.
-            end: the same where they end; it need not be where the next one begins.
+        ``edges`` (P + 1,) ends of the pieces, s; ``start``: three (P, C) values, rates and second derivatives where the
+        pieces begin; ``end``: the same where they end; it need not be where the next one begins.
         """
         h = np.diff(np.asarray(edges))[:, None]
         (x0, v0, a0), (x1, v1, a1) = start, end
@@ -211,11 +208,8 @@ class PiecewisePolynomial:
     def linear_acceleration(t: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
         """Return the cubics with s̈ linear between (M,) nodes; a time that occurs twice has two accelerations.
 
-        Args:
-            t: (M,) times, s.
-            s: (M, C) values at the nodes; those at the end of a step are not looked at.
-            sd: (M, C) their rates; the same.
-            sdd: (M, C) their second derivatives.
+        ``t`` (M,) times, s; ``s`` (M, C) values at the nodes; those at the end of a step are not looked at; ``sd`` (M,
+        C) their rates; the same; ``sdd`` (M, C) their second derivatives.
         """
         left = np.flatnonzero(np.diff(t) > 0.0)
         jerk = (sdd[left + 1] - sdd[left]) / np.diff(t)[left, None]
@@ -226,11 +220,8 @@ class PiecewisePolynomial:
     def constant_acceleration(t: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
         """Return the parabolas of steps whose s̈ is that at their end, from s and ṡ where they begin.
 
-        Args:
-            t: (M,) increasing times, s.
-            s: (M, C) values; from backward differences, the parabola ends short of that at the end of its step.
-            sd: (M, C) their rates.
-            sdd: (M, C) their second derivatives.
+        ``t`` (M,) increasing times, s; ``s`` (M, C) values; from backward differences, the parabola ends short of that
+        at the end of its step; ``sd`` (M, C) their rates; ``sdd`` (M, C) their second derivatives.
         """
         powers = np.stack([0.5 * sdd[1:], sd[:-1], s[:-1]])
         return PiecewisePolynomial(frozen(t), read_only(powers))
@@ -278,12 +269,10 @@ class PiecewisePolynomial:
     ) -> PiecewisePolynomial:
         """Interpolate a function, dividing the pieces until their last Chebyshev coefficients fall below a tolerance.
 
-        Args:
-            function: from (N,) strictly increasing times inside the pieces to (N, C) values.
-            edges: (P + 1,) ends of the first pieces, s: the ends of the interval and every known jump in between.
-            knots: (c,) times at which pieces are preferably divided, s.
-            scale: from (N, C) values of the first pieces to the (C,) sizes that the tolerance is a fraction of.
-            tolerance: largest allowed last coefficients, as a fraction of the scale.
+        ``function``: from (N,) strictly increasing times inside the pieces to (N, C) values; ``edges`` (P + 1,) ends of
+        the first pieces, s: the ends of the interval and every known jump in between; ``knots`` (c,) times at which
+        pieces are preferably divided, s; ``scale``: from (N, C) values of the first pieces to the (C,) sizes that the
+        tolerance is a fraction of; ``tolerance``: largest allowed last coefficients, as a fraction of the scale.
         """
         left, right = edges[:-1], edges[1:]
         least = LEAST_WIDTH * (edges[-1] - edges[0])
@@ -436,9 +425,6 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMot
     A trajectory is asked for its own exact motion. Between the samples of a motion stands the quintic that matches
     x, ẋ, ẍ at both ends; its acceleration is off by O(Δt⁴). Where samples are so dense that the rounding of x shows in
     it, velocity and acceleration are those of the cubic that matches ẋ and ẍ, off by O(Δt³).
-
-    Raises:
-        InputError: a sampled motion with a single instant, or of poses.
     """
     if isinstance(motion, PlatformMotion):
         return _from_samples(motion)
@@ -498,8 +484,7 @@ def _coordinates(columns: int) -> tuple[int, bool]:
 
 def _points(left: Array, right: Array, degree: int) -> Array:
     nodes = np.sort(chebyshev.chebpts1(degree + 1))
-    times: Array = (0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * nodes).ravel()
-    return times
+    return (0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * nodes).ravel()
 
 
 @lru_cache(maxsize=8)

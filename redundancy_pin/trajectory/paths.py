@@ -335,14 +335,12 @@ def _jumping_joints(segments: Sequence[Path], length: float) -> Array:
         gap = float(np.linalg.norm(start.x - end.x))
         kink = float(np.linalg.norm(start.tangent - end.tangent))
         if gap > _JOINT_TOLERANCE * length or kink > _JOINT_TOLERANCE:
-            raise InputError(
+            message = (
                 f"Segments {k} and {k + 1} do not meet: the positions differ by {gap:.3g} m, "
-                f"the unit tangents by {kink:.3g}.",
-                remedy="A kink cannot be passed at speed: join straights by an arc (see rounded_polygon).",
-                segment=k,
-                gap=gap,
-                kink=kink,
+                f"the unit tangents by {kink:.3g}."
             )
+            remedy = "A kink cannot be passed at speed: join straights by an arc (see rounded_polygon)."
+            raise InputError(message, remedy=remedy, segment=k, gap=gap, kink=kink)
         change = np.abs(start.curvature - end.curvature).max()
         size = max(np.abs(start.curvature).max(), np.abs(end.curvature).max())
         jumps.append(bool(change > _JOINT_TOLERANCE * size))

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import checked, positive
-from redundancy_pin.trajectory.corners import corner_path, rounded_polygon
 from redundancy_pin.trajectory.paths import Line, circle_path, with_constant
 from redundancy_pin.trajectory.timing import LEAST_RAMP_FRACTION, RestToRest, SpeedProfile
 from redundancy_pin.trajectory.trajectory import PoseTrajectory, Trajectory
+from redundancy_pin.trajectory.waypoints import corner_path, rounded_polygon
 
 CIRCLE_RAMP_FRACTION = 0.765
 """Length of the ramp up on the thesis's circle as a fraction of v T: 0.153 v metres for T = 0.2 s. The thesis
@@ -19,10 +19,7 @@ does not state it; the times at which its circle reaches the singular line, at 0
 
 
 def circle(
-    speed: float = 0.5,
-    ramp_time: float = 0.2,
-    ramp_length: float | None = None,
-    end_ramp_length: float | None = None,
+    speed: float = 0.5, ramp_time: float = 0.2, ramp_length: float | None = None, end_ramp_length: float | None = None
 ) -> Trajectory:
     """Return the circle of the 2-RPR, (x, y) (Parsa 2014, section 3.2).
 

@@ -19,8 +19,14 @@ from random_plans import PLAIN, difference, plans
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, PlanFileError
 from redundancy_pin.io.archive import decode, encode
-from redundancy_pin.planners.plan import PLAN_VERSION, Plan, PlanStatus, finish_plan
-from redundancy_pin.planners.plan_file import load_plan, load_robot_of, save_plan
+from redundancy_pin.planners.plan import (
+    PLAN_VERSION,
+    Plan,
+    PlanStatus,
+    finish_plan,
+    load_plan,
+    load_robot_of,
+)
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
 
@@ -63,7 +69,7 @@ def saved(plan: Plan, tmp_path: Path) -> Path:
 @given(plan=plans())
 def test_a_plan_comes_back_bit_by_bit(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.npz"
-    save_plan(plan, path)
+    plan.save(path)
     assert difference(plan, load_plan(path)) == ""
 
 

@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from redundancy_pin import PlatformMotion, VirtualWork
-from redundancy_pin.planners.actuation import Actuation
-from redundancy_pin.planners.carrier_model import TimedModel, carrier_model
+from redundancy_pin.planners.carrier_model import Actuation, TimedModel, carrier_model
 from redundancy_pin.singularities.roots import below_zero, minima
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion

@@ -61,15 +61,8 @@ def run_course(
 ) -> Course:
     """Plan the carriers from the first instant to the last, but for the braking.
 
-    Args:
-        robot: the robot.
-        settings: of the planner.
-        problems: the prepared steps, J of them.
-        active: (J,) whether the optimiser decides a step.
-        at_rest: (J,) whether the platform rests at the end of a step.
-
-    Raises:
-        InfeasiblePlanError: the box of a step is empty, or no return keeps the limits.
+    ``problems``: the prepared steps, J of them; ``active`` (J,) whether the optimiser decides a step; ``at_rest`` (J,)
+    whether the platform rests at the end of a step.
     """
     t = problems.t
     shape = (len(t), robot.k)
@@ -177,15 +170,8 @@ def brake(settings: Settings, course: Course, step: float, platform_rests: bool)
 
     Each is braked by a constant deceleration within ``brake_time``, sooner where its track is too short for that.
 
-    Args:
-        settings: of the planner.
-        course: the course up to there.
-        step: length of the steps added after the motion, s.
-        platform_rests: whether the platform rests at the end of the motion.
-
-    Raises:
-        InfeasiblePlanError: a carrier cannot be stopped on its track or by the time it must; names it, the time and
-            the amount.
+    ``step``: length of the steps added after the motion, s; ``platform_rests``: whether the platform rests at the end
+    of the motion.
     """
     first = course.brake_from
     s, sd = course.s[first], np.where(np.abs(course.sd[first]) > AT_REST, course.sd[first], 0.0)
@@ -238,15 +224,12 @@ def _require_time(settings: Settings, course: Course, stopping: Array, left: flo
         if settings.stop == "after"
         else f"which takes {late:.3g} s longer than the motion"
     )
-    raise InfeasiblePlanError(
+    message = (
         f"{carrier} still has {course.sd[course.brake_from, j]:.6g} m/s at t = {course.t[course.brake_from]:.6g} s and "
-        f"must be stopped, {why}.",
-        remedy='Use a motion that ends at rest, stop="after", or a shorter return_time.',
-        constraint="rest",
-        carrier=carrier,
-        time=end,
-        amount=late,
+        f"must be stopped, {why}."
     )
+    remedy = 'Use a motion that ends at rest, stop="after", or a shorter return_time.'
+    raise InfeasiblePlanError(message, remedy=remedy, constraint="rest", carrier=carrier, time=end, amount=late)
 
 
 def _require_on_track(settings: Settings, times: Array, path: Array, sd: Array) -> None:

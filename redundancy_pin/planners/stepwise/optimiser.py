@@ -24,7 +24,7 @@ from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.planners.carrier_model import EffortModel
 from redundancy_pin.planners.carrier_return import CarrierState
-from redundancy_pin.planners.stepwise.box import AccelerationBox
+from redundancy_pin.planners.stepwise.settings import AccelerationBox
 
 Linearised: TypeAlias = Callable[[list[float]], Array]
 """From u, k numbers, to [J r] (m, k + 1), J = ∂r/∂u."""
@@ -56,22 +56,13 @@ def minimise(
 ) -> tuple[list[float], int]:
     """Return the minimum of ‖r(u)‖² over lower ≤ u ≤ upper.
 
-    Args:
-        linearised: J and, as its last column, r at a point.
-        lower: k lower bounds; −inf for none.
-        upper: k upper bounds, not below the lower ones.
-        start: k numbers, a guess, inside the box or not.
-        slope: size of J, positive.
-        curvature: size of C.
-        damping: (k, k) added to JᵀJ, see ``damping_of``.
-        tolerance: how far the gradient at the result may be from that of a minimum, divided by the slope; in the unit
-            of r.
+    ``linearised``: J and, as its last column, r at a point; ``lower``: k lower bounds; −inf for none; ``upper``: k
+    upper bounds, not below the lower ones; ``start``: k numbers, a guess, inside the box or not; ``damping`` (k, k)
+    added to JᵀJ, see ``damping_of``; ``tolerance``: how far the gradient at the result may be from that of a minimum,
+    divided by the slope; in the unit of r.
 
     Returns:
         The minimum, k numbers, and the number of Gauss–Newton steps it took.
-
-    Raises:
-        RedundancyPinError: no convergence (the curvature dominates).
     """
     u, k = start, len(start)
     for iteration in range(1, MOST_ITERATIONS + 1):
@@ -96,8 +87,7 @@ def minimise(
 
 def damping_of(k: int, slope: float) -> Array:
     """Return the (k, k) damping of ``minimise`` for slopes of a given size."""
-    damping: Array = _DAMPING * slope * slope * np.eye(k)
-    return damping
+    return _DAMPING * slope * slope * np.eye(k)
 
 
 def _outside(values: list[float], lower: list[float], upper: list[float]) -> bool:
@@ -129,12 +119,8 @@ def optimality(residual: Array, jacobian: Array, lower: Array, upper: Array, u: 
     The largest component of the gradient that a move inside the box could follow downhill, divided by the size of J;
     zero at a minimum. In the unit of r.
 
-    Args:
-        residual: (P, m) r at the points.
-        jacobian: (P, m, k) J there.
-        lower: (P, k) lower bounds.
-        upper: (P, k) upper bounds.
-        u: (P, k) the points.
+    ``residual`` (P, m) r at the points; ``jacobian`` (P, m, k) J there; ``lower`` (P, k) lower bounds; ``upper`` (P, k)
+    upper bounds; ``u`` (P, k) the points.
     """
     gradient = np.einsum("pm,pmk->pk", residual, jacobian)
     gradient = np.where((u <= lower) & (gradient > 0.0), 0.0, gradient)
@@ -149,10 +135,7 @@ def definiteness(residual: Array, jacobian: Array, curvatures: Array) -> Array:
 
     The Hessian of ½ ‖r‖² is JᵀJ + 2 diag(Cᵀ r). Where it is positive everywhere in the box the minimum is the only one.
 
-    Args:
-        residual: (P, m) r at the points.
-        jacobian: (P, m, k) J there.
-        curvatures: (P, m, k) C.
+    ``residual`` (P, m) r at the points; ``jacobian`` (P, m, k) J there; ``curvatures`` (P, m, k) C.
     """
     hessian = np.einsum("pmk,pml->pkl", jacobian, jacobian)
     each = np.arange(hessian.shape[1])
@@ -206,10 +189,8 @@ class StepProblems:
 def step_problems(model: EffortModel, target: Array, at: IntArray) -> StepProblems:
     """Prepare the steps between chosen samples of a model.
 
-    Args:
-        model: coefficients of the efforts, N samples.
-        target: (N, m) efforts to aim at, λ τ̂, N or N·m.
-        at: (J + 1,) samples between which the steps lie; their times increase.
+    ``model``: coefficients of the efforts, N samples; ``target`` (N, m) efforts to aim at, λ τ̂, N or N·m; ``at`` (J +
+    1,) samples between which the steps lie; their times increase.
     """
     t = model.t[at]
     h = np.diff(t)
@@ -263,15 +244,7 @@ class Stretch:
 def optimise(problems: StepProblems, first: int, last: int, start: CarrierState, limits: AccelerationBox) -> Stretch:
     """Solve steps first ... last − 1, each from where the one before it ended.
 
-    Args:
-        problems: the prepared steps.
-        first: index of the first step.
-        last: one past the last.
-        start: the carriers before the first step; their accelerations are the first guess.
-        limits: what to keep to.
-
-    Raises:
-        InfeasiblePlanError: the box of a step is empty; names carrier, time and amount.
+    ``start``: the carriers before the first step; their accelerations are the first guess.
     """
     m, k = problems.C.shape[1:]
 
@@ -285,11 +258,7 @@ def optimise(problems: StepProblems, first: int, last: int, start: CarrierState,
     damping = damping_of(k, float(problems.slope.max()))
     lengths, times = problems.h.tolist(), problems.t.tolist()
     slopes, curvatures = problems.slope.tolist(), problems.curvature.tolist()
-    positions: list[float] = []
-    speeds: list[float] = []
-    accelerations: list[float] = []
-    lower: list[float] = []
-    upper: list[float] = []
+    results: list[tuple[list[float], ...]] = []
     iterations: list[int] = []
     s, sd, u = start.s.tolist(), start.sd.tolist(), start.sdd.tolist()
     guess = u
@@ -309,13 +278,7 @@ def optimise(problems: StepProblems, first: int, last: int, start: CarrierState,
         guess = [2.0 * now - then for now, then in zip(u, before)]  # noqa: B905
         sd = [v + h * a for v, a in zip(sd, u)]  # noqa: B905
         s = [x + h * v for x, v in zip(s, sd)]  # noqa: B905
-        positions += s
-        speeds += sd
-        accelerations += u
-        lower += low
-        upper += high
+        results.append((s, sd, u, low, high))
         iterations.append(count)
-    s, sd, sdd, low_box, high_box = (
-        np.array(part).reshape(-1, k) for part in (positions, speeds, accelerations, lower, upper)
-    )
-    return Stretch(s, sd, sdd, low_box, high_box, np.array(iterations, dtype=np.intp))
+    position, speed, acceleration, lower, upper = np.moveaxis(np.array(results).reshape(-1, 5, k), 1, 0).copy()
+    return Stretch(position, speed, acceleration, lower, upper, np.array(iterations, dtype=np.intp))

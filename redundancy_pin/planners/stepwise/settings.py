@@ -1,22 +1,110 @@
-"""The options of the stepwise planner, checked, and the efforts it aims at."""
+"""The options of the stepwise planner, checked, and the box that limits leave for accelerations in one step."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal, TypeGuard, cast, get_args
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, checked, positive
-from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.arrays import Array, positive
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.carrier_return import stoppable_speed
 from redundancy_pin.planners.limits import Limits, ResolvedLimits
-from redundancy_pin.planners.stepwise.box import AccelerationBox
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import CarrierLimits, Robot
+
+_EMPTY = 1e-9
+"""A box that is empty by less than this fraction of the accelerations involved is one point: a limit that is met
+exactly leaves a rounding error."""
+
+
+@dataclass(frozen=True)
+class AccelerationBox:
+    """What the carriers must keep to at every step.
+
+    Attributes:
+        carriers: (k,) names.
+        limits: (k,) track, speed, acceleration and force of each; the planner keeps to the first three.
+        anticipate: whether a carrier is kept able to stop before the end of its track.
+        rest_at: time by which all must be at rest, s; infinite for none.
+    """
+
+    carriers: tuple[str, ...]
+    limits: tuple[CarrierLimits, ...]
+    anticipate: bool
+    rest_at: float
+    _bounds: tuple[tuple[float, float, float, float], ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # plain tuples: the box is asked for at every step
+        bounds = tuple((limit.lower, limit.upper, limit.speed, limit.acceleration) for limit in self.limits)
+        object.__setattr__(self, "_bounds", bounds)
+
+    def box(self, t: float, step: float, s: Sequence[float], sd: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Return the smallest and largest s̈ of each carrier in a step (Parsa 2014, eqs. 4.2 to 4.4).
+
+        With backward differences ṡ' = ṡ + h s̈ and s' = s + h ṡ' the limits of the track, the speed and the
+        acceleration are one box. Two more bounds may narrow it: a carrier must be able to stop before its track ends
+        (``anticipate``) and by the time ``rest_at``. Both give way to the largest deceleration, so they never empty it.
+
+        ``t``: time at the end of the step, s; ``step``: length h of the step, s; ``s`` (k,) positions before the step,
+        m; ``sd`` (k,) speeds before the step, m/s.
+        """
+        lower, upper = [], []
+        for j, (first, last, fastest, a) in enumerate(self._bounds):
+            position, speed = s[j], sd[j]
+            reach = a * step
+            least, most = max(speed - reach, -fastest), min(speed + reach, fastest)
+            behind, ahead = position - first, last - position
+            if most * step > ahead:
+                most = ahead / step
+            if -least * step > behind:
+                least = -behind / step
+            if self.anticipate:
+                if most > 0.0 and (step + 0.5 * most / a) * most > ahead:
+                    most = min(most, max(stoppable_speed(ahead, step, a), speed - reach))
+                if least < 0.0 and (step - 0.5 * least / a) * -least > behind:
+                    least = max(least, min(-stoppable_speed(behind, step, a), speed + reach))
+            if self.rest_at < math.inf:
+                left = a * max(self.rest_at - t, 0.0)
+                most = min(most, max(left, speed - reach))
+                least = max(least, min(-left, speed + reach))
+            low, high = max((least - speed) / step, -a), min((most - speed) / step, a)
+            if low > high:
+                low = high = self._single(j, t, step, position, speed, low, high)
+            lower.append(low)
+            upper.append(high)
+        return lower, upper
+
+    def _single(self, j: int, t: float, step: float, s: float, sd: float, lower: float, upper: float) -> float:
+        """Return the one acceleration left where rounding emptied the box."""
+        bounds = self.limits[j]
+        if lower - upper <= _EMPTY * (abs(lower) + abs(upper)):
+            return min(max(0.5 * (lower + upper), -bounds.acceleration), bounds.acceleration)
+        a = bounds.acceleration
+        braked = sd - math.copysign(min(abs(sd), a * step), sd)
+        reached = s + step * braked
+        beyond = max(reached - bounds.upper, bounds.lower - reached)
+        excess = abs(braked) - bounds.speed
+        if beyond > excess:
+            what, amount, unit = "track", float(beyond), "m"
+            text = f"braked by {a:g} m/s² it would still be {beyond:.3g} m beyond the end of its track"
+        else:
+            what, amount, unit = "speed", float(excess), "m/s"
+            text = f"braked by {a:g} m/s² it would still be {excess:.3g} m/s above its speed limit"
+        message = (
+            f"{self.carriers[j]} cannot keep its limits at t = {t:.6g} s: it arrives at s = {s:.6g} m with "
+            f"{sd:.6g} m/s, and {text}."
+        )
+        remedy = "Use anticipate=True, a larger lam, higher limits, or a gentler motion."
+        raise InfeasiblePlanError(
+            message, remedy=remedy, constraint=what, carrier=self.carriers[j], time=t, amount=amount, unit=unit
+        )
+
 
 Active = Literal["always", "accelerating"]
 """When the optimiser works: at every step, or only while the platform accelerates."""
@@ -29,9 +117,7 @@ Stop = Literal["after", "within"]
 class Settings:
     """Checked options of ``plan_stepwise``; see there.
 
-    Attributes:
-        limits: of the carriers.
-        box: what they leave in a step.
+    ``limits``: of the carriers; ``box``: what they leave in a step.
     """
 
     limits: ResolvedLimits
@@ -80,12 +166,7 @@ def checked_settings(
     least_margin: float,
     between: int,
 ) -> Settings:
-    """Return the settings of ``plan_stepwise`` after checking every one.
-
-    Raises:
-        InputError: a setting out of its domain; names it.
-        InfeasiblePlanError: a start or datum off the track.
-    """
+    """Return the settings of ``plan_stepwise`` after checking every one."""
     try:
         fraction = float(lam)
     except (TypeError, ValueError) as error:
@@ -134,46 +215,3 @@ def checked_settings(
         least_margin=positive(least_margin, "least_margin", ""),
         between=between,
     )
-
-
-def target_effort(
-    robot: Robot, motion: PlatformMotion, lam: float, baseline: Dynamics | ArrayLike | None
-) -> tuple[Array, Array | None]:
-    """Return (N, m) λ τ̂, and τ̂ itself where there is a baseline.
-
-    Raises:
-        InputError: λ > 0 without a baseline, or one that does not fit the robot or the motion.
-        InfeasiblePlanError: the baseline has no finite efforts somewhere.
-    """
-    shape = (len(motion), robot.m)
-    if baseline is None:
-        if lam > 0.0:
-            raise InputError(
-                f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
-                remedy='Pass baseline=VirtualWork(load_robot("3rrr", carriers=False)) or an array (N, m).',
-            )
-        return np.zeros(shape), None
-    if is_dynamics(baseline):
-        other = baseline.robot
-        if (other.n, other.m) != (robot.n, robot.m):
-            raise InputError(
-                f"The baseline robot has n, m = {other.n}, {other.m}; {robot.name} has {robot.n}, {robot.m}.",
-                remedy="Pass the same mechanism without carriers.",
-            )
-        tau = distribute(baseline.reduce(motion)).tau
-        bad = np.flatnonzero(~np.isfinite(tau).all(axis=1))
-        if len(bad):
-            raise InfeasiblePlanError(
-                f"The baseline robot has no finite efforts at t = {motion.t[bad[0]]:.6g} s.",
-                remedy="Use lam = 0, which needs no baseline.",
-                constraint="baseline",
-                time=float(motion.t[bad[0]]),
-            )
-    else:
-        tau = checked(cast(ArrayLike, baseline), "baseline", shape)
-    return lam * tau, tau
-
-
-def is_dynamics(baseline: Dynamics | ArrayLike) -> TypeGuard[Dynamics]:
-    """Return whether a baseline is a backend, rather than efforts."""
-    return isinstance(getattr(baseline, "robot", None), Robot)

@@ -42,9 +42,8 @@ _NARROW = 1e-3
 class RampDown:
     """The main efforts on their way to zero, and zero after it.
 
-    Attributes:
-        polynomial: quintic with values (m,), N or N·m (Parsa 2014, eq. 3.4).
-        parked_at_entry: (m,) what they would be at its end with the carriers parked.
+    ``polynomial``: quintic with values (m,), N or N·m (Parsa 2014, eq. 3.4); ``parked_at_entry`` (m,) what they would
+    be at its end with the carriers parked.
     """
 
     polynomial: Polynomial
@@ -119,10 +118,8 @@ _MOST_ITERATIONS = 8
 class StepGivenUpError(ArithmeticError):
     """No bounded s̈ satisfies the equation past a time; never leaves the planner.
 
-    Attributes:
-        t: that time, s.
-        s, sd: (k,) carrier motion there, m and m/s.
-        defect: what was left of the equation, N.
+    ``t``: that time, s; ``s``, ``sd`` (k,) carrier motion there, m and m/s; ``defect``: what was left of the equation,
+    N.
     """
 
     def __init__(self, t: float, s: Array, sd: Array, defect: float) -> None:
@@ -149,11 +146,7 @@ class CarrierEquation:
     size: float
 
     def solve(self, start: float, end: float, s: Array, sd: Array) -> PiecewisePolynomial:
-        """Integrate from a state (k,), (k,) at ``start`` to ``end``.
-
-        Raises:
-            StepGivenUpError: no bounded motion of the carriers satisfies the equation.
-        """
+        """Integrate from a state (k,), (k,) at ``start`` to ``end``."""
         breaks = self.model.breaks
         ends = [*breaks[(breaks > start) & (breaks < end)].tolist(), end]
         least = LEAST_STEP * (end - start)
@@ -176,7 +169,7 @@ class CarrierEquation:
 
     def _step(self, a: float, b: float, s0: Array, sd0: Array) -> tuple[Array, float, float]:
         """Return the Legendre series (d, k) of s on one step, the largest defect and the largest F s̈, N."""
-        basis, half, k = _basis(), 0.5 * (b - a), self.model.k
+        basis, half = _basis(), 0.5 * (b - a)
         t = a + half * (basis.x + 1.0)
         model = self.model.at(t)
         scale = self.row_scale[:, None]
@@ -185,7 +178,7 @@ class CarrierEquation:
         idle = _idle_directions(by_sdd)
         value, first, second = basis.value, half * basis.first, half**2 * basis.second
         start = s0 + half * (basis.x[:, None] + 1.0) * sd0
-        c = np.zeros((DEGREE + 1, k))
+        c = np.zeros((DEGREE + 1, model.k))
         defect = force = np.inf
         for _ in range(_MOST_ITERATIONS):
             s, sd, sdd = start + second @ c, sd0 + first @ c, value @ c

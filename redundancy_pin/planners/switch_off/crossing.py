@@ -1,4 +1,13 @@
-"""Where the carriers cannot act in some direction, and whether anything has to be carried there."""
+"""The carriers through one window without main efforts, and whether they can carry what has to be carried there.
+
+Where they cannot act in some direction, nothing may be left there. The motion is integrated with error control
+(``carrier_equation``), or follows from the thesis's own discretisation: there ṡ and s̈ are backward differences of s on
+a uniform grid, which makes f(s, ṡ, s̈) = W τ_ref k nonlinear equations for the k positions (Parsa 2014, eqs 3.5 and
+3.6). They are solved exactly, so every sample is in balance; but the speed is that of half a step earlier and the
+acceleration that of a whole step, an error of first order. The first sample after switch-on, on the return polynomial,
+asks for efforts in one step: a jump in proportion to the step. It is here to reproduce the thesis and to show where its
+jumps come from.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, frozen
+from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import null_directions, spectrum_of
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.actuation import dense
-from redundancy_pin.planners.carrier_model import TimedModel
+from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, dense
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, RampDown, StepGivenUpError, ramp_down
 from redundancy_pin.singularities.roots import Interval, minima
@@ -60,24 +68,18 @@ class LostDirection:
 
 
 def lost_directions(equation: CarrierEquation, start: float, end: float) -> list[LostDirection]:
-    """Return the instants between two times at which F lacks rank.
-
-    Raises:
-        InfeasiblePlanError: F lacks rank all along.
-    """
+    """Return the instants between two times at which F lacks rank."""
     model = equation.model
     times = dense(model.interpolant.edges)
     n = len(equation.row_scale)
 
     def forces(t: Array) -> Array:
-        matrices: Array = model.at(t).f_terms[..., 4] / equation.row_scale[:, None]
-        return matrices
+        return model.at(t).f_terms[..., 4] / equation.row_scale[:, None]
 
     largest = float(spectrum_of(forces(times)).singular_values.max())
 
     def smallest(t: Array) -> Array:
-        value: Array = spectrum_of(forces(t)).singular_values[:, n - 1] / largest
-        return value
+        return spectrum_of(forces(t)).singular_values[:, n - 1] / largest
 
     if largest == 0.0 or np.median(smallest(times)) < RANK_LOSS:
         raise InfeasiblePlanError(
@@ -104,11 +106,7 @@ def lost_directions(equation: CarrierEquation, start: float, end: float) -> list
 
 
 def require_balanced(equation: CarrierEquation, lost: Sequence[LostDirection]) -> None:
-    """Check that where the carriers cannot act, and cannot change what is left, nothing is left.
-
-    Raises:
-        InfeasiblePlanError: something is; carries the force, its direction and the time.
-    """
+    """Check that where the carriers cannot act, and cannot change what is left, nothing is left."""
     for instant in lost:
         helpless = instant.by_motion <= BALANCED * equation.size
         if helpless and abs(instant.parked) > BALANCED * equation.size:
@@ -118,10 +116,8 @@ def require_balanced(equation: CarrierEquation, lost: Sequence[LostDirection]) -
 def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> InfeasiblePlanError:
     """Return the error that says which force nothing can carry.
 
-    Args:
-        instant: where and in which direction.
-        force: uᵀ(f − W τ_ref), N.
-        circumstance: for which motion of the carriers.
+    ``instant``: where and in which direction; ``force``: uᵀ(f − W τ_ref), N; ``circumstance``: for which motion of the
+    carriers.
     """
     direction = np.round(np.sign(force) * instant.direction, 12) + 0.0  # no negative zeros
     along = ", ".join(f"{component:.6f}" for component in direction)
@@ -186,13 +182,9 @@ class Crossing:
 def cross(
     dynamics: Dynamics, motion: ContinuousMotion, window: Interval, ramp_time: float, datum: Array, row_scale: Array
 ) -> Crossing:
-    """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6).
-
-    Raises:
-        InfeasiblePlanError: a force that nothing can carry at the singular pose.
-    """
+    """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6)."""
     equation, lost = crossing_equation(dynamics, motion, window, window.start - ramp_time, datum, row_scale)
-    start = equation.model.start
+    start = equation.model.interpolant.start
     zero = np.zeros_like(datum)
     try:
         down = equation.solve(start, window.start, datum, zero)
@@ -206,11 +198,7 @@ def cross(
 def crossing_equation(
     dynamics: Dynamics, motion: ContinuousMotion, window: Interval, start: float, datum: Array, row_scale: Array
 ) -> tuple[CarrierEquation, tuple[LostDirection, ...]]:
-    """Return what the carriers have to satisfy from the start of the ramp-down to switch-on, and where they cannot act.
-
-    Raises:
-        InfeasiblePlanError: where they cannot act a force is left that no motion of the carriers changes.
-    """
+    """Return what the carriers have to satisfy from the start of the ramp-down to switch-on, and where it fails."""
     ramp = ramp_down(dynamics, motion, start, window.start, datum)
     model = TimedModel.of(dynamics, motion, start, window.end)
     times = np.unique(np.concatenate([model.interpolant.edges, np.linspace(start, window.end, 201)]))
@@ -246,11 +234,69 @@ def _unbounded(
         ahead = near[0].t - stuck.t
         force = near[0].left(equation, stuck.s + ahead * stuck.sd, stuck.sd)
         return nothing_carries(near[0], force, f"brought there at s = {np.round(stuck.s, 4).tolist()} m")
-    return InfeasiblePlanError(
+    message = (
         f"Past t = {stuck.t:.6g} s no bounded motion of the carriers balances the prescribed efforts: "
-        f"{stuck.defect:.3g} N are left.",
-        remedy="Shorten the window (a threshold nearer to the singularity) or slow down.",
-        constraint="carrier_motion",
-        time=stuck.t,
-        amount=stuck.defect,
+        f"{stuck.defect:.3g} N are left."
     )
+    remedy = "Shorten the window (a threshold nearer to the singularity) or slow down."
+    return InfeasiblePlanError(message, remedy=remedy, constraint="carrier_motion", time=stuck.t, amount=stuck.defect)
+
+
+STEP_TOLERANCE = 1e-9
+"""Largest imbalance at a sample, relative to the largest f along the crossing. A position rounded to 1e-17 m is an
+acceleration of 1e-11 m/s² at a step of a millisecond."""
+
+_MOST_ITERATIONS = 20
+
+
+def cross_stepwise(
+    dynamics: Dynamics,
+    motion: ContinuousMotion,
+    window: Interval,
+    ramp_time: float,
+    datum: Array,
+    row_scale: Array,
+    dt: float,
+) -> Crossing:
+    """Solve the carriers through one window, sample by sample; the window is widened or narrowed to the grid.
+
+    The actuators are off from the first to the last sample inside the window.
+    """
+    first = int(np.ceil((window.start - motion.start) / dt - 1e-9))
+    last = max(int(np.floor((window.end - motion.start) / dt + 1e-9)), first)
+    steps = min(max(1, round(ramp_time / dt)), first)
+    t: Array = motion.start + dt * np.arange(first - steps, last + 1, dtype=np.float64)
+    snapped = Interval(float(t[steps]), float(t[-1]), window.open_start, window.open_end)
+    equation, lost = crossing_equation(dynamics, motion, snapped, float(t[0]), datum, row_scale)
+    model = equation.model.at(t)
+    load = np.einsum("nij,nj->ni", model.W, equation.effort(t))
+    s = np.tile(datum, (len(t) + 2, 1))  # two samples at rest before the first
+    for i in range(len(t)):
+        s[i + 2] = _position(equation, model, i, load[i], s[i + 1], s[i], dt)
+    sd = np.diff(s, axis=0) / dt
+    carriers = CarrierMotion(s[2:], sd[1:], np.diff(sd, axis=0) / dt)
+    # s̈ of a sample is that of the step which ends there; the first sample only starts one
+    position = PiecewisePolynomial.constant_acceleration(t, s[2:], carriers.sd, carriers.sdd)
+    return Crossing(snapped, equation.effort, position.made_continuous(), lost, (read_only(t), carriers))
+
+
+def _position(
+    equation: CarrierEquation, model: CarrierModel, i: int, load: Array, last: Array, before: Array, dt: float
+) -> Array:
+    """Solve f(s, (s − s₁)/dt, (s − 2 s₁ + s₂)/dt²) = W τ_ref for s (k,) by Newton's method."""
+    by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(model.f_terms[i] / equation.row_scale[:, None, None], -1, 0)
+    target = (load - model.f0[i]) / equation.row_scale
+    s = 2.0 * last - before
+    left = np.inf
+    for _ in range(_MOST_ITERATIONS):
+        sd, sdd = (s - last) / dt, (s - 2.0 * last + before) / dt**2
+        residual = target - by_s @ s - by_s2 @ (s * s) - by_sd @ sd - by_ssd @ (s * sd) - by_sdd @ sdd
+        left = float(np.abs(residual).max())
+        if left <= STEP_TOLERANCE * equation.size:
+            return s
+        slope = by_s + 2.0 * by_s2 * s + by_sd / dt + by_ssd * (sd + s / dt) + by_sdd / dt**2
+        s = s + np.linalg.lstsq(slope, residual, rcond=None)[0]
+    t = float(model.t[i])
+    message = f"At t = {t:.6g} s no position of the carriers balances the prescribed efforts: {left:.3g} N are left."
+    remedy = "Use the integration scheme, or a shorter step."
+    raise InfeasiblePlanError(message, remedy=remedy, constraint="carrier_motion", time=t, amount=left)

@@ -24,11 +24,9 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model
-from redundancy_pin.planners.stepwise.settings import target_effort
+from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort
 from redundancy_pin.planners.whole_trajectory.mesh import Grid
-from redundancy_pin.planners.whole_trajectory.objectives import Scales
-from redundancy_pin.planners.whole_trajectory.options import Settings
+from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, chebyshev_times
 
@@ -105,15 +103,8 @@ class Problem:
 def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = None) -> Problem:
     """Read the coefficients at all nodes off the backend.
 
-    Args:
-        task: robot, motion and settings.
-        grid: the nodes.
-        around: for carriers on curved tracks, the motion at the nodes around which f is fitted.
-
-    Raises:
-        UnsupportedRobotError: carriers on curved tracks, and nothing to fit around.
-        InfeasiblePlanError: the baseline robot has no finite efforts somewhere, or the motion does not cross a
-            singularity that it meets.
+    ``task``: robot, motion and settings; ``around``: for carriers on curved tracks, the motion at the nodes around
+    which f is fitted.
     """
     settings, motion = task.settings, task.source.sample_at(grid.t)
     along = task.dynamics.along(motion)
@@ -157,16 +148,9 @@ def singular_node(
 ) -> SingularNode:
     """Read the derivatives of the model at a singular instant off the backend.
 
-    Args:
-        task: robot, motion and settings.
-        index: number of the node.
-        t: the instant, s.
-        around: for carriers on curved tracks, the motion (one sample) around which the model is fitted.
-        side: from which the derivatives are taken; "left" for the node before a jump of the reference acceleration.
-
-    Raises:
-        UnsupportedRobotError: see ``carrier_model``.
-        InfeasiblePlanError: the motion touches the singularity, rests in it or stays in it: (W; uᵀ Ẇ) lacks rank.
+    ``task``: robot, motion and settings; ``t``: the instant, s; ``around``: for carriers on curved tracks, the motion
+    (one sample) around which the model is fitted; ``side``: from which the derivatives are taken; "left" for the node
+    before a jump of the reference acceleration.
     """
     dynamics, source, dt = task.dynamics, task.source, task.settings.mesh.dt
     if around is None:
@@ -194,20 +178,18 @@ def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
         return
     speed, most = (float(np.abs(source.sample_at(at).xd).max()) for at in (np.array([t]), _spread(source)))
     how = "rests in" if speed <= CROSSED * most else "touches, or follows,"
-    raise InfeasiblePlanError(
+    message = (
         f"At t = {t:.6g} s the motion {how} a type II singularity without crossing it: what f and its rate say there "
-        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite beside it.",
-        remedy="Lead the motion across the singularity with a speed, or keep a distance from it.",
-        constraint="singular_touch",
-        time=t,
-        amount=changed,
-        at_rest=speed <= CROSSED * most,
+        "does not determine the efforts, and no condition on s, ṡ and s̈ keeps them finite beside it."
+    )
+    remedy = "Lead the motion across the singularity with a speed, or keep a distance from it."
+    raise InfeasiblePlanError(
+        message, remedy=remedy, constraint="singular_touch", time=t, amount=changed, at_rest=speed <= CROSSED * most
     )
 
 
 def _spread(source: ContinuousMotion) -> Array:
-    times: Array = np.linspace(source.start, source.end, 101)
-    return times
+    return np.linspace(source.start, source.end, 101)
 
 
 STEP = 1e-4
@@ -220,9 +202,7 @@ def second_order_fit(along: DynamicsAlongMotion, carriers: CarrierMotion) -> Car
     f is affine in s̈ and, to second order, a sum over the carriers: seven terms. The force of a carrier is fitted to
     first order in its own motion; what the others do to it is taken as it is.
 
-    Args:
-        along: dynamics along a platform motion, N samples.
-        carriers: motion to fit around, N samples.
+    ``along``: dynamics along a platform motion, N samples; ``carriers``: motion to fit around, N samples.
     """
     model = _first_order_fit(along, carriers)
     s, sd, sdd = carriers.s, carriers.sd, carriers.sdd

@@ -11,13 +11,7 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.robot_record import RobotRecord
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem
 from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME, Solution, solve_nlp
-from redundancy_pin.planners.whole_trajectory.transcription import (
-    KIND_OF,
-    KINDS,
-    scaled_bounds,
-    slack_name,
-    transcribe,
-)
+from redundancy_pin.planners.whole_trajectory.transcription import KIND_OF, KINDS, scaled_bounds, slack_name, transcribe
 
 NOTHING = 1e-5
 """A relaxation below this fraction of a limit is none: the objective and the reserve leave as much."""

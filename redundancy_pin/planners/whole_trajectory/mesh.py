@@ -10,7 +10,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
-from redundancy_pin.planners.actuation import Actuation
+from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
 
 LEAST_STEPS = 2
@@ -50,10 +50,7 @@ def singular_instants(dynamics: Dynamics, source: ContinuousMotion) -> list[floa
 def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
     """Return nodes at most ``dt`` apart, with every event on a node.
 
-    Args:
-        source: the platform motion.
-        singular: times on a type II singularity, s.
-        dt: largest step, s.
+    ``singular``: times on a type II singularity, s; ``dt``: largest step, s.
     """
     least = 1e-9 * (source.end - source.start)
     # one that rounding keeps from a jump is on it, or the jump would have no node of its own
@@ -84,9 +81,7 @@ def with_middles(grid: Grid, steps: BoolArray) -> Grid:
 
     The efforts are then seen inside these steps, while the carriers have no more freedom than before.
 
-    Args:
-        grid: the grid.
-        steps: (M − 1,) which steps; those of length zero are left alone.
+    ``steps`` (M − 1,) which steps; those of length zero are left alone.
     """
     marked = np.flatnonzero(np.asarray(steps) & (np.diff(grid.t) > 0.0))
     middle = 0.5 * (grid.t[marked] + grid.t[marked + 1])

@@ -1,16 +1,27 @@
-"""Multistart: the problem solved from several first guesses, and what is known about the best optimum."""
+"""The problem solved from several first guesses, and what is known about the best optimum.
+
+For carriers on curved tracks f is no polynomial of their motion, so it is fitted anew around each solution. Around a
+course s̄(t) the backend gives f and its exact derivatives by s, ṡ and s̈; differences of those give the second ones. That
+is a polynomial like that of straight tracks with two more terms, and everything else works on it as it does for those.
+The programme is solved, its course is the next to fit around, and so on until the true f balances W τ; near the end the
+error squares from fit to fit. Where a step makes the balance worse, the new course is taken only in part: the other
+conditions on a course are linear, so that what lies between two that keep them does as well.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.planners.whole_trajectory.coefficients import Problem
-from redundancy_pin.planners.whole_trajectory.solver import LEAST_SECONDS, Solution
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.robot_record import robot_record
+from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task, read_coefficients
+from redundancy_pin.planners.whole_trajectory.infeasibility import relax
+from redundancy_pin.planners.whole_trajectory.solver import LEAST_SECONDS, Solution, solve
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 _SWINGS = 3
@@ -30,10 +41,8 @@ SAME_MOTION = 0.01
 class Outcome:
     """What one first guess led to.
 
-    Attributes:
-        problem: the numbers that were solved with.
-        solution: the solution.
-        fits: how often f was fitted, for carriers on curved tracks.
+    ``problem``: the numbers that were solved with; ``solution``: the solution; ``fits``: how often f was fitted, for
+    carriers on curved tracks.
     """
 
     problem: Problem
@@ -52,8 +61,7 @@ class Multistart:
     def best(self) -> Outcome:
         """The best optimum; where there is none, the best of what keeps the limits."""
         return min(
-            self.outcomes,
-            key=lambda one: (not one.solution.feasible, not one.solution.optimal, one.solution.cost),
+            self.outcomes, key=lambda one: (not one.solution.feasible, not one.solution.optimal, one.solution.cost)
         )
 
     @property
@@ -94,10 +102,8 @@ def multistart(
 ) -> Multistart:
     """Solve from all first guesses, as far as the time bound of the settings allows.
 
-    Args:
-        problem: what the guesses are made for.
-        warm: positions of the carriers to begin with in place of parked carriers.
-        solve_from: from a first guess, scaled blocks by name, and a time bound, s.
+    ``problem``: what the guesses are made for; ``warm``: positions of the carriers to begin with in place of parked
+    carriers; ``solve_from``: from a first guess, scaled blocks by name, and a time bound, s.
     """
     solver = problem.settings.solver
     deadline = time.perf_counter() + solver.seconds
@@ -127,3 +133,65 @@ def first_guess(problem: Problem, warm: PiecewisePolynomial | None, number: int)
     sd = (frequency * np.cos(phase)) @ size * u.s / u.sd
     sdd = -(frequency**2 * np.sin(phase)) @ size * u.s / u.sdd
     return {"s": s + np.sin(phase) @ size, "sd": np.clip(sd, -0.9, 0.9), "sdd": np.clip(sdd, -0.9, 0.9)}
+
+
+BALANCED = 1e-8
+"""Largest imbalance of W τ − f that is left, as a fraction of the size of f."""
+
+SETTLED = 1e-7
+"""Relative change of the cost from one fit to the next below which the optimum is reached."""
+
+FITS = 40
+"""Largest number of fits."""
+
+WORSE = 2.0
+"""Factor by which the imbalance may grow in a full step."""
+
+LEAST_STEP = 1.0 / 32.0
+"""Smallest part of a step that is tried."""
+
+
+def fit_and_solve(task: Task, first: Problem, guess: dict[str, Array], seconds: float) -> Outcome:
+    """Fit and solve in turn; the outcome is an optimum only where the true f is balanced.
+
+    ``task``: robot, motion and settings; ``first``: the problem as fitted around parked carriers: its scales are kept;
+    ``seconds``: time bound, s.
+    """
+    deadline = time.perf_counter() + seconds
+    grid, u = first.grid, first.scales
+    along = task.dynamics.along(task.source.sample_at(grid.t))
+    course, tau = first.carriers(guess), np.zeros((len(grid.t), first.model.W.shape[2]))
+    balance, cost, iterations, settled = np.inf, np.inf, 0, False
+    for fits in range(1, FITS + 1):  # noqa: B007 # how many it took is reported
+        problem = replace(read_coefficients(task, grid, course), scales=u)
+        guess = {**problem.scaled(course), "tau": tau / u.tau}
+        solution = solve(problem, guess, max(deadline - time.perf_counter(), LEAST_SECONDS))
+        iterations += solution.iterations
+        if not solution.feasible:
+            solution = relax(problem, robot_record(task.dynamics.robot), guess, solution.message)
+        target, step = problem.carriers(solution.values), 1.0
+        while True:
+            trial = _between(course, target, step)
+            efforts = tau + step * (solution.tau(problem) - tau)
+            f = np.asarray(along.reduce(trial).f)
+            imbalance = float(np.abs((np.einsum("nim,nm->ni", problem.model.W, efforts) - f) / u.row).max())
+            if step <= LEAST_STEP or imbalance <= max(BALANCED, WORSE * balance):
+                break
+            step *= 0.5
+        settled = abs(solution.cost - cost) <= SETTLED * abs(cost) and step == 1.0 and imbalance <= BALANCED
+        course, tau, balance, cost = trial, efforts, imbalance, solution.cost
+        if settled or time.perf_counter() > deadline:
+            break
+    solution = replace(
+        solution,
+        optimal=solution.optimal and settled,
+        feasible=solution.feasible and imbalance <= BALANCED,
+        violation=max(solution.violation, imbalance),
+        iterations=iterations,
+    )
+    return Outcome(problem, solution, fits)
+
+
+def _between(course: CarrierMotion, target: CarrierMotion, step: float) -> CarrierMotion:
+    parts = ((getattr(course, name), getattr(target, name)) for name in ("s", "sd", "sdd"))
+    return CarrierMotion(*(here + step * (there - here) for here, there in parts))

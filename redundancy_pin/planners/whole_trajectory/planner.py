@@ -4,38 +4,146 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array, BoolArray, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import Limits, grouped
+from redundancy_pin.planners.limits import LimitEvent, Limits, grouped, limits_broken
 from redundancy_pin.planners.plan import Plan, PlanStatus, finish_plan
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.planners.whole_trajectory.coefficients import Task, read_coefficients
-from redundancy_pin.planners.whole_trajectory.constraint_generation import solve
-from redundancy_pin.planners.whole_trajectory.curved_tracks import fit_and_solve
-from redundancy_pin.planners.whole_trajectory.dense_check import DenseCheck, dense_check, limits_broken
+from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task, read_coefficients
 from redundancy_pin.planners.whole_trajectory.infeasibility import relax
 from redundancy_pin.planners.whole_trajectory.mesh import (
     Grid,
     grid_of,
     near_singular,
     singular_instants,
+    widened,
     with_middles,
 )
-from redundancy_pin.planners.whole_trajectory.multistart import Multistart, Outcome, first_guess, multistart
+from redundancy_pin.planners.whole_trajectory.multistart import (
+    Multistart,
+    Outcome,
+    first_guess,
+    fit_and_solve,
+    multistart,
+)
 from redundancy_pin.planners.whole_trajectory.options import End, Mesh, Objective, Solver, checked_settings
-from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME
+from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME, solve
 from redundancy_pin.planners.whole_trajectory.transcription import objective_values
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import (
+    PiecewisePolynomial,
+    TimedTrajectory,
+    carriers_at,
+    continuous_motion,
+)
+
+FINER = 20
+"""Points in a step."""
+
+CLOSE = (1e-3, 1e-2)
+"""Further points beside singular nodes, as fractions of the step."""
+
+ALLOWED = 1.05
+"""Largest effort between the nodes over the largest at the nodes that is accepted."""
+
+MARKED = 1.02
+"""Ratio from which a step gets a middle node once any exceeds what is accepted."""
+
+BESIDE = 4
+"""Steps on both sides of such a step that get one as well: the next plan would have its kink just beside the refined
+steps, and the grid would follow it one step at a time."""
+
+SMALL = 1e-3
+"""Efforts below this fraction of the size of the efforts count as zero here."""
+
+
+@dataclass(frozen=True, eq=False)
+class DenseCheck:
+    """Efforts τ = W⁻¹ f of the planned motion between the nodes, and carrier forces, by the backend.
+
+    Attributes:
+        peak: largest |τ| between the nodes, N or N·m.
+        time: where, s.
+        peak_at_nodes: largest |τ| at the nodes.
+        ratio: of both, or of the effort of an actuator and its limit where that is lower than the peak at the nodes;
+            efforts that are nothing beside those of the parked robot count as equal.
+        points: number of points.
+        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes, or carrier forces their limits, by
+            what is worth a middle node, and those beside them.
+        broken: limits of main efforts and carrier forces that are exceeded between the nodes by more than is accepted.
+    """
+
+    peak: float
+    time: float
+    peak_at_nodes: float
+    ratio: float
+    points: int
+    exceeding: BoolArray
+    broken: tuple[LimitEvent, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether efforts and forces between the nodes are accepted."""
+        return self.ratio <= ALLOWED and not self.broken
+
+    @property
+    def summary(self) -> dict[str, object]:
+        """The check as plain data."""
+        return {
+            "finer": FINER,
+            "points": self.points,
+            "peak_effort": self.peak,
+            "time_of_peak": self.time,
+            "peak_effort_at_nodes": self.peak_at_nodes,
+            "ratio": self.ratio,
+            "passed": self.passed,
+        }
+
+
+def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau: Array) -> DenseCheck:
+    """Evaluate the backend on a grid finer than the nodes, and right beside the singular ones.
+
+    ``position``: of the planned carriers, m; ``tau`` (M, m) planned efforts at the nodes, N or N·m.
+    """
+    grid, settings, robot = problem.grid, task.settings, task.dynamics.robot
+    left = np.flatnonzero(grid.h > 0.0)
+    inside = grid.t[left, None] + grid.h[left, None] * np.arange(1, FINER) / FINER
+    steps = [(i, i + side) for i in grid.singular for side in (-1, 0) if 0 <= i + side < len(grid.h)]
+    beside = [grid.t[i] + (1.0 if j == i else -1.0) * fraction * grid.h[j] for i, j in steps for fraction in CLOSE]
+    # nodes were judged already; between them no acceleration jumps, so every time may stand once
+    times = np.setdiff1d(np.concatenate([inside.ravel(), beside]), grid.t)
+    reduced = task.dynamics.along(task.source.sample_at(times)).reduce(carriers_at(position, times))
+    # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
+    planned = PlanFunctions(task.source, position, preferred=PiecewisePolynomial.linear(grid.t, tau))
+    efforts, forces = planned.efforts(reduced), np.asarray(reduced.carrier_force)
+    effort_limit, force_limit = settings.limits.effort, settings.limits.carrier_force
+    size, at_nodes = np.where(np.isfinite(efforts), np.abs(efforts), np.inf), float(np.abs(tau).max())
+    # an actuator with a limit below the peak of the others is judged by its limit
+    relative = (size / np.maximum(np.minimum(at_nodes, effort_limit), SMALL * problem.scales.tau)).max(axis=1)
+    marked = (relative > MARKED) | (np.abs(forces) > MARKED * force_limit).any(axis=1)
+    exceeding = np.zeros(len(grid.h), dtype=bool)
+    exceeding[np.searchsorted(grid.t, times[marked], side="right") - 1] = True
+    worst = int(size.max(axis=1).argmax())
+    return DenseCheck(
+        peak=float(size[worst].max()),
+        time=float(times[worst]),
+        peak_at_nodes=at_nodes,
+        ratio=max(float(relative.max()), 1.0),
+        points=len(times),
+        exceeding=widened(exceeding, BESIDE),
+        broken=limits_broken("effort", robot.actuated, times, efforts, effort_limit, ALLOWED)
+        + limits_broken("force", robot.carriers, times, forces, force_limit, ALLOWED),
+    )
+
 
 PHASES = ("optimised",)
 
@@ -79,7 +187,7 @@ def plan_whole_trajectory(
     Track and speed limits hold between the nodes as well, by their Bézier hulls where they are met. For carriers on
     straight tracks f is quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone
     (``carrier_model``): they are read off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
-    For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory.curved_tracks``).
+    For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory.multistart``).
 
     The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
     included. Where efforts between the nodes exceed the peak at the nodes, or efforts or carrier forces their limits,
@@ -90,7 +198,7 @@ def plan_whole_trajectory(
     Args:
         dynamics: either backend.
         motion: a trajectory, evaluated exactly wherever needed, or samples, with quintics between them.
-        objective: what to minimise, or weights of several, each in its own unit (``whole_trajectory.objectives``; or
+        objective: what to minimise, or weights of several, each in its own unit (``OBJECTIVES``; or
             ``Objective``, with ``lam`` and ``baseline``): "effort" ∫ Σ τ² dt, "peak" max |τ|,
             "tracking" ∫ Σ (τ − λ τ̂)² dt, "carrier_force" ∫ Σ F² dt, "carrier_acceleration" ∫ Σ s̈² dt,
             "effort_rate" ∫ Σ τ̇² dt (0.01 of it beside "effort" calms the efforts next to singularities), "energy"
@@ -133,9 +241,13 @@ def plan_whole_trajectory(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     began = time.perf_counter()
+    if isinstance(objective, Objective):
+        goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline)
+    else:
+        goal = Objective(objective, lam, baseline)
     settings = checked_settings(
         dynamics.robot,
-        _objective(objective, lam, baseline),
+        goal,
         grouped(
             "limits",
             limits,
@@ -173,19 +285,8 @@ def plan_whole_trajectory(
         nodes = with_middles(nodes, check.exceeding)
 
 
-def _objective(objective: str | Mapping[str, float] | Objective, lam: float, baseline: Dynamics | None) -> Objective:
-    if not isinstance(objective, Objective):
-        return Objective(objective, lam, baseline)
-    return grouped("objective", objective, Objective, lam=lam, baseline=baseline)
-
-
 def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:
-    """Solve on a mesh from all first guesses, the first of which is a motion that is known.
-
-    Raises:
-        InfeasiblePlanError: no motion keeps every limit, or none was found in time; says which limit is in the way,
-            where, and how much would suffice.
-    """
+    """Solve on a mesh from all first guesses, the first of which is a motion that is known."""
     try:
         problem = read_coefficients(task, nodes)
     except UnsupportedRobotError as error:

@@ -15,7 +15,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem
-from redundancy_pin.planners.whole_trajectory.objectives import OBJECTIVES, Quantities, casadi
+from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Quantities, casadi
 
 RESERVE = 1e-9
 """Fraction of the limits kept in reserve for the rounding of the solver."""
@@ -311,19 +311,14 @@ def objective_values(problem: Problem, values: dict[str, Array]) -> dict[str, fl
 
 
 def transcribe(
-    problem: Problem,
-    elastic: Sequence[str] = (),
-    between: Sequence[BoolArray] | None = None,
-    limit_force: bool = True,
+    problem: Problem, elastic: Sequence[str] = (), between: Sequence[BoolArray] | None = None, limit_force: bool = True
 ) -> NLP:
     """Return the programme of a problem.
 
-    Args:
-        problem: the numbers.
-        elastic: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way.
-        between: groups of steps, (M − 1,) each, in which track and speed limits hold between the nodes as well; all
-            when left out. Their rows come last and group by group, so that those of a longer list are appended.
-        limit_force: whether the limits of the carriers' forces are held.
+    ``elastic``: kinds of limits (``KINDS``) that may be exceeded, at a price, to find out which of them are in the way;
+    ``between``: groups of steps, (M − 1,) each, in which track and speed limits hold between the nodes as well; all
+    when left out. Their rows come last and group by group, so that those of a longer list are appended;
+    ``limit_force``: whether the limits of the carriers' forces are held.
     """
     programme = Transcription(problem, elastic)
     programme.motion()

@@ -12,7 +12,7 @@ import numpy as np
 
 from redundancy_pin.errors import InfeasiblePlanError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.whole_trajectory.dense_check import ALLOWED
+from redundancy_pin.planners.whole_trajectory.planner import ALLOWED
 from redundancy_pin.studies.feasibility.problem import MapProblem
 from redundancy_pin.studies.table import json_data
 

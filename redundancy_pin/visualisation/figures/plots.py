@@ -28,8 +28,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.plan_file import load_robot_of
+from redundancy_pin.planners.plan import Plan, load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import classify_motion
 from redundancy_pin.singularities.crossings import Crossing

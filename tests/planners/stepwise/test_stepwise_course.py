@@ -10,8 +10,7 @@ from scipy.interpolate import BSpline
 
 from redundancy_pin import CarrierMotion, PlatformMotion, VirtualWork, distribute, load_robot
 from redundancy_pin.planners.plan import PlanStatus
-from redundancy_pin.planners.stepwise.planner import plan_stepwise
-from redundancy_pin.planners.stepwise.report import between_samples
+from redundancy_pin.planners.stepwise.planner import between_samples, plan_stepwise
 from redundancy_pin.trajectory import boundary_polynomial, reference
 
 

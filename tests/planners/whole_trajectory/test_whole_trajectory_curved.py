@@ -8,12 +8,12 @@ import symbolic_mechanisms
 import symbolic_plans
 import yaml
 
-import redundancy_pin.planners.whole_trajectory.curved_tracks as curved
+import redundancy_pin.planners.whole_trajectory.multistart as curved
 import redundancy_pin.planners.whole_trajectory.planner as planner
 from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import PlanStatus
-from redundancy_pin.planners.whole_trajectory.curved_tracks import BALANCED
+from redundancy_pin.planners.whole_trajectory.multistart import BALANCED
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.paths import Line
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import zoo
 
-import redundancy_pin.planners.whole_trajectory.constraint_generation as constraint_generation
+import redundancy_pin.planners.whole_trajectory.solver as constraint_generation
 import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError

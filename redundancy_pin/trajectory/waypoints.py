@@ -1,0 +1,300 @@
+"""Paths from way points: corners and polygons rounded by arcs, and the smooth spline through points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from redundancy_pin.arrays import ROUNDING, Array, assign, checked, frozen, positive
+from redundancy_pin.errors import InputError
+from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, SmoothPath, straight_pieces
+
+_STRAIGHT_ANGLE = 1e-9
+"""Turns below this angle, rad, are no corner: the polygon runs straight on."""
+
+
+def corner_path(
+    start: ArrayLike,
+    direction: ArrayLike,
+    straight: float,
+    radius: float,
+    angle: float = np.pi / 2.0,
+    second_straight: float | None = None,
+) -> ChainedPath:
+    """Return a straight, a circular arc and a second straight in the plane (Parsa 2014, section 4.2.2).
+
+    Args:
+        start: (2,) start point, m.
+        direction: (2,) direction of the first straight; any length but zero.
+        straight: length of the first straight, m.
+        radius: radius of the arc, m.
+        angle: signed turn, rad, positive to the left.
+        second_straight: length of the second straight, m; as the first when left out.
+
+    Raises:
+        InputError: a length, the radius, the direction or the angle is zero, negative or not finite.
+    """
+    first = checked(start, "start", (2,))
+    heading = checked(direction, "direction", (2,))
+    if not heading.any() or angle == 0.0 or not np.isfinite(angle):
+        raise InputError(
+            f"A corner needs a direction and a turn; direction = {heading.tolist()}, angle = {angle:g} rad.",
+            remedy="Use Line for a straight.",
+        )
+    forward = heading / np.linalg.norm(heading)
+    left = np.array([-forward[1], forward[0]])
+    inward = np.sign(angle) * left
+    entry = first + positive(straight, "straight", "m") * forward
+    arc = Arc(entry + positive(radius, "radius", "m") * inward, radius, -inward, forward, abs(angle))
+    leave = arc.evaluate(arc.length)
+    rest = straight if second_straight is None else positive(second_straight, "second_straight", "m")
+    return ChainedPath([Line(first, entry), arc, Line(leave.x, leave.x + rest * leave.tangent)])
+
+
+def rounded_polygon(
+    vertices: ArrayLike, radius: float, *, closed: bool = True, start: float | None = None
+) -> ChainedPath:
+    """Return a polygon whose corners are rounded by arcs of one radius, in any dimension.
+
+    At a vertex where the direction turns by θ the arc begins and ends r tan(θ/2) from the vertex.
+
+    Args:
+        vertices: (N, n) corners, m; a closed polygon does not repeat its first.
+        radius: corner radius r, m.
+        closed: whether the last vertex is joined to the first. An open polygon starts and ends in
+            its first and last vertex.
+        start: closed polygon only: distance of the start (and end) from the first vertex along
+            the first edge, m; it must lie on what the arcs leave of that edge. Its middle when left out.
+
+    Raises:
+        InputError: too few vertices, two that coincide, an edge that turns back on itself, a radius that does
+            not fit (with edge, lengths and the largest radius that fits), a start off the straight part or of an
+            open polygon.
+    """
+    corners = checked(vertices, "vertices", ("N", "n"))
+    r = positive(radius, "radius", "m")
+    needed = 3 if closed else 2
+    if start is not None and not closed:
+        raise InputError(
+            f"start = {start:g} m is for a closed polygon.", remedy="An open polygon starts in its first vertex."
+        )
+    if len(corners) < needed:
+        raise InputError(f"vertices has {len(corners)} points, expected at least {needed}.", count=len(corners))
+    ring = np.concatenate([corners, corners[:1]]) if closed else corners
+    edges, directions = straight_pieces(ring)
+    following = np.concatenate([directions, directions[:1]]) if closed else directions
+    turns = _turn_angles(following)
+    trims = r * np.tan(turns / 2.0)
+    at_start, at_end = (np.roll(trims, 1), trims) if closed else (np.append(0.0, trims), np.append(trims, 0.0))
+    _require_fit(edges, at_start, at_end, r)
+
+    arcs = [
+        _corner_arc(ring[k + 1], following[k], following[k + 1], turn, r) if turn > _STRAIGHT_ANGLE else None
+        for k, turn in enumerate(turns)
+    ]
+    if not closed:
+        return _chain_between(corners[0], arcs, [*corners[1:-1]], corners[-1])
+    offset = _start_offset(start, float(edges[0]), float(at_start[0]), float(at_end[0]))
+    origin = corners[0] + offset * directions[0]
+    return _chain_between(origin, arcs, [*corners[1:], corners[0]], origin)
+
+
+def _chain_between(start: Array, arcs: Sequence[Arc | None], vertices: Sequence[Array], end: Array) -> ChainedPath:
+    """Join arcs (None: the path runs straight through that vertex) by straights."""
+    segments: list[Path] = []
+    here = start
+    scale = max(float(np.linalg.norm(vertex - start)) for vertex in [*vertices, end])
+    for arc, vertex in zip([*arcs, None], [*vertices, end], strict=True):
+        entry = vertex if arc is None else arc.evaluate(0.0).x
+        if np.linalg.norm(entry - here) > ROUNDING * scale:
+            segments.append(Line(here, entry))
+        here = entry
+        if arc is not None:
+            segments.append(arc)
+            here = arc.evaluate(arc.length).x
+    return ChainedPath(segments)
+
+
+def _corner_arc(vertex: Array, before: Array, after: Array, turn: float, radius: float) -> Arc:
+    inward = after - np.dot(after, before) * before
+    inward = inward / np.linalg.norm(inward)
+    entry = vertex - radius * np.tan(turn / 2.0) * before
+    return Arc(entry + radius * inward, radius, -inward, before, turn)
+
+
+def _turn_angles(directions: Array) -> Array:
+    before, after = directions[:-1], directions[1:]
+    # atan2 of half-angle lengths keeps its digits near 0 and near π, where acos of the product loses half.
+    turns: Array = 2.0 * np.arctan2(np.linalg.norm(after - before, axis=1), np.linalg.norm(after + before, axis=1))
+    back = np.flatnonzero(turns > np.pi - _STRAIGHT_ANGLE)
+    if len(back):
+        raise InputError(
+            f"The polygon turns back on itself after edge {int(back[0])}.",
+            remedy="No arc joins two opposite directions: insert a vertex to the side.",
+            edge=int(back[0]),
+        )
+    return turns
+
+
+def _require_fit(edges: Array, at_start: Array, at_end: Array, radius: float) -> None:
+    taken = at_start + at_end
+    excess = taken - edges
+    k = int(np.argmax(excess))
+    if excess[k] > ROUNDING * edges[k]:
+        fits = float(np.min(edges[taken > 0.0] / taken[taken > 0.0]) * radius)
+        message = (
+            f"Corner radius {radius:g} m does not fit: edge {k} is {edges[k]:.6g} m long and its rounded ends "
+            f"take {taken[k]:.6g} m."
+        )
+        remedy = f"Use a radius of at most {fits:.6g} m."
+        raise InputError(message, remedy=remedy, edge=k, largest_radius=fits)
+
+
+def _start_offset(start: float | None, edge: float, lower: float, trim: float) -> float:
+    upper = edge - trim
+    offset = 0.5 * (lower + upper) if start is None else float(start)
+    if not lower - ROUNDING * edge <= offset <= upper + ROUNDING * edge:
+        message = f"start = {offset:.6g} m is not on the straight part of the first edge, [{lower:.6g}, {upper:.6g}] m."
+        remedy = "Start on the straight part, or leave start out."
+        raise InputError(message, remedy=remedy, start=offset, lower=lower, upper=upper)
+    return offset
+
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_LENGTH_TOLERANCE = 1e-14
+"""Change of a panel's arc length by halving it, relative to the whole, below which it counts as converged."""
+_LEAST_RATE = 1e-4
+"""|r'| below which the path counts as turning on the spot. It is about 1 elsewhere, for u is the distance between
+points; where it falls to this the radius of curvature is about 1e-8 of that distance."""
+_MOST_HALVINGS = 40
+"""At a cusp the panels shrink until their square is lost in rounding, after 25 halvings."""
+_INVERSION_TOLERANCE = 1e-14
+"""Arc length, relative to the whole, to which p is met: fifty roundings."""
+_MOST_STEPS = 60
+"""Bisection alone would halve a panel to its last bit in fewer; Newton takes about four."""
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class SplinePath(SmoothPath):
+    """A cubic spline through points, parametrised by its own arc length.
+
+    The spline r(u) takes the distance between points as its parameter; its second derivative is continuous,
+    so the path has no breaks. With r' its derivative by u and e = r'/|r'|:
+    x' = e, x'' = (r'' − (r''·e) e)/|r'|². The arc length comes from Gauss quadrature and is inverted by Newton
+    steps on the same quadrature, both to rounding.
+
+    Attributes:
+        points: (N, n) the points, m.
+        closed: whether the path returns to its first point, with continuous curvature.
+        length: arc length, m.
+
+    Raises:
+        InputError: too few points, two consecutive ones that coincide, or a spline with a cusp.
+    """
+
+    points: Array
+    closed: bool
+    length: float
+    _spline: CubicSpline
+    _edges: Array
+    _arc_at_edges: Array
+
+    def __init__(self, points: ArrayLike, *, closed: bool = False) -> None:
+        given = checked(points, "points", ("N", "n"))
+        needed = 3 if closed else 2
+        if len(given) < needed:
+            raise InputError(f"points has {len(given)} points, expected at least {needed}.", count=len(given))
+        ring = np.concatenate([given, given[:1]]) if closed else given
+        chords, _ = straight_pieces(ring)
+        knots = np.concatenate([[0.0], np.cumsum(chords)])
+        spline = CubicSpline(knots, ring, bc_type="periodic" if closed else "natural")
+        edges, arc_at_edges = _arc_length_table(spline, knots)
+        assign(self, points=given, closed=closed, length=float(arc_at_edges[-1]))
+        assign(self, _spline=spline, _edges=frozen(edges), _arc_at_edges=frozen(arc_at_edges))
+
+    @property
+    def dimension(self) -> int:
+        """Number n of coordinates."""
+        return int(self.points.shape[1])
+
+    def _at(self, p: Array) -> PathPoint:
+        u = self._parameter(p)
+        first, second = self._spline(u, 1), self._spline(u, 2)
+        speed = np.linalg.norm(first, axis=-1, keepdims=True)
+        tangent = first / speed
+        normal = second - np.sum(second * tangent, axis=-1, keepdims=True) * tangent
+        return PathPoint(self._spline(u), tangent, normal / speed**2)
+
+    def _parameter(self, p: Array) -> Array:
+        """Return the spline parameter u at arc lengths p: Newton steps, or bisection where one leaves its bracket."""
+        panel = np.searchsorted(self._arc_at_edges, p, side="right") - 1
+        panel = np.clip(panel, 0, len(self._edges) - 2)
+        start, low, high = self._edges[panel], self._edges[panel], self._edges[panel + 1]
+        target = p - self._arc_at_edges[panel]
+        u = low + (high - low) * target / (self._arc_at_edges[panel + 1] - self._arc_at_edges[panel])
+        for _ in range(_MOST_STEPS):
+            miss = _arc_length(self._spline, start, u) - target
+            if np.abs(miss).max(initial=0.0) <= _INVERSION_TOLERANCE * self.length:
+                break
+            low, high = np.where(miss < 0.0, u, low), np.where(miss > 0.0, u, high)
+            newton = u - miss / np.linalg.norm(self._spline(u, 1), axis=-1)
+            u = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        return u
+
+
+def through_points(points: ArrayLike, *, closed: bool = False) -> SplinePath:
+    """Return a smooth path through (N, n) points, m, in order; closed, it returns to the first, which is not repeated.
+
+    Raises:
+        InputError: too few points, two consecutive ones that coincide, or a spline with a cusp.
+    """
+    return SplinePath(points, closed=closed)
+
+
+def _arc_length(spline: CubicSpline, lower: Array, upper: Array) -> Array:
+    """Return ∫ |r'(u)| du between lower and upper, any equal shapes, within one panel each."""
+    half = 0.5 * (upper - lower)
+    nodes = (lower + half)[..., None] + half[..., None] * _NODES
+    length: Array = half * (np.linalg.norm(spline(nodes, 1), axis=-1) @ _WEIGHTS)
+    return length
+
+
+def _arc_length_table(spline: CubicSpline, knots: Array) -> tuple[Array, Array]:
+    """Return panel edges in u and the arc length at each; a panel is halved until its length stands still."""
+    start, end = knots[:-1], knots[1:]
+    lengths = _arc_length(spline, start, end)
+    total = lengths.sum()
+    starts, pieces = [], []
+    for _ in range(_MOST_HALVINGS):
+        middle = 0.5 * (start + end)
+        first, second = _arc_length(spline, start, middle), _arc_length(spline, middle, end)
+        moving = np.abs(first + second - lengths) > _LENGTH_TOLERANCE * total
+        starts += [start[~moving], middle[~moving]]
+        pieces += [first[~moving], second[~moving]]
+        start, end = np.concatenate([start[moving], middle[moving]]), np.concatenate([middle[moving], end[moving]])
+        lengths = np.concatenate([first[moving], second[moving]])
+        if len(start) == 0:
+            break
+    edges = np.concatenate([*starts, start, knots[-1:]])
+    order = np.argsort(edges)
+    arcs = np.concatenate([[0.0], np.cumsum(np.concatenate([*pieces, lengths])[order[:-1]])])
+    _require_direction(spline, edges[order], unsettled=len(start) > 0)
+    return edges[order], arcs
+
+
+def _require_direction(spline: CubicSpline, edges: Array, unsettled: bool) -> None:
+    half = 0.5 * np.diff(edges)[:, None]
+    places = np.concatenate([edges, (edges[:-1, None] + half + half * _NODES).ravel()])
+    rate = np.linalg.norm(spline(places, 1), axis=-1)
+    k = int(np.argmin(rate))
+    if unsettled or rate[k] < _LEAST_RATE:
+        raise InputError(
+            f"The spline through the points has a cusp near {np.asarray(spline(places[k])).round(6).tolist()}: "
+            "its direction is not defined there.",
+            remedy="Space the points more evenly, or round the turn with more points.",
+            rate=float(rate[k]),
+        )
