@@ -13,16 +13,11 @@ from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.studies.case import Case, Mode, Plans
 from redundancy_pin.studies.cases import (
     EFFORT,
-    ENERGY,
-    LATE,
     NONE,
-    OBJECTIVES,
     PARKED,
     PEAK,
     PEAK_FREE,
     SINGULAR,
-    SMOOTH,
-    SMOOTHING,
     STARTED,
     STEPWISE,
     STEPWISE_HALF,
@@ -38,7 +33,6 @@ from redundancy_pin.studies.cases import (
     crosses,
     methods,
 )
-from redundancy_pin.studies.claims import claim, verdict
 from redundancy_pin.studies.measures import (
     dense_peak,
     missing_force,
@@ -48,7 +42,7 @@ from redundancy_pin.studies.measures import (
     square_integral,
 )
 from redundancy_pin.studies.planned import Chapter, Tell
-from redundancy_pin.studies.table import Column, Record, Table, text
+from redundancy_pin.studies.table import Column, Record, Table
 from redundancy_pin.workers import parallel
 
 INFEASIBLE = "infeasible"
@@ -148,7 +142,7 @@ def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     for task in TRADED:
         trades.append(trade_record(plans, task, extent))
         tell(f"trade-off: {task.name}")
-    chapter: Chapter = {
+    return {
         "plans": records,
         "targets": targets(records),
         "fastest": races,
@@ -157,8 +151,6 @@ def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
         "first_guesses": [starts_record(plans, case) for case in _started(extent)],
         "trade_off": trades,
     }
-    chapter["findings"] = findings(chapter)
-    return chapter
 
 
 def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> Record:
@@ -470,211 +462,3 @@ def _trade_point(ratio: float, weight: float, outcome: Plan | InfeasiblePlanErro
 def rises(values: Sequence[float]) -> bool:
     """Return whether values rise, but for rounding."""
     return all(after >= before * (1.0 - ORDERED) for before, after in pairwise(values))
-
-
-# --- findings ------------------------------------------------------------------------------------------------------
-
-
-def findings(chapter: Mapping[str, Any]) -> list[Record]:
-    """Return what follows from the chapter: verdicts, and the numbers of the sentences in ``claims.yaml``."""
-    groups = by_task(chapter["plans"])
-    singular = {task.name: groups[task.name] for task in SINGULAR if task.name in groups}
-    turns = {task.name: groups[task.name] for task in TURNS if task.name in groups}
-    return [
-        _singular(singular),
-        _heavy(singular),
-        _speed(chapter["fastest"]),
-        *(_turn(name, task, turns[task.name], chapter["working_modes"])
-          for name, task in zip(("corner_wide", "corner_sharp", "corner_square"), TURNS, strict=True)),
-        _cost(turns),
-        _between(chapter["plans"]),
-        _calm(groups),
-        _backends(chapter["backends"]),
-        _starts(chapter["first_guesses"]),
-    ]  # fmt: skip
-
-
-def _singular(groups: Mapping[str, Mapping[str, Record]]) -> Record:
-    sound = [task for task, group in groups.items() if group[EFFORT]["sound"] and group[PEAK]["sound"]]
-    off = {task: group[SWITCH_OFF] for task, group in groups.items()}
-    broken = [task for task, record in off.items() if record["exists"] and not record["sound"]]
-    both = [
-        (group[EFFORT], off[task]) for task, group in groups.items() if group[EFFORT]["exists"] and off[task]["exists"]
-    ]
-    late = {task: group[SWITCH_OFF_LATE] for task, group in groups.items() if SWITCH_OFF_LATE in group}
-    return claim(
-        "singular",
-        verdict(len(sound), len(groups)),
-        total=len(groups),
-        sound=sound,
-        kept=[task for task, record in off.items() if record["sound"]],
-        broken=broken,
-        without=[task for task, record in off.items() if not record["exists"]],
-        late=LATE,
-        saved=[(task, headline_cell(late[task])) for task in broken if task in late and late[task]["sound"]],
-        factors=[whole["worst"] / other["worst"] for whole, other in both],
-        before=[whole["worst"] / other["before"] for whole, other in both if not math.isnan(other["before"])],
-    )
-
-
-def _heavy(groups: Mapping[str, Mapping[str, Record]]) -> Record:
-    without = {task: group for task, group in groups.items() if not group[SWITCH_OFF]["exists"]}
-    good = sum(group[EFFORT]["sound"] and group[PEAK]["sound"] for group in without.values())
-    motions = [
-        {
-            "task": task,
-            "missing": group[SWITCH_OFF]["missing"],
-            "effort": headline_cell(group[EFFORT]),
-            "peak": headline_cell(group[PEAK]),
-        }
-        for task, group in without.items()
-    ]
-    stands = verdict(good, len(without)) if without else "does not stand"
-    return claim("heavy", stands, total=len(without), good=good, motions=motions)
-
-
-def _speed(races: Sequence[Record]) -> Record:
-    circles = [race for race in races if race["task"].startswith("circle") and math.isinf(race["effort_limit"])]
-    good = sum(race["fastest_with_plan"]["speed"] > THESIS_SPEED for race in circles)
-    shown = [
-        {
-            **{key: race[key] for key in ("title", "unit", "effort_limit")},
-            "capped": math.isfinite(race["effort_limit"]),
-            "slower": race["fastest_with_plan"],
-            "faster": race["slowest_without"],
-        }
-        for race in races
-    ]
-    return claim("speed", verdict(good, len(circles)), thesis_speed=THESIS_SPEED, races=shown)
-
-
-def _turn(name: str, task: Case, group: Mapping[str, Record], modes: Sequence[Record]) -> Record:
-    none, aims = group[NONE], {"effort": group[EFFORT], "peak": group[PEAK]}
-    same = [record for record in modes if task.path == "corner" and record["radius"] == task.option("radius")]
-    good = (
-        sum(record["lower"] for record in same)
-        if same
-        else int(group[PEAK]["sound"] and group[PEAK]["worst"] < none["worst"])
-    )
-    lower = {
-        method: sum(
-            record["rows"][STEPWISE]["exists"]
-            and not record["rows"][STEPWISE]["worst"] >= record["rows"][method]["worst"]
-            for record in same
-        )
-        for method in (PEAK, PEAK_FREE)
-    }
-    quantities = ("worst", "rms", "main_energy", "energy")
-    return claim(
-        name,
-        verdict(good, len(same) or 1),
-        total=len(same) or 1,
-        good=good,
-        without=none["worst"],
-        stepwise=headline_cell(group[STEPWISE]),
-        **{aim: headline_cell(record) for aim, record in aims.items()},
-        factors=[record["ratio"] for record in same if not math.isnan(record["ratio"])],
-        stepwise_lower=lower[PEAK],
-        stepwise_lower_free=lower[PEAK_FREE],
-        against=[
-            {"aim": aim, "factors": [text(record[quantity] / none[quantity], ".2g") for quantity in quantities]}
-            for aim, record in aims.items()
-            if record["exists"]
-        ],
-    )
-
-
-def _cost(groups: Mapping[str, Mapping[str, Record]]) -> Record:
-    pairs = [
-        (record, group[NONE])
-        for group in groups.values()
-        for method, record in group.items()
-        if method in OBJECTIVES and record["exists"]
-    ]
-    least = [(record, none) for record, none in pairs if record["way"] == ENERGY]
-    better = sum(record["energy"] < none["energy"] for record, none in pairs)
-    return claim(
-        "cost",
-        verdict(better, len(pairs)),
-        total=len(pairs),
-        better=better,
-        factors=[record["energy"] / none["energy"] for record, none in pairs],
-        carrier_force=max(record["carrier_force"] for record, _ in pairs),
-        least=[record["energy"] / none["energy"] for record, none in least],
-        least_peaks=[record["worst"] / none["worst"] for record, none in least],
-    )
-
-
-def _between(records: Sequence[Record]) -> Record:
-    whole = [record for record in records if record["way"] in OBJECTIVES]
-    factors = {_name(record): record["dense_peak"] / record["peak"] for record in whole if record["exists"]}
-    worst = max(factors, key=lambda name: factors[name])
-    good = sum(factor <= BETWEEN for factor in factors.values())
-    return claim(
-        "between",
-        verdict(good, len(factors)),
-        total=len(factors),
-        good=good,
-        accepted=BETWEEN,
-        worst=factors[worst],
-        worst_plan=worst,
-        early=[_name(record) for record in whole if record["status"] == PlanStatus.STOPPED_EARLY.value],
-        missing=[_name(record) for record in whole if not record["exists"]],
-    )
-
-
-def _calm(groups: Mapping[str, Mapping[str, Record]]) -> Record:
-    whole = [
-        record
-        for group in groups.values()
-        for method, record in group.items()
-        if method in OBJECTIVES and record["exists"]
-    ]
-    restless = [record for record in whole if record["reversals"] > CALM]
-    worst = max(whole, key=lambda record: float(record["reversals"]))
-    smooth = [record for record in whole if record["way"] == SMOOTH]
-    return claim(
-        "calm",
-        verdict(len(whole) - len(restless), len(whole)),
-        total=len(whole),
-        good=len(whole) - len(restless),
-        accepted=CALM,
-        worst=worst["reversals"],
-        worst_plan=_name(worst),
-        restless=sorted({record["task"] for record in restless}),
-        weight=SMOOTHING,
-        smooth_reversals=max((record["reversals"] for record in smooth), default=None),
-        smooth_peaks=[record["worst"] / groups[record["task"]][EFFORT]["worst"] for record in smooth],
-    )
-
-
-def _backends(backends: Sequence[Record]) -> Record:
-    worst = max(backends, key=lambda record: float(record["worst"]))
-    good = sum(record["same"] for record in backends)
-    return claim(
-        "backends",
-        verdict(good, len(backends)),
-        total=len(backends),
-        good=good,
-        accepted=SAME_PLAN,
-        worst=worst["worst"],
-        worst_plan=worst["case"],
-        cost=max(record["cost"] for record in backends),
-        apart=[record["case"] for record in backends if not record["same"] and record["cost"] <= SAME_PLAN],
-    )
-
-
-def _starts(starts: Sequence[Record]) -> Record:
-    good = sum(record["parked_is_best"] for record in starts)
-    return claim(
-        "first_guesses",
-        verdict(good, len(starts)),
-        total=len(starts),
-        good=good,
-        tried=max(len(record["costs"]) for record in starts),
-        several=[(record["case"], record["optima"], record["excess"]) for record in starts if record["optima"] > 1],
-    )
-
-
-def _name(record: Record) -> str:
-    return f"{record['task']} ({record['way']})"

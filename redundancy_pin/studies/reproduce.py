@@ -17,15 +17,12 @@ from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replacea
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory.objectives import casadi
 from redundancy_pin.studies import beyond, planned
-from redundancy_pin.studies.case import Case, Plans
+from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.cases import FULL, MOTIONS, TASKS, Extent, by_method, motion_name
 from redundancy_pin.studies.figures import THESIS, pictures
-from redundancy_pin.studies.motions import CSV_DIGITS, MotionRun, run
-from redundancy_pin.studies.planned import Chapter
-from redundancy_pin.studies.replays import run_replays
+from redundancy_pin.studies.motions import CSV_DIGITS
 from redundancy_pin.studies.report import html, report
-from redundancy_pin.studies.results import Results
-from redundancy_pin.studies.statements import compare_motions
+from redundancy_pin.studies.results import Results, compute
 from redundancy_pin.studies.table import Column, Table, csv_text
 from redundancy_pin.visualisation.figures.style import require_matplotlib, save
 
@@ -107,25 +104,6 @@ def reproduce(
         write_text(temporary / MANIFEST, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     steps.finish()
     return Reproduction(Path(folder), results, summary)
-
-
-def compute(motions: Sequence[Case], extent: Extent, check: CrossCheckReport, tell: Callable[[str], None]) -> Results:
-    """Run the motions and the chapters; every plan is made once."""
-    runs: list[MotionRun] = []
-    for case in motions:
-        runs.append(run(case))
-        tell(case.name)
-    plans = Plans()
-    chapters: dict[str, Chapter] = {}
-    results = Results(extent, check, tuple(runs), tuple(compare_motions(runs)), chapters, plans)
-    if "planned" in extent.chapters:
-        chapters["planned"] = planned.run_planned(plans, extent, tell)
-    if "beyond" in extent.chapters:
-        chapters["beyond"] = beyond.run_beyond(plans, extent, tell)
-    if "replay" in extent.chapters:
-        chapters["replay"], replays = run_replays(plans, extent, tell)
-        results = replace(results, replays=replays)
-    return results
 
 
 def require_agreement(
