@@ -40,12 +40,7 @@ PARTS = len(CROSSINGS) + len(CORNERS) + 5
 
 
 def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
-    """Run the chapter.
-
-    Raises:
-        CrossCheckError: the backends plan a case differently.
-        InfeasiblePlanError: a case of the thesis has no plan.
-    """
+    """Run the chapter."""
     parity = []
     for case in (*CROSSINGS, *CORNERS):
         parity.append(plan_parity(plans, case))
@@ -73,11 +68,7 @@ def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
 
 
 def plan_parity(plans: Plans, case: Case) -> Record:
-    """Plan a case with both backends and compare.
-
-    Raises:
-        CrossCheckError: the plans differ by more than ``PLAN_TOLERANCE``, or in status.
-    """
+    """Plan a case with both backends; CrossCheckError if the plans differ by too much, or in status."""
     first, second = (plans.plan(case, backend) for backend in case.backends)
     differences = measures.plan_differences(first, second)
     worst = float(np.max(list(differences.values())))
@@ -188,12 +179,7 @@ SMALL_JUMP = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """A plan beside the machine without carriers, at the same samples.
-
-    Attributes:
-        plan: the plan.
-        baseline: the machine without carriers.
-    """
+    """A plan beside the machine without carriers (``baseline``), at the same samples."""
 
     plan: Plan
     baseline: Plan
@@ -303,7 +289,7 @@ def wide_half(runs: Runs) -> Outcome:
 
 
 def square_half(runs: Runs) -> Outcome:
-    """Hold if the torque is half of the baseline's in ramps and corners of the cases.square."""
+    """Hold if the torque is half of the baseline's in ramps and corners of the square."""
     return _half(runs["square half"])
 
 
@@ -359,12 +345,7 @@ def _against(ours: Array, other: Array) -> str:
 
 
 def working_modes(plans: Plans, modes: Sequence[Mode]) -> dict[str, list[Record]]:
-    """Run every working mode.
-
-    Returns:
-        ``working_modes``, a record for each mode and case; ``claims``, one for each claim of the thesis with its
-        outcome in each mode; ``judged``, the same as rows of the table of verdicts.
-    """
+    """Return records of each mode and case, of each claim with its outcome in each mode, and those as verdicts."""
     runs = {mode: runs_of(plans, mode) for mode in modes}
     records = [
         {

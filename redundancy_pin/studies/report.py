@@ -197,15 +197,7 @@ VERDICTS = {
 
 
 def html(markdown: str, folder: Path) -> str:
-    """Return a report as a self-contained HTML page.
-
-    Args:
-        markdown: the report; its first heading becomes the title.
-        folder: where the pictures are; they are embedded. Links to other files become text.
-
-    Raises:
-        OutputError: a picture cannot be read.
-    """
+    """Return a report as one HTML page: its pictures, of the folder, embedded, links to other files as text."""
     renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
     # rules of a renderer get the tokens, the index of theirs, options and an environment
     rules: dict[str, Callable[..., str]] = {

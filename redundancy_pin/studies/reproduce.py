@@ -54,13 +54,7 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """What the main job made and where it put it.
-
-    Attributes:
-        folder: the results folder.
-        results: what came out.
-        summary: what ``summary.json`` holds.
-    """
+    """What the main job made, the folder with it, and what ``summary.json`` there holds."""
 
     folder: Path
     results: Results
@@ -109,16 +103,7 @@ def reproduce(
 def require_agreement(
     robots: Sequence[str], samples: int, progress: Callable[[int, int], None] | None = None
 ) -> CrossCheckReport:
-    """Run the cross-check with the seed of the job.
-
-    Args:
-        robots: names of the robots.
-        samples: random states of each.
-        progress: told the states done and the states in all.
-
-    Raises:
-        CrossCheckError: a check fails; carries the failed rows.
-    """
+    """Run the cross-check with the seed of the job; CrossCheckError, with the failed rows, where a check fails."""
     check = crosscheck.run(robots, samples, CROSS_CHECK_SEED, progress)
     if not check.passed:
         failed = [row for row in check.rows if not row.passed]
@@ -136,11 +121,7 @@ def require_agreement(
 
 
 def write(folder: Path, results: Results, tell: Callable[[str], None]) -> None:
-    """Write everything but the summary: data, plans, figures, and the report, which embeds the figures.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write everything but the summary: data, plans, figures, and the report, which embeds the figures."""
     for motion in results.runs:
         write_text(folder / f"{motion.case.name}.csv", motion.csv())
     if "beyond" in results.chapters:
@@ -163,11 +144,7 @@ def write(folder: Path, results: Results, tell: Callable[[str], None]) -> None:
 
 
 def write_plans(folder: Path, results: Results) -> None:
-    """Write the plans of the chapter beyond the thesis, each with its curves as CSV.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write the plans of the chapter beyond the thesis, each with its curves as CSV."""
     tasks = {task.name: task for task in TASKS}
     for record in results.chapters["beyond"]["plans"]:
         if record["exists"] and record["file"]:

@@ -63,13 +63,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """Records under headings.
-
-    Attributes:
-        columns: in order.
-        records: rows; values that no column names are not shown.
-        title: above it; may be empty.
-    """
+    """Records under headings, with a title above if there is one; values that no column names are not shown."""
 
     columns: tuple[Column, ...]
     records: tuple[Record, ...]
