@@ -88,14 +88,9 @@ def between_records(plans: Plans) -> list[Record]:
     for case in CORNERS:
         plan = plans.plan(case)
         between = between_samples(case.dynamics(), plan, POINTS, case.trajectory())
-        records.append(
-            {
-                "case": case.name,
-                "at_samples": between["optimised_peak_at_samples"],
-                "between": between["optimised_peak"],
-                "baseline": np.abs(plans.plan(cases.without_carriers(case)).tau).max(axis=0),
-            }
-        )
+        baseline = np.abs(plans.plan(cases.without_carriers(case)).tau).max(axis=0)
+        records.append({"case": case.name, "at_samples": between["optimised_peak_at_samples"],
+                        "between": between["optimised_peak"], "baseline": baseline})  # fmt: skip
     return records
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import CrossCheckReport
@@ -23,6 +22,7 @@ from redundancy_pin.studies.figures import THESIS, pictures
 from redundancy_pin.studies.motions import CSV_DIGITS
 from redundancy_pin.studies.report import html, report
 from redundancy_pin.studies.results import Results, compute
+from redundancy_pin.studies.store import Progress
 from redundancy_pin.studies.table import Column, Table, csv_text
 from redundancy_pin.visualisation.figures.style import require_matplotlib, save
 
@@ -47,9 +47,6 @@ _REPLAY_COLUMNS = (
     "plan", "drive", "status", "largest", "rms", "last", "carrier_error", "carrier_lag", "off_track", "effort",
     "carrier_force", "gap",
 )  # fmt: skip
-
-Progress = Callable[[int, int, str], None]
-"""Called with steps done, steps in all, and what was done last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +86,21 @@ def reproduce(
     if {"beyond", "replay"} & set(extent.chapters):
         casadi()
     require_replaceable(folder)
-    steps = _Steps(_count(motions, extent), progress)
-    check = require_agreement(sorted({case.robot for case in motions}), samples, steps.cross_check)
-    results = compute(motions, extent, check, steps.next)
+    total, steps, tell = _count(motions, extent), count(_CROSS_CHECK_STEPS + 1), progress or (lambda *_: None)
+
+    def checked(done: int, states: int) -> None:
+        tell(int(done / states * _CROSS_CHECK_STEPS), total, "cross-check")
+
+    def step(what: str) -> None:
+        tell(min(next(steps), total - 1), total, what)  # the last step is that everything is in its place
+
+    check = require_agreement(sorted({case.robot for case in motions}), samples, checked)
+    results = compute(motions, extent, check, step)
     with replacing_folder(folder) as temporary:
-        write(temporary, results, steps.next)
+        write(temporary, results, step)
         summary = results.summary([path.name for path in temporary.iterdir()])
         write_text(temporary / MANIFEST, json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    steps.finish()
+    tell(total, total, "results")
     return Reproduction(Path(folder), results, summary)
 
 
@@ -160,10 +164,7 @@ def plan_csv(plan: Plan) -> str:
     columns = {"t": motion.t, "x": motion.x, "xd": motion.xd, "xdd": motion.xdd, "s": carriers.s, "sd": carriers.sd,
                "sdd": carriers.sdd, "tau": plan.tau, "carrier_force": plan.carrier_force,
                "condition": plan.condition}  # fmt: skip
-    return csv_text({name: np.asarray(values) for name, values in columns.items()}, digits=CSV_DIGITS)
-
-
-# --- progress ------------------------------------------------------------------------------------------------------
+    return csv_text(columns, digits=CSV_DIGITS)
 
 
 def _count(motions: Sequence[Case], extent: Extent) -> int:
@@ -173,23 +174,3 @@ def _count(motions: Sequence[Case], extent: Extent) -> int:
     counts = {"planned": planned.PARTS + len(THESIS), "beyond": beyond.parts(extent) + len(TASKS) + 4,
               "replay": len(extent.replayed) + 2}  # fmt: skip
     return _CROSS_CHECK_STEPS + 3 * len(motions) + comparisons + sum(counts[chapter] for chapter in extent.chapters)
-
-
-class _Steps:
-    """Counts steps and tells the progress function."""
-
-    def __init__(self, total: int, progress: Progress | None) -> None:
-        self._done, self._total, self._progress = _CROSS_CHECK_STEPS, total, progress or (lambda *_: None)
-
-    def cross_check(self, done: int, total: int) -> None:
-        """Tell how far the cross-check, the first of the steps, is."""
-        self._progress(int(done / total * _CROSS_CHECK_STEPS), self._total, "cross-check")
-
-    def next(self, what: str) -> None:
-        """Tell that a step is done; the last one is ``finish``."""
-        self._done = min(self._done + 1, self._total - 1)
-        self._progress(self._done, self._total, what)
-
-    def finish(self) -> None:
-        """Tell that all is done."""
-        self._progress(self._total, self._total, "results")

@@ -39,14 +39,8 @@ NOTES = (
 class Results:
     """What was run and what came out.
 
-    Attributes:
-        extent: how much was run.
-        check: the cross-check.
-        runs: the motions without a planner.
-        compared: statements of the thesis about these, beside our numbers.
-        chapters: records of the tables of each chapter that was run, by their names in ``summary.json``.
-        plans: the plans, for figures and files.
-        replays: one for each plan and drive.
+    ``runs`` are the motions without a planner, ``compared`` statements of the thesis about these; ``chapters`` has the
+    records of each chapter that was run, by their names in ``summary.json``.
     """
 
     extent: Extent

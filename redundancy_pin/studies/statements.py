@@ -235,12 +235,8 @@ def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
 
 def _varied(case: Case, grids: Sequence[Grid], read: Measure, plans: Plans) -> list[tuple[Numbers, str]]:
     """Return what a measure reads off every variation that has a plan, with what the variation changes."""
-    results = []
-    for variation, label in (pair for entry in grids for pair in entry.cases(case)):
-        outcome = plans.outcome(variation)
-        if isinstance(outcome, Plan):
-            results.append((read(outcome), label))
-    return results
+    outcomes = [(plans.outcome(varied), label) for entry in grids for varied, label in entry.cases(case)]
+    return [(read(outcome), label) for outcome, label in outcomes if isinstance(outcome, Plan)]
 
 
 def _value(stated: str) -> float:
