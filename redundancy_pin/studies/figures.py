@@ -72,18 +72,16 @@ def motion_pictures(runs: Sequence[MotionRun]) -> list[Picture]:
     for run in runs:
         name = run.case.name
         title = f"{run.case.title}, {_carriers(run.case)}"
-        pictures += [
-            Picture(f"{name}-efforts", f"Efforts of {name}", f"{title}: efforts by both backends. {run.statement}.",
-                    effort_figure, (run, title)),
-            Picture(f"{name}-path", f"Path of {name}", f"{title}: mechanism, path and condition number.",
-                    path_figure, (run, title)),
-        ]  # fmt: skip
+        caption = f"{title}: efforts by both backends. {run.statement}."
+        pictures.append(Picture(f"{name}-efforts", f"Efforts of {name}", caption, effort_figure, (run, title)))
+        caption = f"{title}: mechanism, path and condition number."
+        pictures.append(Picture(f"{name}-path", f"Path of {name}", caption, path_figure, (run, title)))
     for motion in dict.fromkeys(cases.motion_name(run.case) for run in runs):
         same = [run for run in runs if cases.motion_name(run.case) == motion]
         if len(same) > 1:
             caption = f"{same[0].case.title}: efforts with parked carriers and without carriers."
-            pictures.append(Picture(f"{motion}-comparison", f"Comparison of {motion}", caption,
-                                    comparison_figure, (same,)))  # fmt: skip
+            title = f"Comparison of {motion}"
+            pictures.append(Picture(f"{motion}-comparison", title, caption, comparison_figure, (same,)))
     return pictures
 
 
@@ -368,53 +366,28 @@ RADII = tuple(float(task.option("radius")) for task in cases.TURNS[:2])
 
 def beyond_pictures() -> list[Picture]:
     """Return the figures of the chapter beyond the thesis."""
-    return [
-        *(
-            Picture(
-                f"beyond-{task.name}",
-                f"Plans of {task.name}",
-                f"{task.title}: main efforts, and position, speed and acceleration of the carriers with their limits."
-                + (" Dotted: singular instants." if cases.crosses(task) else ""),
-                task_figure,
-                (task,),
-            )
-            for task in TASKS
-        ),
-        Picture(
-            "beyond-fastest",
-            "Fastest motions",
-            "Largest main force of the plans of least effort over speed: every speed that has a plan (dots), and those "
-            "without (crosses, on the lower edge).",
-            fastest_figure,
-        ),
-        *(
-            Picture(
-                f"beyond-modes-r{radius:g}",
-                f"Working modes, radius {radius:g} m",
-                f"Largest |τ| at the corner of radius {radius:g} m in every working mode, at the samples or between "
-                "them. Stepwise plans leave the carriers where they are; the others bring them back.",
-                modes_figure,
-                (radius,),
-            )
-            for radius in RADII
-        ),
-        Picture(
-            "beyond-trade-off",
-            "Trade-off",
-            "Main effort against the carriers' acceleration: each point is the optimum for one weight.",
-            trade_figure,
-        ),
-    ]
+    pictures = []
+    for task in TASKS:
+        caption = f"{task.title}: main efforts, and position, speed and acceleration of the carriers with their limits."
+        caption += " Dotted: singular instants." if cases.crosses(task) else ""
+        pictures.append(Picture(f"beyond-{task.name}", f"Plans of {task.name}", caption, task_figure, (task,)))
+    caption = "Largest main force of the plans of least effort over speed: every speed that has a plan (dots), and "
+    caption += "those without (crosses, on the lower edge)."
+    pictures.append(Picture("beyond-fastest", "Fastest motions", caption, fastest_figure))
+    for radius in RADII:
+        title = f"Working modes, radius {radius:g} m"
+        caption = f"Largest |τ| at the corner of radius {radius:g} m in every working mode, at the samples or between "
+        caption += "them. Stepwise plans leave the carriers where they are; the others bring them back."
+        pictures.append(Picture(f"beyond-modes-r{radius:g}", title, caption, modes_figure, (radius,)))
+    caption = "Main effort against the carriers' acceleration: each point is the optimum for one weight."
+    return [*pictures, Picture("beyond-trade-off", "Trade-off", caption, trade_figure)]
 
 
 def _existing(results: Results, task: Case) -> dict[str, Plan]:
     """Return the plans of a task that are shown and exist, by method."""
     methods = {record["way"] for record in results.chapters["beyond"]["plans"] if record["task"] == task.name}
-    outcomes = {
-        method: results.plans.outcome(by_method(task, method, results.extent.coarser))
-        for method in _SHOWN
-        if method in methods
-    }
+    shown = {method: by_method(task, method, results.extent.coarser) for method in _SHOWN if method in methods}
+    outcomes = {method: results.plans.outcome(case) for method, case in shown.items()}
     return {method: outcome for method, outcome in outcomes.items() if isinstance(outcome, Plan)}
 
 

@@ -76,11 +76,9 @@ class CellStatistics:
         draws: number of trials.
         success: share of crossings that succeeded, with Wilson's interval.
         largest: mean of the largest distance of each trial from its plan, m, with the bootstrap's interval; over all
-            trials that were simulated, failed ones up to where they ended.
-        worst: the largest of these distances, m.
+            trials that were simulated, failed ones up to where they ended. ``worst`` is the largest of them.
         rms: mean of the root mean square distances, m.
-        effort: largest |τ| of any trial, N.
-        carrier_force: largest |F| of any trial, N.
+        effort, carrier_force: largest |τ| and |F| of any trial, N.
         statuses: how often each status came about.
         given_up: largest share of readings at which a computed torque found no answer.
     """
