@@ -10,35 +10,9 @@ from typing import Any
 
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.studies import cases
 from redundancy_pin.studies.case import Case, Mode, Plans
-from redundancy_pin.studies.cases import (
-    EFFORT,
-    ENERGY,
-    LATE,
-    NONE,
-    OBJECTIVES,
-    PARKED,
-    PEAK,
-    PEAK_FREE,
-    SINGULAR,
-    SMOOTH,
-    SMOOTHING,
-    STARTED,
-    STEPWISE,
-    STEPWISE_HALF,
-    SWITCH_OFF,
-    SWITCH_OFF_LATE,
-    TASKS,
-    TRADED,
-    TURNS,
-    Extent,
-    Race,
-    at_speed,
-    by_method,
-    crosses,
-    methods,
-)
-from redundancy_pin.studies.claims import claim, verdict
+from redundancy_pin.studies.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, Extent, by_method
 from redundancy_pin.studies.measures import (
     dense_peak,
     missing_force,
@@ -48,7 +22,7 @@ from redundancy_pin.studies.measures import (
     square_integral,
 )
 from redundancy_pin.studies.planned import Chapter, Tell
-from redundancy_pin.studies.table import Column, Record, Table, text
+from redundancy_pin.studies.table import Column, Record, Table
 from redundancy_pin.workers import parallel
 
 INFEASIBLE = "infeasible"
@@ -75,9 +49,6 @@ ORDERED = 1e-6
 GROWTH = 1.3
 """Factor on the speed until it is too high."""
 
-UNDECIDED = "seconds"
-"""Constraint that the planner names when its time ran out: no verdict."""
-
 _MORE = 1.01
 """Factor on the acceleration that would suffice, to see whether a plan exists then: bounds are met to rounding."""
 
@@ -92,21 +63,21 @@ TARGETS = (
 )
 """Task, method, and the largest |τ| at the nodes that was aimed at, N or N·m."""
 
-MODE_METHODS = (NONE, PARKED, STEPWISE, STEPWISE_HALF, EFFORT, PEAK, PEAK_FREE)
+MODE_METHODS = (NONE, cases.PARKED, STEPWISE, cases.STEPWISE_HALF, EFFORT, PEAK, cases.PEAK_FREE)
 """Plans of the corners in each mode; the last has the freedom of stepwise planning, which brings no carrier back."""
 
 
 def parts(extent: Extent) -> int:
     """Return how often ``run_beyond`` tells of progress."""
-    return len(cases(extent)) + len(extent.races) + len(TRADED)
+    return len(independent(extent)) + len(extent.races) + len(cases.TRADED)
 
 
-def cases(extent: Extent) -> list[tuple[Case, str]]:
+def independent(extent: Extent) -> list[tuple[Case, str]]:
     """Return the plans of the chapter that do not depend on one another, each with its backend."""
-    first = [by_method(task, method, extent.coarser) for task in TASKS for method in methods(task)]
+    first = [by_method(task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
     first += [
         by_method(replace(task, working_mode=mode), method, extent.coarser)
-        for task in TURNS[:2]
+        for task in cases.TURNS[:2]
         for mode in extent.modes
         for method in MODE_METHODS
     ]
@@ -125,30 +96,25 @@ def _started(extent: Extent) -> list[Case]:
     """Return the cases that are planned from several first guesses."""
     return [
         by_method(task, method, extent.starts_coarser).with_options(starts=extent.starts, refinements=0)
-        for task in STARTED
+        for task in cases.STARTED
         for method in (EFFORT, PEAK)
     ]
 
 
 def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
-    """Run the chapter, on several processes.
-
-    Raises:
-        RedundancyPinError: casadi is not installed.
-        InfeasiblePlanError: a motion on which every other number depends has no plan.
-    """
-    plans.prepare(cases(extent), extent.jobs, tell)
-    records = [plan_record(plans, task, method, extent.coarser) for task in TASKS for method in methods(task)]
-    cap = by_task(records)[SINGULAR[0].name][SWITCH_OFF]["before"]
+    """Run the chapter, on several processes."""
+    plans.prepare(independent(extent), extent.jobs, tell)
+    records = [plan_record(plans, task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
+    cap = by_task(records)[cases.SINGULAR[0].name][SWITCH_OFF]["before"]
     races = []
     for race in parallel(run_race, [(race, extent, cap) for race in extent.races], extent.jobs, ordered=True):
         races.append(race)
         tell(f"as fast as the limits allow: {race['task']}")
     trades = []
-    for task in TRADED:
+    for task in cases.TRADED:
         trades.append(trade_record(plans, task, extent))
         tell(f"trade-off: {task.name}")
-    chapter: Chapter = {
+    return {
         "plans": records,
         "targets": targets(records),
         "fastest": races,
@@ -157,8 +123,6 @@ def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
         "first_guesses": [starts_record(plans, case) for case in _started(extent)],
         "trade_off": trades,
     }
-    chapter["findings"] = findings(chapter)
-    return chapter
 
 
 def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> Record:
@@ -169,7 +133,7 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
     """
     case = by_method(task, method, coarser)
     outcome = plans.outcome(case)
-    saved = method not in (NONE, PARKED, STEPWISE, STEPWISE_HALF)
+    saved = method not in (NONE, cases.PARKED, STEPWISE, cases.STEPWISE_HALF)
     record = {"task": task.name, "way": method, "unit": task.unit, "file": f"beyond-{case.name}" if saved else ""}
     if isinstance(outcome, InfeasiblePlanError):
         nothing = dict.fromkeys(("peak", "dense_peak", "worst", "before", "reversals", "rms", "carrier_force",
@@ -177,18 +141,9 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
                                  "track", "speed_limit", "acceleration_limit"), math.nan)  # fmt: skip
         return {**record, **nothing, "file": "", "status": INFEASIBLE, "exists": False, "sound": False, "broken": "",
                 "solver": "", "why": outcome.message, "missing": missing_force(outcome)}  # fmt: skip
-    between = dense_peak(case, outcome)
-    shown = numbers(outcome)
-    return {
-        **record,
-        **shown,
-        "dense_peak": between,
-        "worst": max(shown["peak"], between),
-        "exists": True,
-        "sound": outcome.status is PlanStatus.WITHIN_LIMITS,
-        "why": "",
-        "missing": math.nan,
-    }
+    between, shown = dense_peak(case, outcome), numbers(outcome)
+    return {**record, **shown, "dense_peak": between, "worst": max(shown["peak"], between), "exists": True,
+            "sound": outcome.status is PlanStatus.WITHIN_LIMITS, "why": "", "missing": math.nan}  # fmt: skip
 
 
 def by_task(records: Sequence[Record]) -> dict[str, dict[str, Record]]:
@@ -223,17 +178,11 @@ def headline(records: Sequence[Record]) -> Table:
     rows = []
     for task in TASKS:
         group = groups.get(task.name, {})
-        thesis = (SWITCH_OFF, SWITCH_OFF_LATE) if crosses(task) else (STEPWISE,)
+        thesis = (SWITCH_OFF, cases.SWITCH_OFF_LATE) if cases.crosses(task) else (STEPWISE,)
         if EFFORT in group:
-            rows.append(
-                {
-                    "motion": task.title,
-                    "none": headline_cell(group.get(NONE)),
-                    "thesis": headline_cell(best(group.get(method) for method in thesis)),
-                    "effort": headline_cell(group.get(EFFORT)),
-                    "peak": headline_cell(group.get(PEAK)),
-                }
-            )
+            shown = {"none": group.get(NONE), "thesis": best(group.get(method) for method in thesis),
+                     "effort": group[EFFORT], "peak": group.get(PEAK)}  # fmt: skip
+            rows.append({"motion": task.title, **{name: headline_cell(record) for name, record in shown.items()}})
     columns = [
         Column("motion"),
         Column("none", "no moving masses"),
@@ -268,14 +217,8 @@ def headline_cell(record: Record | None) -> str | None:
 # as out of reach only if every first guess fails with two objectives, which lead the solver to different places.
 
 
-def run_race(race: Race, extent: Extent, cap: float) -> Record:
-    """Bracket the fastest motion of a race, with plans of its own; it may run in another process.
-
-    Args:
-        race: which motion.
-        extent: width of the bracket, first guesses.
-        cap: limit of the main efforts of races that have one, N or N·m.
-    """
+def run_race(race: cases.Race, extent: Extent, cap: float) -> Record:
+    """Bracket a race with plans of its own, in any process; ``cap`` limits the main efforts where it is capped."""
     if not race.capped:
         return fastest(Plans(), race.task, extent)
     wider = replace(extent, coarser=extent.coarser * _CAPPED_COARSER, tolerance=extent.tolerance * _CAPPED_COARSER)
@@ -288,22 +231,15 @@ def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) 
     Speeds are tried with parked carriers as the first guess; the upper end of the bracket then from all first guesses,
     and if a plan turns up the bisection goes on.
 
-    Args:
-        plans: the memo.
-        task: the motion at a speed that has a plan.
-        extent: width of the bracket, first guesses.
-        effort: limit of the main efforts, N or N·m.
-
     Raises:
         InfeasiblePlanError: the task has no plan at its own speed.
-        InputError: nor is it a motion at all.
     """
     trials: dict[float, Record] = {}
     limit = {} if math.isinf(effort) else {"effort": effort}
 
     def case_at(speed: float, **changed: Any) -> Case:
         whole = by_method(task, EFFORT, extent.coarser).with_options(refinements=1, **limit, **changed)
-        return at_speed(whole, speed)
+        return cases.at_speed(whole, speed)
 
     def tried(speed: float, starts: int = 1) -> Record:
         if speed not in trials or (starts > 1 and not trials[speed]["feasible"]):
@@ -347,28 +283,22 @@ def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) 
 
 def attempt(plans: Plans, case: Case) -> Record:
     """Try one speed from the first guesses of a case, with its objective and with the gentlest motion as the aim."""
-    failed: Record = {}
+    reasons = {"constraint": "", "carrier": "", "time": math.nan, "limit": math.nan, "unit": "", "fraction": math.nan}
+    record = {"speed": case.option("speed"), "feasible": False, "status": INFEASIBLE, "peak": math.nan, "binding": [],
+              **reasons, "said": ""}  # fmt: skip
+    failed = record
     for attempted in (case, case.with_options(objective=(("carrier_acceleration", 1.0),))):
-        record = {"speed": case.option("speed"), "feasible": False, "status": INFEASIBLE, "peak": math.nan,
-                  "binding": [], "constraint": "", "carrier": "", "time": math.nan, "limit": math.nan, "unit": "",
-                  "fraction": math.nan, "said": ""}  # fmt: skip
         outcome = plans.outcome(attempted)
         if isinstance(outcome, InfeasiblePlanError):
-            given = {
-                key: outcome.details.get(key) for key in ("constraint", "carrier", "time", "limit", "unit", "fraction")
-            }
-            failed = {**record, **{key: value for key, value in given.items() if value is not None},
-                      "said": outcome.message}  # fmt: skip
+            details = {key: outcome.details[key] for key in reasons if outcome.details.get(key) is not None}
+            failed = {**record, **details, "said": outcome.message}
         elif outcome.status in (PlanStatus.WITHIN_LIMITS, PlanStatus.STOPPED_EARLY):
             binding = sorted({f"{event.quantity} of {event.carrier}" for event in outcome.limits.binding})
             peak = max(float(outcome.peak_effort.max()), dense_peak(attempted, outcome))
             return {**record, "feasible": True, "status": outcome.status.value, "peak": peak, "binding": binding}
         else:
-            failed = {
-                **record,
-                "status": outcome.status.value,
-                "said": "the plan breaks limits or has no finite efforts",
-            }
+            message = "the plan breaks limits or has no finite efforts"
+            failed = {**record, "status": outcome.status.value, "said": message}
     return failed
 
 
@@ -386,7 +316,7 @@ def _ramps_fit(case: Case) -> bool:
 def mode_records(plans: Plans, modes: Sequence[Mode], coarser: float) -> list[Record]:
     """Return both corners in every working mode."""
     records = []
-    for task in TURNS[:2]:
+    for task in cases.TURNS[:2]:
         for mode in modes:
             moded = replace(task, working_mode=mode)
             rows = {method: plan_record(plans, moded, method, coarser) for method in MODE_METHODS}
@@ -440,9 +370,6 @@ def trade_record(plans: Plans, task: Case, extent: Extent) -> Record:
     """Return effort against the carriers' acceleration: what each weight between the two leads to.
 
     ``ratio`` is the weight over the one at which both parts of the cost are the same for the plan of least effort.
-
-    Raises:
-        InfeasiblePlanError: the task has no plan at all.
     """
     case = by_method(task, EFFORT, extent.coarser)
     least = plans.plan(case)
@@ -470,211 +397,3 @@ def _trade_point(ratio: float, weight: float, outcome: Plan | InfeasiblePlanErro
 def rises(values: Sequence[float]) -> bool:
     """Return whether values rise, but for rounding."""
     return all(after >= before * (1.0 - ORDERED) for before, after in pairwise(values))
-
-
-# --- findings ------------------------------------------------------------------------------------------------------
-
-
-def findings(chapter: Mapping[str, Any]) -> list[Record]:
-    """Return what follows from the chapter: verdicts, and the numbers of the sentences in ``claims.yaml``."""
-    groups = by_task(chapter["plans"])
-    singular = {task.name: groups[task.name] for task in SINGULAR if task.name in groups}
-    turns = {task.name: groups[task.name] for task in TURNS if task.name in groups}
-    return [
-        _singular(singular),
-        _heavy(singular),
-        _speed(chapter["fastest"]),
-        *(_turn(name, task, turns[task.name], chapter["working_modes"])
-          for name, task in zip(("corner_wide", "corner_sharp", "corner_square"), TURNS, strict=True)),
-        _cost(turns),
-        _between(chapter["plans"]),
-        _calm(groups),
-        _backends(chapter["backends"]),
-        _starts(chapter["first_guesses"]),
-    ]  # fmt: skip
-
-
-def _singular(groups: Mapping[str, Mapping[str, Record]]) -> Record:
-    sound = [task for task, group in groups.items() if group[EFFORT]["sound"] and group[PEAK]["sound"]]
-    off = {task: group[SWITCH_OFF] for task, group in groups.items()}
-    broken = [task for task, record in off.items() if record["exists"] and not record["sound"]]
-    both = [
-        (group[EFFORT], off[task]) for task, group in groups.items() if group[EFFORT]["exists"] and off[task]["exists"]
-    ]
-    late = {task: group[SWITCH_OFF_LATE] for task, group in groups.items() if SWITCH_OFF_LATE in group}
-    return claim(
-        "singular",
-        verdict(len(sound), len(groups)),
-        total=len(groups),
-        sound=sound,
-        kept=[task for task, record in off.items() if record["sound"]],
-        broken=broken,
-        without=[task for task, record in off.items() if not record["exists"]],
-        late=LATE,
-        saved=[(task, headline_cell(late[task])) for task in broken if task in late and late[task]["sound"]],
-        factors=[whole["worst"] / other["worst"] for whole, other in both],
-        before=[whole["worst"] / other["before"] for whole, other in both if not math.isnan(other["before"])],
-    )
-
-
-def _heavy(groups: Mapping[str, Mapping[str, Record]]) -> Record:
-    without = {task: group for task, group in groups.items() if not group[SWITCH_OFF]["exists"]}
-    good = sum(group[EFFORT]["sound"] and group[PEAK]["sound"] for group in without.values())
-    motions = [
-        {
-            "task": task,
-            "missing": group[SWITCH_OFF]["missing"],
-            "effort": headline_cell(group[EFFORT]),
-            "peak": headline_cell(group[PEAK]),
-        }
-        for task, group in without.items()
-    ]
-    stands = verdict(good, len(without)) if without else "does not stand"
-    return claim("heavy", stands, total=len(without), good=good, motions=motions)
-
-
-def _speed(races: Sequence[Record]) -> Record:
-    circles = [race for race in races if race["task"].startswith("circle") and math.isinf(race["effort_limit"])]
-    good = sum(race["fastest_with_plan"]["speed"] > THESIS_SPEED for race in circles)
-    shown = [
-        {
-            **{key: race[key] for key in ("title", "unit", "effort_limit")},
-            "capped": math.isfinite(race["effort_limit"]),
-            "slower": race["fastest_with_plan"],
-            "faster": race["slowest_without"],
-        }
-        for race in races
-    ]
-    return claim("speed", verdict(good, len(circles)), thesis_speed=THESIS_SPEED, races=shown)
-
-
-def _turn(name: str, task: Case, group: Mapping[str, Record], modes: Sequence[Record]) -> Record:
-    none, aims = group[NONE], {"effort": group[EFFORT], "peak": group[PEAK]}
-    same = [record for record in modes if task.path == "corner" and record["radius"] == task.option("radius")]
-    good = (
-        sum(record["lower"] for record in same)
-        if same
-        else int(group[PEAK]["sound"] and group[PEAK]["worst"] < none["worst"])
-    )
-    lower = {
-        method: sum(
-            record["rows"][STEPWISE]["exists"]
-            and not record["rows"][STEPWISE]["worst"] >= record["rows"][method]["worst"]
-            for record in same
-        )
-        for method in (PEAK, PEAK_FREE)
-    }
-    quantities = ("worst", "rms", "main_energy", "energy")
-    return claim(
-        name,
-        verdict(good, len(same) or 1),
-        total=len(same) or 1,
-        good=good,
-        without=none["worst"],
-        stepwise=headline_cell(group[STEPWISE]),
-        **{aim: headline_cell(record) for aim, record in aims.items()},
-        factors=[record["ratio"] for record in same if not math.isnan(record["ratio"])],
-        stepwise_lower=lower[PEAK],
-        stepwise_lower_free=lower[PEAK_FREE],
-        against=[
-            {"aim": aim, "factors": [text(record[quantity] / none[quantity], ".2g") for quantity in quantities]}
-            for aim, record in aims.items()
-            if record["exists"]
-        ],
-    )
-
-
-def _cost(groups: Mapping[str, Mapping[str, Record]]) -> Record:
-    pairs = [
-        (record, group[NONE])
-        for group in groups.values()
-        for method, record in group.items()
-        if method in OBJECTIVES and record["exists"]
-    ]
-    least = [(record, none) for record, none in pairs if record["way"] == ENERGY]
-    better = sum(record["energy"] < none["energy"] for record, none in pairs)
-    return claim(
-        "cost",
-        verdict(better, len(pairs)),
-        total=len(pairs),
-        better=better,
-        factors=[record["energy"] / none["energy"] for record, none in pairs],
-        carrier_force=max(record["carrier_force"] for record, _ in pairs),
-        least=[record["energy"] / none["energy"] for record, none in least],
-        least_peaks=[record["worst"] / none["worst"] for record, none in least],
-    )
-
-
-def _between(records: Sequence[Record]) -> Record:
-    whole = [record for record in records if record["way"] in OBJECTIVES]
-    factors = {_name(record): record["dense_peak"] / record["peak"] for record in whole if record["exists"]}
-    worst = max(factors, key=lambda name: factors[name])
-    good = sum(factor <= BETWEEN for factor in factors.values())
-    return claim(
-        "between",
-        verdict(good, len(factors)),
-        total=len(factors),
-        good=good,
-        accepted=BETWEEN,
-        worst=factors[worst],
-        worst_plan=worst,
-        early=[_name(record) for record in whole if record["status"] == PlanStatus.STOPPED_EARLY.value],
-        missing=[_name(record) for record in whole if not record["exists"]],
-    )
-
-
-def _calm(groups: Mapping[str, Mapping[str, Record]]) -> Record:
-    whole = [
-        record
-        for group in groups.values()
-        for method, record in group.items()
-        if method in OBJECTIVES and record["exists"]
-    ]
-    restless = [record for record in whole if record["reversals"] > CALM]
-    worst = max(whole, key=lambda record: float(record["reversals"]))
-    smooth = [record for record in whole if record["way"] == SMOOTH]
-    return claim(
-        "calm",
-        verdict(len(whole) - len(restless), len(whole)),
-        total=len(whole),
-        good=len(whole) - len(restless),
-        accepted=CALM,
-        worst=worst["reversals"],
-        worst_plan=_name(worst),
-        restless=sorted({record["task"] for record in restless}),
-        weight=SMOOTHING,
-        smooth_reversals=max((record["reversals"] for record in smooth), default=None),
-        smooth_peaks=[record["worst"] / groups[record["task"]][EFFORT]["worst"] for record in smooth],
-    )
-
-
-def _backends(backends: Sequence[Record]) -> Record:
-    worst = max(backends, key=lambda record: float(record["worst"]))
-    good = sum(record["same"] for record in backends)
-    return claim(
-        "backends",
-        verdict(good, len(backends)),
-        total=len(backends),
-        good=good,
-        accepted=SAME_PLAN,
-        worst=worst["worst"],
-        worst_plan=worst["case"],
-        cost=max(record["cost"] for record in backends),
-        apart=[record["case"] for record in backends if not record["same"] and record["cost"] <= SAME_PLAN],
-    )
-
-
-def _starts(starts: Sequence[Record]) -> Record:
-    good = sum(record["parked_is_best"] for record in starts)
-    return claim(
-        "first_guesses",
-        verdict(good, len(starts)),
-        total=len(starts),
-        good=good,
-        tried=max(len(record["costs"]) for record in starts),
-        several=[(record["case"], record["optima"], record["excess"]) for record in starts if record["optima"] > 1],
-    )
-
-
-def _name(record: Record) -> str:
-    return f"{record['task']} ({record['way']})"

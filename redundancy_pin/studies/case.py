@@ -56,18 +56,9 @@ def points(
     closed: bool = False,
     alpha: float | None = None,
 ) -> Trajectory:
-    """Return a motion along a smooth path through points; two of them give a straight line.
+    """Return a motion along a smooth path through (N, n) points, m; two of them give a straight line.
 
-    Args:
-        points: (N, n) points, m.
-        speed: cruising speed, m/s.
-        ramp_time: duration of each ramp, s.
-        ramp_length: length of each ramp, m.
-        closed: whether to return to the first point.
-        alpha: constant orientation, rad, added as last coordinate.
-
-    Raises:
-        InputError: as ``through_points`` and ``SpeedProfile``.
+    Ramps last ``ramp_time``, s, and are ``ramp_length``, m, long; ``alpha``, rad, is a constant last coordinate.
     """
     return _along(through_points(points, closed=closed), speed, ramp_time, ramp_length, alpha)
 
@@ -81,20 +72,7 @@ def polygon(
     closed: bool = False,
     alpha: float | None = None,
 ) -> Trajectory:
-    """Return a motion along a polygon with rounded corners.
-
-    Args:
-        vertices: (N, n) corners, m; the first and last are the ends unless ``closed``.
-        radius: of the arcs, m.
-        speed: cruising speed, m/s.
-        ramp_time: duration of each ramp, s.
-        ramp_length: length of each ramp, m.
-        closed: whether to return to the first corner.
-        alpha: constant orientation, rad, added as last coordinate.
-
-    Raises:
-        InputError: as ``rounded_polygon`` and ``SpeedProfile``.
-    """
+    """Return a motion along a polygon of (N, n) corners, m, rounded by arcs of a radius, m; the rest as ``points``."""
     return _along(rounded_polygon(vertices, radius, closed=closed), speed, ramp_time, ramp_length, alpha)
 
 
@@ -130,32 +108,16 @@ def _hashable(value: Any) -> Any:
 def load(
     robot: str, working_mode: Mode = (), arguments: Options = (), gravity: tuple[float, ...] | None = None
 ) -> Robot:
-    """Load a robot once a process: that takes longer than many a plan, and constraint models do not pickle.
-
-    Args:
-        robot: shipped name or path of a declaration.
-        working_mode: ±1 a leg; as declared if empty.
-        arguments: xacro arguments.
-        gravity: (3,) m/s²; as declared when left out.
-
-    Raises:
-        RedundancyPinError: as ``load_robot``.
-    """
+    """Load a robot once a process: that takes longer than many a plan, and constraint models do not pickle."""
     return load_robot(robot, working_mode=working_mode or None, gravity=gravity, **dict(arguments))
 
 
 @functools.lru_cache(maxsize=64)
-def _dynamics(
-    backend: str,
-    robot: str,
-    working_mode: Mode,
-    arguments: Options,
-    gravity: tuple[float, ...] | None,
-    limits: Options,
-) -> Dynamics:
-    found = load(robot, working_mode, arguments, gravity)
-    limited = tuple(_limited(own, dict(limits)) for own in found.carrier_limits)
-    return BACKENDS[backend](replace(found, carrier_limits=limited) if limits else found)
+def _dynamics(backend: str, arguments: tuple[Any, ...], limits: Options) -> Dynamics:
+    """Return the dynamics of a robot, given by the arguments of ``load``, with other limits of its carriers."""
+    robot = load(*arguments)
+    limited = tuple(_limited(own, dict(limits)) for own in robot.carrier_limits)
+    return BACKENDS[backend](replace(robot, carrier_limits=limited) if limits else robot)
 
 
 def _limited(own: CarrierLimits, limits: Mapping[str, float]) -> CarrierLimits:
@@ -230,17 +192,13 @@ class Case:
         return replace(self, planner=planner, options=options(**changed), dt=dt or self.dt)
 
     def load_robot(self) -> Robot:
-        """Return the robot with its own limits, loaded once.
-
-        Raises:
-            RedundancyPinError: it does not load.
-        """
+        """Return the robot with its own limits, loaded once."""
         return load(self.robot, self.working_mode, self._arguments, self.gravity)
 
     def dynamics(self, backend: str | None = None) -> Dynamics:
         """Return its dynamics by a backend (the first of ``backends`` when left out), made once."""
-        by = backend or self.backends[0]
-        return _dynamics(by, self.robot, self.working_mode, self._arguments, self.gravity, self.limits)
+        robot = (self.robot, self.working_mode, self._arguments, self.gravity)
+        return _dynamics(backend or self.backends[0], robot, self.limits)
 
     @property
     def has_baseline(self) -> bool:
@@ -248,20 +206,11 @@ class Case:
         return isinstance(self.load_robot().parameters.get("carriers"), bool)
 
     def trajectory(self) -> Trajectory:
-        """Make the reference trajectory.
-
-        Raises:
-            InputError: an option the path does not take, or ramps that do not fit in.
-        """
+        """Make the reference trajectory; InputError where ramps do not fit in."""
         return TRAJECTORIES[self.path](**dict(self.path_options))
 
     def plan(self, backend: str | None = None) -> Plan:
-        """Plan the case.
-
-        Raises:
-            InfeasiblePlanError: there is no plan, and why.
-            RedundancyPinError: as the planners.
-        """
+        """Plan the case; errors as the planners."""
         dynamics, given = self.dynamics(backend), dict(self.options)
         match self.planner:
             case "switch_off":
@@ -329,31 +278,19 @@ class Plans:
         return self._kept[key]
 
     def prepare(
-        self, cases: Sequence[tuple[Case, str]], jobs: int = -1, tell: Callable[[str], None] | None = None
+        self, cases: Sequence[tuple[Case, str]], jobs: int = -1, tell: Callable[[str], None] = lambda _: None
     ) -> None:
-        """Plan cases by backends in several processes, so that they are there when they are wanted.
-
-        Args:
-            cases: with their backends.
-            jobs: processes; -1 for all cores.
-            tell: called for each of them.
-        """
+        """Plan cases by backends in several processes (-1: all cores), telling of each."""
         keys = {(replace(case, name="", title=""), backend): case.name for case, backend in cases}
         missing = [key for key in keys if key not in self._kept]
         for key, outcome in zip(missing, parallel(_outcome, missing, jobs, ordered=True), strict=True):
             self._kept[key] = outcome
-            if tell:
-                tell(keys[key])
+            tell(keys[key])
         for _ in range(len(cases) - len(missing)):
-            if tell:
-                tell("plans that were there already")
+            tell("plans that were there already")
 
     def plan(self, case: Case, backend: str | None = None) -> Plan:
-        """Return the plan of a case.
-
-        Raises:
-            InfeasiblePlanError: there is none.
-        """
+        """Return the plan of a case; InfeasiblePlanError where there is none."""
         result = self.outcome(case, backend)
         if isinstance(result, InfeasiblePlanError):
             raise result

@@ -240,10 +240,7 @@ def methods(task: Case) -> tuple[str, ...]:
 def by_method(task: Case, method: str, coarser: float = 1.0) -> Case:
     """Return a task by one of ``methods``; its name is the stem of the files of the plan.
 
-    Args:
-        task: of ``TASKS``.
-        method: of ``methods(task)``.
-        coarser: factor on the largest step between the nodes of whole-trajectory plans.
+    ``coarser`` is a factor on the largest step between the nodes of whole-trajectory plans.
     """
     if method in (NONE, PARKED):
         return without_carriers(task) if method == NONE else parked(task)
@@ -278,12 +275,7 @@ _LIGHT, _HEAVY, _FIVE_BAR = SINGULAR[0], SINGULAR[2], SINGULAR[5]
 
 @dataclass(frozen=True)
 class Replayed:
-    """A plan that is replayed.
-
-    Attributes:
-        task, method: which plan.
-        drives: what drives the machine.
-    """
+    """A plan that is replayed, and by which drives."""
 
     task: Case
     method: str
@@ -311,11 +303,9 @@ REPLAYED: tuple[Replayed, ...] = (
 
 @dataclass(frozen=True)
 class Race:
-    """A motion whose fastest is bracketed.
+    """A motion, at a speed that has a plan, whose fastest is bracketed.
 
-    Attributes:
-        task: the motion, at a speed that has a plan.
-        capped: whether main forces are limited to what switching off needs until the motors are off.
+    Main forces of one that is ``capped`` are limited to what switching off needs until the motors are off.
     """
 
     task: Case

@@ -13,28 +13,9 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
-from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK, Case, Plans
-from redundancy_pin.studies.cases import (
-    CORNERS,
-    CROSSINGS,
-    EFFORT,
-    NONE,
-    PEAK,
-    SMOOTH,
-    STEPWISE,
-    SWITCH_OFF,
-    TASKS,
-    TRADED,
-    TURNS,
-    Replayed,
-    by_method,
-    crosses,
-    mode_text,
-    motion_name,
-    parked,
-    thresholds,
-    without_carriers,
-)
+from redundancy_pin.studies import cases
+from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK, Case
+from redundancy_pin.studies.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, by_method, without_carriers
 from redundancy_pin.studies.measures import rms_acceleration, window
 from redundancy_pin.studies.motions import MotionRun
 from redundancy_pin.studies.results import Results
@@ -50,14 +31,14 @@ from redundancy_pin.visualisation.figures.comparisons import (
 )
 from redundancy_pin.visualisation.figures.curves import curves
 from redundancy_pin.visualisation.figures.paths import plot_path, plot_plane_paths
-from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels
+from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels, series
 from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Draw = Callable[..., "Figure"]
-"""Draws what it is given; the figures of the thesis are ``draw(plans, *cases)``."""
+"""Draws results, given what picks a part of them: a run, a task, or cases of plans."""
 
 _FINE = 2e-3
 """Between the samples of reference motions, s."""
@@ -65,31 +46,17 @@ _FINE = 2e-3
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the results folder.
-
-    Attributes:
-        stem: name of its files without suffix.
-        title: above it in the report.
-        caption: below it.
-        draw: makes it.
-    """
+    """A figure of the results folder: stem of its files, what is above and below it in the report, what draws it."""
 
     stem: str
     title: str
     caption: str
-    draw: Callable[[Results], Figure]
+    function: Draw
+    given: tuple[Any, ...] = ()
 
-
-def _of(draw: Draw, *given: Any) -> Callable[[Results], Figure]:
-    return lambda results: draw(*given)
-
-
-def _from_plans(draw: Draw, cases: Sequence[Case]) -> Callable[[Results], Figure]:
-    return lambda results: draw(results.plans, *cases)
-
-
-def _from_results(draw: Draw, *given: Any) -> Callable[[Results], Figure]:
-    return lambda results: draw(results, *given)
+    def draw(self, results: Results) -> Figure:
+        """Draw it."""
+        return self.function(results, *self.given)
 
 
 # --- motions without a planner -------------------------------------------------------------------------------------
@@ -101,22 +68,20 @@ def motion_pictures(runs: Sequence[MotionRun]) -> list[Picture]:
     for run in runs:
         name = run.case.name
         title = f"{run.case.title}, {_carriers(run.case)}"
-        pictures += [
-            Picture(f"{name}-efforts", f"Efforts of {name}", f"{title}: efforts by both backends. {run.statement}.",
-                    _of(effort_figure, run, title)),
-            Picture(f"{name}-path", f"Path of {name}", f"{title}: mechanism, path and condition number.",
-                    _of(path_figure, run, title)),
-        ]  # fmt: skip
-    for motion in dict.fromkeys(motion_name(run.case) for run in runs):
-        same = [run for run in runs if motion_name(run.case) == motion]
+        caption = f"{title}: efforts by both backends. {run.statement}."
+        pictures.append(Picture(f"{name}-efforts", f"Efforts of {name}", caption, effort_figure, (run, title)))
+        caption = f"{title}: mechanism, path and condition number."
+        pictures.append(Picture(f"{name}-path", f"Path of {name}", caption, path_figure, (run, title)))
+    for motion in dict.fromkeys(cases.motion_name(run.case) for run in runs):
+        same = [run for run in runs if cases.motion_name(run.case) == motion]
         if len(same) > 1:
             caption = f"{same[0].case.title}: efforts with parked carriers and without carriers."
-            pictures.append(Picture(f"{motion}-comparison", f"Comparison of {motion}", caption,
-                                    _of(comparison_figure, same)))  # fmt: skip
+            title = f"Comparison of {motion}"
+            pictures.append(Picture(f"{motion}-comparison", title, caption, comparison_figure, (same,)))
     return pictures
 
 
-def effort_figure(run: MotionRun, title: str) -> Figure:
+def effort_figure(_: Results, run: MotionRun, title: str) -> Figure:
     """Return the efforts of a run by both backends."""
     drawn = curves(run.robot, run.reduced[RNEA], run.distribution, title=title)
     return plot_efforts(
@@ -128,7 +93,7 @@ def effort_figure(run: MotionRun, title: str) -> Figure:
     )
 
 
-def path_figure(run: MotionRun, title: str) -> Figure:
+def path_figure(_: Results, run: MotionRun, title: str) -> Figure:
     """Return the mechanism, the path and the condition number of a run."""
     return plot_path(
         title,
@@ -136,14 +101,14 @@ def path_figure(run: MotionRun, title: str) -> Figure:
         run.motion.x[:, :2],
         *_mechanism(run.robot, run.motion),
         run.distribution.condition,
-        thresholds=thresholds(run.case),
+        thresholds=cases.thresholds(run.case),
         windows=run.near_singular_windows,
         instants=[instant.t for instant in run.instants],
         singular_points=[instant.x[:2] for instant in run.instants],
     )
 
 
-def comparison_figure(runs: Sequence[MotionRun]) -> Figure:
+def comparison_figure(_: Results, runs: Sequence[MotionRun]) -> Figure:
     """Return the efforts of several runs along one motion."""
     efforts = {_carriers(run.case): (run.t, run.distribution.tau) for run in runs}
     names = tuple(f"τ{i + 1}" for i in range(runs[0].robot.m))
@@ -163,7 +128,7 @@ def _mechanism(robot: Robot, motion: PlatformMotion) -> tuple[tuple[Array, ...],
 # --- result figures of the thesis ----------------------------------------------------------------------------------
 
 
-def profile(plans: Plans, case: Case) -> Figure:
+def profile(results: Results, case: Case) -> Figure:
     """Draw the platform's speed and acceleration (norms)."""
     motion = case.trajectory().sample(_FINE)
     speed, acceleration = (np.linalg.norm(part[:, :2], axis=1) for part in (motion.xd, motion.xdd))
@@ -174,25 +139,23 @@ def profile(plans: Plans, case: Case) -> Figure:
     return plot_time_panels(f"{case.title}: speed and acceleration of the platform", panels)
 
 
-def displacement(plans: Plans, case: Case) -> Figure:
+def displacement(results: Results, case: Case) -> Figure:
     """Draw the platform's x and y over time."""
     motion = case.trajectory().sample(_FINE)
-    panels = tuple(
-        Panel(f"{name} [m]", (Curve(name, motion.t, motion.x[:, i] - motion.x[0, i], i),))
-        for i, name in enumerate(("x − x(0)", "y − y(0)"))
-    )
+    curves = series(("x − x(0)", "y − y(0)"), motion.t, motion.x - motion.x[0])
+    panels = [Panel(f"{curve.label} [m]", (curve,)) for curve in curves]
     return plot_time_panels(f"{case.title}: displacement of the platform", panels)
 
 
-def paths(plans: Plans, *cases: Case) -> Figure:
+def paths(results: Results, *several: Case) -> Figure:
     """Draw the paths of cases; of a crossing with the mechanism at its start and the singular points."""
     lines = {
-        f"radius {case.option('radius'):g} m" if len(cases) > 1 else "path": case.trajectory().sample(_FINE).x[:, :2]
-        for case in cases
+        f"radius {case.option('radius'):g} m" if len(several) > 1 else "path": case.trajectory().sample(_FINE).x[:, :2]
+        for case in several
     }
-    first = cases[0]
+    first = several[0]
     if first.planner != "switch_off":
-        return plot_plane_paths("Corners of the 3-RRR's platform" if len(cases) > 1 else first.title, lines)
+        return plot_plane_paths("Corners of the 3-RRR's platform" if len(several) > 1 else first.title, lines)
     trajectory = first.trajectory()
     mechanism, hinges = _mechanism(first.load_robot(), trajectory.sample(_FINE))
     return plot_plane_paths(
@@ -200,32 +163,32 @@ def paths(plans: Plans, *cases: Case) -> Figure:
         lines,
         mechanism=mechanism,
         hinges=hinges,
-        singular=list(trajectory.sample_at(np.array(_instants(plans.plan(first)))).x),
+        singular=list(trajectory.sample_at(np.array(_instants(results.plans.plan(first)))).x),
     )
 
 
-def condition(plans: Plans, *cases: Case) -> Figure:
+def condition(results: Results, *several: Case) -> Figure:
     """Draw the condition number along the motion of cases that differ in their threshold."""
-    plan = plans.plan(cases[0])
-    levels = tuple((case.option("threshold"), f"threshold {case.option('threshold'):g}") for case in cases)
-    panel = Panel("condition number [–]", (Curve("condition number", plan.t, plan.condition),), levels, log=True,
-                  height=1.8)  # fmt: skip
-    return plot_time_panels(f"{cases[0].title}: condition number", (panel,), instants=_instants(plan))
+    plan = results.plans.plan(several[0])
+    levels = tuple((case.option("threshold"), f"threshold {case.option('threshold'):g}") for case in several)
+    panel = _condition(plan, levels, height=1.8)
+    return plot_time_panels(f"{several[0].title}: condition number", (panel,), instants=_instants(plan))
 
 
-def forces(plans: Plans, case: Case) -> Figure:
+def _condition(plan: Plan, levels: tuple[tuple[float, str], ...], height: float = 1.0) -> Panel:
+    curve = Curve("condition number", plan.t, plan.condition)
+    return Panel("condition number [–]", (curve,), levels, log=True, height=height)
+
+
+def forces(results: Results, case: Case) -> Figure:
     """Draw the forces of the main actuators and the condition number of a crossing."""
-    plan, threshold = plans.plan(case), case.option("threshold")
+    plan, threshold = results.plans.plan(case), case.option("threshold")
     before = plan.t <= float(window(plan)["exit"])
-    whole, shown = (
-        tuple(Curve(f"τ{i + 1}", plan.t[part], plan.tau[part, i], i) for i in range(2))
-        for part in (slice(None), before)
-    )
-    level = ((threshold, f"threshold {threshold:g}"),)
+    names = ("τ1", "τ2")
     panels = (
-        Panel("force τ [N]", whole, height=1.3),
-        Panel("force τ [N], until\nswitched on", shown, height=1.2),
-        Panel("condition number [–]", (Curve("condition number", plan.t, plan.condition),), level, log=True),
+        Panel("force τ [N]", series(names, plan.t, plan.tau), height=1.3),
+        Panel("force τ [N], until\nswitched on", series(names, plan.t[before], plan.tau[before]), height=1.2),
+        _condition(plan, ((threshold, f"threshold {threshold:g}"),)),
     )
     return plot_time_panels(f"{_off(case)}: main actuators", panels, plan=plan, instants=_instants(plan))
 
@@ -234,20 +197,20 @@ _QUANTITIES = {"position": ("s", "s [m]"), "speed": ("sd", "ṡ [m/s]"), "accele
 """Of carriers: their name in a motion, and the label of the axis."""
 
 
-def carriers(plans: Plans, case: Case) -> Figure:
+def carriers(results: Results, case: Case) -> Figure:
     """Draw position, speed and acceleration of the carriers of a crossing."""
-    plan = plans.plan(case)
+    plan = results.plans.plan(case)
     panels = []
     for quantity, (name, label) in _QUANTITIES.items():
-        values = getattr(plan.carriers, name)
-        curves = tuple(Curve(f"carrier {i + 1}", plan.t, values[:, i], i, carrier=True) for i in range(values.shape[1]))
+        names = [f"carrier {i + 1}" for i in range(len(plan.robot.carriers))]
+        curves = series(names, plan.t, getattr(plan.carriers, name), carrier=True)
         panels.append(Panel(label, curves, limits=_limits(plan, quantity), height=1.2))
     return plot_time_panels(f"{_off(case)}: carriers", panels, plan=plan, instants=_instants(plan))
 
 
-def torques(plans: Plans, case: Case) -> Figure:
+def torques(results: Results, case: Case) -> Figure:
     """Draw each base torque of a stepwise plan beside the machine without carriers and with parked ones."""
-    plan, none, still = (plans.plan(one) for one in (case, without_carriers(case), parked(case)))
+    plan, none, still = (results.plans.plan(one) for one in (case, without_carriers(case), cases.parked(case)))
     panels = tuple(
         Panel(
             f"τ{i + 1} [N·m]",
@@ -262,27 +225,23 @@ def torques(plans: Plans, case: Case) -> Figure:
     return plot_time_panels(f"{_stepwise(case)}: base torques", panels, plan=plan)
 
 
-def positions(plans: Plans, case: Case) -> Figure:
+def positions(results: Results, case: Case) -> Figure:
     """Draw the positions of the carriers of a stepwise plan, one panel each."""
-    return _each_carrier(plans, case, "position")
+    return _each_carrier(results, case, "position")
 
 
-def accelerations(plans: Plans, case: Case) -> Figure:
+def accelerations(results: Results, case: Case) -> Figure:
     """Draw their accelerations."""
-    return _each_carrier(plans, case, "acceleration")
+    return _each_carrier(results, case, "acceleration")
 
 
-def _each_carrier(plans: Plans, case: Case, quantity: str) -> Figure:
-    plan, (name, label) = plans.plan(case), _QUANTITIES[quantity]
-    values = getattr(plan.carriers, name)
-    panels = tuple(
-        Panel(
-            f"carrier {i + 1}\n{label}",
-            (Curve(f"{quantity} of carrier {i + 1}", plan.t, values[:, i], i, carrier=True),),
-            limits=_limits(plan, quantity),
-        )
-        for i in range(3)
-    )
+def _each_carrier(results: Results, case: Case, quantity: str) -> Figure:
+    plan, (name, label) = results.plans.plan(case), _QUANTITIES[quantity]
+    names = [f"{quantity} of carrier {i + 1}" for i in range(3)]
+    curves = series(names, plan.t, getattr(plan.carriers, name), carrier=True)
+    panels = [
+        Panel(f"carrier {i + 1}\n{label}", (curve,), limits=_limits(plan, quantity)) for i, curve in enumerate(curves)
+    ]
     return plot_time_panels(f"{_stepwise(case)}: {quantity} of the carriers", panels, plan=plan)
 
 
@@ -307,8 +266,8 @@ def _instants(plan: Plan) -> list[float]:
     return [float(instant) for instant in instants]
 
 
-_C5, _C10, _C20, _F5, _L1, _L2, _L15 = CROSSINGS
-_WIDE, _WIDE_HALF, _SHARP, _, _SQUARE_HALF, _SQUARE = CORNERS
+_C5, _C10, _C20, _F5, _L1, _L2, _L15 = cases.CROSSINGS
+_WIDE, _WIDE_HALF, _SHARP, _, _SQUARE_HALF, _SQUARE = cases.CORNERS
 
 THESIS: tuple[tuple[str, Draw, tuple[Case, ...]], ...] = (
     ("3.6", profile, (_C5,)),
@@ -364,75 +323,45 @@ _CAPTIONS: dict[Draw, str] = {
 def thesis_pictures() -> list[Picture]:
     """Return the result figures of the thesis, drawn anew."""
     pictures = []
-    for number, draw, cases in THESIS:
+    for number, draw, several in THESIS:
         chapter, _, count = number.partition(".")
-        runs = ", ".join(case.name for case in cases)
-        pictures.append(
-            Picture(
-                f"figure-{chapter}-{int(count):02d}",
-                f"Figure {number}",
-                f"{_CAPTIONS[draw]} Run: {runs}.",
-                _from_plans(draw, cases),
-            )
-        )
+        caption = f"{_CAPTIONS[draw]} Run: {', '.join(case.name for case in several)}."
+        pictures.append(Picture(f"figure-{chapter}-{int(count):02d}", f"Figure {number}", caption, draw, several))
     return pictures
 
 
 # --- beyond the thesis ---------------------------------------------------------------------------------------------
 
-_SHOWN = (NONE, STEPWISE, SWITCH_OFF, EFFORT, PEAK, SMOOTH)
+_SHOWN = (NONE, STEPWISE, SWITCH_OFF, EFFORT, PEAK, cases.SMOOTH)
 """Methods that the figures of a motion show, left to right, where there is a plan."""
 
-RADII = tuple(float(task.option("radius")) for task in TURNS[:2])
+RADII = tuple(float(task.option("radius")) for task in cases.TURNS[:2])
 
 
 def beyond_pictures() -> list[Picture]:
     """Return the figures of the chapter beyond the thesis."""
-    return [
-        *(
-            Picture(
-                f"beyond-{task.name}",
-                f"Plans of {task.name}",
-                f"{task.title}: main efforts, and position, speed and acceleration of the carriers with their limits."
-                + (" Dotted: singular instants." if crosses(task) else ""),
-                _from_results(task_figure, task),
-            )
-            for task in TASKS
-        ),
-        Picture(
-            "beyond-fastest",
-            "Fastest motions",
-            "Largest main force of the plans of least effort over speed: every speed that has a plan (dots), and those "
-            "without (crosses, on the lower edge).",
-            fastest_figure,
-        ),
-        *(
-            Picture(
-                f"beyond-modes-r{radius:g}",
-                f"Working modes, radius {radius:g} m",
-                f"Largest |τ| at the corner of radius {radius:g} m in every working mode, at the samples or between "
-                "them. Stepwise plans leave the carriers where they are; the others bring them back.",
-                _from_results(modes_figure, radius),
-            )
-            for radius in RADII
-        ),
-        Picture(
-            "beyond-trade-off",
-            "Trade-off",
-            "Main effort against the carriers' acceleration: each point is the optimum for one weight.",
-            trade_figure,
-        ),
-    ]
+    pictures = []
+    for task in TASKS:
+        caption = f"{task.title}: main efforts, and position, speed and acceleration of the carriers with their limits."
+        caption += " Dotted: singular instants." if cases.crosses(task) else ""
+        pictures.append(Picture(f"beyond-{task.name}", f"Plans of {task.name}", caption, task_figure, (task,)))
+    caption = "Largest main force of the plans of least effort over speed: every speed that has a plan (dots), and "
+    caption += "those without (crosses, on the lower edge)."
+    pictures.append(Picture("beyond-fastest", "Fastest motions", caption, fastest_figure))
+    for radius in RADII:
+        title = f"Working modes, radius {radius:g} m"
+        caption = f"Largest |τ| at the corner of radius {radius:g} m in every working mode, at the samples or between "
+        caption += "them. Stepwise plans leave the carriers where they are; the others bring them back."
+        pictures.append(Picture(f"beyond-modes-r{radius:g}", title, caption, modes_figure, (radius,)))
+    caption = "Main effort against the carriers' acceleration: each point is the optimum for one weight."
+    return [*pictures, Picture("beyond-trade-off", "Trade-off", caption, trade_figure)]
 
 
 def _existing(results: Results, task: Case) -> dict[str, Plan]:
     """Return the plans of a task that are shown and exist, by method."""
     methods = {record["way"] for record in results.chapters["beyond"]["plans"] if record["task"] == task.name}
-    outcomes = {
-        method: results.plans.outcome(by_method(task, method, results.extent.coarser))
-        for method in _SHOWN
-        if method in methods
-    }
+    shown = {method: by_method(task, method, results.extent.coarser) for method in _SHOWN if method in methods}
+    outcomes = {method: results.plans.outcome(case) for method, case in shown.items()}
     return {method: outcome for method, outcome in outcomes.items() if isinstance(outcome, Plan)}
 
 
@@ -445,13 +374,11 @@ def task_figure(results: Results, task: Case) -> Figure:
 def modes_figure(results: Results, radius: float) -> Figure:
     """Return the peaks at a corner in every working mode."""
     records = [record for record in results.chapters["beyond"]["working_modes"] if record["radius"] == radius]
-    series = {
-        method: np.array([record["rows"][method]["worst"] for record in records])
-        for method in (NONE, STEPWISE, EFFORT, PEAK)
-    }
+    methods = (NONE, STEPWISE, EFFORT, PEAK)
+    peaks = {method: np.array([record["rows"][method]["worst"] for record in records]) for method in methods}
     title = f"3-RRR, corner of radius {radius:g} m: largest torque in every working mode"
-    modes = [mode_text(record["mode"]) for record in records]
-    return plot_bars(title, modes, "working mode", "largest |τ| [N·m]", series)
+    modes = [cases.mode_text(record["mode"]) for record in records]
+    return plot_bars(title, modes, "working mode", "largest |τ| [N·m]", peaks)
 
 
 def fastest_figure(results: Results) -> Figure:
@@ -470,7 +397,7 @@ def fastest_figure(results: Results) -> Figure:
 def trade_figure(results: Results) -> Figure:
     """Return effort against acceleration, with other plans as marks."""
     trades = []
-    for task, trade in zip(TRADED, results.chapters["beyond"]["trade_off"], strict=True):
+    for task, trade in zip(cases.TRADED, results.chapters["beyond"]["trade_off"], strict=True):
         points = [point for point in trade["points"] if point["status"] != "infeasible"]
         marks = {
             method: (rms_acceleration(plan), float(np.linalg.norm(plan.rms_effort)))
@@ -493,7 +420,8 @@ def replay_pictures(results: Results) -> list[Picture]:
             f"replay-{replayed.task.name}",
             f"Replay of {replayed.task.name}",
             f"Distance of the platform from its plan ({replayed.name}), for each drive.",
-            _from_results(tracking_figure, replayed),
+            tracking_figure,
+            (replayed,),
         )
         for replayed in results.extent.replayed
         if replayed.name in names
@@ -501,7 +429,7 @@ def replay_pictures(results: Results) -> list[Picture]:
     ]
 
 
-def tracking_figure(results: Results, replayed: Replayed) -> Figure:
+def tracking_figure(results: Results, replayed: cases.Replayed) -> Figure:
     """Return the distances from a plan for every drive that replayed it."""
     same = [one for one in results.replays if one.plan == replayed.name and len(one.t)]
     return plot_tracking(replayed.task.title, {one.drive: (one.t, one.error) for one in same})

@@ -59,19 +59,9 @@ def window(plan: Plan) -> Mapping[str, Any]:
     return first
 
 
-def entry_time(plan: Plan) -> Numbers:
-    """Return when the condition number meets the threshold, s."""
-    return (float(window(plan)["entry"]),)
-
-
-def exit_time(plan: Plan) -> Numbers:
-    """Return when it falls below it again, s."""
-    return (float(window(plan)["exit"]),)
-
-
-def ramp_start(plan: Plan) -> Numbers:
-    """Return when the forces begin to fall, s."""
-    return (float(window(plan)["ramp_start"]),)
+def time_of(plan: Plan, event: str) -> Numbers:
+    """Return when the condition number meets the threshold ("entry") and falls below it, or forces begin to fall, s."""
+    return (float(window(plan)[event]),)
 
 
 def entry_forces(plan: Plan) -> Numbers:
@@ -178,10 +168,7 @@ def accelerating(plan: Plan) -> BoolArray:
 def bounds(plan: Plan, kind: str | None = None, carrier: int | None = None) -> list[tuple[int, str, float, float]]:
     """Return the limits a stepwise plan meets: carrier (from 1), kind, first and last time, s.
 
-    Args:
-        plan: a stepwise plan.
-        kind: "speed", "acceleration", "track" or "stop"; any when left out.
-        carrier: number of the carrier; any when left out.
+    Kinds are "speed", "acceleration", "track" and "stop"; any kind, any carrier when left out.
     """
     events: Any = plan.diagnostics["bounds"]
     met = [
@@ -348,12 +335,12 @@ def threshold_met(run: MotionRun, threshold: float) -> Numbers:
     The circle passes two singularities, between which the condition number falls to about 17; the thesis treats
     them as one region, so the first entry and the last exit count.
     """
-    return (_threshold_times(run, threshold)[0],)
+    return _threshold_times(run, threshold)[:1]
 
 
 def threshold_left(run: MotionRun, threshold: float) -> Numbers:
     """Return when it last exceeds the threshold, s."""
-    return (_threshold_times(run, threshold)[1],)
+    return _threshold_times(run, threshold)[1:]
 
 
 def parked_forces(run: MotionRun, threshold: float, ramp: float) -> Numbers:

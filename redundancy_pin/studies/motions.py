@@ -35,7 +35,6 @@ class SingularInstant:
 
     Attributes:
         t: time, s.
-        sample: index of the sample at that time.
         x: platform coordinates there, m and rad.
         kind: ``"type_ii"`` and so on.
         uncontrolled: platform velocity that no actuator resists, unit length in scaled units.
@@ -45,7 +44,6 @@ class SingularInstant:
     """
 
     t: float
-    sample: int
     x: tuple[float, ...]
     kind: str
     uncontrolled: tuple[float, ...]
@@ -62,15 +60,9 @@ class SingularInstant:
 class MotionRun:
     """A motion by both backends.
 
-    Attributes:
-        case: what was run.
-        robot: the robot.
-        trajectory: the reference trajectory.
-        motion: its samples: every dt, jumps two-sided, singular instants exact.
-        reduced: f, W and carrier forces, by backend.
-        solved: efforts of the main actuators with their statuses, by backend.
-        instants: singular instants, in time.
-        parity: largest differences of f, W, carrier_force and tau (regular samples), relative to the largest value.
+    Samples of the motion are every dt, jumps two-sided, singular instants exact. ``reduced`` (f, W, carrier forces) and
+    ``solved`` (main efforts with their statuses) are by backend; ``parity`` has the largest differences of f, W,
+    carrier_force and tau (regular samples) relative to the largest value.
     """
 
     case: Case
@@ -152,11 +144,7 @@ class MotionRun:
             "statuses": self.status_counts,
             "smallest_margin": self.distribution.margin.min(),
             "near_singular_windows": self.near_singular_windows,
-            "singular_instants": [
-                {key: value for key, value in vars(instant).items() if key != "sample"}
-                | {"unbounded": instant.unbounded}
-                for instant in self.instants
-            ],
+            "singular_instants": [{**vars(instant), "unbounded": instant.unbounded} for instant in self.instants],
             "parity": {**self.parity, "worst": self.worst_parity},
         }
 
@@ -186,15 +174,7 @@ class MotionRun:
 
 
 def run(case: Case) -> MotionRun:
-    """Run a motion with both backends.
-
-    Args:
-        case: carriers parked, or none.
-
-    Raises:
-        CrossCheckError: the backends differ by more than ``PARITY_TOLERANCE``.
-        RedundancyPinError: the robot does not load or does not follow the motion.
-    """
+    """Run a motion, carriers parked or none, by both backends; CrossCheckError where these differ."""
     robot, trajectory = case.load_robot(), case.trajectory()
     crossings = find_crossings(robot, trajectory)
     motion = sample_with(trajectory, case.dt, np.array([crossing.t for crossing in crossings]))
@@ -215,12 +195,9 @@ def run(case: Case) -> MotionRun:
 
 
 def sample_with(trajectory: Trajectory, dt: float, instants: Array) -> PlatformMotion:
-    """Return samples every ``dt`` and at given instants, jumps of the acceleration two-sided.
+    """Return samples every ``dt``, s, and at (c,) increasing instants, jumps of the acceleration two-sided.
 
-    Args:
-        trajectory: what to sample.
-        dt: interval, s.
-        instants: (c,) further times, s, increasing; a regular time that all but coincides with one is left out.
+    A regular time that all but coincides with an instant is left out.
     """
     grid = np.unique(trajectory.sample(dt, two_sided=False).t)
     if len(instants):
@@ -230,12 +207,7 @@ def sample_with(trajectory: Trajectory, dt: float, instants: Array) -> PlatformM
 
 
 def windows(t: Array, inside: BoolArray) -> tuple[tuple[float, float], ...]:
-    """Return the time intervals (first and last time) of runs of true samples.
-
-    Args:
-        t: (N,) times, s.
-        inside: (N,) true where a sample belongs to a run.
-    """
+    """Return first and last time, s, of each run of true samples (N,) at times (N,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
     return tuple((float(t[first]), float(t[after - 1])) for first, after in edges.reshape(-1, 2))
 
@@ -260,7 +232,6 @@ def _instant(crossing: Crossing, motion: PlatformMotion, solved: Distribution) -
     sample = int(np.argmin(np.abs(motion.t - crossing.t)))
     return SingularInstant(
         t=float(motion.t[sample]),
-        sample=sample,
         x=tuple(float(value) for value in np.atleast_1d(motion.x[sample])),
         kind=crossing.kind.label,
         uncontrolled=tuple(float(value) for value in solved.uncontrolled[sample]),

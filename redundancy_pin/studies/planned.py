@@ -1,44 +1,25 @@
-"""The chapter on the thesis's own planners: both backends, the fair comparison, limits, and its conclusions."""
+"""The chapter on the thesis's own planners: both backends, working modes, limits, and the same machine compared."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.stepwise.planner import between_samples
+from redundancy_pin.studies import cases, measures
 from redundancy_pin.studies.case import Case, Mode, Plans
-from redundancy_pin.studies.cases import (
-    CORNERS,
-    CROSSINGS,
-    HEAVY_CROSSING,
-    MODE_CASES,
-    NONE,
-    PARKED,
-    Extent,
-    parked,
-    without_carriers,
-)
-from redundancy_pin.studies.claims import claim, verdict
-from redundancy_pin.studies.measures import (
-    broken_limits,
-    exit_forces,
-    farthest_position,
-    numbers,
-    peak_in,
-    plan_differences,
-    position_at_exit,
-    window,
-)
-from redundancy_pin.studies.modes import square_returns, working_modes
+from redundancy_pin.studies.cases import CORNERS, CROSSINGS, MODE_CASES, NONE, PARKED, Extent, mode_text
+from redundancy_pin.studies.measures import bounds, exit_forces, numbers
 from redundancy_pin.studies.statements import DIFFERENCES, in_order, judge_all, sensitivity, thesis
-from redundancy_pin.studies.table import Record
+from redundancy_pin.studies.table import Record, text
 
 Chapter = dict[str, Any]
 """Records of the tables of a chapter, by name."""
@@ -59,12 +40,7 @@ PARTS = len(CROSSINGS) + len(CORNERS) + 5
 
 
 def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
-    """Run the chapter.
-
-    Raises:
-        CrossCheckError: the backends plan a case differently.
-        InfeasiblePlanError: a case of the thesis has no plan.
-    """
+    """Run the chapter."""
     parity = []
     for case in (*CROSSINGS, *CORNERS):
         parity.append(plan_parity(plans, case))
@@ -88,18 +64,13 @@ def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     tell("fair comparison")
     chapter["sensitivity"] = sensitivity(plans, extent)
     tell("sensitivity")
-    chapter["conclusions"] = conclusions(chapter)
     return chapter
 
 
 def plan_parity(plans: Plans, case: Case) -> Record:
-    """Plan a case with both backends and compare.
-
-    Raises:
-        CrossCheckError: the plans differ by more than ``PLAN_TOLERANCE``, or in status.
-    """
+    """Plan a case with both backends; CrossCheckError if the plans differ by too much, or in status."""
     first, second = (plans.plan(case, backend) for backend in case.backends)
-    differences = plan_differences(first, second)
+    differences = measures.plan_differences(first, second)
     worst = float(np.max(list(differences.values())))
     if first.status is not second.status or not worst <= PLAN_TOLERANCE:
         raise CrossCheckError(
@@ -117,14 +88,9 @@ def between_records(plans: Plans) -> list[Record]:
     for case in CORNERS:
         plan = plans.plan(case)
         between = between_samples(case.dynamics(), plan, POINTS, case.trajectory())
-        records.append(
-            {
-                "case": case.name,
-                "at_samples": between["optimised_peak_at_samples"],
-                "between": between["optimised_peak"],
-                "baseline": np.abs(plans.plan(without_carriers(case)).tau).max(axis=0),
-            }
-        )
+        baseline = np.abs(plans.plan(cases.without_carriers(case)).tau).max(axis=0)
+        records.append({"case": case.name, "at_samples": between["optimised_peak_at_samples"],
+                        "between": between["optimised_peak"], "baseline": baseline})  # fmt: skip
     return records
 
 
@@ -136,24 +102,24 @@ def crossing_record(plans: Plans, case: Case) -> Record:
     return {
         "case": case.name,
         "status": plan.status.value,
-        "broken": broken_limits(plan),
-        "beyond_track_at_exit": max(0.0, position_at_exit(plan)[0] - end),
-        "beyond_track": max(0.0, farthest_position(plan)[0] - end),
-        "shortest": float(window(shortest)["return_time"]) if isinstance(shortest, Plan) else math.nan,
+        "broken": measures.broken_limits(plan),
+        "beyond_track_at_exit": max(0.0, measures.position_at_exit(plan)[0] - end),
+        "beyond_track": max(0.0, measures.farthest_position(plan)[0] - end),
+        "shortest": float(measures.window(shortest)["return_time"]) if isinstance(shortest, Plan) else math.nan,
         "no_shortest": "" if isinstance(shortest, Plan) else shortest.message,
         "jump": exit_forces(plan),
         "jump_of_differences": exit_forces(plans.plan(case.with_options(scheme=DIFFERENCES))),
         "step": case.dt,
-        "peak_on_return": peak_in(plan, "return")[0],
+        "peak_on_return": measures.peak_in(plan, "return")[0],
     }
 
 
 def heavy_record(plans: Plans) -> Record | None:
     """Return why the circle cannot be crossed with a massive end-effector; None if it can."""
-    outcome = plans.outcome(HEAVY_CROSSING)
+    outcome = plans.outcome(cases.HEAVY_CROSSING)
     if not isinstance(outcome, InfeasiblePlanError):
         return None
-    mass = dict(HEAVY_CROSSING.arguments)["end_effector_mass"]
+    mass = dict(cases.HEAVY_CROSSING.arguments)["end_effector_mass"]
     return {"what": f"end-effector of {mass:g} kg", "message": outcome.message, "details": dict(outcome.details)}
 
 
@@ -166,15 +132,15 @@ def fair_comparison(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
     for case in CROSSINGS:
         motion = case.name.rpartition("-")[0]
         if not any(record["motion"] == motion for record in records):
-            records.append(_fair(motion, (), PARKED, parked(case), plans))
+            records.append(_fair(motion, (), PARKED, cases.parked(case), plans))
         records.append(_fair(motion, (), f"{MOVING}, off above CN {case.option('threshold'):g}", case, plans))
     raised = [case for case in MODE_CASES.values() if case.option("speed") or case.option("acceleration")]
     for mode in modes:
         for motion in ("corner-r0.025", "corner-r0.013", "square"):
-            cases = [replace(case, working_mode=mode) for case in (*CORNERS, *raised) if case.name.startswith(motion)]
-            records.append(_fair(motion, mode, NONE, without_carriers(cases[0]), plans))
-            records.append(_fair(motion, mode, PARKED, parked(cases[0]), plans))
-            records += [_fair(motion, mode, _how(case), case, plans) for case in cases]
+            moded = [replace(case, working_mode=mode) for case in (*CORNERS, *raised) if case.name.startswith(motion)]
+            records.append(_fair(motion, mode, NONE, cases.without_carriers(moded[0]), plans))
+            records.append(_fair(motion, mode, PARKED, cases.parked(moded[0]), plans))
+            records += [_fair(motion, mode, _how(case), case, plans) for case in moded]
     return records
 
 
@@ -197,139 +163,239 @@ def _fair(motion: str, mode: Mode, how: str, case: Case, plans: Plans) -> Record
             **{name: shown[name] for name in kept}}  # fmt: skip
 
 
-# --- conclusions ---------------------------------------------------------------------------------------------------
+# --- the stepwise plans in every working mode of the 3-RRR, which the thesis does not state: what of its words holds
+
+HALF = 0.05
+"""How far from half, in units of the baseline's peak, a torque may be and still count as half."""
+
+SMALL_JUMP = 0.05
+"""Smallest jump of a torque, N·m, that shows in a figure."""
 
 
-def conclusions(chapter: Mapping[str, Any]) -> list[Record]:
-    """Return what becomes of the thesis's conclusions, from the records of the chapter."""
-    crossings, fair = chapter["crossings"], chapter["fair_comparison"]
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """A plan beside the machine without carriers (``baseline``), at the same samples."""
+
+    plan: Plan
+    baseline: Plan
+
+    @property
+    def tau(self) -> Array:
+        """(N, m) torque of the plan, without the samples added for braking, N·m."""
+        return self.plan.tau[: len(self.baseline.t)]
+
+    @property
+    def accelerating(self) -> BoolArray:
+        """(N,) whether the platform accelerates."""
+        return measures.accelerating(self.baseline)
+
+    @property
+    def decided(self) -> BoolArray:
+        """(N,) the same, without the second halves of two-sided samples: those are outcome, not choice, of a step."""
+        chosen: BoolArray = self.accelerating & ~self.baseline.motion.jumps
+        return chosen
+
+    def limited(self, kind: str | None = None, carrier: int | None = None) -> BoolArray:
+        """Return (N,) whether a carrier is at a limit; see ``measures.bounds``."""
+        t = self.baseline.t
+        at = np.zeros(len(t), dtype=bool)
+        for _, _, start, end in bounds(self.plan, kind, carrier):
+            at |= (t >= start) & (t <= end)
+        return at
+
+    def inside(self, start: float, end: float) -> BoolArray:
+        """Return (N,) whether a sample lies between two times, s."""
+        within: BoolArray = (self.baseline.t >= start - 1e-9) & (self.baseline.t <= end + 1e-9)
+        return within
+
+    @property
+    def corner(self) -> BoolArray:
+        """(N,) whether the platform is in the (first) corner."""
+        jumps = self.baseline.t[self.baseline.motion.jumps]
+        return self.inside(float(jumps[0]), float(jumps[1]))
+
+    def peaks(self, where: BoolArray) -> tuple[Array, Array]:
+        """Return (m,) largest |τ| of the plan and of the baseline at some samples, N·m."""
+        largest = [np.abs(tau[where]).max(axis=0, initial=0.0) for tau in (self.tau, self.baseline.tau)]
+        return largest[0], largest[1]
+
+
+Runs = Mapping[str, Beside]
+"""The runs of one working mode, by the names in ``MODE_CASES``."""
+
+Outcome = tuple[bool, str]
+"""Whether a claim holds, and the number that decides."""
+
+
+def runs_of(plans: Plans, mode: Mode) -> dict[str, Beside]:
+    """Return all runs of a working mode."""
+    moded = {name: replace(case, working_mode=mode) for name, case in MODE_CASES.items()}
+    return {name: Beside(plans.plan(case), plans.plan(cases.without_carriers(case))) for name, case in moded.items()}
+
+
+# --- the claims of the data file -----------------------------------------------------------------------------------
+
+
+def small_torque(runs: Runs) -> Outcome:
+    """Hold if torques are of the order of 0.1 N·m at most away from limits."""
+    run = runs["wide"]
+    value = float(run.peaks(run.accelerating & ~run.limited())[0].max())
+    return value <= 0.1 * np.sqrt(10.0), f"{value:.2g} N·m"
+
+
+def second_exceeds_at_speed_limit(runs: Runs) -> Outcome:
+    """Hold if τ2 exceeds the baseline where carrier 2 is at its speed limit before the corner."""
+    run = runs["wide"]
+    at = run.limited("speed", 2) & run.inside(0.0, 0.8)
+    if not at.any():
+        return False, "carrier 2 is never at its speed limit"
+    ours, other = (peaks[1] for peaks in run.peaks(at))
+    return bool(ours > other), f"{ours:.2g} against {other:.2g} N·m"
+
+
+def sharp_exceeds(runs: Runs) -> Outcome:
+    """Hold if τ2 and τ3 exceed the baseline in the sharp corner, at an acceleration limit."""
+    run = runs["sharp"]
+    ours, other = (peaks[1:] for peaks in run.peaks(run.corner))
+    reached = bool((run.limited("acceleration") & run.corner).any())
+    return bool((ours > other).all()) and reached, f"τ2, τ3 {_against(ours, other)}"
+
+
+def cured_by_acceleration(runs: Runs) -> Outcome:
+    """Hold if with 12 m/s² τ2 and τ3 stay below the baseline in the sharp corner."""
+    run = runs["sharp 12"]
+    ours, other = (peaks[1:] for peaks in run.peaks(run.corner))
+    return bool((ours < other).all()), f"τ2, τ3 {_against(ours, other)}"
+
+
+def first_jumps(runs: Runs) -> Outcome:
+    """Hold if τ1 jumps as the sharp corner is entered, at an acceleration limit."""
+    run = runs["sharp"]
+    entered = int(np.flatnonzero(run.baseline.motion.jumps)[0])
+    step = float(abs(run.tau[entered, 0] - run.tau[entered - 1, 0]))
+    near = run.inside(float(run.baseline.t[entered]), float(run.baseline.t[entered]) + 0.02)
+    limited = bool((run.limited("acceleration") & near).any())
+    return step > SMALL_JUMP and limited, f"{step:.2g} N·m, acceleration limit {'met' if limited else 'not met'}"
+
+
+def wide_half(runs: Runs) -> Outcome:
+    """Hold if the torque is half of the baseline's at the wide corner."""
+    return _half(runs["wide half"])
+
+
+def square_half(runs: Runs) -> Outcome:
+    """Hold if the torque is half of the baseline's in ramps and corners of the square."""
+    return _half(runs["square half"])
+
+
+def no_limit(runs: Runs) -> Outcome:
+    """Hold if no carrier meets a limit."""
+    met = sorted({f"{kind} of {carrier}" for carrier, kind, _, _ in bounds(runs["wide half"].plan)})
+    return not met, ", ".join(met) if met else "none met"
+
+
+def returns_exceed(runs: Runs) -> Outcome:
+    """Hold if all torques exceed the baseline while carriers return."""
+    run = runs["square half"]
+    at = (run.plan.phase == run.plan.phases.index("return"))[: len(run.baseline.t)]
+    ours, other = run.peaks(at)
+    return bool((ours > other).all()), _against(ours, other)
+
+
+def first_accelerates_least(runs: Runs) -> Outcome:
+    """Hold if carrier 1 accelerates least on the return at 1.1 s."""
+    plan = runs["square half"].plan
+    first, second, third = np.abs(plan.carriers.sdd[int(np.abs(plan.t - 1.1).argmin())])
+    return bool(first < min(second, third)), f"{first:.2g}, {second:.2g}, {third:.2g} m/s²"
+
+
+def square_spikes(runs: Runs) -> Outcome:
+    """Hold if torques at the speed limits on the square exceed the baseline's peak."""
+    run = runs["square"]
+    at = run.limited("speed") & run.accelerating
+    if not at.any():
+        return False, "no speed limit met"
+    ours, other = float(run.peaks(at)[0].max()), float(np.abs(run.baseline.tau).max())
+    return ours > other, f"{ours:.2g} against {other:.2g} N·m"
+
+
+def cured_by_speed(runs: Runs) -> Outcome:
+    """Hold if with 1.2 m/s torques stay below the baseline's peaks while the platform accelerates."""
+    run = runs["square 1.2"]
+    ours, other = run.peaks(run.accelerating)[0], np.abs(run.baseline.tau).max(axis=0)
+    return bool((ours < other).all()), _against(ours, other)
+
+
+def _half(run: Beside) -> Outcome:
+    tau, other = run.tau, run.baseline.tau
+    off = float(np.abs(tau - 0.5 * other)[run.decided].max() / np.abs(other).max())
+    return off <= HALF, f"off half by {off:.2g} of the baseline's peak"
+
+
+def _against(ours: Array, other: Array) -> str:
+    return f"{text(ours, '.2g')} against {text(other, '.2g')} N·m"
+
+
+# --- records -------------------------------------------------------------------------------------------------------
+
+
+def working_modes(plans: Plans, modes: Sequence[Mode]) -> dict[str, list[Record]]:
+    """Return records of each mode and case, of each claim with its outcome in each mode, and those as verdicts."""
+    runs = {mode: runs_of(plans, mode) for mode in modes}
     records = [
-        _crossing(crossings, chapter["heavy_end_effector"]),
-        _limits(crossings),
-        _exit_forces(crossings),
-        _corner("wide_corner", fair, "corner-r0.025"),
-        _corner("sharp_corner", fair, "corner-r0.013"),
-        _square(fair),
-        _shared(fair),
-        _agreement(chapter["claims"]),
+        {
+            "mode": mode,
+            "case": MODE_CASES[name].name,
+            "baseline_peak": np.abs(run.baseline.tau).max(axis=0),
+            "peak": run.plan.peak_effort,
+            "rms": run.plan.rms_effort,
+            "limits": measures.limits_met(run.plan),
+            "status": run.plan.status.value,
+        }
+        for mode, of_mode in runs.items()
+        for name, run in of_mode.items()
     ]
-    return [{**record, "thesis": record["claim"]} for record in records]
+    claims = []
+    for claim in thesis()["claims"]:
+        test: Callable[[Runs], Outcome] = globals()[claim["test"]]
+        outcomes = {mode_text(mode): test(of_mode) for mode, of_mode in runs.items()}
+        shown = {mode: {"holds": bool(holds), "found": number} for mode, (holds, number) in outcomes.items()}
+        claims.append({**claim, "modes": shown})
+    return {"working_modes": records, "claims": claims, "judged": [_judged(claim) for claim in claims]}
 
 
-def _crossing(crossings: Sequence[Record], heavy: Record | None) -> Record:
-    inside = [record["case"] for record in crossings if record["status"] == "within_limits"]
-    attempts = len(crossings) + 1
-    return claim(
-        "crossing", verdict(len(inside) + (heavy is None), attempts), crossed=len(crossings), inside=inside, heavy=heavy
-    )
-
-
-def _limits(crossings: Sequence[Record]) -> Record:
-    broken = [record for record in crossings if record["status"] == "violates_limits"]
-    return claim(
-        "limits",
-        verdict(len(crossings) - len(broken), len(crossings)),
-        total=len(crossings),
-        broken=[record["case"] for record in broken],
-        out=[
-            (record["case"], record["beyond_track_at_exit"]) for record in crossings if record["beyond_track_at_exit"]
-        ],
-        cured=[(record["case"], record["shortest"]) for record in broken if not record["no_shortest"]],
-        never=[record["case"] for record in crossings if record["no_shortest"]],
-    )
-
-
-def _exit_forces(crossings: Sequence[Record]) -> Record:
-    exact, stepped = (max(max(record[key]) for record in crossings) for key in ("jump", "jump_of_differences"))
-    artefact = exact < 1e-3 * stepped
-    same_motion = [
-        max(record["jump_of_differences"]) for record in crossings if record["case"].startswith("circle-0.5-")
-    ]
-    return claim(
-        "exit_forces",
-        "does not stand" if artefact else "stands",
-        artefact=artefact,
-        exact=exact,
-        stepped=stepped,
-        step=crossings[0]["step"],
-        by_threshold=same_motion,
-        grows=len(same_motion) > 1 and sorted(same_motion) == same_motion,
-    )
-
-
-def _by_mode(fair: Sequence[Record], motion: str) -> list[dict[str, Record]]:
-    """Return, for each working mode, the records of a motion by what moves."""
-    groups: dict[Mode, dict[str, Record]] = {}
-    for record in fair:
-        if record["motion"] == motion:
-            groups.setdefault(tuple(record["mode"]), {})[record["what"]] = record
-    return list(groups.values())
-
-
-def _corner(name: str, fair: Sequence[Record], motion: str) -> Record:
-    groups, moving = _by_mode(fair, motion), f"{MOVING}, λ = 0"
-    total = len(groups)
-    below, below_parked = (
-        sum(group[moving]["peak"] < group[other]["peak"] for group in groups) for other in (NONE, PARKED)
-    )
-    raised = {
-        what.rpartition(", ")[2]: sum(group[what]["peak"] < group[NONE]["peak"] for group in groups)
-        for what in groups[0]
-        if what.startswith(moving + ",")
+def _judged(claim: Record) -> Record:
+    outcomes: Mapping[str, Record] = claim["modes"]
+    first = next(iter(outcomes))
+    holding = [mode for mode, outcome in outcomes.items() if outcome["holds"]]
+    if holding:
+        reason = f"in {len(holding)} of {len(outcomes)} working modes: {', '.join(holding)}"
+    else:
+        reason = f"in none of {len(outcomes)} working modes ({claim['criterion']})"
+    return {
+        "row": claim["row"],
+        "source": claim["source"],
+        "condition": thesis()["rows"][claim["row"]],
+        "quantity": claim["claim"],
+        "stated": "in words",
+        "ours": f"{first}: {outcomes[first]['found']}",
+        "deviation": "",
+        "covered": "",
+        "verdict": "reproduced" if holding else "differs",
+        "reason": reason,
+        "as_run": first in holding,
     }
-    return claim(
-        name,
-        # of the sharper corner the thesis says that torques exceed the baseline's
-        verdict(total - below if name == "sharp_corner" else below, total),
-        total=total,
-        below=below,
-        below_parked=below_parked,
-        factors=[group[moving]["peak"] / group[NONE]["peak"] for group in groups],
-        parked=[group[PARKED]["peak"] / group[NONE]["peak"] for group in groups],
-        raised=raised,
-    )
 
 
-def _square(fair: Sequence[Record]) -> Record:
-    groups = _by_mode(fair, "square")
-    pairs = [(group[what], group[NONE]) for group in groups for what in group if what.startswith(MOVING)]
-    better = sum(moving["peak"] < none["peak"] for moving, none in pairs)
-    return claim(
-        "square",
-        verdict(better, len(pairs)),
-        total=len(pairs),
-        better=better,
-        broken=sum(moving["status"] != "within_limits" for moving, _ in pairs),
-        peaks=[moving["peak"] / none["peak"] for moving, none in pairs],
-        rms=[moving["rms"] / none["rms"] for moving, none in pairs],
-    )
-
-
-def _shared(fair: Sequence[Record]) -> Record:
-    groups = [group for motion in ("corner-r0.025", "corner-r0.013") for group in _by_mode(fair, motion)]
-    pairs = [(group[f"{MOVING}, λ = 0"], group[NONE]) for group in groups]
-    relieved = sum(
-        moving["peak"] < none["peak"] and moving["main_energy"] < none["main_energy"] for moving, none in pairs
-    )
-    return claim(
-        "shared",
-        verdict(relieved, len(pairs)),
-        total=len(pairs),
-        relieved=relieved,
-        main=[moving["main_energy"] / none["main_energy"] for moving, none in pairs],
-        energy=[moving["energy"] / none["energy"] for moving, none in pairs],
-        carrier_force=[moving["carrier_force"] for moving, _ in pairs],
-    )
-
-
-def _agreement(claims: Sequence[Record]) -> Record:
-    modes = list(claims[0]["modes"])
-    counts = [sum(entry["modes"][mode]["holds"] for entry in claims) for mode in modes]
-    best, total = max(counts), len(claims)
-    return claim(
-        "agreement",
-        verdict(sum(count == total for count in counts), len(counts)),
-        total=total,
-        best=best,
-        modes=[mode for mode, count in zip(modes, counts, strict=True) if count == best],
-    )
+def square_returns(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
+    """Return the shortest returns on the square within all limits, s, or why there are none."""
+    records = []
+    for mode in modes:
+        for lam in (0.0, 0.5):
+            outcome = plans.outcome(cases.square(lam, mode).with_options(return_time="shortest"))
+            if isinstance(outcome, Plan):
+                spans, why = np.asarray(outcome.diagnostics["returns"], dtype=float).reshape(-1, 2), ""
+            else:
+                spans, why = np.empty((0, 2)), outcome.message
+            records.append({"mode": mode, "lam": lam, "durations": spans[:, 1] - spans[:, 0], "why": why})
+    return records

@@ -123,7 +123,8 @@ def _planned(chapter: Mapping[str, Any], results: Results) -> dict[str, Table]:
         {**same[0], "ranges": "; ".join(f"{one['parameter']}: {span((one['low'], one['high']))}" for one in same)}
         for same in _grouped(chapter["sensitivity"], "case", "quantity").values()
     ]
-    modes = [Column(f"modes.{name}.holds", name, value=_within("modes", name, "holds")) for name in _modes(results)]
+    keys = {name: f"modes.{name}.holds" for name in map(mode_text, results.extent.modes)}
+    modes = [Column(key, name, value=functools.partial(_at, key)) for name, key in keys.items()]
     whole = ("working_modes", "between_samples", "shortest_returns_on_square", "crossings", "parity")
     return {
         **{name: table(name, chapter[name]) for name in whole},
@@ -138,14 +139,6 @@ def _planned(chapter: Mapping[str, Any], results: Results) -> dict[str, Table]:
 
 RANGED = ("peak", "rms", "carrier_force", "main_energy", "energy")
 """What the fair comparison shows as ranges over the working modes."""
-
-
-def _modes(results: Results) -> list[str]:
-    return [mode_text(mode) for mode in results.extent.modes]
-
-
-def _within(*keys: str) -> Callable[[Record], Any]:
-    return lambda record: functools.reduce(lambda inner, key: inner[key], keys, record)
 
 
 def _grouped(records: Sequence[Record], *keys: str) -> dict[tuple[Any, ...], list[Record]]:
@@ -197,15 +190,7 @@ VERDICTS = {
 
 
 def html(markdown: str, folder: Path) -> str:
-    """Return a report as a self-contained HTML page.
-
-    Args:
-        markdown: the report; its first heading becomes the title.
-        folder: where the pictures are; they are embedded. Links to other files become text.
-
-    Raises:
-        OutputError: a picture cannot be read.
-    """
+    """Return a report as one HTML page: its pictures, of the folder, embedded, links to other files as text."""
     renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
     # rules of a renderer get the tokens, the index of theirs, options and an environment
     rules: dict[str, Callable[..., str]] = {

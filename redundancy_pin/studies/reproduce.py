@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import CrossCheckReport
@@ -17,15 +16,13 @@ from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replacea
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.studies import beyond, planned
-from redundancy_pin.studies.case import Case, Plans
+from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.cases import FULL, MOTIONS, TASKS, Extent, by_method, motion_name
 from redundancy_pin.studies.figures import THESIS, pictures
-from redundancy_pin.studies.motions import CSV_DIGITS, MotionRun, run
-from redundancy_pin.studies.planned import Chapter
-from redundancy_pin.studies.replays import run_replays
+from redundancy_pin.studies.motions import CSV_DIGITS
 from redundancy_pin.studies.report import html, report
-from redundancy_pin.studies.results import Results
-from redundancy_pin.studies.statements import compare_motions
+from redundancy_pin.studies.results import Results, compute
+from redundancy_pin.studies.store import Progress
 from redundancy_pin.studies.table import Column, Table, csv_text
 from redundancy_pin.visualisation.figures.style import require_matplotlib, save
 
@@ -51,19 +48,10 @@ _REPLAY_COLUMNS = (
     "carrier_force", "gap",
 )  # fmt: skip
 
-Progress = Callable[[int, int, str], None]
-"""Called with steps done, steps in all, and what was done last."""
-
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """What the main job made and where it put it.
-
-    Attributes:
-        folder: the results folder.
-        results: what came out.
-        summary: what ``summary.json`` holds.
-    """
+    """What the main job made, the folder with it, and what ``summary.json`` there holds."""
 
     folder: Path
     results: Results
@@ -98,49 +86,28 @@ def reproduce(
     if {"beyond", "replay"} & set(extent.chapters):
         casadi()
     require_replaceable(folder)
-    steps = _Steps(_count(motions, extent), progress)
-    check = require_agreement(sorted({case.robot for case in motions}), samples, steps.cross_check)
-    results = compute(motions, extent, check, steps.next)
+    total, steps, tell = _count(motions, extent), count(_CROSS_CHECK_STEPS + 1), progress or (lambda *_: None)
+
+    def checked(done: int, states: int) -> None:
+        tell(int(done / states * _CROSS_CHECK_STEPS), total, "cross-check")
+
+    def step(what: str) -> None:
+        tell(min(next(steps), total - 1), total, what)  # the last step is that everything is in its place
+
+    check = require_agreement(sorted({case.robot for case in motions}), samples, checked)
+    results = compute(motions, extent, check, step)
     with replacing_folder(folder) as temporary:
-        write(temporary, results, steps.next)
+        write(temporary, results, step)
         summary = results.summary([path.name for path in temporary.iterdir()])
         write_text(temporary / MANIFEST, json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    steps.finish()
+    tell(total, total, "results")
     return Reproduction(Path(folder), results, summary)
-
-
-def compute(motions: Sequence[Case], extent: Extent, check: CrossCheckReport, tell: Callable[[str], None]) -> Results:
-    """Run the motions and the chapters; every plan is made once."""
-    runs: list[MotionRun] = []
-    for case in motions:
-        runs.append(run(case))
-        tell(case.name)
-    plans = Plans()
-    chapters: dict[str, Chapter] = {}
-    results = Results(extent, check, tuple(runs), tuple(compare_motions(runs)), chapters, plans)
-    if "planned" in extent.chapters:
-        chapters["planned"] = planned.run_planned(plans, extent, tell)
-    if "beyond" in extent.chapters:
-        chapters["beyond"] = beyond.run_beyond(plans, extent, tell)
-    if "replay" in extent.chapters:
-        chapters["replay"], replays = run_replays(plans, extent, tell)
-        results = replace(results, replays=replays)
-    return results
 
 
 def require_agreement(
     robots: Sequence[str], samples: int, progress: Callable[[int, int], None] | None = None
 ) -> CrossCheckReport:
-    """Run the cross-check with the seed of the job.
-
-    Args:
-        robots: names of the robots.
-        samples: random states of each.
-        progress: told the states done and the states in all.
-
-    Raises:
-        CrossCheckError: a check fails; carries the failed rows.
-    """
+    """Run the cross-check with the seed of the job; CrossCheckError, with the failed rows, where a check fails."""
     check = crosscheck.run(robots, samples, CROSS_CHECK_SEED, progress)
     if not check.passed:
         failed = [row for row in check.rows if not row.passed]
@@ -158,11 +125,7 @@ def require_agreement(
 
 
 def write(folder: Path, results: Results, tell: Callable[[str], None]) -> None:
-    """Write everything but the summary: data, plans, figures, and the report, which embeds the figures.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write everything but the summary: data, plans, figures, and the report, which embeds the figures."""
     for motion in results.runs:
         write_text(folder / f"{motion.case.name}.csv", motion.csv())
     if "beyond" in results.chapters:
@@ -185,11 +148,7 @@ def write(folder: Path, results: Results, tell: Callable[[str], None]) -> None:
 
 
 def write_plans(folder: Path, results: Results) -> None:
-    """Write the plans of the chapter beyond the thesis, each with its curves as CSV.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write the plans of the chapter beyond the thesis, each with its curves as CSV."""
     tasks = {task.name: task for task in TASKS}
     for record in results.chapters["beyond"]["plans"]:
         if record["exists"] and record["file"]:
@@ -205,10 +164,7 @@ def plan_csv(plan: Plan) -> str:
     columns = {"t": motion.t, "x": motion.x, "xd": motion.xd, "xdd": motion.xdd, "s": carriers.s, "sd": carriers.sd,
                "sdd": carriers.sdd, "tau": plan.tau, "carrier_force": plan.carrier_force,
                "condition": plan.condition}  # fmt: skip
-    return csv_text({name: np.asarray(values) for name, values in columns.items()}, digits=CSV_DIGITS)
-
-
-# --- progress ------------------------------------------------------------------------------------------------------
+    return csv_text(columns, digits=CSV_DIGITS)
 
 
 def _count(motions: Sequence[Case], extent: Extent) -> int:
@@ -218,23 +174,3 @@ def _count(motions: Sequence[Case], extent: Extent) -> int:
     counts = {"planned": planned.PARTS + len(THESIS), "beyond": beyond.parts(extent) + len(TASKS) + 4,
               "replay": len(extent.replayed) + 2}  # fmt: skip
     return _CROSS_CHECK_STEPS + 3 * len(motions) + comparisons + sum(counts[chapter] for chapter in extent.chapters)
-
-
-class _Steps:
-    """Counts steps and tells the progress function."""
-
-    def __init__(self, total: int, progress: Progress | None) -> None:
-        self._done, self._total, self._progress = _CROSS_CHECK_STEPS, total, progress or (lambda *_: None)
-
-    def cross_check(self, done: int, total: int) -> None:
-        """Tell how far the cross-check, the first of the steps, is."""
-        self._progress(int(done / total * _CROSS_CHECK_STEPS), self._total, "cross-check")
-
-    def next(self, what: str) -> None:
-        """Tell that a step is done; the last one is ``finish``."""
-        self._done = min(self._done + 1, self._total - 1)
-        self._progress(self._done, self._total, what)
-
-    def finish(self) -> None:
-        """Tell that all is done."""
-        self._progress(self._total, self._total, "results")

@@ -63,12 +63,9 @@ def limits_of(values: Sequence[float]) -> tuple[float, float]:
 
 
 def given_by(stated: Sequence[str], values: Numbers, late: float = 0.0) -> bool:
-    """Return whether one run gives all the numbers that are stated together.
+    """Return whether one run gives all the numbers, as printed, that are stated together.
 
-    Args:
-        stated: digits as printed.
-        values: of the run.
-        late: how much larger than the run's the stated number may be, besides its rounding.
+    Besides its rounding, a stated number may be larger than the run's by ``late``.
     """
     gaps = (gap(digits, value, value + late) for digits, value in zip(stated, values, strict=True))
     return max(gaps) <= ROUNDING
@@ -112,11 +109,7 @@ def vary(case: Case, parameter: str, value: Any) -> Case:
 
 @dataclass(frozen=True)
 class Grid:
-    """Values of unstated parameters, all combinations of them.
-
-    Attributes:
-        values: by parameter.
-    """
+    """Values of unstated parameters, by parameter; all combinations of them."""
 
     values: Mapping[str, Sequence[Any]]
 
@@ -128,7 +121,8 @@ class Grid:
     @property
     def shown(self) -> str:
         """The values, for people."""
-        return "; ".join(self._listed(name, values) for name, values in self.values.items())
+        modes = self.values.get("working_mode")
+        return f"{len(modes)} modes" if modes else "; ".join(_quantity(*pair) for pair in self.values.items())
 
     def cases(self, case: Case) -> list[tuple[Case, str]]:
         """Return the variations of a case, each with what it changes."""
@@ -137,21 +131,17 @@ class Grid:
             changed, labels = case, []
             for name, value in zip(self.values, combination, strict=True):
                 before, changed = changed, vary(changed, name, value)
-                labels += [self._label(name, value)] if changed != before else []
+                mode = name == "working_mode"
+                label = f"mode {mode_text(value)}" if mode else f"{_PARAMETERS[name][0]} = {_quantity(name, [value])}"
+                labels += [label] if changed != before else []
             variations.append((changed, ", ".join(labels)))
         return variations
 
-    def _label(self, name: str, value: Any) -> str:
-        if name == "working_mode":
-            return f"mode {mode_text(value)}"
-        called, unit = _PARAMETERS[name]
-        return f"{called} = {1e3 * value if unit == 'ms' else value:g} {unit}".rstrip()
 
-    def _listed(self, name: str, values: Sequence[Any]) -> str:
-        if name == "working_mode":
-            return f"{len(values)} modes"
-        unit = _PARAMETERS[name][1]
-        return (", ".join(f"{1e3 * value if unit == 'ms' else value:g}" for value in values) + f" {unit}").rstrip()
+def _quantity(name: str, values: Sequence[float]) -> str:
+    """Return values of a parameter with its unit."""
+    unit = _PARAMETERS[name][1]
+    return (", ".join(f"{1e3 * value if unit == 'ms' else value:g}" for value in values) + f" {unit}").rstrip()
 
 
 def grid(name: str, extent: Extent) -> Grid:
@@ -245,12 +235,8 @@ def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
 
 def _varied(case: Case, grids: Sequence[Grid], read: Measure, plans: Plans) -> list[tuple[Numbers, str]]:
     """Return what a measure reads off every variation that has a plan, with what the variation changes."""
-    results = []
-    for variation, label in (pair for entry in grids for pair in entry.cases(case)):
-        outcome = plans.outcome(variation)
-        if isinstance(outcome, Plan):
-            results.append((read(outcome), label))
-    return results
+    outcomes = [(plans.outcome(varied), label) for entry in grids for varied, label in entry.cases(case)]
+    return [(read(outcome), label) for outcome, label in outcomes if isinstance(outcome, Plan)]
 
 
 def _value(stated: str) -> float:

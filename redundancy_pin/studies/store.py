@@ -46,11 +46,7 @@ R = TypeVar("R", bound=Record)
 
 
 class Store(Generic[R]):
-    """The finished records of one study; made by ``Store.open``.
-
-    Attributes:
-        records: all of them, by key.
-    """
+    """The finished records of one study; made by ``Store.open``."""
 
     def __init__(self, connection: sqlite3.Connection, path: str, records: dict[tuple[Any, ...], R]) -> None:
         self._connection, self._path, self._records = connection, path, records
@@ -65,13 +61,9 @@ class Store(Generic[R]):
         Args:
             path: the file, made with its folder if it is missing; None keeps the records in memory alone.
             kind: of what it holds the records: "feasibility map".
-            identity: everything the records depend on but their keys, in plain data, and what says most to a user
-                first: the first entry that differs is named where a store does not fit. The version of the package is
-                added.
+            identity: everything the records depend on but their keys, in plain data, what says most to a user first:
+                the first entry that differs is named where a store does not fit. The package's version is added.
             read: a record of its plain data; KeyError, TypeError or ValueError where it is none.
-
-        Yields:
-            The store.
 
         Raises:
             OutputError: the file cannot be written; is in use by another run; is no store of this kind; is one of
@@ -107,11 +99,7 @@ class Store(Generic[R]):
         return self._records
 
     def put(self, record: R) -> None:
-        """Add a finished record; when this returns, it survives a crash of the machine.
-
-        Raises:
-            OutputError: the disk refuses.
-        """
+        """Add a finished record; when this returns, it survives a crash of the machine. OutputError if it cannot."""
         try:
             self._connection.execute("INSERT INTO record VALUES (?)", (json.dumps(record.as_dict()),))
         except sqlite3.Error as error:
@@ -129,16 +117,8 @@ class Store(Generic[R]):
     ) -> None:
         """Compute the records that are missing, and add each as soon as it is finished.
 
-        Args:
-            function: makes a record.
-            wanted: its arguments, by key.
-            jobs: see ``workers.parallel``.
-            progress: called at the beginning and with each record.
-            what: to say there what is being done.
-
-        Raises:
-            OutputError: the disk refuses.
-            RedundancyPinError: a process died.
+        ``function`` makes a record of its arguments, which ``wanted`` has by key; ``what`` tells ``progress`` what is
+        being done. OutputError where the disk refuses, RedundancyPinError where a process died.
         """
         missing = [given for key, given in wanted.items() if key not in self._records]
         done = len(wanted) - len(missing)
@@ -151,11 +131,7 @@ class Store(Generic[R]):
 
 
 def make_folder(folder: str | Path) -> Path:
-    """Return a folder that exists, made with its parents if it is missing.
-
-    Raises:
-        OutputError: it cannot be made, or is a file.
-    """
+    """Return a folder, made with its parents if it is missing; OutputError if it cannot be, or is a file."""
     place = Path(folder).expanduser()
     try:
         place.mkdir(exist_ok=True, parents=True)

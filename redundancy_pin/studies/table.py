@@ -35,14 +35,9 @@ class Link:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
+    """A column of a table; its name is the key of its values in the records, and its name in CSV and JSON.
 
-    Attributes:
-        name: key of its values in the records, and its name in CSV and JSON.
-        title: heading; the name when left out.
-        unit: shown in brackets behind the heading.
-        format: of numbers, as in an f-string.
-        value: from a record to the cell, where that is more than ``record[name]``.
+    ``title`` replaces the name in the heading; ``value`` makes a cell that is more than ``record[name]``.
     """
 
     name: str
@@ -63,13 +58,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """Records under headings.
-
-    Attributes:
-        columns: in order.
-        records: rows; values that no column names are not shown.
-        title: above it; may be empty.
-    """
+    """Records under headings, with a title above if there is one; values that no column names are not shown."""
 
     columns: tuple[Column, ...]
     records: tuple[Record, ...]

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 from command_line import call, refused
 
-from redundancy_pin.studies.robustness import Scenario, robustness_study, study
-from redundancy_pin.studies.robustness.trial import SCENARIOS, Trial
+from redundancy_pin.studies import robustness as study
+from redundancy_pin.studies.robustness import robustness_study
+from redundancy_pin.studies.trial import SCENARIOS, Scenario, Trial
 
 SHORT = Scenario(SCENARIOS[0].case, 2.48, 2.53)
 """s; the singular pose at 2.508 s, and little else."""
@@ -189,8 +190,9 @@ def test_ctrl_c_says_what_is_kept(tmp_path: Path, run: list, monkeypatch: pytest
 KILLED = """
 import sys, time
 from redundancy_pin.cli import main
-from redundancy_pin.studies.robustness import Scenario, robustness_study, study
-from redundancy_pin.studies.robustness.trial import SCENARIOS, Trial
+from redundancy_pin.studies import robustness as study
+from redundancy_pin.studies.robustness import robustness_study
+from redundancy_pin.studies.trial import SCENARIOS, Scenario, Trial
 
 def quick(scenario, drive, bounds, seed, number):
     if number == 1:

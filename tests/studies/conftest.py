@@ -6,7 +6,7 @@ import pytest
 from small_maps import quick
 
 from redundancy_pin.studies.feasibility import Cell, MapProblem, sweep
-from redundancy_pin.studies.feasibility.cell import Key
+from redundancy_pin.studies.feasibility.sweep import Key
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from redundancy_pin.studies.feasibility import (
     feasibility_map,
     sweep,
 )
-from redundancy_pin.studies.feasibility.cell import Key
+from redundancy_pin.studies.feasibility.sweep import Key
 
 HERE = Path(__file__).resolve().parent
 

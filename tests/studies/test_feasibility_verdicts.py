@@ -25,7 +25,7 @@ from redundancy_pin.studies.feasibility import (
     compute,
     feasibility_map,
 )
-from redundancy_pin.studies.feasibility.cell import judge
+from redundancy_pin.studies.feasibility.sweep import judge
 from redundancy_pin.trajectory import reference
 
 pytest.importorskip("casadi")

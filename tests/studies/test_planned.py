@@ -12,10 +12,11 @@ import quick_results
 
 from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.studies import modes
+from redundancy_pin.studies import planned
 from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import CORNERS, CROSSINGS, NONE, PARKED, parked, without_carriers
-from redundancy_pin.studies.planned import MOVING, conclusions, plan_parity
+from redundancy_pin.studies.claims import conclusions
+from redundancy_pin.studies.planned import MOVING, plan_parity
 from redundancy_pin.studies.statements import thesis
 
 chapter = functools.partial(quick_results.chapter, "planned")
@@ -91,9 +92,9 @@ def test_actuators_do_at_least_the_work_that_the_platform_gains_and_loses() -> N
 
 @pytest.mark.parametrize("mode", [(1, 1, 1), (-1, -1, -1)])
 def test_known_answers_in_a_working_mode(mode: tuple[int, ...]) -> None:
-    runs = modes.runs_of(Plans(), mode)
+    runs = planned.runs_of(Plans(), mode)
     for name, answers in KNOWN.items():
-        holds, number = getattr(modes, name)(runs)
+        holds, number = getattr(planned, name)(runs)
         assert holds == answers[mode], (name, number)
     for run in runs.values():
         np.testing.assert_array_equal(run.plan.t[: len(run.baseline.t)], run.baseline.t)

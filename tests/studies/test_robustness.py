@@ -16,14 +16,25 @@ from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders
 from redundancy_pin.simulation.controllers.lqr import bryson_weights
-from redundancy_pin.studies.robustness import Imperfections, Scenario, robustness_study, study, study_csv, study_table
-from redundancy_pin.studies.robustness.study import code_digest, identity, mean_interval, scaled, wilson
-from redundancy_pin.studies.robustness.trial import (
+from redundancy_pin.studies import robustness as study
+from redundancy_pin.studies.robustness import (
+    code_digest,
+    identity,
+    mean_interval,
+    robustness_study,
+    scaled,
+    study_csv,
+    study_table,
+    wilson,
+)
+from redundancy_pin.studies.trial import (
     DRAWN_LENGTHS,
     DRAWN_MASSES,
     SCENARIOS,
     SUCCESS,
     Amplifier,
+    Imperfections,
+    Scenario,
     Trial,
     draw,
     nominal,
@@ -279,10 +290,10 @@ def test_the_code_is_that_of_the_trials_and_the_models(tmp_path: Path, monkeypat
         place.write_bytes(kept)
         return digest != before
 
-    decides = ["planners/plan.py", "simulation/simulate.py", "arrays.py", "studies/robustness/trial.py"]
+    decides = ["planners/plan.py", "simulation/simulate.py", "arrays.py", "studies/trial.py"]
     assert [name for name in (*decides, "studies/case.py") if not changed(package / name)] == []
     assert changed(tmp_path / "models" / "2rpr" / "robot.yaml")
-    for name in ("cli/study.py", "view.py", "studies/robustness/study.py", "studies/store.py", "workers.py"):
+    for name in ("cli/study.py", "view.py", "studies/robustness.py", "studies/store.py", "workers.py"):
         assert not changed(package / name)
 
 

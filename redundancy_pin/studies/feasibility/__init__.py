@@ -11,7 +11,6 @@ Cells are computed by joblib; within ``joblib.parallel_config(backend=...)`` by 
 cluster.
 """
 
-from redundancy_pin.studies.feasibility.cell import Cell, Verdict, compute
 from redundancy_pin.studies.feasibility.picture import write_map
 from redundancy_pin.studies.feasibility.problem import (
     LIMITS,
@@ -26,7 +25,7 @@ from redundancy_pin.studies.feasibility.problem import (
     parse_axis,
     spaced,
 )
-from redundancy_pin.studies.feasibility.sweep import Crossing, FeasibilityMap, feasibility_map
+from redundancy_pin.studies.feasibility.sweep import Cell, Crossing, FeasibilityMap, Verdict, compute, feasibility_map
 
 __all__ = [
     "LIMITS",

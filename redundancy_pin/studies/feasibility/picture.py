@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 from redundancy_pin.io.files import replacing_file, write_text
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.studies.feasibility.cell import Verdict
 from redundancy_pin.studies.feasibility.problem import LIMITS, SWITCH_OFF, WHOLE, MapProblem
-from redundancy_pin.studies.feasibility.sweep import FeasibilityMap
+from redundancy_pin.studies.feasibility.sweep import FeasibilityMap, Verdict
 from redundancy_pin.studies.store import make_folder
 from redundancy_pin.visualisation.figures.feasibility_map import Tile, plot_feasibility
 from redundancy_pin.visualisation.figures.style import save
@@ -75,11 +74,7 @@ def write_map(result: FeasibilityMap, folder: str | Path, *, pictures: bool = Tr
 
 
 def draw(result: FeasibilityMap) -> Figure:
-    """Draw a map, one panel a planner.
-
-    Raises:
-        RedundancyPinError: matplotlib is not installed.
-    """
+    """Draw a map, one panel a planner."""
     problem = result.problem
     effort = effort_unit(problem)
     fixed = {**problem.options, **problem.settings, **problem.limits}

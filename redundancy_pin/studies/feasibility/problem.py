@@ -226,11 +226,7 @@ class MapProblem:
 
     @property
     def loaded(self) -> Robot:
-        """The robot, with its own limits and the arguments that are not varied.
-
-        Raises:
-            RedundancyPinError: it does not load.
-        """
+        """The robot, with its own limits and the arguments that are not varied."""
         return load(self.robot, self.mode, options(**self.settings), self.gravity)
 
     @property
@@ -326,14 +322,7 @@ class MapProblem:
 
 @dataclass(frozen=True)
 class Preset:
-    """What a map is of where nothing else is given.
-
-    Attributes:
-        trajectory: the motion.
-        x, y: axes, as text.
-        thesis: the planner of the thesis for this robot.
-        limits: limits beside the robot's own.
-    """
+    """What a map is of where nothing else is given: motion, axes as text, planner of the thesis, further limits."""
 
     trajectory: str
     x: str

@@ -21,7 +21,9 @@ from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr, bryson_weights
-from redundancy_pin.studies.robustness.trial import (
+from redundancy_pin.studies.store import Progress, Store
+from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, json_data, text
+from redundancy_pin.studies.trial import (
     ATOL,
     DRIVES,
     MASSES,
@@ -34,8 +36,6 @@ from redundancy_pin.studies.robustness.trial import (
     Trial,
     run_trial,
 )
-from redundancy_pin.studies.store import Progress, Store
-from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, json_data, text
 
 DRAWS = 200
 
@@ -50,7 +50,7 @@ LIBRARIES = ("casadi", "numpy", "pin", "scipy")
 UNUSED = ("_moved.py", "cli", "crosscheck", "experiments", "studies", "view.py", "visualisation", "workers.py")
 """Parts of the package that no trial uses, but for ``OWN``."""
 
-OWN = ("studies/case.py", "studies/robustness/trial.py")
+OWN = ("studies/case.py", "studies/trial.py")
 
 _SCALED = (
     *("mass", "length", "start_position", "start_speed", "noise"),
@@ -76,11 +76,9 @@ class CellStatistics:
         draws: number of trials.
         success: share of crossings that succeeded, with Wilson's interval.
         largest: mean of the largest distance of each trial from its plan, m, with the bootstrap's interval; over all
-            trials that were simulated, failed ones up to where they ended.
-        worst: the largest of these distances, m.
+            trials that were simulated, failed ones up to where they ended. ``worst`` is the largest of them.
         rms: mean of the root mean square distances, m.
-        effort: largest |τ| of any trial, N.
-        carrier_force: largest |F| of any trial, N.
+        effort, carrier_force: largest |τ| and |F| of any trial, N.
         statuses: how often each status came about.
         given_up: largest share of readings at which a computed torque found no answer.
     """
@@ -100,14 +98,7 @@ class CellStatistics:
 
 @dataclass(frozen=True)
 class Study:
-    """A finished study.
-
-    Attributes:
-        imperfections: bounds of the draws.
-        seed: of the draws.
-        trials: all of them, by scenario, drive and number.
-        cells: their statistics.
-    """
+    """A finished study: bounds and seed of the draws, trials by scenario, drive and number, and their statistics."""
 
     imperfections: Imperfections
     seed: int
@@ -196,21 +187,22 @@ def scaled(imperfections: Imperfections, severity: float) -> Imperfections:
 def cell_statistics(trials: Sequence[Trial]) -> CellStatistics:
     """Return the statistics of the trials of one cell, one or more."""
     simulated = [trial for trial in trials if np.isfinite(trial.largest)]
-    names = ("largest", "rms", "effort", "carrier_force", "given_up")
-    values = {name: np.array([getattr(trial, name) for trial in simulated]) for name in names}
-    most = {name: float(np.max(values[name])) if simulated else math.nan for name in names}
+
+    def most(name: str) -> float:
+        return float(np.max([getattr(trial, name) for trial in simulated])) if simulated else math.nan
+
     return CellStatistics(
         scenario=trials[0].scenario,
         drive=trials[0].drive,
         draws=len(trials),
         success=wilson(sum(trial.success for trial in trials), len(trials)),
-        largest=mean_interval(values["largest"]),
-        worst=most["largest"],
-        rms=mean_interval(values["rms"]),
-        effort=most["effort"],
-        carrier_force=most["carrier_force"],
+        largest=mean_interval(np.array([trial.largest for trial in simulated])),
+        worst=most("largest"),
+        rms=mean_interval(np.array([trial.rms for trial in simulated])),
+        effort=most("effort"),
+        carrier_force=most("carrier_force"),
         statuses=dict(sorted(Counter(trial.status for trial in trials).items())),
-        given_up=most["given_up"],
+        given_up=most("given_up"),
     )
 
 

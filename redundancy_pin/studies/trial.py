@@ -48,12 +48,7 @@ RTOL, ATOL = 1e-6, 1e-8
 
 @dataclass(frozen=True)
 class Scenario:
-    """A planned crossing.
-
-    Attributes:
-        case: robot, path and planner.
-        start, end: time that is simulated, s: the singular poses and what leads there.
-    """
+    """A planned crossing, simulated from ``start`` to ``end``, s: the singular poses and what leads there."""
 
     case: Case
     start: float
@@ -90,11 +85,7 @@ def nominal() -> Robot:
 
 @functools.cache
 def planned(case: Case) -> MotionReference:
-    """Return the planned motion of a case, made once a process.
-
-    Raises:
-        InfeasiblePlanError: there is none.
-    """
+    """Return the planned motion of a case, made once a process; InfeasiblePlanError if there is none."""
     return plan_reference(case.plan(RNEA), robot=case.load_robot(), motion=case.trajectory())
 
 
@@ -138,15 +129,10 @@ class Imperfections:
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """One machine that is not quite as planned.
+    """One machine that is not quite as planned: arguments of ``load_robot``, and what else is drawn.
 
-    Attributes:
-        arguments: of ``load_robot``.
-        coulomb, viscous: (nv,) factors on friction.
-        phase: (nq,) of the encoders, fractions of a step.
-        x, xd: (n,) errors of the platform at the start, m and m/s.
-        s, sd: (k,) those of the carriers.
-        random: for the noise of the forces.
+    That are (nv,) factors on friction, the (nq,) phase of the encoders in fractions of a step, errors of the platform
+    (n,) and the carriers (k,) at the start, m and m/s, and what the noise of the forces is drawn from.
     """
 
     arguments: Mapping[str, float]
@@ -242,28 +228,16 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
     try:
         robot = load_robot("2rpr", **arguments)
         homed = closed_state(robot, point.x, point.xd, point.s, point.sd, t=scenario.start).q - point.q
-        seen = Encoders(
-            control,
-            motion,
-            period=imperfections.period,
-            time_constant=imperfections.time_constant,
-            phase=drawn.phase,
-            home=homed,
-        )
+        period, filtered = imperfections.period, imperfections.time_constant
+        seen = Encoders(control, motion, period=period, time_constant=filtered, phase=drawn.phase, home=homed)
+        beside = (point.x + drawn.x, point.xd + drawn.xd, point.s + drawn.s, point.sd + drawn.sd)
         run = simulate(
             robot,
             Amplifier(seen, drawn.random, imperfections.noise),
-            start=closed_state(
-                robot,
-                point.x + drawn.x,
-                point.xd + drawn.xd,
-                point.s + drawn.s,
-                point.sd + drawn.sd,
-                t=scenario.start,
-            ),
+            start=closed_state(robot, *beside, t=scenario.start),
             duration=scenario.end - scenario.start,
-            dt=imperfections.period,  # every value that the amplifiers put out is among the samples
-            sampling=Sampling(imperfections.period, imperfections.delay),
+            dt=period,  # every value that the amplifiers put out is among the samples
+            sampling=Sampling(period, imperfections.delay),
             effort_limit=imperfections.effort_limit,
             carrier_force_limit=imperfections.carrier_force_limit,
             external=_friction(drawn, imperfections),
