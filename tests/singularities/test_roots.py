@@ -50,8 +50,8 @@ def test_a_near_miss_is_no_zero_and_a_constant_is_searched_nowhere() -> None:
 
 
 def test_a_stay_has_a_beginning_and_an_end() -> None:
-    (stay,) = zeros(lambda t: np.maximum(t - 1.2, 0.0) - np.maximum(0.62 - t, 0.0), TIMES, 1e-9)
-    assert (stay.t, stay.until) == pytest.approx((0.62, 1.2), abs=2e-9)
+    (stay,) = zeros(lambda t: np.maximum(t - 1.213, 0.0) - np.maximum(0.62 - t, 0.0), TIMES, 1e-9)
+    assert (stay.t, stay.until) == pytest.approx((0.62, 1.213), abs=2e-9)
     assert stay.crosses
     (ends,) = zeros(lambda t: np.maximum(1.0 - t, 0.0), TIMES, 1e-9)
     assert (ends.t, ends.until) == (pytest.approx(1.0, abs=2e-9), 2.0)
