@@ -108,6 +108,8 @@ class ResolvedLimits:
             InfeasiblePlanError: a position off its track.
         """
         places = frozen(_each(values, name, (len(self.names),)))
+        if not np.isfinite(places).all():
+            raise InputError(f"{name} is {as_typed(values)}.", remedy="Pass finite places on the tracks.", name=name)
         for carrier, (lower, upper), place in zip(self.names, self.track, places, strict=True):
             beyond = max(place - upper, lower - place)
             if not beyond <= 0.0:

@@ -79,3 +79,9 @@ def test_minima_that_cannot_be_low_enough_are_left_out() -> None:
     function = lambda t: np.abs(np.sin(3.0 * t)) + 0.5 * t  # noqa: E731
     assert [t for t, _ in minima(function, TIMES, np.inf)] == pytest.approx([0.0, np.pi / 3.0, 2.0], abs=ROUNDING)
     assert [t for t, _ in minima(function, TIMES, 0.1)] == [0.0]
+
+
+@pytest.mark.parametrize("at", [0.525, 0.5, 1.275])
+def test_a_dip_between_or_on_samples_is_found_once(at: float) -> None:
+    ((t, value),) = (found for found in minima(lambda t: np.abs(t - at), TIMES, 0.01))
+    assert (t, value) == pytest.approx((at, 0.0), abs=ROUNDING)
