@@ -21,7 +21,7 @@ from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
-from redundancy_pin.planners.whole_trajectory.objectives import OBJECTIVES
+from redundancy_pin.planners.whole_trajectory import OBJECTIVES
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot.urdf import shipped_robots
 from redundancy_pin.studies.case import BACKENDS, RNEA

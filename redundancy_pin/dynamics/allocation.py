@@ -119,9 +119,11 @@ def within_bounds(start: Array, null: Array, bounded: Array, lower: Array, upper
         return None
     if left < _NOTHING_LEFT:
         return None
-    residual = system @ multipliers - goal
-    z: Array = -scale * residual[:-1] / residual[-1]
-    return z
+    # z = −scale · r/r_last of the residual r loses digits as ‖z‖²; from the bounds that hold it, it loses none
+    active = multipliers > 0.0
+    z: Array = np.linalg.lstsq(G[active], h[active], rcond=None)[0]
+    broken = h - G @ z > RANK_TOLERANCE * max(scale, float(np.linalg.norm(z)))
+    return None if broken.any() else z
 
 
 _ROUNDING = 1e-14

@@ -103,6 +103,8 @@ class ResolvedLimits:
     def on_track(self, values: ArrayLike, name: str) -> Array:
         """Return (k,) positions after checking that they are on the tracks, m."""
         places = frozen(broadcast_to(values, name, (len(self.names),)))
+        if not np.isfinite(places).all():
+            raise InputError(f"{name} is {as_typed(values)}.", remedy="Pass finite places on the tracks.", name=name)
         for carrier, (lower, upper), place in zip(self.names, self.track, places, strict=True):
             beyond = max(place - upper, lower - place)
             if not beyond <= 0.0:

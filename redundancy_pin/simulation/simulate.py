@@ -181,8 +181,8 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
 def _settings(rtol: float, atol: float, max_step: float, max_steps: int, integrator: str) -> Settings:
     if integrator not in INTEGRATORS:
         raise InputError(f"integrator is {integrator!r}.", remedy=f"Pass one of {', '.join(INTEGRATORS)}.")
-    for name, value in (("max_step", max_step), ("max_steps", max_steps)):
-        if not value > 0:
+    for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
+        if not fits:
             raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
     return Settings(positive("rtol", rtol, LEAST_RTOL), positive("atol", atol), max_step, int(max_steps), integrator)
 

@@ -252,3 +252,23 @@ def test_inconsistent_samples_stay_inconsistent_under_bounds():
     d = distribute(reduced([[[1.0, 0.0], [0.0, 0.0]]], [[5.0, 1.0]]), lower=[-1.0, -1.0], upper=[1.0, 1.0])
     assert d.status[0] == SampleStatus.SINGULAR_INCONSISTENT
     assert d.residual[0] == pytest.approx(1.0)
+
+
+def test_an_actuator_with_a_tiny_lever_that_has_to_help_is_found_exactly():
+    # τ1 ε + τ2 + τ3 = 10, −τ1 ε + τ2 = 0 with τ3 ≤ 4: the cheap ones are at their bounds, so τ1 ε = τ2 = 3
+    lever = 1e-7
+    d = distribute(reduced([[[lever, 1.0, 1.0], [-lever, 1.0, 0.0]]], [[10.0, 0.0]]), upper=[np.inf, np.inf, 4.0])
+    assert d.status_labels.tolist() == ["regular"]
+    assert d.residual[0] < 1e-6
+    assert d.tau[0] * [lever, 1.0, 1.0] == pytest.approx([3.0, 3.0, 4.0], rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_regular_means_balanced_also_with_a_tiny_lever(seed):
+    random = np.random.default_rng(seed)
+    W, f = random.normal(size=(30, 2, 4)), 100.0 * random.normal(size=(30, 2))
+    W[:, :, 0] *= 1e-8
+    most = np.abs(distribute(reduced(W, f)).tau).max(axis=0)
+    d = distribute(reduced(W, f), lower=[-np.inf, *-0.3 * most[1:]], upper=[np.inf, *0.3 * most[1:]])
+    size = np.abs(W * np.nan_to_num(d.tau)[:, None]).max(axis=(1, 2)) + np.linalg.norm(f, axis=1)
+    assert (d.residual[d.solved] < 1e-5 * size[d.solved]).all()

@@ -237,6 +237,7 @@ REFUSED = {
     "absolute tolerance": ({"duration": 1.0, "atol": -1.0}, "atol is -1.0"),
     "integrator": ({"duration": 1.0, "integrator": "Euler"}, "DOP853, RK45"),
     "max_steps": ({"duration": 1.0, "max_steps": 0}, "max_steps is 0"),
+    "part of a step": ({"duration": 1.0, "max_steps": 0.5}, "max_steps is 0.5"),
     "max_step": ({"duration": 1.0, "max_step": np.nan}, "max_step is nan"),
     "method": ({"duration": 1.0, "method": "sideways"}, "constraint_dynamics"),
     "carriers": ({"duration": 1.0, "carriers": "glued"}, '"force" or "motion"'),

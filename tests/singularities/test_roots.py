@@ -50,8 +50,8 @@ def test_a_near_miss_is_no_zero_and_a_constant_is_searched_nowhere() -> None:
 
 
 def test_a_stay_has_a_beginning_and_an_end() -> None:
-    (stay,) = zeros(lambda t: np.maximum(t - 1.2, 0.0) - np.maximum(0.62 - t, 0.0), TIMES, 1e-9)
-    assert (stay.t, stay.until) == pytest.approx((0.62, 1.2), abs=2e-9)
+    (stay,) = zeros(lambda t: np.maximum(t - 1.213, 0.0) - np.maximum(0.62 - t, 0.0), TIMES, 1e-9)
+    assert (stay.t, stay.until) == pytest.approx((0.62, 1.213), abs=2e-9)
     assert stay.crosses
     (ends,) = zeros(lambda t: np.maximum(1.0 - t, 0.0), TIMES, 1e-9)
     assert (ends.t, ends.until) == (pytest.approx(1.0, abs=2e-9), 2.0)
@@ -79,3 +79,9 @@ def test_minima_that_cannot_be_low_enough_are_left_out() -> None:
     function = lambda t: np.abs(np.sin(3.0 * t)) + 0.5 * t  # noqa: E731
     assert [t for t, _ in minima(function, TIMES, np.inf)] == pytest.approx([0.0, np.pi / 3.0, 2.0], abs=ROUNDING)
     assert [t for t, _ in minima(function, TIMES, 0.1)] == [0.0]
+
+
+@pytest.mark.parametrize("at", [0.525, 0.5, 1.275])
+def test_a_dip_between_or_on_samples_is_found_once(at: float) -> None:
+    ((t, value),) = (found for found in minima(lambda t: np.abs(t - at), TIMES, 0.01))
+    assert (t, value) == pytest.approx((at, 0.0), abs=ROUNDING)

@@ -88,3 +88,22 @@ def test_a_held_platform_stays_where_it_is():
     np.testing.assert_array_equal(samples.x[2], samples.x[1])
     assert not samples.xd[2:].any()
     assert not samples.xdd[2:].any()
+
+
+def test_quintics_have_the_given_values_and_derivatives_at_both_ends():
+    random = np.random.default_rng(5)
+    edges = np.array([0.3, 0.5, 1.3, 1.4])
+    start, end = (tuple(random.normal(size=(3, 3, 2))) for _ in range(2))
+    quintics = PiecewisePolynomial.hermite(edges, start, end)
+    for order in range(3):
+        rate = quintics.derivative(order)
+        np.testing.assert_allclose(rate(edges[:-1]), start[order], rtol=0.0, atol=1e-11)
+        # second differences of values of order one over pieces of 0.1 s, one ulp of time before the end
+        np.testing.assert_allclose(rate(edges[1:], "left"), end[order], rtol=0.0, atol=1e-9)
+
+
+def test_where_the_platform_begins_to_be_held_is_a_break():
+    motion = continuous_motion(reference.corner())
+    later = motion.held_until(motion.end + 1.0)
+    assert later.breaks[-1] == motion.end
+    assert later.end == motion.end + 1.0

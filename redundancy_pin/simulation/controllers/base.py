@@ -262,8 +262,8 @@ def limit(values: ArrayLike | None, count: int, name: str) -> Array:
 def positive(name: str, value: float, least: float = 0.0) -> float:
     """Return a positive, finite number, at least ``least``."""
     if not (isfinite(value) and value > 0.0 and value >= least):
-        wanted = f", at least {least}" if least else ", finite number"
-        raise InputError(f"{name} is {value}.", remedy=f"Pass a positive{wanted}.", name=name)
+        wanted = f", at least {least}" if least else ""
+        raise InputError(f"{name} is {value}.", remedy=f"Pass a positive, finite number{wanted}.", name=name)
     return float(value)
 
 

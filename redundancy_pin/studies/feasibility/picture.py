@@ -48,11 +48,11 @@ _UNITS: Mapping[str, str] = {
 """Units by the last word of a name; what is not listed is a length."""
 
 
-def write_map(result: FeasibilityMap, folder: str | Path, *, pictures: bool = True) -> tuple[Path, ...]:
+def write_map(found: FeasibilityMap, folder: str | Path, *, pictures: bool = True) -> tuple[Path, ...]:
     """Write a map into a folder: all cells as CSV and JSON, the picture as SVG and PNG; each whole or not at all.
 
     Args:
-        result: the map.
+        found: the map.
         folder: made if it is missing; other files in it are left alone.
         pictures: whether to draw.
 
@@ -61,9 +61,9 @@ def write_map(result: FeasibilityMap, folder: str | Path, *, pictures: bool = Tr
         RedundancyPinError: pictures without matplotlib.
     """
     place = make_folder(folder)
-    drawn = [draw(result)] if pictures else []  # what may fail comes before the first file
-    write_text(place / "map.csv", result.csv())
-    write_text(place / "map.json", json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n")
+    drawn = [draw(found)] if pictures else []  # what may fail comes before the first file
+    write_text(place / "map.csv", found.csv())
+    write_text(place / "map.json", json.dumps(found.as_dict(), indent=1, allow_nan=False) + "\n")
     files = [place / "map.csv", place / "map.json"]
     for figure in drawn:
         for name in ("map.svg", "map.png"):

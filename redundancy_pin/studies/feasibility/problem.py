@@ -218,7 +218,7 @@ class MapProblem:
         for name, value in {**self.options, **self.limits, **lowest}.items():
             if isinstance(value, (bool, list, tuple)):  # points, vertices, closed
                 continue
-            if name in (*self._numeric_options, *LIMITS) and name != "alpha" and not value > 0.0:
+            if name in (*self.trajectory_keys, *LIMITS) and name != "alpha" and not value > 0.0:
                 meaning = f"It is the {LIMITS[name]}." if name in LIMITS else "Trajectories take SI units."
                 raise InputError(f"{name} is {value}, expected a positive number.", remedy=meaning, name=name)
             if not math.isfinite(value):
@@ -235,7 +235,8 @@ class MapProblem:
         return isinstance(self.loaded.parameters.get("carriers"), bool)
 
     @property
-    def _numeric_options(self) -> tuple[str, ...]:
+    def trajectory_keys(self) -> tuple[str, ...]:
+        """Options of the trajectory that are numbers."""
         keys = inspect.signature(TRAJECTORIES[self.trajectory]).parameters
         return tuple(name for name in keys if name not in ("start", "points", "vertices", "closed"))
 
@@ -248,7 +249,7 @@ class MapProblem:
             RedundancyPinError: the robot does not load.
         """
         arguments = [name for name, value in self.loaded.parameters.items() if type(value) in (int, float)]
-        known = (*self._numeric_options, *LIMITS, *arguments)
+        known = (*self.trajectory_keys, *LIMITS, *arguments)
         _require((self.x.name, self.y.name), known, f"parameter of {self.robot} on the {self.trajectory}")
         for planner, given in self.parameters.items():
             if given.get("lam", 0.0) > 0.0 and not self.has_baseline:
@@ -270,17 +271,17 @@ class MapProblem:
                 seen.append(settings)
                 yield settings
 
-    def limits_at(self, x: float, y: float) -> dict[str, float]:
-        """Return the limits of a cell, by name of ``LIMITS``."""
-        varied = {axis.name: value for axis, value in ((self.x, x), (self.y, y)) if axis.name in LIMITS}
-        return {**self.limits, **varied}
+    def at(self, x: float, y: float) -> tuple[dict[str, Value], dict[str, Any], dict[str, float]]:
+        """Return the arguments of the robot, the options of the trajectory and the limits of a cell."""
+        robot, path, limits = dict(self.settings), dict(self.options), dict(self.limits)
+        for axis, value in ((self.x, x), (self.y, y)):
+            of = path if axis.name in self.trajectory_keys else limits if axis.name in LIMITS else robot
+            of[axis.name] = value
+        return robot, path, limits
 
     def case(self, planner: str, x: float, y: float, settings: Mapping[str, Any]) -> Case:
         """Return what is to be planned in a cell, with some parameters of the planner."""
-        robot, path, limits = dict(self.settings), dict(self.options), self.limits_at(x, y)
-        for axis, value in ((self.x, x), (self.y, y)):
-            if axis.name not in LIMITS:
-                (path if axis.name in self._numeric_options else robot)[axis.name] = value
+        robot, path, limits = self.at(x, y)
         if self.trajectory == "circle" and "ramp_length" not in path:
             # 3-4-5 in speed, as the ramps of the other paths are anyway
             keys = inspect.signature(TRAJECTORIES["circle"]).parameters
@@ -322,13 +323,14 @@ class MapProblem:
 
 @dataclass(frozen=True)
 class Preset:
-    """What a map is of where nothing else is given: motion, axes as text, planner of the thesis, further limits."""
+    """What a map is of where nothing else is given: motion, axes as text, planner of the thesis, limits, options."""
 
     trajectory: str
     x: str
     y: str
     thesis: str
     limits: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, float] = field(default_factory=dict)
 
 
 PRESETS: Mapping[str, Preset] = {

@@ -25,7 +25,7 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.kinematics.coordinates import require_matching
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.whole_trajectory.dense_check import ALLOWED
+from redundancy_pin.planners.whole_trajectory.planner import ALLOWED
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies.feasibility.problem import Axis, MapProblem
 from redundancy_pin.studies.store import Progress, Store
@@ -138,7 +138,7 @@ def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
         cell = Cell(planner, x, y, Verdict.FEASIBLE, settings=settings)
         try:
             plan = problem.case(planner, x, y, settings).plan(problem.backend)
-            answers.append(judge(cell, plan, problem.limits_at(x, y)))
+            answers.append(judge(cell, plan, problem.at(x, y)[2]))
         except Exception as error:
             answers.append(judge_error(cell, error))
         if answers[-1].verdict is Verdict.FEASIBLE:

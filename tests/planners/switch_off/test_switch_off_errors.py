@@ -188,6 +188,7 @@ def test_no_return_within_the_limits():
         {"return_time": "soon"},
         {"datum": [0.0, 0.0, 0.0]},
         {"datum": np.nan},
+        {"datum": np.inf},
         {"dt": 0.0},
         {"scheme": "euler"},
     ],
