@@ -170,7 +170,7 @@ def test_disagreeing_backends_stop_the_job(tmp_path: Path, monkeypatch: pytest.M
         return type(right)(**{**vars(right), "f": -right.f})
 
     monkeypatch.setattr(VirtualWorkAlongMotion, "reduce", flipped)
-    monkeypatch.setattr(job, "run", lambda case: pytest.fail("an experiment was run"))
+    monkeypatch.setattr(job, "compute", lambda *_: pytest.fail("an experiment was run"))
     with pytest.raises(CrossCheckError, match="cross-check fails"):
         reproduce(tmp_path / "results", [motion(BASELINE)])
     assert list(tmp_path.iterdir()) == []
