@@ -21,6 +21,8 @@ MOVED = {
     "kinematics.state": "kinematics.lift",
     "kinematics.three_rrr": "dynamics.virtual_work.three_rrr",
     "kinematics.three_rrr_forward": "dynamics.virtual_work.three_rrr_forward",
+    "kinematics.two_rpr": "dynamics.virtual_work.two_rpr",
+    "planners.plan_file": "planners.plan",
     "simulation.control": "simulation.controllers.base",
     "visualisation.live_view": "visualisation.viewer.page",
     "visualisation.plots": "visualisation.figures.plots",

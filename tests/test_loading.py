@@ -223,6 +223,11 @@ def test_the_size_of_a_machine_does_not_depend_on_the_guess_or_the_carriers(tmp_
     assert with_carriers.characteristic_length == pytest.approx(without.characteristic_length, rel=1e-12)
 
 
+def test_a_joint_may_have_the_name_of_its_link(tmp_path):
+    tree = FIVE_BAR.replace('<joint name="m1"', '<joint name="tip1"').replace('<joint name="m2"', '<joint name="tip2"')
+    assert rp.load_robot(write(tmp_path, tree=tree)).n == 2
+
+
 def test_limits_of_carriers_left_open_in_the_urdf(tmp_path):
     tree = FIVE_BAR.replace('velocity="9" effort="9"', 'velocity="0" effort="0"')
     limits = rp.load_robot(write(tmp_path, tree=tree)).carrier_limits[0]

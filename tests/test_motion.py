@@ -6,7 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -51,7 +52,7 @@ def test_a_motion_copies_and_locks_its_arrays() -> None:
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=8))
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_time_must_increase(t: list[float]) -> None:
     if all(b > a for a, b in itertools.pairwise(t)):
         np.testing.assert_array_equal(flat(t).t, t)

@@ -147,7 +147,10 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
         x=x,
         y=y,
         trajectory=name,
-        options={key: trajectory_value(key, value, f"the trajectory {name}") for key, value in options.items()},
+        options={
+            **(preset.options if usual else {}),
+            **{key: trajectory_value(key, value, f"the trajectory {name}") for key, value in options.items()},
+        },
         settings=dict(parse_setting(text) for text in given["settings"]),
         mode=() if given["mode"] is None else parse_mode(given["mode"]),
         gravity=None if given["gravity"] is None else parse_vector(given["gravity"]),

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples import FACTOR
 
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import checks as physics
@@ -21,9 +22,10 @@ def failed(report):
 
 @pytest.fixture(scope="module")
 def report():
-    return crosscheck.run(samples=80, seed=3)
+    return crosscheck.run(samples=80 * FACTOR, seed=3)
 
 
+@pytest.mark.property
 def test_everything_agrees_on_random_robots(report):
     assert not failed(report)
     assert report.passed

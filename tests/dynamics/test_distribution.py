@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import scipy.optimize
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
@@ -61,7 +62,7 @@ def test_least_norm_equals_the_pseudo_inverse(n, m):
     assert distribute(reduced(W, f)).tau == pytest.approx(expected, rel=0.0, abs=1e-11 * np.abs(expected).max())
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(
     n=st.integers(1, 4),
     extra=st.integers(1, 3),
@@ -110,7 +111,7 @@ def test_equal_weights_on_torques_are_not_the_default():
     assert d.tau[0] == pytest.approx([1.0, 4.0])  # the pseudo-inverse of the row (1, 4)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(unit=st.floats(1e-3, 1e3), m=st.integers(2, 5), seed=st.integers(0, 999))
 def test_nothing_depends_on_the_unit_of_length(unit, m, seed):
     # platform (x, y, rotation); actuator 0 prismatic, the others revolute; lengths counted in 1/unit metres, forces

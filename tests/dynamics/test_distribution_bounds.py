@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import scipy.optimize
-from hypothesis import assume, given, settings
+from examples import examples
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
@@ -98,7 +99,7 @@ def test_residual_where_every_effort_is_held(lower):
     assert d.residual[0] == pytest.approx(abs(10.0 - 2.0 * lower))
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(
     n=st.integers(1, 3),
     extra=st.integers(1, 3),
@@ -145,7 +146,7 @@ def test_bounded_optimum_costs_what_a_general_optimiser_finds(seed):
     assert cost == pytest.approx(optimiser(W[0], f[0], weights, lower, upper), rel=1e-8)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(seed=st.integers(0, 9999), m=st.integers(2, 5))
 def test_feasibility_agrees_with_linear_programming(seed, m):
     rng = np.random.default_rng(seed)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
@@ -82,7 +83,7 @@ def test_any_rank_deficiency(n, m, rank):
     assert d.residual == pytest.approx(np.full(N, 0.1), rel=1e-10)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(exponents=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4), m=st.integers(3, 4), seed=st.integers(0, 999))
 def test_weighted_norm_at_a_singularity_equals_the_bordered_system(exponents, m, seed):
     # the optimum solves [diag(w) Wᵀ; W 0] [τ; λ] = [0; f], singular in λ only

@@ -12,7 +12,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from written import J, urdf_of, write_robot
 
@@ -53,7 +54,7 @@ def assert_close(actual: np.ndarray, expected: np.ndarray, relative: float) -> N
 # --- energy and momentum ---
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(name=st.sampled_from(ROBOTS), seed=st.integers(0, 2**16))
 def test_power_of_all_actuators_is_the_rate_of_energy(name: str, seed: int) -> None:
     robot = robot_of(name)
@@ -227,7 +228,7 @@ def stacked_carriers(folder: Path) -> Robot:
     return load_robot(write_robot(folder, urdf_of(tree), declaration))
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(name=st.sampled_from(WITH_CARRIERS), seed=st.integers(0, 2**16))
 def test_forces_are_quadratic_in_the_carriers_and_affine_in_their_acceleration(name: str, seed: int) -> None:
     robot = robot_of(name)

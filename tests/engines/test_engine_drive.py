@@ -9,7 +9,8 @@ from engine_oracles import Timed
 from engines import Task, drive_of_motion, drive_of_plan
 from engines.cases import SHORT, straight
 from engines.task import segments
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 import redundancy_pin as rp
@@ -167,7 +168,7 @@ def test_breaks_outside_the_interval_are_refused():
         Task(robot, 0.0, 1.0, q, v, lambda t, side="right": np.zeros((len(t), 1)), np.array([1.5]))
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(step=st.floats(1e-3, 10.0), where=st.lists(st.floats(0.01, 0.99), max_size=5, unique=True))
 def test_any_breaks_and_any_step_cut_the_whole_interval(step, where):
     robot = zoo.robot_of("four_bar")

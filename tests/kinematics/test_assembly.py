@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from spatial_chains import chain_of
 
@@ -17,7 +18,7 @@ from redundancy_pin.robot import Robot
 SAME = 1e-9  # two closed configurations of one regular pose: the closure tolerance over a margin of 0.01
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(name=st.sampled_from(zoo.SHIPPED), seed=st.integers(0, 2**16))
 def test_bad_guesses_end_closed_at_the_target_or_say_that_they_did_not(name: str, seed: int) -> None:
     robot = zoo.robot_of(name)

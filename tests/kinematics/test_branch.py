@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin import load_robot
@@ -19,7 +20,7 @@ from redundancy_pin.kinematics.modes import in_working_mode, working_modes
 from redundancy_pin.robot import Robot
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(name=st.sampled_from(zoo.SHIPPED), seed=st.integers(0, 2**16))
 def test_the_pose_is_met_in_the_working_mode(name: str, seed: int) -> None:
     robot = zoo.robot_of(name)

@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -171,7 +172,7 @@ def test_planar_pin_has_full_rank_where_pinocchios_point_constraint_has_not() ->
     assert np.linalg.matrix_rank(theirs) == 4 < len(theirs)
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(seed=st.integers(0, 2**16))
 def test_pin_rows_are_those_of_pinocchios_point_constraint(seed: int) -> None:
     robot = zoo.robot_of("3rrr")

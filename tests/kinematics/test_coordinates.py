@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from spatial_chains import chain_of
 
@@ -25,7 +26,7 @@ from redundancy_pin.robot import Robot
 ROUNDING = 1e-13
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(name=st.sampled_from(zoo.SHIPPED), seed=st.integers(0, 2**16))
 def test_moved_and_difference_are_inverse(name: str, seed: int) -> None:
     robot = zoo.robot_of(name)

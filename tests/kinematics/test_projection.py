@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN, assemble, project
@@ -91,7 +92,7 @@ def test_margin_is_zero_and_gamma_nan_at_a_type_i_singularity(name: str) -> None
     assert projection.margin[1] == pytest.approx(alone.margin[0])
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(exponent=st.floats(-9.0, -3.0))
 def test_margin_falls_with_the_square_root_of_the_way_to_full_stretch(exponent: float) -> None:
     """cos of the elbow angle gives the reach, so the sine of the elbow, and the margin, goes with √height."""

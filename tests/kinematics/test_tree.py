@@ -6,7 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin.errors import UnsupportedRobotError
@@ -123,7 +124,7 @@ def test_each_joint_type_between_two_hinges(kind: str) -> None:
     assert_agrees_with_pinocchio(model, ["body_0", "body_1", "body_2"], seed=1)
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(kinds=st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=5), seed=st.integers(0, 2**16))
 def test_any_chain_of_joints(kinds: list[str], seed: int) -> None:
     model = chain([JOINTS[kind] for kind in kinds], seed)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin.planners.carrier_return import CarrierState, return_polynomial, shortest_return
@@ -68,7 +69,7 @@ def test_extremes_are_found():
         np.testing.assert_allclose(ours.min(axis=0), theirs.min(axis=0), rtol=1e-8, atol=1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(
     s=st.tuples(*[st.floats(-0.19, 0.19)] * 2),
     sd=st.tuples(*[st.floats(-1.5, 1.5)] * 2),

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 import yaml
 import zoo
-from hypothesis import HealthCheck, given, settings
+from examples import examples
+from hypothesis import HealthCheck, given
 from random_plans import PLAIN, difference, plans
 
 import redundancy_pin as rp
@@ -31,7 +32,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
 
 # the folder of a test is used anew by every example: each writes its own file whole
-EXAMPLES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+EXAMPLES = examples(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def _plan_of(robot: Robot, **changes: Any) -> Plan:

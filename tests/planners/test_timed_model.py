@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin import PlatformMotion, VirtualWork
@@ -49,7 +50,7 @@ def test_undeclared_kink_is_resolved():
     assert np.abs(found(t) - function(t))[away].max() < 1e-11
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(centre=st.floats(0.05, 0.95), width=st.floats(1e-7, 0.02), slope=st.floats(0.1, 10.0))
 def test_short_window_is_not_missed(centre, width, slope):
     """A sharp dip, as the smallest singular value makes it: below zero over a width far below the sampling."""
@@ -66,7 +67,7 @@ def test_short_window_is_not_missed(centre, width, slope):
     assert value < 1e-14
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(centre=st.floats(0.1, 0.9), depth=st.floats(1e-9, 1e-3))
 def test_shallow_smooth_dip_is_not_missed(centre, depth):
     found = below_zero(lambda t: (t - centre) ** 2 - depth, np.linspace(0.0, 1.0, 33))

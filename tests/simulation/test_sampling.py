@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import moving
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 import redundancy_pin as rp
@@ -82,7 +83,7 @@ def test_a_sampled_controller_is_a_sequence_of_constant_efforts() -> None:
     )
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(st.floats(5e-3, 0.05), st.floats(0.0, 0.1), st.floats(0.03, 0.1))
 def test_readings_and_changes_come_in_order_for_any_period_and_delay(period: float, delay: float, end: float) -> None:
     robot = moving.massive("five_bar")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
@@ -121,7 +122,7 @@ def test_a_motion_that_ends_or_starts_on_the_locus(points: list[list[float]]) ->
     assert not end.crosses
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(st.floats(0.05, 0.45), st.floats(-0.4, 0.4), st.floats(0.05, 0.5), st.floats(0.05, 0.5))
 def test_any_line_through_the_base_line_is_crossed_where_it_meets_it(x, lean, above, below) -> None:
     start, end = np.array([x + lean * above, above]), np.array([x - lean * below, -below])

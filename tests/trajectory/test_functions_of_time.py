@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import chebyshev
 from scipy.spatial.transform import Rotation
@@ -30,7 +31,7 @@ def test_twelve_digits_survive_as_in_the_chebyshev_series(fitted):
     np.testing.assert_allclose([fitted.at(time) for time in t[:50]], fitted(t[:50]), rtol=0.0, atol=1e-15)
 
 
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(seed=st.integers(0, 10**6), tail=st.sampled_from([1e-12, 1e-9, 1e-6]))
 def test_powers_are_the_series_they_come_from(seed, tail):
     rng = np.random.default_rng(seed)

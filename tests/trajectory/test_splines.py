@@ -2,7 +2,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
@@ -33,7 +34,7 @@ def test_length_agrees_with_adaptive_quadrature():
     assert through_points(FLOWER).length == pytest.approx(expected, rel=1e-13)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@examples(25)
 @given(st.integers(0, 10**6), st.integers(3, 7), st.booleans())
 def test_arc_length_is_met_on_wild_curves(seed, count, closed):
     """The chord over a short arc is its length but for (curvature × arc)² / 24; random points turn sharply."""

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from trajectory_checks import clear_of, differentiate
 
@@ -94,7 +95,7 @@ def test_each_side_is_the_limit_from_that_side():
             np.testing.assert_allclose(CORNER.evaluate(t, side).xdd, beside.xdd, atol=1e-12)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.floats(0.01, 0.05), st.floats(0.05, 0.6), st.floats(0.05, 0.3))
 def test_sides_hold_next_to_breaks_wherever_rounding_puts_them(radius, speed, straight):
     ramp = 0.5 * straight

@@ -221,7 +221,7 @@ def plan_switch_off(
         InputError: a setting out of its domain.
         UnsupportedRobotError: fewer carriers than coordinates, or carriers on curved tracks.
         InfeasiblePlanError: a window too early or too late in the motion, no room or no admissible return, or a
-            force that nothing can carry at the singular pose; carries constraint, t and amount.
+            force that nothing can carry at the singular pose; carries constraint, time and amount.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     require_dynamics(dynamics)

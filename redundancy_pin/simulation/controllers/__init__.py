@@ -1,16 +1,22 @@
-"""Controllers that hold a planned motion: feed-forward, computed torque, time-varying LQR."""
+"""Controllers that hold a planned motion (feed-forward, computed torque, LQR), and the base of one of your own."""
 
 from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus
-from redundancy_pin.simulation.controllers.base import FeedForward
+from redundancy_pin.simulation.controllers.base import Controller, FeedForward, Sampling, Tracking
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
+from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
 from redundancy_pin.simulation.controllers.lqr import LqrWeights, TimeVaryingLqr, bryson_weights
 
 __all__ = [
     "Allocation",
     "AllocationStatus",
     "ComputedTorque",
+    "Controller",
+    "Encoders",
     "FeedForward",
+    "JointFriction",
     "LqrWeights",
+    "Sampling",
     "TimeVaryingLqr",
+    "Tracking",
     "bryson_weights",
 ]

@@ -6,7 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear, minimize
 
@@ -72,7 +73,7 @@ def random_problem(seed, k, extra, stiffness):
     return rng.normal(size=m) * 2.0, B, ends[0], ends[1], rng
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(
     seed=st.integers(0, 10**6),
     k=st.integers(1, 4),
@@ -90,7 +91,7 @@ def test_quadratic_programme_against_all_faces(seed, k, extra, stiffness, half):
     np.testing.assert_allclose(got, expected, atol=SAME * np.linalg.cond(H), rtol=0)
 
 
-@settings(max_examples=80, deadline=None)
+@examples(80)
 @given(seed=st.integers(0, 10**6), k=st.integers(1, 4), extra=st.integers(0, 2))
 def test_affine_problem_against_lsq_linear(seed, k, extra):
     c, B, lower, upper, _ = random_problem(seed, k, extra, 1.0)
@@ -102,7 +103,7 @@ def test_affine_problem_against_lsq_linear(seed, k, extra):
     np.testing.assert_allclose(u, expected, atol=1e-7, rtol=0)  # bvls stops by the cost: half the digits
 
 
-@settings(max_examples=80, deadline=None)
+@examples(80)
 @given(seed=st.integers(0, 10**6), k=st.integers(1, 3), extra=st.integers(0, 1), bend=st.floats(1e-6, 0.03))
 def test_curved_problem_against_slsqp(seed, k, extra, bend):
     c, B, lower, upper, rng = random_problem(seed, k, extra, 1.0)

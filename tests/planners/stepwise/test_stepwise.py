@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import zoo
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear, minimize
 
@@ -120,7 +121,7 @@ def test_each_step_is_the_true_minimum(lam, radius):
     require_true_minimum(plan, dynamics_of(), motion, limits, lam * baseline, steps_of(plan)[::4])
 
 
-@settings(max_examples=12, deadline=None)
+@examples(12)
 @given(
     lam=st.floats(0.0, 1.0),
     mode=st.sampled_from(MODES),
@@ -203,7 +204,7 @@ def test_both_backends_give_the_same_plan(settings):
     np.testing.assert_allclose(plans[0].tau, plans[1].tau, atol=1e-7, rtol=0)  # s̈ to 1e-8, times 2 N·m/(m/s²)
 
 
-@settings(max_examples=6, deadline=None)
+@examples(6)
 @given(factor=st.floats(0.3, 3.0), lam=st.sampled_from([0.0, 0.4]))
 def test_time_scaling(factor, lam):
     """Twice as fast with twice the speed limit and four times the acceleration: same places, four times the efforts."""

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import zoo
-from hypothesis import HealthCheck, assume, given, settings
+from examples import examples
+from hypothesis import HealthCheck, assume, given
 from hypothesis import strategies as st
 from leg_momentum import condition, free_carriers, imbalance, legs_along, momentum, momentum_rate
 
@@ -286,7 +287,7 @@ def test_sampled_motion_gives_nearly_the_same_plan():
     np.testing.assert_allclose(sampled.tau[smooth], exact.tau[smooth], atol=1e-6)
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@examples(15, suppress_health_check=[HealthCheck.filter_too_much])
 @given(
     base=st.floats(0.4, 0.7),
     aside=st.floats(-0.06, 0.06),
