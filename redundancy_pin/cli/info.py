@@ -39,7 +39,7 @@ def info(robot: RobotOptions, as_json: bool) -> None:
       redundancy-pin info --robot 3rrr --set carrier_mass=2.0
     """
     if not robot.source:
-        if not robot.is_plain:
+        if not robot.is_robot_only:
             raise InputError("--set, --mode and --gravity need a robot.", remedy="Add --robot.")
         _list_robots(as_json)
         return

@@ -50,7 +50,7 @@ class RobotOptions:
         )
 
     @property
-    def is_plain(self) -> bool:
+    def is_robot_only(self) -> bool:
         """Whether nothing but the robot itself was given."""
         return not self.settings and self.mode is None and self.gravity is None
 

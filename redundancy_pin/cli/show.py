@@ -86,7 +86,7 @@ def _view(
 
 def _robot_of(plan: Plan, options: RobotOptions) -> Robot:
     """Return the robot of a plan; --robot says where its files are now."""
-    if not options.is_plain:
+    if not options.is_robot_only:
         raise InputError(
             "--set, --mode and --gravity cannot change the robot of a plan.", remedy="Leave them out, or plan again."
         )

@@ -177,8 +177,8 @@ def shortest_return(
         low, high = float(durations[max(i - 1, 0)]), float(durations[i])
         if uses[i] > ALLOWED:  # the limits may be kept between two candidates
             bounds = (low, float(durations[min(i + 1, CANDIDATES - 1)]))
-            found = minimize_scalar(lambda T: use(float(T)).use, bounds=bounds, method="bounded")
-            high, uses[i] = float(found.x), float(found.fun)
+            best = minimize_scalar(lambda T: use(float(T)).use, bounds=bounds, method="bounded")
+            high, uses[i] = float(best.x), float(best.fun)
             durations[i] = high
         if use(high).use <= ALLOWED:
             return _first_allowed(use, low, high)

@@ -52,7 +52,7 @@ class Limits:
             track = np.array(broadcast_to(self.track, "track", (k, 2)))
             if not (track[:, 0] < track[:, 1]).all():
                 raise InputError(
-                    f"track is {as_typed(self.track)}, but the ends of a track must increase.",
+                    f"track is {as_text(self.track)}, but the ends of a track must increase.",
                     remedy="Give the lower end first.",
                     value=self.track,
                 )
@@ -104,7 +104,7 @@ class ResolvedLimits:
         """Return (k,) positions after checking that they are on the tracks, m."""
         places = frozen(broadcast_to(values, name, (len(self.names),)))
         if not np.isfinite(places).all():
-            raise InputError(f"{name} is {as_typed(values)}.", remedy="Pass finite places on the tracks.", name=name)
+            raise InputError(f"{name} is {as_text(values)}.", remedy="Pass finite places on the tracks.", name=name)
         for carrier, (lower, upper), place in zip(self.names, self.track, places, strict=True):
             beyond = max(place - upper, lower - place)
             if not beyond <= 0.0:
@@ -119,7 +119,7 @@ class ResolvedLimits:
         return places
 
 
-def as_typed(values: ArrayLike) -> object:
+def as_text(values: ArrayLike) -> object:
     """Return numbers as a user typed them, for messages: the command line hands over arrays."""
     return values.tolist() if isinstance(values, np.ndarray) else values
 
@@ -130,7 +130,7 @@ def _positive(values: ArrayLike | None, name: str, own: list[float]) -> Array:
     bounds = broadcast_to(values, name, (len(own),))
     if not (bounds > 0.0).all():
         raise InputError(
-            f"{name} is {as_typed(values)}, but limits must be positive.",
+            f"{name} is {as_text(values)}, but limits must be positive.",
             remedy="Pass inf for no limit.",
             name=name,
             value=values,
@@ -144,7 +144,7 @@ def broadcast_to(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
         values = np.broadcast_to(np.asarray(given, dtype=float), shape)
     except (TypeError, ValueError) as error:
         rows = f"two ends, or two for each of {shape[0]} carriers" if len(shape) == 2 else f"{shape[0]} numbers or one"
-        raise InputError(f"{name} is {as_typed(given)!r}, expected {rows}.", name=name) from error
+        raise InputError(f"{name} is {as_text(given)!r}, expected {rows}.", name=name) from error
     if np.isnan(values).any():
         raise InputError(f"{name} contains NaN.", name=name)
     return values

@@ -139,7 +139,7 @@ class Plan:
                 remedy="Pass the trajectory the plan was made for.",
             )
         if after.any():
-            platform = platform.held_until(last)
+            platform = platform.prolonged_until(last)
         functions = _functions_of_0_1_0(self, platform) if self.functions is None else self.functions
         return replace(functions, platform=platform)
 
@@ -450,8 +450,8 @@ def _check(plan: Plan) -> None:
 
 def _require_array(name: str, value: NDArray[Any], kind: str, shape: tuple[int, ...]) -> None:
     if not isinstance(value, np.ndarray) or value.dtype.kind != kind or value.dtype.itemsize != 8:
-        found = f"array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
-        raise InputError(f"{name} is an {found}, expected one of 8-byte {'floats' if kind == 'f' else 'integers'}")
+        actual = f"array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise InputError(f"{name} is an {actual}, expected one of 8-byte {'floats' if kind == 'f' else 'integers'}")
     if value.shape != shape:
         raise InputError(f"{name} has shape {value.shape}, but the rest of the plan needs {shape}")
 

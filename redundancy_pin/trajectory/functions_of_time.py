@@ -391,7 +391,7 @@ class ContinuousMotion:
         xdd[before] = self.source(times[before], "left")[:, -n:]
         return PlatformMotion(times, x.reshape(-1, 4, 4) if is_pose else x, xd, xdd)
 
-    def held_until(self, end: float) -> ContinuousMotion:
+    def prolonged_until(self, end: float) -> ContinuousMotion:
         """Return the motion with the platform held where it is at the end, until a later time, s."""
         if not end > self.end:
             return self

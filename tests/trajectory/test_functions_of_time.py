@@ -84,7 +84,7 @@ def test_a_trajectory_in_polynomials_is_the_trajectory(make):
 
 def test_a_held_platform_stays_where_it_is():
     motion = continuous_motion(reference.corner())
-    later = motion.held_until(motion.end + 1.0)
+    later = motion.prolonged_until(motion.end + 1.0)
     samples = later.sample_at(np.array([0.5, motion.end, motion.end, motion.end + 0.5]))
     np.testing.assert_array_equal(samples.x[2], samples.x[1])
     assert not samples.xd[2:].any()
@@ -105,6 +105,6 @@ def test_quintics_have_the_given_values_and_derivatives_at_both_ends():
 
 def test_where_the_platform_begins_to_be_held_is_a_break():
     motion = continuous_motion(reference.corner())
-    later = motion.held_until(motion.end + 1.0)
+    later = motion.prolonged_until(motion.end + 1.0)
     assert later.breaks[-1] == motion.end
     assert later.end == motion.end + 1.0

@@ -75,10 +75,10 @@ def run_course(
         steps = slice(first + 1, last + 1)
         if active[first]:
             state = CarrierState(float(t[first]), s[first], sd[first], sdd[first])
-            found = optimise(problems, int(first), int(last), state, settings.box)
-            s[steps], sd[steps], sdd[steps] = found.s, found.sd, found.sdd
+            stretch = optimise(problems, int(first), int(last), state, settings.box)
+            s[steps], sd[steps], sdd[steps] = stretch.s, stretch.sd, stretch.sdd
             course.phase[steps] = OPTIMISE
-            course.stretches.append((int(first), found))
+            course.stretches.append((int(first), stretch))
             course.parts.append(_steps(course, int(first), int(last)))
         elif first == 0:
             s[steps] = settings.start
@@ -96,12 +96,12 @@ def _follow_return(robot: Robot, settings: Settings, course: Course, first: int,
     duration = _return_duration(robot, settings, state, float(course.t[-1]))
     back = return_polynomial(state, duration, settings.datum)
     steps = np.arange(first + 1, last + 1)
-    on_way = steps[course.t[steps] < back.end]
+    returning = steps[course.t[steps] < back.end]
     for order, part in enumerate((course.s, course.sd, course.sdd)):
-        part[on_way] = back.derivative(order)(course.t[on_way])
-    arrived = steps[len(on_way) :]
+        part[returning] = back.derivative(order)(course.t[returning])
+    arrived = steps[len(returning) :]
     course.s[arrived] = settings.datum
-    course.phase[on_way] = RETURN
+    course.phase[returning] = RETURN
     course.returns.append((state.t, back.end))
     followed = back.until(min(back.end, float(course.t[last])))
     course.parts.append(followed)

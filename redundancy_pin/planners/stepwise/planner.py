@@ -161,14 +161,14 @@ def plan_stepwise(
     course = run_course(robot, settings, problems, decides, ~moving[at[1:]])
     ending = brake(settings, course, float(np.median(problems.h)), not moving[-1])
     carriers, phase = _samples(motion, course, ending)
-    held = _held(motion, ending.t)
+    prolonged = _prolonged(motion, ending.t)
     if len(ending.t):
-        along = dynamics.along(held)
-    found = diagnostics(problems, course, ending, settings.box)
+        along = dynamics.along(prolonged)
+    report = diagnostics(problems, course, ending, settings.box)
     aimed_at = None
     if baseline is not None and reference is not None:
         aimed_at = repr(baseline.robot) if is_dynamics(baseline) else "efforts"
-        found["baseline_peak"] = tuple(np.abs(reference).max(axis=0).tolist())
+        report["baseline_peak"] = tuple(np.abs(reference).max(axis=0).tolist())
     plan = finish_plan(
         along,
         carriers,
@@ -176,16 +176,16 @@ def plan_stepwise(
         phase=phase,
         phases=PHASES,
         parameters={**settings.parameters, "baseline": aimed_at},
-        diagnostics=found,
+        diagnostics=report,
         carrier_limits=settings.box.limits,
         between=course.between,
         functions=_functions(trajectory, motion, course, ending),
     )
     if settings.between:
-        found["between_samples"] = between_samples(dynamics, plan, settings.between)
+        report["between_samples"] = between_samples(dynamics, plan, settings.between)
     peaks = {name: plan.tau[plan.phase == i] for i, name in enumerate(PHASES) if (plan.phase == i).any()}
-    found["peak_effort"] = {name: tuple(np.abs(tau).max(axis=0).tolist()) for name, tau in peaks.items()}
-    return replace(plan, diagnostics=found)
+    report["peak_effort"] = {name: tuple(np.abs(tau).max(axis=0).tolist()) for name, tau in peaks.items()}
+    return replace(plan, diagnostics=report)
 
 
 def _functions(
@@ -196,7 +196,7 @@ def _functions(
         return None
     platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
     position = PiecewisePolynomial.joined([*course.parts, *ending.position]).made_continuous()
-    return PlanFunctions(platform.held_until(position.end), position)
+    return PlanFunctions(platform.prolonged_until(position.end), position)
 
 
 def _moving(motion: PlatformMotion, problems: StepProblems) -> tuple[BoolArray, BoolArray]:
@@ -229,7 +229,7 @@ def _samples(motion: PlatformMotion, course: Course, ending: Braking) -> tuple[C
     return CarrierMotion(s[which], sd[which], acceleration), np.where(second, phase[follows][which], phase[which])
 
 
-def _held(motion: PlatformMotion, added: Array) -> PlatformMotion:
+def _prolonged(motion: PlatformMotion, added: Array) -> PlatformMotion:
     """Return the motion with the platform held at its end for the added times."""
     if not len(added):
         return motion
@@ -251,11 +251,11 @@ def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits:
     (``speed``, ``acceleration``, ``track``, or ``stop``: the carrier is kept able to stop), side, start and end, s;
     ``returns``, start and end of each; ``braking``, start and end, NaN where nothing moved.
     """
-    counts = [found.iterations for _, found in course.stretches]
+    counts = [stretch.iterations for _, stretch in course.stretches]
     gradients, curvatures = [], []
-    for first, found in course.stretches:
-        residual, jacobian = problems.linearised(first, found.s, found.sd, found.sdd)
-        gradients.append(optimality(residual, jacobian, found.lower, found.upper, found.sdd))
+    for first, stretch in course.stretches:
+        residual, jacobian = problems.linearised(first, stretch.s, stretch.sd, stretch.sdd)
+        gradients.append(optimality(residual, jacobian, stretch.lower, stretch.upper, stretch.sdd))
         curvatures.append(definiteness(residual, jacobian, problems.C[first : first + len(residual)]))
     return {
         "steps": len(problems.h) + len(ending.t),
@@ -271,7 +271,7 @@ def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits:
 
 
 def _bounds_met(course: Course, limits: AccelerationBox) -> list[dict[str, object]]:
-    found: list[dict[str, object]] = []
+    events: list[dict[str, object]] = []
     for first, stretch in course.stretches:
         t = course.t[first + 1 : first + 1 + len(stretch.s)]
         for j, name in enumerate(limits.carriers):
@@ -279,11 +279,11 @@ def _bounds_met(course: Course, limits: AccelerationBox) -> list[dict[str, objec
                 at = stretch.sdd[:, j] == box[:, j]
                 for bound, here in _which(stretch, limits, j, side).items():
                     edges = np.flatnonzero(np.diff(np.concatenate([[False], at & here, [False]]).astype(int)))
-                    found += [
+                    events += [
                         {"carrier": name, "bound": bound, "side": side, "start": float(t[a]), "end": float(t[b - 1])}
                         for a, b in zip(edges[::2], edges[1::2], strict=True)
                     ]
-    return sorted(found, key=lambda event: (event["start"], event["carrier"]))
+    return sorted(events, key=lambda event: (event["start"], event["carrier"]))
 
 
 def _which(stretch: Stretch, limits: AccelerationBox, j: int, side: str) -> dict[str, BoolArray]:

@@ -91,7 +91,7 @@ def lost_directions(equation: CarrierEquation, start: float, end: float) -> list
             time=start,
             amount=end - start,
         )
-    found = []
+    lost = []
     for t, value in minima(smallest, times, RANK_LOSS):
         if value >= RANK_LOSS:
             continue
@@ -101,8 +101,8 @@ def lost_directions(equation: CarrierEquation, start: float, end: float) -> list
         by_motion = np.einsum("i,ikj->kj", u / equation.row_scale, here.f_terms[0, :, :, :4])
         W = here.W[0] / equation.row_scale[:, None]
         by_main = bool(np.abs(u @ W).max() > ACTUATED * np.abs(W).max())
-        found.append(LostDirection(t, frozen(u), float(u @ parked), float(np.abs(by_motion).max()), by_main))
-    return found
+        lost.append(LostDirection(t, frozen(u), float(u @ parked), float(np.abs(by_motion).max()), by_main))
+    return lost
 
 
 def require_balanced(equation: CarrierEquation, lost: Sequence[LostDirection]) -> None:

@@ -52,10 +52,10 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Multistart:
-    """The outcome from each first guess tried, of ``asked`` ones."""
+    """The outcome from each first guess tried, of ``requested`` ones."""
 
     outcomes: tuple[Outcome, ...]
-    asked: int
+    requested: int
 
     @property
     def best(self) -> Outcome:
@@ -81,7 +81,7 @@ class Multistart:
                 (same or optima[-1]).append(number)
         optima.sort(key=lambda group: min(solutions[i].cost for i in group))
         return {
-            "asked": self.asked,
+            "asked": self.requested,
             "tried": len(solutions),
             "converged": sum(len(group) for group in optima),
             "won": self.outcomes.index(self.best),

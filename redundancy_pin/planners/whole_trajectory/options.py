@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, frozen, positive
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError
-from redundancy_pin.planners.limits import Limits, ResolvedLimits, as_typed, broadcast_to
+from redundancy_pin.planners.limits import Limits, ResolvedLimits, as_text, broadcast_to
 from redundancy_pin.robot import Robot
 
 
@@ -257,7 +257,7 @@ def checked_settings(
     park = resolved.on_track(datum, "datum")
     speeds = broadcast_to(start_speed, "start_speed", (robot.k,))
     if not np.isfinite(speeds).all():
-        raise InputError(f"start_speed is {as_typed(start_speed)!r}, expected finite numbers.", name="start_speed")
+        raise InputError(f"start_speed is {as_text(start_speed)!r}, expected finite numbers.", name="start_speed")
     return Settings(
         objective=weights,
         lam=float(lam),

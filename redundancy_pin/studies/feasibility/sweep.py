@@ -196,12 +196,12 @@ def judge_error(cell: Cell, error: Exception) -> Cell:
     constraint = str(details.get("constraint", ""))
     if constraint in UNDECIDED:
         return replace(cell, verdict=Verdict.FAILED)
-    given_way = [str(entry["constraint"]) for entry in details["relaxations"]] if details.get("together") else ()
+    relaxed = [str(entry["constraint"]) for entry in details["relaxations"]] if details.get("together") else ()
     when, amount, carrier = details.get("time", details.get("t")), details.get("amount"), details.get("carrier")
     return replace(
         cell,
         verdict=Verdict.INFEASIBLE,
-        limits=tuple(dict.fromkeys(given_way or (constraint,))),
+        limits=tuple(dict.fromkeys(relaxed or (constraint,))),
         carrier=None if carrier is None else str(carrier),
         time=None if when is None else float(when),
         amount=None if amount is None else float(amount),
