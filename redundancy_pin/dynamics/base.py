@@ -142,7 +142,7 @@ class Dynamics(Protocol):
         """
         require_sampled(motion)
         if check_track:
-            require_on_track(self.robot, require_matching(self.robot, carriers, len(motion)), motion.t)
+            require_on_track(self.robot, require_matching_carriers(self.robot, carriers, len(motion)), motion.t)
         return self.along(motion, unreachable=unreachable).reduce(carriers)
 
 
@@ -160,7 +160,7 @@ def require_choice(unreachable: str) -> None:
         raise InputError(f"unreachable is {unreachable!r}.", remedy='Pass "raise" or "mark".')
 
 
-def require_matching(robot: Robot, carriers: CarrierMotion | None, samples: int) -> CarrierMotion:
+def require_matching_carriers(robot: Robot, carriers: CarrierMotion | None, samples: int) -> CarrierMotion:
     """Return the carrier motion, parked at s = 0 when there is none.
 
     Raises:
@@ -187,7 +187,7 @@ def require_on_track(robot: Robot, carriers: CarrierMotion, t: Array) -> None:
     Raises:
         CarrierLimitError: naming carrier, sample, time and the amount by which it leaves the track.
     """
-    carriers = require_matching(robot, carriers, len(t))
+    carriers = require_matching_carriers(robot, carriers, len(t))
     lower = np.array([limits.lower for limits in robot.carrier_limits])
     upper = np.array([limits.upper for limits in robot.carrier_limits])
     outside = np.maximum(lower - carriers.s, carriers.s - upper)

@@ -22,7 +22,7 @@ from redundancy_pin.dynamics.base import (
     OnUnreachable,
     ReducedDynamics,
     require_choice,
-    require_matching,
+    require_matching_carriers,
 )
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
@@ -35,6 +35,8 @@ _SAMPLES_PER_THREAD = 500
 
 class RneaDynamics(Dynamics):
     """Closed-chain dynamics through Pinocchio's RNEA and constraint Jacobians, for any declared robot.
+
+    ``reduce`` is inherited: it is ``along(motion).reduce(carriers)`` after a check of the tracks (``Dynamics.reduce``).
 
     Args:
         robot: the robot.
@@ -100,7 +102,7 @@ class RneaAlongMotion:
     def tree_motion(self, carriers: CarrierMotion | None = None) -> tuple[Array, Array, Array]:
         """Return q (nq, N), v (nv, N), a (nv, N) of the tree, carriers included, samples in columns."""
         robot = self.robot
-        carriers = require_matching(robot, carriers, len(self.motion))
+        carriers = require_matching_carriers(robot, carriers, len(self.motion))
         q, v, a = (np.array(part.T, order="F") for part in (self.tree.q, self.tree.v, self.tree.a))
         q[robot.carrier_position] = carriers.s.T
         v[robot.carrier_velocity] = carriers.sd.T

@@ -166,6 +166,8 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
     if drive is None:
         return Constant(np.zeros(robot.m), np.zeros(robot.k))
     if isinstance(drive, Plan):
+        # the efforts of a plan are those of the machine it was made for: another machine is driven by them all the
+        # same, so that what an imperfect model costs can be simulated
         own = robot if robot_record(robot) == drive.robot else None
         return FeedForward(plan_reference(drive, robot=own))
     controller = as_controller(drive)

@@ -11,7 +11,7 @@ from redundancy_pin.dynamics.base import (
     OnUnreachable,
     ReducedDynamics,
     require_choice,
-    require_matching,
+    require_matching_carriers,
 )
 from redundancy_pin.dynamics.virtual_work.mechanism import Legs, Mechanism, base_wrench, energy
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrMechanism
@@ -154,7 +154,7 @@ class VirtualWorkAlongMotion:
         """Return s, ṡ, s̈ as (legs, N); zero where the robot has no carriers."""
         samples = len(self._motion)
         if carriers is not None:
-            require_matching(self._robot, carriers, samples)
+            require_matching_carriers(self._robot, carriers, samples)
         if carriers is None or self._robot.k == 0:
             zero = np.zeros((self._robot.m, samples))
             return zero, zero, zero
