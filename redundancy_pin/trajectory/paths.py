@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -66,7 +67,7 @@ class Path(Protocol):
         """
 
 
-class SmoothPath:
+class SmoothPath(ABC):
     """Base of the paths without breaks: they define ``length``, ``dimension`` and ``_at``."""
 
     length: float
@@ -81,8 +82,9 @@ class SmoothPath:
         require_side(side)
         return self._at(inside(p, 0.0, self.length, "p", "m"))
 
+    @abstractmethod
     def _at(self, p: Array) -> PathPoint:
-        raise NotImplementedError
+        """Return x, x', x'' at arc lengths p inside the path, m."""
 
 
 _UNIT_TOLERANCE = 1e-9

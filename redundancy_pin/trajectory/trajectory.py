@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -86,7 +87,7 @@ class TrajectoryPoint(NamedTuple):
     xdd: Array
 
 
-class TimedMotion:
+class TimedMotion(ABC):
     """What a motion with a timing law offers besides its own ``evaluate``."""
 
     timing: TimingLaw
@@ -128,9 +129,9 @@ class TimedMotion:
         """
         return self.sample_at(_sample_times(self.duration, self.breaks, dt, times, two_sided))
 
+    @abstractmethod
     def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
         """Return x, ẋ, ẍ at (N,) times; ``before`` (N,) selects the left limit where a time is a break."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, init=False, eq=False)
