@@ -1,13 +1,18 @@
 """Closed-chain (parallel-robot) dynamics and planning on Pinocchio."""
 
+from redundancy_pin import _startup
+
+_startup.install()  # before the imports that take long
+
+# ruff: noqa: E402
 from redundancy_pin import _moved, simulation, trajectory
 from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.reactions import joint_reactions
-from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.check import check_plan
 from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
@@ -25,6 +30,7 @@ __all__ = [
     "PlatformMotion",
     "RneaDynamics",
     "VirtualWork",
+    "check_plan",
     "classify",
     "classify_motion",
     "distribute",

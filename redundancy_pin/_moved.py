@@ -12,9 +12,11 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 MOVED = {
+    "dynamics.reactions": "dynamics.rnea",
     "dynamics.status": "dynamics.distribution",
     "experiments": "studies",
     "files": "io.files",
+    "kinematics.modes": "kinematics.coordinates",
     "kinematics.singular_crossings": "singularities.crossings",
     "kinematics.singular_locus": "singularities.locus",
     "kinematics.singularity": "singularities.classify",
@@ -28,7 +30,7 @@ MOVED = {
     "visualisation.plots": "visualisation.figures.plots",
     "visualisation.scene": "visualisation.viewer.scene",
     "visualisation.show": "visualisation.viewer.page",
-    "visualisation.snapshots": "visualisation.figures.snapshots",
+    "visualisation.snapshots": "visualisation.figures.paths",
     "visualisation.style": "visualisation.figures.style",
 }
 """Old module to new one, below the package; a package stands for what is in it."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, TypeAlias
+from functools import cached_property
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, shown
 
 Array: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
@@ -41,6 +44,48 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
+_Self = TypeVar("_Self", bound="Frozen")
+
+
+class Frozen:
+    """Base of types with read-only arrays: copies of them, and what other processes get, are read-only too.
+
+    What is computed again when it is needed stays behind (pools of Pinocchio data are among it).
+    """
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what travels: attributes, mapping proxies as the mappings behind them."""
+        again = [name for name in vars(self) if isinstance(getattr(type(self), name, None), cached_property)]
+        state = {name: value for name, value in vars(self).items() if name not in again}
+        return {
+            name: _Proxied(value) if isinstance(value, MappingProxyType) else value for name, value in state.items()
+        }
+
+    def __copy__(self: _Self) -> _Self:
+        """Return a shallow copy: the same arrays, read-only where they are."""
+        other = object.__new__(type(self))
+        assign(other, **vars(self))
+        return other
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take the attributes over, arrays read-only."""
+        assign(self, **{name: _as_it_was(value) for name, value in state.items()})
+
+
+class _Proxied(dict[str, Any]):
+    """The mapping behind a proxy, which itself can be neither pickled nor copied."""
+
+
+def _as_it_was(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return read_only(value)
+    if isinstance(value, _Proxied):
+        return MappingProxyType(dict(value))
+    for part in value if isinstance(value, (tuple, list)) else value.values() if isinstance(value, dict) else ():
+        _as_it_was(part)
+    return value
+
+
 def assign(target: object, **values: object) -> None:
     """Set the fields of a frozen dataclass, once, in an ``__init__`` that checks them first."""
     for name, value in values.items():
@@ -63,7 +108,7 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
         if given.dtype.kind in "cSU":
             raise TypeError(f"it holds {'complex numbers' if given.dtype.kind == 'c' else 'text'}")
         array = frozen(given)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{name} is not an array of numbers: {error}.",
             remedy="Pass a rectangular array of finite floats.",
@@ -93,6 +138,18 @@ def checked(values: ArrayLike, name: str, shape: Sequence[int | str]) -> Array:
     return array
 
 
+_BLOCK = 4000
+
+
+def blocks(samples: int, size: int = _BLOCK) -> list[slice]:
+    """Return the parts in which many samples are worked on, so that what a part takes stays in the cache.
+
+    They are alike in length: of a single sample left over numpy would sum in another order than of many.
+    """
+    edges = np.linspace(0, samples, -(-samples // size) + 1).round().astype(int).tolist()
+    return [slice(first, last) for first, last in pairwise(edges)]
+
+
 def largest(values: Array) -> Array:
     """Return (m,) the largest magnitude in each column of (N, m), NaN left out; zero where nothing is left."""
     return np.asarray(np.nanmax(np.abs(values), axis=0, initial=0.0))
@@ -115,6 +172,17 @@ ROUNDING = 1e-12
 what a few dozen additions of doubles lose, and far below any sampling interval."""
 
 
+def require_few(count: float, most: int, what: str, remedy: str, **details: object) -> None:
+    """Check that something does not become too many, before time and memory go into it.
+
+    Raises:
+        InputError: ``count``, which stands for the braces in ``what`` ("The map has {} cells"), is above ``most``.
+    """
+    if not count <= most:
+        message = what.replace("{}", f"{count:.4g}")
+        raise InputError(f"{message}; at most {most} are possible.", remedy=remedy, most=most, **details)
+
+
 def positive(value: float, name: str, unit: str) -> float:
     """Return ``value`` as a float after checking that it is positive and finite.
 
@@ -128,9 +196,9 @@ def positive(value: float, name: str, unit: str) -> float:
     """
     try:
         number = float(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         of = f" of {unit}" if unit else ""
-        raise InputError(f"{name} is {value!r}, expected a number{of}.", name=name) from error
+        raise InputError(f"{name} is {shown(value)}, expected a number{of}.", name=name) from error
     if not (math.isfinite(number) and number > 0.0):
         raise InputError(
             f"{name} is {f'{number:g} {unit}'.rstrip()}, expected a positive number.", name=name, value=number

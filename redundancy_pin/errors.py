@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
+
+_LONGEST = 4000
+"""Characters of a message or a remedy: a file that is refused must not fill the screen with what is in it."""
+
+_SHOWN = 300
+"""Characters of a value in a message."""
 
 
 class RedundancyPinError(Exception):
@@ -17,8 +24,8 @@ class RedundancyPinError(Exception):
     """
 
     def __init__(self, message: str, *, remedy: str = "", **details: object) -> None:
-        self.message = message
-        self.remedy = remedy
+        self.message = message = shortened(message, _LONGEST)
+        self.remedy = remedy = shortened(remedy, _LONGEST)
         self.details: Mapping[str, object] = MappingProxyType(dict(details))
         super().__init__(f"{message} {remedy}".strip())
 
@@ -33,10 +40,46 @@ def _rebuild(
     return kind(message, remedy=remedy, **details)
 
 
+def shown(value: object) -> str:
+    """Return ``repr(value)`` for a message, cut short where it would be long.
+
+    Values come from files nobody vouches for: a few aliases in YAML make one of any size, so it must not be written
+    out before it is cut.
+    """
+    try:
+        text = repr(value) if _is_small(value) else reprlib.repr(value)
+        text = text if isinstance(value, str) else " ".join(text.split())  # arrays are written in many lines
+    except ValueError:  # Python writes out no integer of more than 4300 digits
+        text = f"a {type(value).__name__} of thousands of digits"
+    return shortened(text)
+
+
+def _is_small(value: object, most: int = 100) -> bool:
+    """Whether a value has few parts, counted as often as they are met, and short texts."""
+    waiting = [value]
+    for _ in range(most):
+        if not waiting:
+            return True
+        part = waiting.pop()
+        if isinstance(part, (str, bytes)) and len(part) > _SHOWN:
+            return False
+        if isinstance(part, (list, tuple, dict, set, frozenset)):
+            if len(part) > most:
+                return False
+            waiting += part
+            waiting += part.values() if isinstance(part, dict) else ()
+    return False
+
+
+def shortened(text: str, most: int = _SHOWN) -> str:
+    """Return a text for a message, its middle left out where it is longer than so many characters."""
+    return text if len(text) <= most else f"{text[: most // 2]} … {text[-most // 4 :]}"
+
+
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the start of a remedy that names the nearest known name; empty where none is near."""
-    close = difflib.get_close_matches(str(name), list(known), n=1)
-    return f"Did you mean {close[0]!r}? " if close else ""
+    close = difflib.get_close_matches(str(name)[:_SHOWN], list(known), n=1)
+    return f"Did you mean {shown(close[0])}? " if close else ""
 
 
 class InputError(RedundancyPinError, ValueError):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.linalg import qr
@@ -13,12 +14,11 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, froz
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import reference_coordinates, velocity_scale
+from redundancy_pin.kinematics.coordinates import mode_name, reference_coordinates, velocity_scale, working_modes
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
-from redundancy_pin.kinematics.modes import mode_name, working_modes
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import build, characteristic_length
-from redundancy_pin.robot.declaration import parse, read_yaml, require_conditions
+from redundancy_pin.robot.declaration import parse, read_declaration, require_conditions
 from redundancy_pin.robot.urdf import declaration_path, known_values, render
 
 
@@ -27,29 +27,62 @@ def load_robot(
     *,
     gravity: Sequence[float] | None = None,
     working_mode: Sequence[int] | None = None,
+    trust: bool = False,
     **arguments: object,
 ) -> Robot:
     """Load a robot, close its chains at the declared reference and check its mobility.
+
+    A robot is data: expressions in its files calculate and no more, and cannot cost more than a second or two.
 
     Args:
         source: name of a shipped robot ("2rpr", "3rrr", "five_bar", "four_bar", "gough"), path of a ``robot.yaml``, or
             of the folder that holds one.
         gravity: (3,) acceleration of gravity in the world frame, m/s²; as declared when left out.
         working_mode: ±1 a leg; as declared when left out.
+        trust: let the expressions of a xacro file be any Python, which runs with your rights: for files whose author
+            you trust.
         **arguments: xacro arguments of the robot's URDF (``carrier_mass=2.0``).
 
     Raises:
-        ModelFileError: missing or broken files.
+        ModelFileError: missing or broken files, expressions that are more than calculation, numbers that Pinocchio
+            would read differently.
         InputError: an unknown xacro argument, a gravity or working mode of the wrong form.
         DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over-
             or under-constrained chains, a reference that does not close.
     """
+    return load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust)
+
+
+def load_with(
+    source: str | Path,
+    arguments: Mapping[str, object],
+    *,
+    gravity: Sequence[float] | None = None,
+    working_mode: Sequence[int] | None = None,
+    trust: bool = False,
+) -> Robot:
+    """Load a robot as ``load_robot``, with xacro arguments that come from a file.
+
+    Among keywords, a file could name ``trust`` as one of them.
+    """
     path = declaration_path(source)
-    data = read_yaml(path)
+    file = read_declaration(path)
+    with file.naming():
+        return _load(path, file.data, gravity, working_mode, arguments, trust)
+
+
+def _load(
+    path: Path,
+    data: Mapping[str, Any],
+    gravity: Sequence[float] | None,
+    working_mode: Sequence[int] | None,
+    arguments: Mapping[str, object],
+    trust: bool,
+) -> Robot:
     source_file = path.parent / data["urdf"]
     # before xacro runs, which would make a cryptic error of a length that is negative; and after, on what it evaluated
     require_conditions(data, known_values(source_file, arguments))
-    urdf, parameters = render(source_file, arguments)
+    urdf, parameters = render(source_file, arguments, trust=trust)
     require_conditions(data, parameters)
     declaration = parse(data, parameters)
     robot = build(declaration, path, urdf, parameters, gravity, working_mode)

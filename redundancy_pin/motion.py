@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, assign, checked, largest, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, assign, checked, largest, read_only
 from redundancy_pin.errors import InputError
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class PlatformMotion:
+class PlatformMotion(Frozen):
     """Motion of the independent (platform) coordinates, sampled in time.
 
     Attributes:
@@ -73,7 +73,7 @@ class PlatformMotion:
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class CarrierMotion:
+class CarrierMotion(Frozen):
     """Motion of the carriers along their tracks, sampled at the times of a platform motion.
 
     Attributes:
@@ -178,10 +178,11 @@ def _require_increasing(t: Array, x: Array, xd: Array) -> None:
 
 def _require_poses(x: Array) -> None:
     rotation = x[:, :3, :3]
-    error = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    error = np.maximum(error, np.abs(np.linalg.det(rotation) - 1.0))
+    with np.errstate(over="ignore", invalid="ignore"):  # entries of 1e200 are no rotation either
+        error = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        error = np.maximum(error, np.abs(np.linalg.det(rotation) - 1.0))
     error = np.maximum(error, np.abs(x[:, 3] - np.array([0.0, 0.0, 0.0, 1.0])).max(axis=1))
-    if error.max() > _POSE_TOLERANCE:
+    if not error.max() <= _POSE_TOLERANCE:
         k = int(error.argmax())
         raise InputError(
             f"x[{k}] is not a homogeneous pose: it misses orthonormality by {error[k]:.2g}.",

@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, row_scale
+from redundancy_pin.kinematics.coordinates import coordinates, moved, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
@@ -108,27 +106,15 @@ def default_motion(robot: Robot) -> PlatformMotion:
 
 
 def _swing(robot: Robot, amplitude: float) -> PlatformMotion:
-    """Move by κ(t) d, κ = sin²(π t/T): from rest at the reference and back to it, smooth when repeated."""
+    """Move by κ(t) d, κ = sin²(π t/T): from rest at the reference and back to it, smooth when repeated.
+
+    Platforms turn about an axis fixed in the world, so that the twist of a pose is κ̇ d like every other rate.
+    """
     t = np.arange(0.0, SWING_DURATION + 0.5 * _DT, _DT)
     rate = np.pi / SWING_DURATION
     kappa = np.sin(rate * t) ** 2
     kappa_d, kappa_dd = rate * np.sin(2.0 * rate * t), 2.0 * rate**2 * np.cos(2.0 * rate * t)
     direction = amplitude * robot.characteristic_length / row_scale(robot)
-    start = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))[0]
-    if robot.platform is None or not robot.platform.is_pose:
-        x = start + np.outer(kappa, direction)
-    else:
-        x = _along_screw(start, kappa, direction, robot)
+    start = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))
+    x = moved(robot, np.repeat(start, len(t), axis=0), np.outer(kappa, direction))
     return PlatformMotion(t, x, np.outer(kappa_d, direction), np.outer(kappa_dd, direction))
-
-
-def _along_screw(start: Array, kappa: Array, direction: Array, robot: Robot) -> Array:
-    """Return poses (N, 4, 4): the origin moves straight, the platform turns about an axis fixed in the world."""
-    axes = ("x", "y", "z", "rx", "ry", "rz")
-    screw = np.zeros(6)
-    if robot.platform is not None:
-        screw[[axes.index(axis) for axis in robot.platform.axes]] = direction
-    poses: Array = np.tile(start, (len(kappa), 1, 1))
-    poses[:, :3, 3] += np.outer(kappa, screw[:3])
-    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(kappa, screw[3:])).as_matrix() @ start[:3, :3]
-    return poses

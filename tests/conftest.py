@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
+import promises
 import pytest
 import zoo
 from hypothesis import settings
@@ -27,3 +29,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
             item.add_marker(pytest.mark.property)
+
+
+keep = promises.keep
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Print how often each promise was tried, where a run tried any."""
+    promises.summarise(terminalreporter)

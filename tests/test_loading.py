@@ -143,6 +143,27 @@ def test_bad_declarations_are_refused(tmp_path, name):
     assert caught.value.remedy
 
 
+def test_file_and_line_of_a_bad_declaration_are_named(tmp_path):
+    path = write(tmp_path)
+    lines = path.read_text().splitlines()
+    number = next(i for i, line in enumerate(lines) if line.startswith("actuated")) + 1
+    path.write_text("\n".join(lines).replace("actuated:", "actuated: 3\ncarriers_:"))
+    with pytest.raises(DeclarationError, match=rf"robot\.yaml, line {number + 1}: Unknown key `carriers_`"):
+        rp.load_robot(path)
+    path.write_text("\n".join(lines).replace("actuated:", "gravity: [0, 0, down]\nactuated:"))
+    with pytest.raises(DeclarationError, match=rf"robot\.yaml, line {number}: .*`gravity\[2\]` is 'down'"):
+        rp.load_robot(path)
+    path.write_text("\n".join([*lines, "actuated: [m1]"]))
+    with pytest.raises(ModelFileError, match=rf"line {len(lines) + 1}.*'actuated' was given in line {number}"):
+        rp.load_robot(path)
+
+
+@pytest.mark.parametrize("source", ["x" * 300, "x" * 300 + "/robot.yaml", "nul\x00", "/dev/zero", "~nobody/robot.yaml"])
+def test_names_that_no_file_can_have(source):
+    with pytest.raises(ModelFileError):
+        rp.load_robot(source)
+
+
 def test_files_that_are_missing_or_broken(tmp_path):
     with pytest.raises(ModelFileError, match="does not exist"):
         rp.load_robot(_without_urdf(tmp_path))
@@ -157,7 +178,9 @@ def test_files_that_are_missing_or_broken(tmp_path):
     with pytest.raises(ModelFileError, match="not well-formed XML"):
         rp.load_robot(path)
     path = write(tmp_path, tree=FIVE_BAR.replace('<parent link="l1"/>', '<parent link="nowhere"/>'))
-    with pytest.raises(ModelFileError, match="Pinocchio cannot read the URDF"):
+    with pytest.raises(
+        ModelFileError, match=r"'b1' of bar\.urdf has the parent 'nowhere', which is no link \(line 11\)"
+    ):
         rp.load_robot(path)
 
 

@@ -151,6 +151,13 @@ def test_matrices_that_are_no_poses_are_refused(spoil: object) -> None:
     assert caught.value.details["sample"] == 1
 
 
+def test_poses_beyond_all_numbers_are_refused_without_a_warning() -> None:
+    x = poses(2)
+    x[:, :2, :2] = [[1e300, 1e300], [1e300, -1e300]]  # rows whose product is infinity less infinity
+    with pytest.raises(InputError, match="is not a homogeneous pose"):
+        PlatformMotion([0.0, 1.0], x, np.zeros((2, 6)), np.zeros((2, 6)))
+
+
 def test_poses_with_nine_digits_pass() -> None:
     zero = np.zeros((3, 6))
     PlatformMotion([0.0, 1.0, 2.0], np.round(poses(3), 10), zero, zero)

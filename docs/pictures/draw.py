@@ -11,8 +11,7 @@ from PIL import Image
 
 import redundancy_pin as rp
 from redundancy_pin.io.files import replacing_file
-from redundancy_pin.visualisation.figures.paths import label_plane
-from redundancy_pin.visualisation.figures.snapshots import draw_frame, draw_path
+from redundancy_pin.visualisation.figures.paths import draw_frame, draw_path, label_plane
 from redundancy_pin.visualisation.figures.style import figure
 from redundancy_pin.visualisation.viewer.scene import Scene
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 import redundancy_pin
+from redundancy_pin.cli.check import check
 from redundancy_pin.cli.errors import OneLineErrors
 from redundancy_pin.cli.info import info
 from redundancy_pin.cli.inverse_dynamics import inverse_dynamics
@@ -21,7 +22,7 @@ __all__ = ["main"]
 
 @click.group(
     cls=OneLineErrors,
-    no_args_is_help=False,
+    no_args_is_help=False,  # no command at all is a mistake like any other: one line and exit code 2
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(redundancy_pin.__version__, prog_name="redundancy-pin")
@@ -29,7 +30,7 @@ def main() -> None:
     """Dynamics of parallel robots with internal redundancy.
 
     Exit codes: 0 done, 1 a check failed, 2 bad input or no plan exists, 3 a plan breaks limits, 4 a plan keeps them but
-    is no optimum (one line on stderr says what).
+    is no optimum, or its samples do not show its efforts (one line on stderr says what).
     """
 
 
@@ -41,6 +42,6 @@ def _keep_lines(command: click.Command) -> None:
             _keep_lines(part)
 
 
-for _command in (reproduce, inverse_dynamics, singularities, plan, map_command, show, study, validate, info):
+for _command in (reproduce, inverse_dynamics, singularities, plan, check, map_command, show, study, validate, info):
     main.add_command(_command)
 _keep_lines(main)

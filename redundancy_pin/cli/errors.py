@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import click
 
-from redundancy_pin.cli.output import INTERRUPTED
+from redundancy_pin import _startup
+from redundancy_pin._startup import INTERRUPTED
+from redundancy_pin.cli.output import printable
 from redundancy_pin.errors import (
     CarrierLimitError,
     CrossCheckError,
@@ -21,17 +24,16 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.studies.case import PATHS
 
+FAILED_CHECK = 1  # exit code where the command ran and what it checked does not hold
+BAD_INPUT = 2  # exit code where the command could not run on what it was given
+
+# names without an underscore that are no English words: wherever they stand they are names
 _NO_ENGLISH = ("dt", "lam")
-"""Names without an underscore that are no English words: wherever they stand they are names."""
-
+# names of parameters that are also words given to another one, here to the objective
 _VALUES = ("carrier_force",)
-"""Names of parameters that are also words given to another one, here to the objective."""
-
-_REWORDED = "reworded"
-"""Detail of an error that is in the user's words already."""
-
+_REWORDED = "reworded"  # detail of an error that is in the user's words already: the outer wording leaves it alone
+# the part of a remedy that only the command with --unreachable can follow
 _MARKED = re.compile(r", or (?:pass unreachable=|ask for unreachable samples).*$")
-"""The part of a remedy that only the command with ``--unreachable`` can follow."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,7 @@ class Wording:
 
     def _translated(self, text: str) -> str:
         """Replace names: those with a value (``lam = 0``), at the beginning, and those that can be nothing else."""
+        # messages have names as Python writes them; a word such as `speed` is one only where it can be nothing else
         for name, written in self.names.items():
             with_value = rf"""(?<![\w-]){name} ?= ?(?:"([^"]*)"|'([^']*)'|(-?\w+(?:\.\w+)*))"""
             text = re.sub(with_value, lambda match, name=name: self.write(name, _value(match)), text)  # type: ignore[misc]
@@ -82,7 +85,7 @@ class Wording:
         return text
 
 
-OPTIONS = Wording({"backend": "--backend", "working_mode": "--mode"}, " ")
+OPTIONS = Wording({"backend": "--backend", "working_mode": "--mode", "gravity": "--gravity"}, " ")
 """The options that commands share."""
 
 KEYS = Wording({"backend": "backend", "working_mode": "mode"}, ": ")
@@ -105,6 +108,7 @@ def _value(match: re.Match[str]) -> str:
 def _answer(error: RedundancyPinError, wording: Wording) -> tuple[str, str] | None:
     """Return message and remedy of errors that need other words than the package's; None for all others."""
     details: Mapping[str, Any] = error.details
+    # what an error is about is known by its details, not by its text, which may change
     if "axes" in details:
         return _other_motion(details)
     if "legs" in details:
@@ -146,28 +150,32 @@ def _other_mode(details: Mapping[str, Any], wording: Wording) -> tuple[str, str]
     return f"{mode} is {signs}, but the robot has {legs} legs.", f"Give a sign for each, such as {example}."
 
 
-FAILED_CHECK = 1
-"""Exit code where the command ran and what it checked does not hold."""
-
-BAD_INPUT = 2
-"""Exit code where the command could not run on what it was given."""
-
-
 class OneLineErrors(click.Group):
     """A group of commands that reports every expected error in one line."""
 
     def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command line; see ``click.Group.main``."""
+        _startup.done()
         run: Callable[..., Any] = super().main
+        # click's own standalone mode would print errors over several lines and end with 1 where it is interrupted;
+        # what a command returns is its exit code
         if not standalone_mode:
             return run(*args, standalone_mode=False, **extra)
+        for stream in (sys.stdout, sys.stderr):
+            # a terminal that lacks a letter shows its code: no answer is lost to an m/s²
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="backslashreplace")
         try:
             code = run(*args, standalone_mode=False, **extra)
+            if sys.stdout is not None:
+                sys.stdout.flush()  # now, where a full disk can still be reported
             sys.exit(code if isinstance(code, int) else 0)
         except click.exceptions.Exit as leaving:
             sys.exit(leaving.exit_code)
         except click.ClickException as error:
-            _print_line(error.format_message(), hint=_where_to_look(error))
+            context = getattr(error, "ctx", None)
+            hint = f" See `{context.command_path} --help`." if context is not None else ""
+            _print_line(error.format_message() + hint)
             sys.exit(BAD_INPUT)
         except CrossCheckError as error:
             _print_line(str(error))
@@ -179,16 +187,21 @@ class OneLineErrors(click.Group):
             _print_line("interrupted.")
             sys.exit(INTERRUPTED)
         except BrokenPipeError:
-            # the reader of a pipe has seen enough (`redundancy-pin info | head`): not an error
+            # the reader of a pipe has seen enough (`redundancy-pin info | head`): not an error; without a stdout the
+            # interpreter does not try once more, and complain, on its way out
             sys.stdout = None
             sys.exit(0)
+        except OSError as error:
+            # files have errors of their own, so this is stdout, on a full disk as a rule
+            _print_line(f"Cannot write {error.filename or 'the output'}: {error.strerror or error}.")
+            sys.stdout = None
+            sys.exit(BAD_INPUT)
+        except MemoryError:
+            _print_line("There is not enough memory. Ask for fewer or longer steps, samples, cells or starts.")
+            sys.exit(BAD_INPUT)
 
 
-def _print_line(message: str, hint: str = "") -> None:
-    line = " ".join(f"{message} {hint}".split())
-    click.echo(f"error: {line}", err=True)
-
-
-def _where_to_look(error: click.ClickException) -> str:
-    context = getattr(error, "ctx", None)
-    return f"See `{context.command_path} --help`." if context is not None else ""
+def _print_line(message: str) -> None:
+    # one line, whatever stands in a message: scripts read stderr by lines
+    with suppress(OSError):  # there is no other place to say that stderr is full
+        click.echo(f"error: {printable(' '.join(message.split()))}", err=True)

@@ -16,12 +16,11 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, mode_name
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.kinematics.modes import all_working_modes, mode_name
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.declaration import read_yaml
+from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
 
 
@@ -43,17 +42,18 @@ def info(robot: RobotOptions, as_json: bool) -> None:
             raise InputError("--set, --mode and --gravity need a robot.", remedy="Add --robot.")
         _list_robots(as_json)
         return
-    facts = describe(robot.load(), declaration_path(robot.source))
+    facts = describe(robot.load(), declaration_path(robot.source), trust=robot.trust)
     if as_json:
         print_json(facts)
     else:
         console().print(Group(_general(facts), *_tables(facts)))
 
 
-def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
+def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str, Any]:
     """Return what there is to know about a robot as plain data."""
-    data = read_yaml(declaration)
-    _, defaults = render(declaration.parent / data["urdf"], {})
+    # once more from the files: a robot knows its parameters' values, but not which of them are defaults
+    data = read_declaration(declaration).data
+    _, defaults = render(declaration.parent / data["urdf"], {}, trust=trust)
     model = robot.model
     return {
         "name": robot.name,
@@ -70,10 +70,7 @@ def describe(robot: Robot, declaration: Any) -> dict[str, Any]:
             "axes": list(robot.platform.axes) if robot.platform else None,
             "joints": list(robot.independent_joints),
         },
-        "joints": [
-            {"name": str(name), "type": _joint_type(robot, str(name)), "role": _role(robot, str(name))}
-            for name in list(model.names)[1:]
-        ],
+        "joints": [_joint(robot, index) for index in range(1, model.njoints)],
         "closures": [
             {"frame_a": closure.frame_a, "frame_b": closure.frame_b, "axes": list(closure.axes)}
             for closure in robot.closures
@@ -111,19 +108,18 @@ def _reference(robot: Robot) -> dict[str, Any]:
     }
 
 
-def _role(robot: Robot, name: str) -> str:
-    if name in robot.actuated:
-        return "actuated"
-    return "carrier" if name in robot.carriers else "passive"
-
-
-def _joint_type(robot: Robot, name: str) -> str:
-    kind = str(robot.model.joints[robot.model.getJointId(name)].shortname())
-    return "prismatic" if kind.startswith("JointModelP") else "revolute" if kind.startswith("JointModelR") else kind
+def _joint(robot: Robot, index: int) -> dict[str, str]:
+    name, kind = str(robot.model.names[index]), str(robot.model.joints[index].shortname())
+    # Pinocchio has a class for each axis: JointModelRX, JointModelPZ, JointModelRevoluteUnaligned, ...
+    known = {"JointModelP": "prismatic", "JointModelR": "revolute"}
+    role = "actuated" if name in robot.actuated else "carrier" if name in robot.carriers else "passive"
+    return {"name": name, "type": known.get(kind[: len("JointModelP")], kind), "role": role}
 
 
 def _list_robots(as_json: bool) -> None:
-    robots = [(name, str(read_yaml(declaration_path(name)).get("description", ""))) for name in shipped_robots()]
+    robots = [
+        (name, str(read_declaration(declaration_path(name)).data.get("description", ""))) for name in shipped_robots()
+    ]
     if as_json:
         print_json({"robots": [{"name": name, "description": text} for name, text in robots]})
         return

@@ -14,6 +14,7 @@ from redundancy_pin.cli.options import RobotOptions, backend_option, json_option
 from redundancy_pin.cli.output import console, print_json, progress, require_suffix, same_file, table_of
 from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
+from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import OutputError
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.planners.robot_record import robot_record
@@ -59,6 +60,7 @@ def inverse_dynamics(
       redundancy-pin inverse-dynamics --robot 3rrr --set carrier_mass=2.0 \
           --motion motion.csv --out efforts.csv
     """
+    # whatever is wrong with the output is reported before the work, and a motion is never written over
     if same_file(motion_path, out):
         raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
     require_suffix("--out", out, ".csv")
@@ -68,12 +70,26 @@ def inverse_dynamics(
         loaded = robot.load()
         motion, carriers = from_csv(motion_path), carriers_from_csv(motion_path)
         advance(1, 4, "dynamics")
-        reduced = BACKENDS[backend](loaded).reduce(motion, carriers, unreachable=unreachable)
+        whole = f"dynamics of {len(motion)} samples"  # the long part: shown sample by sample
+        dynamics = (
+            RneaDynamics(loaded, progress=lambda done, total: advance(done, total, whole))
+            if backend == RNEA
+            else BACKENDS[backend](loaded)
+        )
+        reduced = dynamics.reduce(motion, carriers, unreachable=unreachable)
         advance(2, 4, "efforts")
         distribution = distribute(reduced)
         advance(3, 4, "writing")
         write_text(out, efforts_csv(reduced, distribution))
     facts = _summary(reduced, distribution)
+    without = np.flatnonzero(~np.isfinite(distribution.tau).all(axis=1))
+    if len(without):
+        first = without[0]
+        click.echo(
+            f"warning: no finite main efforts at {len(without)} of {len(distribution)} samples, first at t = "
+            f"{reduced.t[first]:.6g} s ({distribution.status_labels[first]}).",
+            err=True,
+        )
     if as_json:
         print_json({"robot": loaded.name, "backend": backend, "motion": motion_path, "out": out, **facts})
         return

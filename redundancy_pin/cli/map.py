@@ -15,17 +15,17 @@ from redundancy_pin.cli.options import (
     backend_option,
     jobs_option,
     json_option,
-    parse_mode,
-    parse_setting,
-    parse_vector,
+    require_choice,
     robot_flags,
+    scheduler_option,
     split_trajectory,
     trajectory_option,
     trajectory_value,
 )
-from redundancy_pin.cli.output import console, print_json, require_choice, resumable
+from redundancy_pin.cli.output import console, print_json, resumable
 from redundancy_pin.cli.plan_problem import PARAMETERS, number, read_parameters
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, shown
+from redundancy_pin.io.files import expanded
 from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.feasibility import (
     LIMITS,
@@ -36,14 +36,16 @@ from redundancy_pin.studies.feasibility import (
     WHOLE,
     FeasibilityMap,
     MapProblem,
+    axis_label,
+    effort_unit,
     feasibility_map,
     parse_axis,
     write_map,
 )
-from redundancy_pin.studies.feasibility.picture import axis_label, effort_unit
 from redundancy_pin.studies.store import FILE
 from redundancy_pin.studies.table import Column, Table, json_data
 from redundancy_pin.visualisation.figures.style import require_matplotlib
+from redundancy_pin.workers import cluster
 
 
 def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -77,6 +79,7 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--refine", default=2, show_default=True, metavar="N", help="How often the border is bisected.")
 @click.option("--along", type=click.Choice(["x", "y"]), default="x", show_default=True, help="Axis of the bisection.")
 @jobs_option(-1)
+@scheduler_option
 @click.option("--out", metavar="FOLDER", help="Where store, tables and pictures go.  [default: map-ROBOT]")
 @json_option
 def map_command(**given: Any) -> int:
@@ -96,10 +99,10 @@ def map_command(**given: Any) -> int:
       redundancy-pin map --robot 3rrr --x radius=0.013:0.05:8 --y carrier_mass=0.5:5:8 --max-effort 4 --jobs 8
     """
     problem = problem_of(given)
-    require_matplotlib()
-    folder = Path(given["out"] or f"map-{Path(problem.robot).stem}").expanduser()
+    require_matplotlib()  # before hours of planning, not after them
+    folder = expanded(given["out"] or f"map-{Path(problem.robot).stem}")
     settings: dict[str, Any] = {name: given[name] for name in ("jobs", "refine", "along")}
-    with resumable("map", "cells", folder / FILE) as advance:
+    with cluster(given["scheduler"]), resumable("map", "cells", folder / FILE) as advance:
         result = feasibility_map(problem, folder / FILE, **settings, progress=advance)
     files = write_map(result, folder)
     if given["as_json"]:
@@ -126,7 +129,7 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
     if given["trajectory"] is None and robot not in PRESETS:
         raise InputError(f"There is no usual motion of {robot}.", remedy="Add --trajectory.")
     name, options = split_trajectory(given["trajectory"]) if given["trajectory"] else (preset.trajectory, {})
-    usual = name == preset.trajectory
+    usual = name == preset.trajectory  # limits and options of a preset were chosen for its own motion
     x, y = parse_axis(given["x_text"] or preset.x), parse_axis(given["y_text"] or preset.y)
     limits = {**(preset.limits if usual else {})}
     limits |= {key: float(given[key]) for key in LIMITS if given[key] is not None}
@@ -151,9 +154,10 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
             **(preset.options if usual else {}),
             **{key: trajectory_value(key, value, f"the trajectory {name}") for key, value in options.items()},
         },
-        settings=dict(parse_setting(text) for text in given["settings"]),
-        mode=() if given["mode"] is None else parse_mode(given["mode"]),
-        gravity=None if given["gravity"] is None else parse_vector(given["gravity"]),
+        settings=given["settings"],
+        mode=given["mode"] or (),
+        gravity=given["gravity"],
+        trust=given["trust"],
         backend=given["backend"] or (VIRTUAL_WORK if robot in PRESETS else RNEA),
         limits={key: value for key, value in limits.items() if not math.isinf(value)},
         planners=given["planners"] or (preset.thesis, WHOLE),
@@ -166,7 +170,7 @@ def _parameter(text: str) -> tuple[str, str, str]:
     key, separator, value = rest.partition("=")
     if not (colon and separator and key.strip() and value.strip()):
         raise InputError(
-            f"--parameter {text!r} is not PLANNER:NAME=VALUE.", remedy="Write --parameter switch-off:threshold=20."
+            f"--parameter {shown(text)} is not PLANNER:NAME=VALUE.", remedy="Write --parameter switch-off:threshold=20."
         )
     return require_choice(planner.strip(), (SWITCH_OFF, STEPWISE, WHOLE), "the planner"), key.strip(), value.strip()
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import click
 
 from redundancy_pin.arrays import checked
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.output import require_choice, require_known
-from redundancy_pin.errors import InputError
-from redundancy_pin.loading import load_robot
+from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.loading import load_with
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies.case import BACKENDS, TRAJECTORIES
 from redundancy_pin.trajectory import Trajectory
@@ -25,29 +24,17 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """What the command line says about the robot.
-
-    Attributes:
-        source: name of a shipped robot or path of a declaration.
-        settings: ``name=value`` pairs, xacro arguments.
-        mode: working mode, a sign a leg (``"+-+"``), or None.
-        gravity: ``"gx,gy,gz"``, m/s², or None.
-    """
+    """Which robot: the arguments of ``load_robot``, from flags or from a problem file."""
 
     source: str
-    settings: tuple[str, ...] = ()
-    mode: str | None = None
-    gravity: str | None = None
+    settings: Mapping[str, float | bool | str] = field(default_factory=dict)
+    mode: tuple[int, ...] | None = None
+    gravity: tuple[float, ...] | None = None
+    trust: bool = False
 
     def load(self) -> Robot:
         """Load the robot."""
-        arguments: dict[str, Any] = dict(parse_setting(text) for text in self.settings)
-        return load_robot(
-            self.source,
-            gravity=None if self.gravity is None else parse_vector(self.gravity),
-            working_mode=None if self.mode is None else parse_mode(self.mode),
-            **arguments,
-        )
+        return load_with(self.source, self.settings, gravity=self.gravity, working_mode=self.mode, trust=self.trust)
 
     @property
     def is_robot_only(self) -> bool:
@@ -55,18 +42,29 @@ class RobotOptions:
         return not self.settings and self.mode is None and self.gravity is None
 
 
+def _by(parse: Callable[[str], Any]) -> Callable[..., Any]:
+    """Return a callback of click that parses what is given, so that commands get values and no text."""
+    return lambda _context, _option, text: None if text is None else parse(text)
+
+
 def robot_flags(command: _Command, *, required: bool = True) -> _Command:
-    """Add ``--robot``, ``--set``, ``--mode`` and ``--gravity`` to a command."""
+    """Add ``--robot``, ``--set``, ``--mode``, ``--gravity`` and ``--trust`` to a command."""
+    # decorators apply from the inside out: the help lists the last one first
     for option in (
-        click.option("--gravity", metavar="X,Y,Z", help="Acceleration of gravity, m/s², such as 0,-9.81,0."),
-        click.option("--mode", metavar="SIGNS", help="Working mode, one sign a leg, such as +-+."),
+        trust_option,
         click.option(
-            "--set",
-            "settings",
-            multiple=True,
-            metavar="NAME=VALUE",
-            help="Parameter of the robot, such as carrier_mass=2.0; may be repeated.",
+            "--gravity",
+            metavar="X,Y,Z",
+            callback=_by(parse_vector),
+            help="Acceleration of gravity, m/s², such as 0,-9.81,0.",
         ),
+        click.option(
+            "--mode",
+            metavar="SIGNS",
+            callback=_by(parse_mode),
+            help="Working mode, one sign a leg, such as +-+.",
+        ),
+        settings_option("--set", "settings", "Parameter of the robot, such as carrier_mass=2.0; may be repeated."),
         click.option(
             "--robot",
             required=required,
@@ -83,14 +81,30 @@ def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[...
 
     def decorate(command: _Command) -> Callable[..., Any]:
         @functools.wraps(command)
-        def called(
-            robot: str | None, settings: tuple[str, ...], mode: str | None, gravity: str | None, **given: Any
-        ) -> Any:
-            return command(RobotOptions(robot or "", settings, mode, gravity), **given)
+        def called(robot: str | None, settings: Any, mode: Any, gravity: Any, trust: bool, **given: Any) -> Any:
+            return command(RobotOptions(robot or "", settings, mode, gravity, trust), **given)
 
         return robot_flags(called, required=required)
 
     return decorate
+
+
+def trust_option(command: _Command) -> _Command:
+    """Add ``--trust`` to a command; no file can say it."""
+    text = "Let the robot's xacro run any Python, with your rights: for files whose author you trust."
+    return click.option("--trust", is_flag=True, help=text)(command)
+
+
+def settings_option(flag: str, name: str, text: str) -> Callable[[_Command], _Command]:
+    """Return an option of ``NAME=VALUE`` pairs, which the command gets as a mapping."""
+    return click.option(
+        flag,
+        name,
+        multiple=True,
+        metavar="NAME=VALUE",
+        help=text,
+        callback=lambda _context, _option, texts: dict(parse_setting(each) for each in texts),
+    )
 
 
 def json_option(command: _Command) -> _Command:
@@ -113,17 +127,25 @@ def jobs_option(default: int) -> Callable[[_Command], _Command]:
     )
 
 
+def scheduler_option(command: _Command) -> _Command:
+    """Add the option ``--scheduler``: a cluster that does the work instead of processes of this machine."""
+    text = (
+        "Compute on the workers of this dask scheduler, such as tcp://host:8786, instead of processes of this machine."
+    )
+    return click.option("--scheduler", metavar="ADDRESS", help=text)(command)
+
+
 def parse_setting(text: str) -> tuple[str, float | bool | str]:
     """Return name and value of ``NAME=VALUE``."""
     name, separator, value = text.partition("=")
     name, value = name.strip(), value.strip()
     if not (separator and name and value):
-        raise InputError(f"--set {text!r} is not NAME=VALUE.", remedy="Write --set carrier_mass=2.0.", value=text)
+        raise InputError(f"--set {shown(text)} is not NAME=VALUE.", remedy="Write --set carrier_mass=2.0.", value=text)
     if name in ("gravity", "working_mode", "source"):
         instead = {"gravity": "--gravity", "working_mode": "--mode", "source": "--robot"}[name]
         raise InputError(f"--set cannot change {name}.", remedy=f"Use {instead}.", value=text)
     if value.lower() in ("true", "false"):
-        return name, value.lower() == "true"
+        return name, value.lower() == "true"  # before numbers: xacro tells a truth value from 1
     try:
         return name, float(value)
     except ValueError:
@@ -134,18 +156,18 @@ def parse_mode(text: str) -> tuple[int, ...]:
     """Return the working mode that a row of signs stands for, ±1 a leg."""
     signs = {"+": 1, "-": -1}
     if not text or not set(text) <= set(signs):
-        raise InputError(f"--mode {text!r} is not a row of + and -.", remedy="Write --mode +-+, one sign a leg.")
+        raise InputError(f"--mode {shown(text)} is not a row of + and -.", remedy="Write --mode +-+, one sign a leg.")
     return tuple(signs[sign] for sign in text)
 
 
-def parse_vector(text: str) -> tuple[float, ...]:
-    """Return gravity from ``X,Y,Z``, m/s²."""
+def parse_vector(given: Any) -> tuple[float, ...]:
+    """Return gravity, m/s², from ``X,Y,Z`` or a list."""
     try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
+        numbers = tuple(float(part) for part in (given.split(",") if isinstance(given, str) else given))
+    except (TypeError, ValueError, OverflowError):
         numbers = ()
     if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
-        raise InputError(f"--gravity {text!r} is not three numbers.", remedy="Write --gravity 0,-9.81,0 (m/s²).")
+        raise InputError(f"gravity is {shown(given)}, not three numbers.", remedy="Write 0,-9.81,0 (m/s²).")
     return numbers
 
 
@@ -153,8 +175,33 @@ FLAGS = ("speed", "radius", "ramp_time", "ramp_length", "straight", "side", "alp
 """Keys of trajectories that are flags of their own; the rest can be written as ``name:key=value``."""
 
 
+def require_known(given: Iterable[object], known: Sequence[str], where: str) -> None:
+    """Check that every key is known to what takes them, such as "the circle"."""
+    for key in given:
+        if key not in known:
+            takes = f"It takes {', '.join(known)}." if known else "It takes none."
+            raise InputError(
+                f"{_capital(where)} has no key {shown(str(key))}.",
+                remedy=f"{did_you_mean(key, known)}{takes}",
+                key=str(key),
+            )
+
+
+def require_choice(value: object, known: Sequence[str], where: str) -> str:
+    """Return a value that must be one of a few words."""
+    if isinstance(value, str) and value in known:
+        return value
+    remedy = f"{did_you_mean(value, known)}Choose one of {', '.join(known)}."
+    raise InputError(f"{_capital(where)} is {shown(value)}.", remedy=remedy, value=value)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
 def make_trajectory(name: str, options: Mapping[str, Any]) -> Trajectory:
     """Return a trajectory by name."""
+    # the maker's signature is the schema: a new trajectory needs no table of its keys here
     make = TRAJECTORIES[require_choice(name, tuple(TRAJECTORIES), "the trajectory")]
     signature = inspect.signature(make)
     where = f"the trajectory {name}"
@@ -188,7 +235,7 @@ def split_trajectory(text: str) -> tuple[str, dict[str, str]]:
     for pair in filter(None, rest.split(",")):
         key, separator, value = pair.partition("=")
         if not separator:
-            raise InputError(f"{pair!r} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
+            raise InputError(f"{shown(pair)} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
         options[key.strip()] = value.strip()
     return name, options
 
@@ -198,6 +245,7 @@ def trajectory_value(key: str, text: str, where: str) -> Any:
     if text in ("true", "false"):
         return text == "true"
     try:
+        # commas part the pairs of a trajectory already: rows have blanks and semicolons
         if ";" in text:
             return [[float(number) for number in row.split()] for row in text.split(";") if row.strip()]
         row = [float(number) for number in text.split()]
@@ -205,7 +253,7 @@ def trajectory_value(key: str, text: str, where: str) -> Any:
         row = []
     if not row:
         wanted = "Write a number, a row such as 1.0 0.4, or rows such as 1.0 0.4;1.0 0.5."
-        raise InputError(f"{key} of {where} is {text!r}, neither a number nor rows.", remedy=wanted, key=key)
+        raise InputError(f"{key} of {where} is {shown(text)}, neither a number nor rows.", remedy=wanted, key=key)
     return row[0] if len(row) == 1 else row
 
 

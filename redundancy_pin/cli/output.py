@@ -15,45 +15,17 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from redundancy_pin.errors import InputError, OutputError, did_you_mean
+from redundancy_pin._startup import INTERRUPTED
+from redundancy_pin.errors import OutputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.studies.table import json_data
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
 
-
-def require_known(given: Iterable[object], known: Sequence[str], where: str) -> None:
-    """Check that every key is known to what takes them, such as "the circle"."""
-    for key in given:
-        if key not in known:
-            takes = f"It takes {', '.join(known)}." if known else "It takes none."
-            raise InputError(
-                f"{_capital(where)} has no key {str(key)!r}.", remedy=f"{did_you_mean(key, known)}{takes}", key=str(key)
-            )
-
-
-def require_choice(value: object, known: Sequence[str], where: str) -> str:
-    """Return a value that must be one of a few words."""
-    if isinstance(value, str) and value in known:
-        return value
-    remedy = f"{did_you_mean(value, known)}Choose one of {', '.join(known)}."
-    raise InputError(f"{_capital(where)} is {value!r}.", remedy=remedy, value=value)
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 Advance = Callable[[int, int, str], None]
 """Called with steps done, steps in all, and what is being done."""
 
-_ROUNDING = 1e-12
-"""Coordinates and directions below this are shown as zero."""
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
-
-_PIPE_WIDTH = 140
-"""Columns of a table that does not go to a terminal: wide enough that nothing is cut."""
+_ROUNDING = 1e-12  # coordinates and directions below this are shown as zero
+_PIPE_WIDTH = 140  # columns of a table that does not go to a terminal: wide enough that nothing is cut
 
 
 def console(*, markup: bool = False) -> Console:
@@ -61,9 +33,14 @@ def console(*, markup: bool = False) -> Console:
 
     With ``markup`` a ``[green]`` in a text is a colour; without, texts of users are shown as they stand.
     """
-    if sys.stdout.isatty():
+    # a width of its own in a pipe: rich would take 80 columns there and cut numbers
+    if _is_terminal(sys.stdout):
         return Console(markup=markup, highlight=False)
     return Console(markup=markup, highlight=False, width=_PIPE_WIDTH, color_system=None)
+
+
+def _is_terminal(stream: Any) -> bool:
+    return stream is not None and stream.isatty()  # None where it was closed before the start
 
 
 def table_of(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = False) -> Table:
@@ -84,6 +61,11 @@ def print_json(data: Mapping[str, Any]) -> None:
 def number(value: float) -> str:
     """Return a number with six digits, rounding to zero what is rounding of a number of size one."""
     return f"{0.0 if abs(value) < _ROUNDING else value:.6g}"
+
+
+def printable(text: str) -> str:
+    """Return a text without the codes a terminal would obey: names come from files of strangers."""
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
 
 
 def require_suffix(flag: str, path: str, suffix: str) -> None:
@@ -107,12 +89,8 @@ def same_file(first: str | Path, second: str | Path) -> bool:
     """Return whether two paths lead to one file that exists."""
     try:
         return os.path.samefile(Path(first).expanduser(), Path(second).expanduser())
-    except OSError:
+    except (OSError, ValueError, RuntimeError):  # no such file, no such name, no such user
         return False
-
-
-def _no_progress(done: int, total: int, what: str = "") -> None:
-    """Take progress that nobody looks at."""
 
 
 @contextmanager
@@ -121,8 +99,8 @@ def progress(title: str) -> Iterator[Advance]:
 
     What is yielded takes steps done, steps in all, and what is being done.
     """
-    if not (sys.stderr.isatty() and sys.stdout.isatty()):
-        yield _no_progress
+    if not (_is_terminal(sys.stderr) and _is_terminal(sys.stdout)):
+        yield lambda done, total, what: None  # nobody looks at it: a bar in a log file is noise
         return
     bar = Progress(
         SpinnerColumn(),
@@ -156,6 +134,7 @@ def resumable(title: str, records: str, store: Path) -> Iterator[Advance]:
 
             yield advance
     except KeyboardInterrupt:
+        # what is finished is in the store: Ctrl-C loses at most the cells under way
         kept = f"{counts[0]} of {counts[1]} {records} are in {store}; the same command goes on from there."
         click.echo(f"interrupted: {kept}", err=True)
         raise click.exceptions.Exit(INTERRUPTED) from None

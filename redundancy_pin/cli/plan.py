@@ -11,7 +11,7 @@ import click
 import numpy as np
 from rich.table import Table
 
-from redundancy_pin.cli.errors import KEYS, OPTIONS, in_words
+from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.options import (
     FLAGS,
     RobotOptions,
@@ -20,6 +20,7 @@ from redundancy_pin.cli.options import (
     parse_trajectory,
     robot_options,
     trajectory_options,
+    trust_option,
 )
 from redundancy_pin.cli.output import (
     console,
@@ -32,9 +33,9 @@ from redundancy_pin.cli.output import (
     table_of,
 )
 from redundancy_pin.cli.plan_problem import (
-    PARAMETERS,
     PREFIX,
     STEP,
+    WORDING,
     Problem,
     flags_of,
     planner_options,
@@ -46,21 +47,31 @@ from redundancy_pin.io.files import replacing_file, require_writable
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.planners.whole_trajectory.planner import ALLOWED
 from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.measures import SWING, reversals
 from redundancy_pin.trajectory import Trajectory, from_csv
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
 
-_BACKENDS = {"Rnea": RNEA, "VirtualWork": VIRTUAL_WORK}
-"""How the command line calls what a plan names by its class."""
+_BACKENDS = {"Rnea": RNEA, "VirtualWork": VIRTUAL_WORK}  # how the command line calls what a plan names by its class
+_LISTED = 6  # broken limits that a table and a warning list; the rest is counted
+_LISTED_PHASES = 10  # a stepwise plan may change its phase at every step
 
-_LISTED = 6
-"""Broken limits that a table and a warning list; the rest is counted."""
+BREAKS_LIMITS = 3  # exit code of a plan that breaks limits of the carriers or needs unbounded efforts
+NOT_OPTIMAL = 4  # exit code of a plan that keeps all limits, but is no optimum or whose samples do not show it
+# others: BREAKS_LIMITS
+EXIT_CODES = {PlanStatus.WITHIN_LIMITS: 0, PlanStatus.STOPPED_EARLY: NOT_OPTIMAL, PlanStatus.UNRESOLVED: NOT_OPTIMAL}
 
 
-def require_outputs(out: str | None, plot: str | None, inputs: Sequence[str] = ()) -> None:
+_FINER = {
+    "whole_trajectory": "allow more --refinements, or a shorter --dt",
+    "stepwise": "use a shorter --step, or both sides of each jump",
+    "switch_off": "use --scheme integration, or a shorter --dt",
+}
+"""What helps a planner whose samples do not show its efforts."""
+
+
+def _require_outputs(out: str | None, plot: str | None, inputs: Sequence[str]) -> None:
     """Check that both files can be written and are none of the inputs, before the work is done."""
     if out:
         require_suffix("--out", out, ".npz")
@@ -72,39 +83,35 @@ def require_outputs(out: str | None, plot: str | None, inputs: Sequence[str] = (
             raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
 
 
-def write_outputs(plan: Plan, out: str | None, plot: str | None) -> None:
-    """Write the plan and its picture: both or neither."""
-    with ExitStack() as stack:
-        if plot:
-            save(plot_plan(plan), stack.enter_context(replacing_file(plot)))
-        if out:
-            plan.save(out)
-
-
 def warn(plan: Plan) -> None:
     """Print in one line on stderr what is wrong with a plan; nothing if it is within its limits."""
+    check = plan.between
     if plan.status is PlanStatus.VIOLATES_LIMITS:
         text = "; ".join(_event(plan, event, broken=True) for event in plan.limits.violated[:_LISTED])
         more = len(plan.limits.violated) - _LISTED
         click.echo(f"warning: limits broken: {text}{f'; and {more} more' if more > 0 else ''}.", err=True)
     if plan.status is PlanStatus.UNBOUNDED_EFFORT:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
-        where = f" first at t = {plan.t[bad[0]]:.6g} s," if len(bad) else ""
+        if len(bad) or check is None:
+            first = f" first at t = {plan.t[bad[0]]:.6g} s," if len(bad) else ""
+            where = f"{first} at {len(bad)} of {len(plan.t)} samples"
+        else:
+            where = f" between the samples, at t = {check.time[int(check.peak.argmax())]:.6g} s"
+        click.echo(f"warning: no finite main efforts:{where}, where W is singular.", err=True)
+    if plan.diagnostics.get("optimal") is False:
+        kept = plan.status in (PlanStatus.STOPPED_EARLY, PlanStatus.UNRESOLVED)
+        there = "The plan keeps every limit, but there" if kept else "There"
         click.echo(
-            f"warning: no finite main efforts:{where} at {len(bad)} of {len(plan.t)} samples, where W is singular.",
+            f"warning: this is no optimum: the optimiser stopped early ({plan.diagnostics.get('solver')}). "
+            f"{there} may be a better one; allow more --seconds.",
             err=True,
         )
-    if plan.status is PlanStatus.STOPPED_EARLY:
+    if check is not None and not check.passed and np.isfinite(check.ratio):
+        worst = int(check.peak.argmax())
         click.echo(
-            f"warning: this is no optimum: the optimiser stopped early ({plan.diagnostics.get('solver')}). The plan "
-            "keeps every limit, but there may be a better one; allow more --seconds.",
-            err=True,
-        )
-    ratio = _ratio_between_nodes(plan)
-    if ratio > ALLOWED:
-        click.echo(
-            f"warning: the efforts between the nodes are {ratio:.4g} times those at the nodes; allow more "
-            "--refinements, or a shorter --dt.",
+            f"warning: between the samples the efforts are {check.ratio:.4g} times those at the samples, up to "
+            f"{check.peak[worst]:.4g} {plan.robot.effort_unit(plan.robot.actuated[worst])} at t = "
+            f"{check.time[worst]:.6g} s: {_FINER[plan.planner]}.",
             err=True,
         )
 
@@ -121,6 +128,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "start": float(plan.t[0]),
         "end": float(plan.t[-1]),
         "peak_effort": plan.peak_effort,
+        "peak_effort_at_samples": plan.peak_effort_at_samples,
         "rms_effort": plan.rms_effort,
         "reversals": reversals(plan),
         "peak_carrier_force": np.abs(plan.carrier_force).max(axis=0, initial=0.0),
@@ -147,12 +155,8 @@ def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
     reached = "local optimum" if facts["optimal"] else "NOT an optimum"
     yield "reached", f"{reached} in {facts['iterations']} iterations, {facts['seconds']:.3g} s"
     yield "nodes", f"{facts['nodes']}, {len(facts['singular_nodes'])} of them singular"
-    yield "efforts between the nodes", f"at most {_ratio_between_nodes(plan):.6g} times those at the nodes"
-
-
-def _ratio_between_nodes(plan: Plan) -> float:
-    ratios: Any = plan.diagnostics.get("dense_ratios") or (1.0,)
-    return float(ratios[-1])
+    if plan.between is not None:
+        yield "efforts between the nodes", f"at most {plan.between.ratio:.6g} times those at the nodes"
 
 
 def _smallest_margin(plan: Plan) -> float:
@@ -175,6 +179,7 @@ def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
     facts, status = summary(plan), plan.status.value.replace("_", " ")
     if not plan.diagnostics.get("optimal", True):
         status = f"{status}: no optimum, the solver says {plan.diagnostics.get('solver')}"
+    # of the joints' kinds: a robot may have motors that turn and carriers that slide
     main, moved = plan.robot.effort_unit(*plan.robot.actuated), plan.robot.effort_unit(*plan.robot.carriers)
     rows = [
         ("status", status),
@@ -198,7 +203,8 @@ def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
 
 def _phases(phases: list[dict[str, Any]]) -> str:
     shown = [f"{phase['name'].replace('_', ' ')} {phase['start']:.4g}–{phase['end']:.4g}" for phase in phases]
-    return ", ".join(shown[:10]) + (f", and {len(shown) - 10} more" if len(shown) > 10 else "")
+    more = len(shown) - _LISTED_PHASES
+    return ", ".join(shown[:_LISTED_PHASES]) + (f", and {more} more" if more > 0 else "")
 
 
 def _events(plan: Plan, events: tuple[LimitEvent, ...], *, broken: bool) -> str:
@@ -219,16 +225,6 @@ def _row(values: Any) -> str:
     return ", ".join(number(float(value)) for value in values)
 
 
-BREAKS_LIMITS = 3
-"""Exit code where there is a plan, but it breaks limits of the carriers or needs unbounded efforts."""
-
-NOT_OPTIMAL = 4
-"""Exit code where there is a plan that keeps all limits, but the optimiser stopped before it had an optimum."""
-
-EXIT_CODES = {PlanStatus.WITHIN_LIMITS: 0, PlanStatus.STOPPED_EARLY: NOT_OPTIMAL}
-"""Exit code of each status that has one of its own; the others are ``BREAKS_LIMITS``."""
-
-
 def _output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     command = json_option(command)
     command = click.option("--plot", metavar="PICTURE", help="Draw the plan (.png, .svg or .pdf).")(command)
@@ -241,16 +237,18 @@ def _shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.group(invoke_without_command=True)
 @click.option("--problem", "problem_path", metavar="YAML", help="Problem file; docs/problem.yaml explains its keys.")
+@trust_option
 @_output_options
 @click.pass_context
 def plan(
-    context: click.Context, problem_path: str | None, out: str | None, plot: str | None, as_json: bool
+    context: click.Context, problem_path: str | None, trust: bool, out: str | None, plot: str | None, as_json: bool
 ) -> int | None:
     r"""Plan the motion of the carriers.
 
     By one of the planners below, or as a problem file says. Exit codes: 0 the plan keeps all limits; 3 there is a plan
     and it is written, but it breaks limits or needs unbounded efforts (one line on stderr says which); 4 there is a
-    plan and it is written, but the optimiser stopped before it had an optimum; 2 bad input, or no plan exists.
+    plan and it is written, but the optimiser stopped before it had an optimum, or the efforts between its samples
+    exceed those at the samples by more than 5 %; 2 bad input, or no plan exists.
 
     \b
     Examples:
@@ -262,9 +260,9 @@ def plan(
         if problem_path is None:
             raise InputError("There is nothing to plan.", remedy="Name a planner, or give --problem.")
         path = problem_path
-        with in_words(KEYS.knowing({name: name for names in PARAMETERS.values() for name in names})):
-            return _run(lambda: read_problem(path), out, plot, as_json, inputs=(path,))
-    if problem_path or out or plot or as_json:
+        with in_words(WORDING):
+            return _run(lambda: read_problem(path, trust=trust), out, plot, as_json, inputs=(path,))
+    if problem_path or out or plot or as_json or trust:
         raise InputError(
             "Options before the name of the planner belong to --problem.",
             remedy=f"Write them after {context.invoked_subcommand}, or leave the planner out.",
@@ -322,15 +320,15 @@ def whole_trajectory(robot: RobotOptions, **given: Any) -> int:
       redundancy-pin plan whole-trajectory --robot 2rpr --trajectory circle --speed 0.5 \
           --objective effort --objective peak=2 --out plan.npz --plot plan.png
       redundancy-pin plan whole-trajectory --robot 3rrr --mode +++ --trajectory corner --radius 0.013 \
-          --max-effort 8 --max-jerk 200 --json
+          --max-effort 9 --max-jerk 200 --json
     """
     return _from_flags("whole-trajectory", robot, given)
 
 
 def _from_flags(planner: str, robot: RobotOptions, given: Mapping[str, Any]) -> int:
     motion_path = given["motion_path"]
-    settings = given.get("baseline", ())
-    baseline = replace(robot, settings=(*robot.settings, *settings)) if settings else None
+    settings = given.get("baseline")
+    baseline = replace(robot, settings={**robot.settings, **settings}) if settings else None
     parameters = {name.removeprefix(PREFIX): value for name, value in given.items() if name.startswith(PREFIX)}
 
     def read() -> Problem:
@@ -349,6 +347,7 @@ def _motion(
         raise InputError("A plan needs either --trajectory or --motion.", remedy="Give one of them.")
     if motion_path is None:
         return parse_trajectory(str(trajectory), flags)
+    # refused rather than ignored: --speed beside a file would seem to have an effect
     useless = [name for name, value in flags.items() if value is not None]
     if useless:
         raise InputError(
@@ -361,17 +360,23 @@ def _run(
     read: Callable[[], Problem], out: str | None, plot: str | None, as_json: bool, *, inputs: tuple[str, ...]
 ) -> int:
     """Read, plan, write, print; return the exit code."""
-    require_outputs(out, plot, inputs)
+    # before the work: minutes of optimisation are not lost to a misspelt folder
+    _require_outputs(out, plot, inputs)
     with progress("plan") as advance:
         advance(0, 3, "reading")
         task = read()
         advance(1, 3, task.planner)
         result = task.solve(lambda text: advance(1, 3, text))
         advance(2, 3, "writing")
-        write_outputs(result, out, plot)
+        # both or neither: the picture, which is likelier to fail, takes its place only after the plan has been written
+        with ExitStack() as stack:
+            if plot:
+                save(plot_plan(result), stack.enter_context(replacing_file(plot)))
+            if out:
+                result.save(out)
     if as_json:
         print_json({**summary(result), "out": out, "plot": plot})
     else:
         console().print(_table(result, out, plot))
-    warn(result)
+    warn(result)  # last, and on stderr: what is wrong with a plan is the line a user sees
     return EXIT_CODES.get(result.status, BREAKS_LIMITS)

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 import numpy as np
-import yaml
 
 from redundancy_pin.arrays import frozen
-from redundancy_pin.cli.options import RobotOptions, make_trajectory
-from redundancy_pin.cli.output import require_choice, require_known
+from redundancy_pin.cli.errors import KEYS
+from redundancy_pin.cli.options import (
+    RobotOptions,
+    make_trajectory,
+    parse_mode,
+    parse_setting,
+    parse_vector,
+    require_choice,
+    require_known,
+    settings_option,
+)
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, RedundancyPinError, shown
+from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
@@ -32,7 +42,7 @@ Reader = Callable[[str, object], Any]
 
 
 def _refuse(name: str, value: object, expected: str, example: str) -> InputError:
-    return InputError(f"{name} is {value!r}, {expected}.", remedy=f"Write {example}.", name=name)
+    return InputError(f"{name} is {shown(value)}, {expected}.", remedy=f"Write {example}.", name=name)
 
 
 def number(name: str, value: object) -> float:
@@ -102,7 +112,7 @@ def weights(name: str, value: object) -> str | dict[str, float]:
     for entry in words:
         key, separator, weight = (part.strip() for part in entry.partition("="))
         if key in result:
-            raise InputError(f"{name} has {key!r} twice.", remedy="Leave one of them out.", name=name)
+            raise InputError(f"{name} has {shown(key)} twice.", remedy="Leave one of them out.", name=name)
         result[key] = number(f"the weight of {key}", weight) if separator else 1.0
     return result
 
@@ -228,12 +238,8 @@ def planner_options(planner: str) -> Callable[[_Command], _Command]:
 
     def decorate(command: _Command) -> _Command:
         if planner in WITH_BASELINE:
-            command = click.option(
-                "--baseline",
-                multiple=True,
-                metavar="NAME=VALUE",
-                help="Parameters that make the robot its own baseline: carriers=false.",
-            )(command)
+            text = "Parameters that make the robot its own baseline: carriers=false."
+            command = settings_option("--baseline", "baseline", text)(command)
         for name, parameter in reversed(list(PARAMETERS[planner].items())):
             command = _option(planner, name, parameter)(command)
         return command
@@ -243,6 +249,7 @@ def planner_options(planner: str) -> Callable[[_Command], _Command]:
 
 def _option(planner: str, name: str, parameter: Parameter) -> Callable[[_Command], _Command]:
     default = inspect.signature(PLANNERS[planner]).parameters[name].default
+    # None stands for "not given": the planner's own default applies, and the help shows it
     written = _flag(name, parameter)
     if "/" in written:
         shown = written.partition("/")[0 if default else 2]
@@ -303,6 +310,7 @@ def problem(
             f"lam = {values['lam']:g} asks for a fraction of the efforts of a baseline robot, and none is given.",
             remedy="Write --baseline carriers=false: the same robot without carriers.",
         )
+    # the other planners choose their own samples of a trajectory; the steps of this one are samples
     if planner == "stepwise" and isinstance(motion, Trajectory):
         motion = motion.sample(STEP if step is None else step)
     elif step is not None:
@@ -316,13 +324,47 @@ _ROBOT_KEYS = ("robot", "set", "mode", "gravity")
 _KEYS = ("planner", *_ROBOT_KEYS, "backend", "trajectory", "motion", "step", "parameters", "baseline")
 
 
-def read_problem(path: str | Path) -> Problem:
+WORDING = KEYS.knowing({name: name for names in PARAMETERS.values() for name in names})
+"""How a problem file writes what the package has names for."""
+
+
+def read_problem(path: str | Path, *, trust: bool = False) -> Problem:
     """Read a problem file.
 
-    Robots and motions given by path are looked for from the folder of the file.
+    Robots and motions given by path are looked for from the folder of the file. ``trust``, as for ``load_robot``, is
+    said by who reads it, not by the file. Errors are in the words of the file, and begin with its name and the line
+    they are about.
     """
-    place = Path(path).expanduser()
-    data = _read_yaml(place)
+    place = Path(path)
+    file = read_yaml(place, InputError, "The problem ")
+    data = file.data
+    if not isinstance(data, Mapping):
+        raise InputError(f"{path} holds no mapping of keys.", remedy=f"Its keys: {', '.join(_KEYS)}.", path=str(path))
+    try:
+        return _problem(data, place, trust)
+    except RedundancyPinError as error:
+        # errors of the robot's own files are about keys of those
+        key = str(error.details.get("key", error.details.get("name", ""))) if isinstance(error, InputError) else ""
+        # the same name may stand in several mappings
+        groups = (str(error.details[_GROUP]),) if _GROUP in error.details else ("", "parameters.", "set.", "baseline.")
+        where = file.place(next((group + key for group in groups if group + key in file.lines), groups[0] + key))
+        told = WORDING.reword(error)
+        raise type(told)(f"{where}: {told.message}", remedy=told.remedy, **told.details) from error
+
+
+_GROUP = "group"
+
+
+@contextmanager
+def _about(group: str) -> Iterator[None]:
+    """Let errors of bad input say which mapping of the file they are about."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(error.message, remedy=error.remedy, **{**error.details, _GROUP: group}) from error
+
+
+def _problem(data: Mapping[str, Any], place: Path, trust: bool) -> Problem:
     require_known(data, _KEYS, f"the problem {place.name}")
     for key in ("planner", "robot"):
         if key not in data:
@@ -331,27 +373,15 @@ def read_problem(path: str | Path) -> Problem:
     baseline = data.get("baseline")
     return problem(
         planner,
-        _robot(data, place.parent),
+        replace(_robot(data, place.parent), trust=trust),
         word("backend", data.get("backend", RNEA)),
         _motion(data, place),
         _mapping(data.get("parameters", {}), "parameters"),
-        baseline=None if baseline is None else _baseline(_mapping(baseline, "baseline"), data, place.parent),
+        baseline=None
+        if baseline is None
+        else replace(_baseline(_mapping(baseline, "baseline"), data, place.parent), trust=trust),
         step=None if data.get("step") is None else number("step", data["step"]),
     )
-
-
-def _read_yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"The problem {path} cannot be read: {error.strerror}.", remedy="Correct the path.", path=str(path)
-        ) from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"{path} is not YAML: {error}", remedy="Repair the file.", path=str(path)) from error
-    if not isinstance(data, Mapping):
-        raise InputError(f"{path} holds no mapping of keys.", remedy=f"Its keys: {', '.join(_KEYS)}.", path=str(path))
-    return data
 
 
 def _motion(data: Mapping[str, Any], path: Path) -> PlatformMotion | Trajectory:
@@ -365,7 +395,8 @@ def _motion(data: Mapping[str, Any], path: Path) -> PlatformMotion | Trajectory:
     options = dict(_mapping(data["trajectory"], "trajectory"))
     if "name" not in options:
         raise InputError("The trajectory lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")
-    return make_trajectory(options.pop("name"), options)
+    with _about("trajectory."):
+        return make_trajectory(options.pop("name"), options)
 
 
 def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:
@@ -374,22 +405,22 @@ def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:
     settings = _mapping(data.get("set", {}), "set")
     for name, value in settings.items():
         if not isinstance(value, (bool, int, float, str)):
-            raise InputError(f"{name} in `set` is {value!r}.", remedy="Write a number, true, false or text.", key=name)
-    if gravity is not None:
-        vector = numbers("gravity", gravity)
-        gravity = ",".join(repr(float(g)) for g in vector.ravel()) if hasattr(vector, "ravel") else str(vector)
+            raise InputError(
+                f"{name} in `set` is {shown(value)}.", remedy="Write a number, true, false or text.", key=name
+            )
     source = word("robot", data["robot"])
     return RobotOptions(
         source if source in shipped_robots() or Path(source).is_absolute() else str(folder / source),
-        tuple(f"{name}={value}" for name, value in settings.items()),
-        None if mode is None else word("mode", mode),
-        gravity,
+        dict(parse_setting(f"{name}={value}") for name, value in settings.items()),  # YAML reads 1e-3 as text
+        None if mode is None else parse_mode(word("mode", mode)),
+        None if gravity is None else parse_vector(gravity),
     )
 
 
 def _baseline(given: Mapping[str, Any], data: Mapping[str, Any], folder: Path) -> RobotOptions:
     """Return the baseline robot: the robot of the problem, with what ``baseline`` says in place of its own."""
     require_known(given, _ROBOT_KEYS, "the baseline")
+    # another robot has other parameters and modes: nothing of the first one's is taken over
     own = {} if "robot" in given else {key: data[key] for key in _ROBOT_KEYS if key in data}
     settings = {**_mapping(own.get("set", {}), "set"), **_mapping(given.get("set", {}), "set")}
     return _robot({**own, **given, "set": settings}, folder)
@@ -397,5 +428,5 @@ def _baseline(given: Mapping[str, Any], data: Mapping[str, Any], folder: Path) -
 
 def _mapping(value: object, name: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(f"{name} is {value!r}, not a mapping.", remedy=f"Write {name}: {{key: value}}.", key=name)
+        raise InputError(f"{name} is {shown(value)}, not a mapping.", remedy=f"Write {name}: {{key: value}}.", key=name)
     return value

@@ -6,9 +6,10 @@ import click
 
 from redundancy_pin.cli.options import json_option
 from redundancy_pin.cli.output import console, print_json, progress
-from redundancy_pin.studies.report import tables
 from redundancy_pin.studies.reproduce import reproduce as run_job
+from redundancy_pin.studies.reproduce import tables
 
+# tables of the report, and the columns of them that fit a terminal side by side
 SHOWN = {
     "motions": ("name", "samples", "parity", "smallest_margin", "statement"),
     "thesis": ("source", "experiment", "quantity", "stated", "computed", "unit"),
@@ -16,7 +17,6 @@ SHOWN = {
     "conclusions": ("claim", "stands", "here"),
     "findings": ("claim", "stands", "here"),
 }
-"""Tables of the report, and the columns of them that fit a terminal side by side."""
 
 
 @click.command()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import print_json
+from redundancy_pin.cli.output import print_json, printable
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
@@ -47,7 +47,7 @@ def show(
       redundancy-pin show --robot 3rrr --html 3rrr.html
       redundancy-pin show --plan plan.npz --open
     """
-    require_meshcat()
+    require_meshcat()  # before the robot is loaded and lifted
     if out:
         require_html(out)
         require_writable(out)
@@ -90,7 +90,7 @@ def _robot_of(plan: Plan, options: RobotOptions) -> Robot:
         raise InputError(
             "--set, --mode and --gravity cannot change the robot of a plan.", remedy="Leave them out, or plan again."
         )
-    return load_robot_of(plan, options.source or None)
+    return load_robot_of(plan, options.source or None, trust=options.trust)
 
 
 def _report(picture: View, where: str, *, as_json: bool) -> None:
@@ -99,4 +99,4 @@ def _report(picture: View, where: str, *, as_json: bool) -> None:
         facts = {"title": scene.title, "frames": len(scene.t), "duration": scene.duration, "where": where}
         print_json(facts)
     else:
-        click.echo(f"{scene.title}: {scene.duration:.4g} s in {len(scene.t)} frames, at {where}")
+        click.echo(f"{printable(scene.title)}: {scene.duration:.4g} s in {len(scene.t)} frames, at {where}")

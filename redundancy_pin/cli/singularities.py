@@ -12,7 +12,6 @@ from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.options import RobotOptions, json_option, parse_trajectory, robot_options, trajectory_option
 from redundancy_pin.cli.output import console, number, print_json, progress, require_picture, table_of
 from redundancy_pin.errors import InputError
-from redundancy_pin.io.files import replacing_file
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import SingularityKind
@@ -22,8 +21,7 @@ from redundancy_pin.trajectory import Trajectory, from_csv
 from redundancy_pin.visualisation.figures.paths import draw_locus
 from redundancy_pin.visualisation.figures.style import save
 
-_DRAWN_STEP = 1e-3
-"""Sampling interval of a trajectory in the picture, as a fraction of its duration."""
+_DRAWN_STEP = 1e-3  # sampling interval of a trajectory in the picture, as a fraction of its duration
 
 
 @click.command()
@@ -109,7 +107,7 @@ def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
 
 
 def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:
+    # drawing only: instants come from the trajectory itself
     motion = followed.sample(_DRAWN_STEP * followed.duration) if isinstance(followed, Trajectory) else followed
     drawn = draw_locus(singular_locus(robot), motion=None if motion is None else motion.x, crossings=crossings)
-    with replacing_file(plot) as temporary:
-        save(drawn, temporary)
+    save(drawn, plot)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from pathlib import Path
 
 import click
 
-from redundancy_pin.cli.options import json_option
+from redundancy_pin.cli.options import json_option, scheduler_option
 from redundancy_pin.cli.output import console, print_json, resumable
-from redundancy_pin.io.files import write_text
+from redundancy_pin.io.files import expanded, write_text
 from redundancy_pin.studies.robustness import DRAWS, robustness_study, study_caption, study_csv, study_table
 from redundancy_pin.studies.store import FILE
 from redundancy_pin.studies.table import json_data
+from redundancy_pin.workers import cluster
 
+# columns of the table that fit a terminal side by side; all of them are in study.md
 _SHOWN = ("scenario", "drive", "success", "largest", "worst", "statuses")
-"""Columns of the table that fit a terminal side by side; all of them are in study.md."""
 
 
 @click.command()
@@ -24,9 +24,12 @@ _SHOWN = ("scenario", "drive", "success", "largest", "worst", "statuses")
 @click.option("--seed", default=0, show_default=True, metavar="N", help="Of the draws.")
 @click.option("--severity", default=1.0, show_default=True, metavar="X", help="Factor on errors, friction and noise.")
 @click.option("--jobs", type=int, default=None, metavar="N", help="Processes; all cores when left out.")
+@scheduler_option
 @click.option("--out", default="study", show_default=True, metavar="FOLDER", help="Where store and tables go.")
 @json_option
-def study(draws: int, seed: int, severity: float, jobs: int | None, out: str, as_json: bool) -> None:
+def study(
+    draws: int, seed: int, severity: float, jobs: int | None, scheduler: str | None, out: str, as_json: bool
+) -> None:
     r"""Drive imperfect machines through singularities, many times.
 
     Masses, lengths, starts, friction, encoders and force noise are drawn at random; planned crossings are driven open
@@ -37,8 +40,8 @@ def study(draws: int, seed: int, severity: float, jobs: int | None, out: str, as
     Example:
       redundancy-pin study --draws 200 --out study
     """
-    folder = Path(out).expanduser()
-    with resumable("study", "trials", folder / FILE) as advance:
+    folder = expanded(out)
+    with cluster(scheduler), resumable("study", "trials", folder / FILE) as advance:
         result = robustness_study(
             draws, seed=seed, severity=severity, jobs=jobs, journal=folder / FILE, progress=advance
         )

@@ -8,8 +8,9 @@ import click
 
 from redundancy_pin import crosscheck
 from redundancy_pin.cli.errors import FAILED_CHECK
-from redundancy_pin.cli.options import jobs_option, json_option
+from redundancy_pin.cli.options import jobs_option, json_option, scheduler_option, trust_option
 from redundancy_pin.cli.output import console, print_json, progress
+from redundancy_pin.workers import cluster
 
 
 @click.command()
@@ -23,8 +24,12 @@ from redundancy_pin.cli.output import console, print_json, progress
 @click.option("--samples", default=2000, show_default=True, metavar="N", help="Random states for each robot.")
 @click.option("--seed", default=0, show_default=True, metavar="S", help="Seed of the random states.")
 @jobs_option(1)
+@scheduler_option
+@trust_option
 @json_option
-def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_json: bool) -> int:
+def validate(
+    robots: tuple[str, ...], samples: int, seed: int, jobs: int, scheduler: str | None, trust: bool, as_json: bool
+) -> int:
     r"""Check the dynamics on random states.
 
     The backends against each other, and against balances of power and momentum, finite differences, and forward
@@ -34,9 +39,12 @@ def validate(robots: tuple[str, ...], samples: int, seed: int, jobs: int, as_jso
     Example:
       redundancy-pin validate --robot 3rrr --samples 10000 --seed 1 --jobs 4
     """
+    # as joblib counts them: −1 means all cores
     processes = os.cpu_count() or 1 if jobs == -1 else jobs
-    with progress("validate") as advance:
-        report = crosscheck.run(robots or None, samples, seed, lambda done, total: advance(done, total, ""), processes)
+    with cluster(scheduler), progress("validate") as advance:
+        report = crosscheck.run(
+            robots or None, samples, seed, lambda done, total: advance(done, total, ""), processes, trust=trust
+        )
     if as_json:
         print_json(report.as_dict())
     else:

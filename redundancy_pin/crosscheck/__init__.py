@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
+from redundancy_pin.arrays import require_few
 from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
 from redundancy_pin.crosscheck.checks import (
     CheckRow,
@@ -24,7 +25,9 @@ from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import InputError
 from redundancy_pin.loading import load_robot
 from redundancy_pin.robot.urdf import shipped_robots
-from redundancy_pin.workers import parallel
+from redundancy_pin.workers import parallel, require_jobs
+
+MOST_STATES = 100_000_000  # of each robot: weeks
 
 __all__ = ["CheckRow", "CrossCheckReport", "run"]
 
@@ -38,6 +41,8 @@ def run(
     seed: int = 0,
     progress: Progress | None = None,
     jobs: int = 1,
+    *,
+    trust: bool = False,
 ) -> CrossCheckReport:
     """Check the dynamics of robots on random states and return the worst deviations.
 
@@ -50,6 +55,7 @@ def run(
         seed: seed of the random states; the same seed gives the same report.
         progress: called as batches get ready.
         jobs: processes that share the work; the report does not depend on it.
+        trust: as for ``load_robot``.
 
     Raises:
         InputError: ``samples`` or ``jobs`` is not positive, or ``seed`` is negative.
@@ -58,16 +64,18 @@ def run(
     for name, value, least in (("samples", samples, 1), ("seed", seed, 0), ("jobs", jobs, 1)):
         if value < least:
             raise InputError(f"{name} is {value}.", remedy=f"Pass {least} or more.", name=name, value=value)
-    work = list(_batches(tuple(robots) if robots else shipped_robots(), samples, seed))
+    require_few(samples, MOST_STATES, "samples is {}", "Ask for fewer, with several seeds.")
+    require_jobs(jobs)
+    work = [(*each, trust) for each in _batches(tuple(robots) if robots else shipped_robots(), samples, seed)]
     total, done = sum(size for _, _, size, *_ in work), 0
-    rows: list[CheckRow] = []
+    rows: tuple[CheckRow, ...] = ()
     # in order, so that the report does not depend on which process was faster
     for (_, _, size, *_), checked in zip(work, parallel(_checked, work, jobs, ordered=True), strict=True):
-        rows += checked
+        rows = merged((*rows, *checked))  # a million states are thousands of batches
         done += size
         if progress:
             progress(done, total)
-    return CrossCheckReport(merged(rows), seed)
+    return CrossCheckReport(rows, seed)
 
 
 def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[tuple[str, int, int, int, bool, bool]]:
@@ -81,10 +89,10 @@ def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[tuple[st
             yield from ((name, index, size, seed + 7, vary, True) for index, size in enumerate(sizes))
 
 
-def _checked(name: str, index: int, samples: int, seed: int, vary: bool, massless: bool) -> list[CheckRow]:
+def _checked(name: str, index: int, samples: int, seed: int, vary: bool, massless: bool, trust: bool) -> list[CheckRow]:
     """Draw a case and check it; ``massless`` is the 2-RPR of the thesis, whose only masses are the carriers."""
     masses, carriers = (Masses.ZERO_STAYS_ZERO, True) if massless else (Masses.ALL, None)
-    case = random_case(name, samples, seed, index, vary=vary, carriers=carriers, masses=masses)
+    case = random_case(name, samples, seed, index, vary=vary, carriers=carriers, masses=masses, trust=trust)
     deviations = _massless_deviations(case) if massless else _deviations(case)
     return [checked_row(case.robot.name, *deviation) for deviation in deviations]
 

@@ -12,10 +12,9 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import DeclarationError, RedundancyPinError, UnreachablePoseError
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, row_scale
+from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, row_scale
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.kinematics.modes import all_working_modes
-from redundancy_pin.loading import load_robot
+from redundancy_pin.loading import load_robot, load_with
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 
@@ -105,6 +104,7 @@ def random_case(
     vary: bool = True,
     carriers: bool | None = None,
     masses: Masses = Masses.SOME,
+    trust: bool = False,
 ) -> Case:
     """Return one case of so many states; cases of different ``index`` are independent draws.
 
@@ -113,16 +113,22 @@ def random_case(
     """
     # the first draw has its carriers, so that nothing about carriers goes unchecked by chance
     with_carriers = True if carriers is None and index == 0 else carriers
-    return _draw(source, samples, np.random.default_rng([seed, index]), vary, with_carriers, masses)
+    return _draw(source, samples, np.random.default_rng([seed, index]), vary, with_carriers, masses, trust)
 
 
 def _draw(
-    source: str, samples: int, rng: np.random.Generator, vary: bool, carriers: bool | None, masses: Masses
+    source: str,
+    samples: int,
+    rng: np.random.Generator,
+    vary: bool,
+    carriers: bool | None,
+    masses: Masses,
+    trust: bool,
 ) -> Case:
     failure: RedundancyPinError | None = None
     for attempt in range(_TRIES):
         try:
-            robot = random_robot(source, rng, carriers, masses) if vary else load_robot(source)
+            robot = random_robot(source, rng, carriers, masses) if vary else load_robot(source, trust=trust)
         except DeclarationError as error:
             failure = error  # these lengths do not close in this mode: draw again
             continue
@@ -155,7 +161,7 @@ def random_robot(
             arguments[name] = rng.uniform(0.1, 1.0) if present else 0.0
     modes = all_working_modes(nominal)
     mode = modes[int(rng.integers(len(modes)))] or None
-    return load_robot(source, gravity=tuple(rng.normal(0.0, 6.0, 3)), working_mode=mode, **arguments)
+    return load_with(source, arguments, gravity=tuple(rng.normal(0.0, 6.0, 3)), working_mode=mode)
 
 
 @lru_cache

@@ -32,24 +32,15 @@ from enum import Enum
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, IntArray
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, Frozen, IntArray
 
 
 def minimum_norm(matrices: Array, forces: Array, rank: IntArray, cost: Array) -> tuple[Array, Array]:
-    """Return the minimiser of Σ cost_j u_j² among the solutions of A u = P g, and the size of g − P g.
+    """Return the minimisers (N, m) of Σ cost_j u_j² among the solutions of A u = P g, and the sizes (N,) of g − P g.
 
-    P projects on the range of A, taken as its first ``rank`` singular directions. The caller decides whether what
-    the projection leaves out is negligible; until then u is not a solution of A u = g.
-
-    Args:
-        matrices: (N, n, m) A, finite, in scaled units.
-        forces: (N, n) g, finite, in scaled units.
-        rank: (N,) rank of A; all n where n = m takes a plain linear solve, about a tenth of the cost.
-        cost: (m,) positive weights.
-
-    Returns:
-        efforts: (N, m) u.
-        outside: (N,) ‖g − P g‖; zero where the rank is n.
+    P projects on the range of A (N, n, m), taken as its first ``rank`` singular directions; cost (m,) is positive. The
+    caller decides whether what the projection leaves out is negligible; until then u is not a solution of A u = g.
+    Full rank of a square A takes a plain linear solve, about a tenth of the cost.
     """
     samples, n, m = matrices.shape
     efforts = np.empty((samples, m))
@@ -89,14 +80,9 @@ _NOTHING_LEFT = 1e-9
 
 
 def within_bounds(start: Array, null: Array, bounded: Array, lower: Array, upper: Array) -> Array | None:
-    """Return the shortest z with l ≤ C (y₀ + N z) ≤ h, or None where there is none.
+    """Return the shortest z (d,) with l ≤ C (y₀ + N z) ≤ h, or None where there is none.
 
-    Args:
-        start: (p,) y₀.
-        null: (p, d) N, orthonormal.
-        bounded: (b, p) C.
-        lower: (b,) l, −inf where there is none.
-        upper: (b,) h, inf where there is none.
+    ``start`` is y₀ (p,), ``null`` N (p, d), orthonormal, ``bounded`` C (b, p); bounds (b,) may be infinite.
     """
     rows = np.concatenate([bounded[np.isfinite(lower)], -bounded[np.isfinite(upper)]])
     G = rows @ null
@@ -131,14 +117,7 @@ _ROUNDING = 1e-14
 
 
 def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
-    """Return the u (m,) with l ≤ u ≤ h that makes ‖A u − g‖ least.
-
-    Args:
-        matrix: (n, m) A.
-        goal: (n,) g.
-        lower: (m,) l, −inf where there is none; equal to h where u is fixed.
-        upper: (m,) h, inf where there is none.
-    """
+    """Return the u (m,) with l ≤ u ≤ h, infinite or equal ones too, that makes ‖A u − g‖ least."""
     free = lower < upper  # lsq_linear takes no empty interiors
     u = np.array(lower)
     if free.any():
@@ -157,17 +136,8 @@ def shortest(matrix: Array, wanted: Array, bounded: Array, lower: Array, upper: 
     """Return the shortest y with A y = w and l ≤ C y ≤ u.
 
     Where nothing within the bounds meets the equations, it is the y within them that makes ‖A y − w‖² + ε² ‖y‖² least,
-    ε small. Both are continuous in w, so an integrator can follow them.
-
-    Args:
-        matrix: (n, p) A.
-        wanted: (n,) w, in the range of A.
-        bounded: (p, p) C.
-        lower: (p,) l, −inf where there is none; below u.
-        upper: (p,) u, inf where there is none.
-
-    Returns:
-        y (p,), and whether it is within the bounds; it is not where C is singular and they forbid what is needed.
+    ε small. Both are continuous in w, so an integrator can follow them. A is (n, p), w in its range, C (p, p), l < u.
+    Also returns whether y is within the bounds; it is not where C is singular and they forbid what is needed.
     """
     u, values, vt = np.linalg.svd(matrix)
     rank = int((values > RANK_TOLERANCE * values[0]).sum())
@@ -200,13 +170,7 @@ def leaves_bounds(efforts: Array, lower: Array, upper: Array) -> BoolArray:
 def fit_into_bounds(matrices: Array, efforts: Array, rank: IntArray, cost: Array, lower: Array, upper: Array) -> Array:
     """Return the minimisers of Σ cost_j u_j² over the solutions of A u = A u₀ within the bounds, NaN if there are none.
 
-    Args:
-        matrices: (N, n, m) A, scaled.
-        efforts: (N, m) u₀, solutions without bounds, scaled.
-        rank: (N,) rank of A.
-        cost: (m,) positive weights.
-        lower: (N, m) bounds, −∞ allowed, scaled.
-        upper: (N, m) bounds, ∞ allowed, scaled.
+    All are scaled: A (N, n, m), u₀ = ``efforts`` (N, m), solutions without bounds, cost (m,) > 0, bounds (N, m).
     """
     fitted = np.full_like(efforts, np.nan)
     root = np.sqrt(cost)
@@ -227,14 +191,7 @@ def fit_into_bounds(matrices: Array, efforts: Array, rank: IntArray, cost: Array
 
 
 def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array) -> Array:
-    """Return (N,) min ‖A u − g‖ over l ≤ u ≤ h: how much force the bounds leave unbalanced, N, scaled.
-
-    Args:
-        matrices: (N, n, m) A, scaled.
-        forces: (N, n) g, scaled.
-        lower: (N, m) bounds l, scaled.
-        upper: (N, m) bounds h, scaled.
-    """
+    """Return (N,) min ‖A u − g‖ over l ≤ u ≤ h: how much force the bounds leave unbalanced, N, scaled."""
     problems = zip(matrices, forces, lower, upper, strict=True)
     return np.array([np.linalg.norm(A @ least_miss(A, g, low, high) - g) for A, g, low, high in problems])
 
@@ -258,7 +215,7 @@ RESIDUAL_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class CarrierForces:
+class CarrierForces(Frozen):
     """Forces of the carriers as δ changes them, F = F_0 + M_ss δ, and what they may be.
 
     Attributes:
@@ -282,7 +239,7 @@ class CarrierForces:
 
 
 @dataclass(frozen=True, eq=False)
-class Allocation:
+class Allocation(Frozen):
     """A solution of W τ − M_xs δ = f.
 
     Attributes:

@@ -7,7 +7,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, peak
+from redundancy_pin.arrays import Array, BoolArray, Frozen, peak
 from redundancy_pin.errors import CarrierLimitError, InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
@@ -17,7 +17,7 @@ OnUnreachable = Literal["raise", "mark"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ReducedDynamics:
+class ReducedDynamics(Frozen):
     """The equation of motion W τ = f in independent coordinates, with the carrier forces.
 
     N samples, n independent (platform) coordinates, m main actuators, k carriers. ``f`` and ``W`` stay
@@ -56,7 +56,7 @@ class ReducedDynamics:
 
 
 @dataclass(frozen=True, eq=False)
-class CarrierDerivatives:
+class CarrierDerivatives(Frozen):
     """Exact derivatives of f and of the carrier forces with respect to the carrier motion.
 
     Attributes:

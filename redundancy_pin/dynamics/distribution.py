@@ -14,6 +14,7 @@ from redundancy_pin.arrays import (
     RANK_TOLERANCE,
     Array,
     BoolArray,
+    Frozen,
     IntArray,
     checked,
     frozen,
@@ -52,7 +53,7 @@ class SampleStatus(IntEnum):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Distribution:
+class Distribution(Frozen):
     """Efforts of the main actuators and what they rest on, sample by sample.
 
     N samples, n independent coordinates, m main actuators. *Scaled* means D_x⁻¹ W D_a and D_x⁻¹ f with

@@ -10,12 +10,15 @@ With v = Γ ẋ + C ṡ and J_c Γ = 0 the constraint forces drop out of the equ
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, blocks, checked, frozen, read_only
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
     Dynamics,
@@ -24,10 +27,15 @@ from redundancy_pin.dynamics.base import (
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.kinematics.coordinates import column_scale, row_scale
+from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
+from redundancy_pin.kinematics.closure import ConstraintState, constraint_system
+from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
+
+_SAMPLES_PER_BLOCK = 20_000
+"""Samples beyond these go through RNEA in blocks, so that the memory they take does not grow."""
 
 _SAMPLES_PER_THREAD = 500
 """Below this a second thread costs more than it brings."""
@@ -41,10 +49,13 @@ class RneaDynamics(Dynamics):
     Args:
         robot: the robot.
         threads: threads of the batched RNEA; as many as there are processors when left out.
+        progress: called with samples done and samples in all while the kinematics of a motion are solved.
     """
 
-    def __init__(self, robot: Robot, *, threads: int | None = None) -> None:
-        self._robot = robot
+    def __init__(
+        self, robot: Robot, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        self._robot, self._progress = robot, progress
         self._threads = threads or os.cpu_count() or 1
 
     @property
@@ -55,10 +66,12 @@ class RneaDynamics(Dynamics):
     def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> RneaAlongMotion:
         """Solve the kinematics of a platform motion once; raises as ``kinematics.lift.lift``."""
         require_choice(unreachable)
-        return RneaAlongMotion(lift(self._robot, motion, mark_unreachable=unreachable == "mark"), self._threads)
+        marked = unreachable == "mark"
+        tree = lift(self._robot, motion, mark_unreachable=marked, progress=self._progress)
+        return RneaAlongMotion(tree, self._threads)
 
 
-class RneaAlongMotion:
+class RneaAlongMotion(Frozen):
     """RNEA dynamics along a lifted platform motion.
 
     Args:
@@ -71,8 +84,6 @@ class RneaAlongMotion:
         self._threads = max(1, min(threads, len(tree.motion) // _SAMPLES_PER_THREAD))
         self._rows = frozen(row_scale(tree.robot))
         self._columns = frozen(column_scale(tree.robot))
-        # (n, nv, N): the projection then runs over contiguous samples
-        self._gamma = np.ascontiguousarray(tree.gamma.transpose(2, 1, 0))
 
     @property
     def robot(self) -> Robot:
@@ -86,13 +97,20 @@ class RneaAlongMotion:
 
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out."""
-        effort = self.tree_effort(carriers)
-        f = np.stack([np.einsum("vn,vn->n", block, effort) for block in self._gamma], axis=1)
+        carriers = require_matching_carriers(self.robot, carriers, len(self.motion))
+        f, force = np.empty(self.motion.xd.shape), np.empty(carriers.s.shape)
+        for part in blocks(len(f), _SAMPLES_PER_BLOCK):
+            effort = self._effort(carriers, part)
+            for i, gamma in enumerate(
+                self._gamma if len(f) <= _SAMPLES_PER_BLOCK else _by_samples(self.tree.gamma[part])
+            ):
+                f[part, i] = np.einsum("vn,vn->n", gamma, effort)
+            force[part] = effort[self.robot.carrier_velocity].T
         return ReducedDynamics(
             t=self.motion.t,
             f=read_only(f),
             W=self.tree.W,
-            carrier_force=read_only(np.ascontiguousarray(effort[self.robot.carrier_velocity].T)),
+            carrier_force=read_only(force),
             reachable=self.tree.reachable,
             gap=self.tree.gap,
             row_scale=self._rows,
@@ -101,18 +119,22 @@ class RneaAlongMotion:
 
     def tree_motion(self, carriers: CarrierMotion | None = None) -> tuple[Array, Array, Array]:
         """Return q (nq, N), v (nv, N), a (nv, N) of the tree, carriers included, samples in columns."""
+        return self._tree_motion(require_matching_carriers(self.robot, carriers, len(self.motion)), slice(None))
+
+    def _tree_motion(self, carriers: CarrierMotion, part: slice) -> tuple[Array, Array, Array]:
         robot = self.robot
-        carriers = require_matching_carriers(robot, carriers, len(self.motion))
-        q, v, a = (np.array(part.T, order="F") for part in (self.tree.q, self.tree.v, self.tree.a))
-        q[robot.carrier_position] = carriers.s.T
-        v[robot.carrier_velocity] = carriers.sd.T
-        a[robot.carrier_velocity] = carriers.sdd.T
+        q, v, a = (np.array(whole[part].T, order="F") for whole in (self.tree.q, self.tree.v, self.tree.a))
+        q[robot.carrier_position] = carriers.s[part].T
+        v[robot.carrier_velocity] = carriers.sd[part].T
+        a[robot.carrier_velocity] = carriers.sdd[part].T
         return q, v, a
 
     def tree_effort(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (nv, N) generalised forces of the open tree, rnea(q, v, a)."""
-        q, v, a = self.tree_motion(carriers)
-        return _batched_rnea(self._pool, self._threads, q, v, a)
+        return self._effort(require_matching_carriers(self.robot, carriers, len(self.motion)), slice(None))
+
+    def _effort(self, carriers: CarrierMotion, part: slice) -> Array:
+        return _batched_rnea(self._pool, self._threads, *self._tree_motion(carriers, part))
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
         """Return the exact derivatives of f and carrier forces by s, ṡ, s̈ (Pinocchio's RNEA derivatives, projected)."""
@@ -166,6 +188,10 @@ class RneaAlongMotion:
         return frozen(total)
 
     @cached_property
+    def _gamma(self) -> Array:
+        return _by_samples(self.tree.gamma)
+
+    @cached_property
     def _pool(self) -> pin.ModelPool:
         return pin.ModelPool(self.robot.model, self._threads)
 
@@ -178,7 +204,119 @@ class RneaAlongMotion:
         return pin.ModelPool(model, self._threads)
 
 
+def _by_samples(gamma: Array) -> Array:
+    """Return Γ as (n, nv, N): the projection then runs over contiguous samples."""
+    return np.ascontiguousarray(gamma.transpose(2, 1, 0))
+
+
 def _batched_rnea(pool: pin.ModelPool, threads: int, q: Array, v: Array, a: Array) -> Array:
     # for a single column the binding returns a vector
     result: Array = np.reshape(pin.rneaInParallel(threads, pool, q, v, a), v.shape)
+    return result
+
+
+# --- reactions --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class JointReactions(Frozen):
+    """What the joints transmit along a motion.
+
+    Attributes:
+        joints: names of the tree's joints, J of them.
+        joint_wrench: (N, J, 6) force and moment that the parent body exerts on the child through each joint, world
+            axes, at the joint's origin, N and N·m; actuator efforts included.
+        closures: name of each closure row, ``"x of tip_2 = corner_2"``, r of them.
+        closure_force: (N, r) force (or moment) along each closure row: what frame a exerts on frame b, in the axes of
+            frame a, N or N·m.
+        residual: (N,) largest generalised force left unbalanced by the given efforts, N or N·m. Rounding when the
+            efforts produce the motion; large when they do not, and then the reactions mean nothing.
+    """
+
+    joints: tuple[str, ...]
+    joint_wrench: Array
+    closures: tuple[str, ...]
+    closure_force: Array
+    residual: Array
+
+
+def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMotion | None = None) -> JointReactions:
+    """Compute the reactions in every joint and closure.
+
+    The closure forces λ follow from the equations of motion of the tree, J_cᵀ λ = rnea(q, v, a) − Sᵀ τ − C F, which
+    have full column rank away from type I singularities; a second pass of RNEA with λ as external forces gives the
+    joint wrenches. Where the closures lose rank (a flat four-bar) the linkage can be prestressed: both are
+    undetermined, and NaN.
+
+    Args:
+        along: RNEA dynamics along a platform motion.
+        tau: (N, m) main efforts, N or N·m; rows of NaN (no finite effort exists) give rows of NaN.
+        carriers: carrier motion, parked when left out.
+
+    Raises:
+        InputError: ``tau`` has the wrong shape.
+    """
+    robot, tree = along.robot, along.tree
+    effort = np.asarray(tau, dtype=float)
+    holes = np.isnan(effort).any(axis=-1, keepdims=True) if effort.ndim == 2 else np.zeros(1, dtype=bool)
+    checked(np.where(holes, 0.0, effort), "tau", (len(along.motion), robot.m))
+    usable = ~holes[:, 0] & tree.reachable
+    system = constraint_system(robot)
+    state = system.evaluate(tree.q)
+    rest = along.tree_effort(carriers).T.copy()
+    rest[:, robot.actuated_velocity] -= effort
+    rest[~usable] = 0.0
+    columns = system.pose_columns
+    transposed = np.where(usable[:, None, None], state.Jc[:, :, columns], 0.0).transpose(0, 2, 1)
+    multipliers = (np.linalg.pinv(transposed) @ rest[:, columns, None])[:, :, 0]
+    scaled = transposed * (system.closure_scale / velocity_scale(robot)[columns, None])
+    determined = np.linalg.svd(scaled, compute_uv=False)[:, -1] > SINGULAR_MARGIN
+    left = rest[:, columns] - (transposed @ multipliers[:, :, None])[:, :, 0]
+    forces = _closure_wrenches(robot, state, multipliers)
+    wrench = _second_pass(along, carriers, forces)
+    left[~usable] = np.nan
+    for array in (multipliers, wrench):
+        array[~(usable & determined)] = np.nan
+    return JointReactions(
+        joints=tuple(str(name) for name in robot.model.names)[1:],
+        joint_wrench=read_only(wrench),
+        closures=tuple(f"{axis} of {closure.name}" for closure in robot.closures for axis in closure.axes),
+        closure_force=read_only(multipliers),
+        residual=read_only(np.abs(left).max(axis=1, initial=0.0)),
+    )
+
+
+def _closure_wrenches(robot: Robot, state: ConstraintState, multipliers: Array) -> dict[int, Array]:
+    """Return by joint index the closure forces on its body: (6, N) about the world origin, world axes."""
+    model = robot.model
+    total: dict[int, Array] = {}
+    of_rows = (closure for closure in robot.closures for _ in closure.axes)
+    for index, closure in enumerate(of_rows):
+        # at an open frame pair the force acts where frame b is, on both bodies
+        wrench = state.rows.wrench[:, index] * multipliers[:, index]
+        for frame, sign in ((closure.frame_b, 1.0), (closure.frame_a, -1.0)):
+            joint = int(model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint)
+            total[joint] = total.get(joint, 0.0) + sign * wrench
+    return total
+
+
+def _second_pass(along: RneaAlongMotion, carriers: CarrierMotion | None, forces: dict[int, Array]) -> Array:
+    model = along.robot.model
+    data = model.createData()
+    q, v, a = along.tree_motion(carriers)
+    external = pin.StdVec_Force()
+    for _ in range(model.njoints):
+        external.append(pin.Force.Zero())
+    result = np.empty((q.shape[1], model.njoints - 1, 6))
+    for i in range(q.shape[1]):
+        # places first: RNEA takes external forces in the frames of the joints, and these are in world axes
+        pin.forwardKinematics(model, data, q[:, i])
+        for joint, wrench in forces.items():
+            if joint > 0:
+                external[joint] = data.oMi[joint].actInv(pin.Force(wrench[:, i]))
+        pin.rnea(model, data, q[:, i], v[:, i], a[:, i], external)
+        for joint in range(1, model.njoints):
+            rotation = data.oMi[joint].rotation
+            result[i, joint - 1, :3] = rotation @ data.f[joint].linear
+            result[i, joint - 1, 3:] = rotation @ data.f[joint].angular
     return result

@@ -17,22 +17,28 @@ Finite floats are written with as many digits as make them come back bit by bit.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+import sys
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, BinaryIO, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import read_only
-from redundancy_pin.errors import InputError, OutputError, PlanFileError
+from redundancy_pin.errors import InputError, OutputError, PlanFileError, RedundancyPinError, shortened, shown
 from redundancy_pin.io.files import replacing_file
+from redundancy_pin.io.json_text import read_json
+from redundancy_pin.io.reading import opened
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 """Arrays by their name in the archive."""
@@ -82,7 +88,7 @@ def _decode_marked(kind: str, content: Any, arrays: Mapping[str, NDArray[Any]]) 
         return arrays[content]
     if kind == "$mapping":
         return {decode(key, arrays): decode(entry, arrays) for key, entry in content}
-    raise ValueError(f"unknown mark {kind!r}")
+    raise ValueError(f"unknown mark {shown(kind)}")
 
 
 def _encode_record(value: object, name: str, arrays: Arrays) -> Any:
@@ -144,6 +150,39 @@ _T = TypeVar("_T")
 _METADATA = "metadata"
 """Name of the array that holds the JSON text."""
 
+MOST_ARRAYS = 10_000
+"""Arrays in a file; a plan has some fifteen, and two for each interval in which its actuators are off."""
+
+_UNPACKED, _RATIO = 1 << 27, 20
+"""Bytes that a file may have when it is unpacked: so many, and so many for each byte it has. Plans have 1.4 to 3."""
+
+_SURROGATES = 0xD800, 0xDFFF
+"""First and last code that is half a character."""
+
+_TAIL = 22 + (1 << 16)
+"""Bytes at the end of an archive where its list of members is named."""
+
+_LONGEST_DIRECTORY = 1 << 21
+"""Bytes of that list; an array takes some 80 and its name."""
+
+_DIGEST = "digest"
+"""Key of the metadata under which the digest of everything else stands."""
+
+_WITHOUT_DIGEST = 1
+"""Newest version of a format, of plans and of simulations, that may be without: what version 0.1.0 wrote."""
+
+
+def _digest(content: Mapping[str, Any], arrays: Arrays) -> str:
+    """Return the SHA-256 of metadata and arrays: not a signature, but no edit by accident or convenience fits it."""
+    rest = {key: value for key, value in content.items() if key != _DIGEST}
+    digest = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
+    for name in sorted(set(arrays) - {_METADATA}):
+        array = arrays[name]
+        array = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))  # the same on every machine
+        digest.update(f"{name} {array.dtype.str} {arrays[name].shape}".encode())
+        digest.update(array.data)
+    return digest.hexdigest()
+
 
 def write_archive(path: str | Path, kind: str, version: int, record: object) -> None:
     """Write a dataclass to a file, whole or not at all. The same record gives the same bytes.
@@ -152,7 +191,7 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
         path: the file; it gets exactly this name.
         kind: what the file calls itself.
         version: version of the format.
-        record: the dataclass; see ``plain.encode`` for what it may hold.
+        record: the dataclass; see ``encode`` for what it may hold.
 
     Raises:
         InputError: the record holds something that is not plain data.
@@ -165,11 +204,24 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
         "package_version": _package_version(),
         "record": encode(record, arrays),
     }
-    text = json.dumps(content, allow_nan=False)
+    text = json.dumps({**content, _DIGEST: _digest(content, arrays)}, allow_nan=False)
+    try:
+        read_json(text)
+        if len(arrays) >= MOST_ARRAYS:
+            raise ValueError(f"{len(arrays)} arrays")
+    except ValueError as error:
+        raise InputError(
+            f"The record is more than a file may hold: {error}.", remedy="Keep numbers in few arrays, not in lists."
+        ) from error
     with replacing_file(path) as temporary:
         try:
             with temporary.open("wb") as stream:
                 np.savez_compressed(stream, allow_pickle=False, **{_METADATA: np.array(text)}, **arrays)
+                if sum(array.nbytes for array in arrays.values()) > _most_unpacked(stream.tell()) - 4 * len(text):
+                    # millions of zeros: the reader would take them for a bomb
+                    stream.seek(0)
+                    stream.truncate()
+                    np.savez(stream, allow_pickle=False, **{_METADATA: np.array(text)}, **arrays)
         except OSError as error:
             raise OutputError(
                 f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
@@ -189,39 +241,48 @@ def read_archive(path: str | Path, kind: str, version: int, word: str, make: Cal
 
     Raises:
         PlanFileError: missing, unreadable, truncated or damaged, another kind of file, a newer format, or a record
-            that ``make`` refuses.
+            that ``make`` refuses; or a file that was changed since it was written.
     """
     if not isinstance(path, (str, Path)):
-        raise PlanFileError(f"A file is named by text or a path, not by {path!r}.", remedy="Pass its path.")
-    place = Path(path).expanduser()
+        raise PlanFileError(f"A file is named by text or a path, not by {shown(path)}.", remedy="Pass its path.")
+    place = Path(os.path.expanduser(path))
     arrays = _read_arrays(place, word)
     content = _metadata(place, arrays, word)
     _require_format(place, content, kind, version, word)
     try:
         record = decode(content["record"], arrays)
     except (KeyError, TypeError, ValueError) as error:
-        raise _damaged(place, word, f"its metadata cannot be followed ({type(error).__name__}: {error})") from error
+        reason = f"{type(error).__name__}: {shortened(str(error))}"
+        raise _damaged(place, word, f"its metadata cannot be followed ({reason})") from error
     if not isinstance(record, dict):
         raise _damaged(place, word, "its metadata hold no record")
     try:
-        return make(record)
-    except InputError as error:
+        made = make(record)
+    except RedundancyPinError as error:
         raise _damaged(place, word, error.message.removesuffix(".")) from error
     except KeyError as error:
-        raise _damaged(place, word, f"{error.args[0]!r} is missing") from error
-    except (TypeError, ValueError, AttributeError) as error:
-        raise _damaged(place, word, f"it does not hold a {word}'s fields ({error})") from error
+        raise _damaged(place, word, f"{shown(error.args[0])} is missing") from error
+    except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+        reason = shortened(" ".join(str(error).split()))
+        raise _damaged(place, word, f"it does not hold a {word}'s fields ({reason})") from error
+    # last: what does not fit together at all is named by what it is
+    if (_DIGEST in content or content["format_version"] > _WITHOUT_DIGEST) and content.get(_DIGEST) != _digest(
+        content, arrays
+    ):
+        raise _damaged(place, word, f"it was changed after the {word} was saved, for its digest is another one")
+    return made
 
 
 def _require_format(path: Path, content: Mapping[str, Any], kind: str, version: int, word: str) -> None:
     if content.get("format") != kind:
-        raise _foreign(path, word, f"is a {content.get('format')!r}, not a {kind!r}")
+        raise _foreign(path, word, f"is a {shown(content.get('format'))}, not a {kind!r}")
     written = content.get("format_version")
     if type(written) is not int or written < 1:
-        raise _damaged(path, word, f"its format version is {written!r}")
+        raise _damaged(path, word, f"its format version is {shown(written)}")
     if written > version:
+        writer = shortened(str(content.get("package_version")))
         raise PlanFileError(
-            f"{path} has format version {written}, written by redundancy_pin {content.get('package_version')}; this "
+            f"{path} has format version {written}, written by redundancy_pin {writer}; this "
             f"one, {_package_version()}, reads up to version {version}.",
             remedy="Install a newer redundancy_pin.",
             path=str(path),
@@ -243,29 +304,99 @@ def _damaged(path: Path, word: str, what: str) -> PlanFileError:
 
 
 def _read_arrays(path: Path, word: str) -> Arrays:
-    if not path.is_file():
-        raise _foreign(path, word, "is a folder" if path.is_dir() else "does not exist")
-    try:
-        with path.open("rb") as stream:
-            if stream.read(4) != b"PK\x03\x04":
-                raise _foreign(path, word, f"is not an npz archive ({os.path.getsize(path)} bytes)")
-            stream.seek(0)
-            with np.load(stream, allow_pickle=False) as archive:
-                return {name: read_only(archive[name]) for name in archive.files}
-    except PlanFileError:
-        raise
-    except Exception as error:  # bytes that nobody vouches for: zip, zlib and numpy raise a dozen kinds
-        size = os.path.getsize(path) if os.access(path, os.R_OK) else 0
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise _damaged(path, word, f"its {size} bytes are no complete archive of arrays ({reason})") from error
+    """Return the arrays of a file, unpacked only once all sizes and names in it are known to be sound."""
+    if os.path.isdir(path) or not os.path.exists(path):
+        raise _foreign(path, word, "is a folder" if os.path.isdir(path) else "does not exist")
+    with opened(path, PlanFileError) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if stream.read(4) != b"PK\x03\x04":
+            raise _foreign(path, word, f"is not an npz archive ({size} bytes)")
+        try:
+            _require_short_directory(stream, size)
+            with zipfile.ZipFile(stream) as archive:
+                members = archive.infolist()
+                _require_sound(members, size)
+                return {member.filename.removesuffix(".npy"): _read_array(archive, member) for member in members}
+        except Exception as error:  # bytes that nobody vouches for: zip, zlib and numpy raise a dozen kinds
+            reason = shortened(" ".join(str(error).split()) or type(error).__name__)
+            raise _damaged(path, word, f"its {size} bytes are no complete archive of arrays ({reason})") from error
+
+
+def _require_short_directory(stream: BinaryIO, size: int) -> None:
+    """Check the size of the list of members, which ``zipfile`` reads whole, as ``zipfile`` finds it."""
+    stream.seek(max(size - _TAIL, 0))
+    tail = stream.read(_TAIL)
+    end = tail.rfind(b"PK\x05\x06")
+    if end < 0 or len(tail) < end + 22:
+        raise ValueError("File is not a zip file")
+    if b"PK\x06\x07" in tail[max(end - 20, 0) : end]:
+        raise ValueError("an archive of more than 4 GiB")
+    listed = int.from_bytes(tail[end + 12 : end + 16], "little")
+    if listed > _LONGEST_DIRECTORY:
+        raise ValueError(f"{listed} bytes of names of members, of at most {_LONGEST_DIRECTORY}")
+    stream.seek(0)
+
+
+def _require_sound(members: Sequence[zipfile.ZipInfo], size: int) -> None:
+    """Check number, names and unpacked sizes of the members of an archive of so many bytes."""
+    if len(members) > MOST_ARRAYS:
+        raise ValueError(f"{len(members)} arrays, of at most {MOST_ARRAYS}")
+    names: set[str] = set()
+    for member in members:
+        name = member.filename
+        if name in names:
+            raise ValueError(f"the array {shown(name)} twice")
+        if not name.endswith(".npy") or "/" in name or "\\" in name or not name.isprintable():
+            raise ValueError(f"a member {shown(name)}, which is no array")
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"{shown(name)} is packed in another manner than by numpy")
+        names.add(name)
+    unpacked, largest = sum(member.file_size for member in members), _most_unpacked(size)
+    if unpacked > largest:
+        raise ValueError(f"{unpacked} bytes when unpacked, of at most {largest}")
+
+
+def _most_unpacked(size: int) -> int:
+    """Return how many bytes a file of so many may have when it is unpacked."""
+    return _UNPACKED + _RATIO * size
+
+
+def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Return an array, read-only; its header is believed only where it says what the member holds."""
+    with archive.open(member) as stream:
+        version = npy.read_magic(stream)
+        if version == (1, 0):
+            shape, by_columns, dtype = npy.read_array_header_1_0(stream)
+        elif version == (2, 0):
+            shape, by_columns, dtype = npy.read_array_header_2_0(stream)
+        else:
+            raise ValueError(f"{shown(member.filename)} has version {version} of numpy's format")
+        if dtype.hasobject or dtype.kind not in _KINDS:
+            raise ValueError(f"{shown(member.filename)} is an array of {dtype}, not of numbers or text")
+        count = math.prod(shape)
+        expected = member.file_size - stream.tell()
+        if any(length < 0 for length in shape) or not dtype.itemsize or count * dtype.itemsize != expected:
+            raise ValueError(f"{shown(member.filename)} says it has shape {shown(shape)}, but has {expected} bytes")
+        content = stream.read(expected + 1)  # the byte more makes it check the sum
+    if len(content) != expected:
+        raise ValueError(f"{shown(member.filename)} ends after {len(content)} of {expected} bytes")
+    if dtype.kind == "U":
+        codes = np.frombuffer(content, np.dtype(np.uint32).newbyteorder(dtype.byteorder))
+        if ((codes > sys.maxunicode) | ((codes >= _SURROGATES[0]) & (codes <= _SURROGATES[1]))).any():
+            raise ValueError(f"{shown(member.filename)} holds codes that are no characters")
+    array: NDArray[Any] = np.ndarray(shape, dtype, content, order="F" if by_columns else "C")
+    return read_only(array if dtype.isnative else array.astype(dtype.newbyteorder("=")))
 
 
 def _metadata(path: Path, arrays: Arrays, word: str) -> dict[str, Any]:
     if _METADATA not in arrays:
-        names = ", ".join(list(arrays)[:5]) or "nothing"
+        names = ", ".join(shortened(name, 40) for name in list(arrays)[:5]) or "nothing"
         raise _foreign(path, word, f"is an npz archive without metadata (it holds {names})")
+    text = arrays[_METADATA]
+    if text.shape or text.dtype.kind != "U":
+        raise _damaged(path, word, f"its metadata are {text.dtype} of shape {text.shape}, not text")
     try:
-        content = json.loads(str(arrays[_METADATA]))
+        content = read_json(str(text))
     except ValueError as error:
         raise _damaged(path, word, f"its metadata are not JSON ({error})") from error
     if not isinstance(content, dict):

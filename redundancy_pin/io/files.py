@@ -1,19 +1,37 @@
-"""Writing files so that a reader never sees half of one: build beside the target, then rename."""
+"""Writing files so that a reader never sees half of one: build beside the target, then rename.
+
+What a link leads to is written, and the link stays; an existing file keeps its permissions; a read-only one is left
+alone. Temporary folders are locked while something is written into them: those of a writer that was killed are not, and
+the next writer into the same folder removes them.
+"""
 
 from __future__ import annotations
 
-import json
+import errno
+import glob
 import os
 import shutil
+import stat
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from redundancy_pin.errors import OutputError
+from redundancy_pin.errors import OutputError, shortened
+from redundancy_pin.io.json_text import LARGEST_TEXT, read_json
+from redundancy_pin.io.reading import read_text
 
 MANIFEST = "summary.json"
 """File of a results folder that lists, under the key ``io.files``, everything the folder holds."""
+
+# What a name that is too long, a NUL in it, and a loop of links raise
+_BAD_NAME = (OSError, ValueError, RuntimeError)
+# Names of their own, so that nobody else's files are taken for leftovers; the second holds an earlier folder of results
+_TEMPORARY, _EARLIER = ".redundancy_pin-", ".redundancy_pin_earlier-"
+# What network file systems without locks answer: leftovers stay there, as nobody knows whose they are
+_NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
+_LONGEST_NAME = 150  # bytes of a folder's name in that of its earlier version, which must not get too long for a name
 
 
 @contextmanager
@@ -23,40 +41,55 @@ def replacing_file(target: str | Path) -> Iterator[Path]:
     Whatever goes wrong, ``target`` is as it was before and the temporary file is gone.
 
     Args:
-        target: the file to write; an existing one is replaced.
+        target: the file to write; an existing one is replaced, and keeps its permissions.
 
     Yields:
-        A path in the folder of the target, with its suffix (writers choose a format by it).
+        A path on the same disk, with the name of the target (writers choose a format by its suffix).
 
     Raises:
-        OutputError: the folder does not exist or is not writable, or the target is a folder.
+        OutputError: as ``require_writable``, or the disk refuses.
     """
-    path = Path(target).expanduser()
-    require_writable(path)
-    with _refusing(path):
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-    temporary = Path(name)
+    path = require_writable(target)
+    _collect(path.parent)
+    # in a folder of its own: writers may rename over the file, which would lose a lock on it
+    with refusing(path):
+        folder, lock = _made_locked(path.parent)
+        temporary = folder / path.name
+        temporary.touch(0o600)
     try:
         yield temporary
-        with _refusing(path):
-            # mkstemp makes a file for its owner alone; what the user asked for gets the usual permissions
-            temporary.chmod(0o666 & ~_umask())
+        with refusing(path):
+            _give_permissions(temporary, path)
             os.replace(temporary, path)
     finally:
-        temporary.unlink(missing_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+        _unlock(lock)
 
 
-def require_writable(target: str | Path) -> None:
+def require_writable(target: str | Path) -> Path:
     """Check that a file can be written, before the work that makes its content is done.
 
+    Returns:
+        Its path: ``~`` is the user's folder, links are followed.
+
     Raises:
-        OutputError: its folder does not exist or is not writable, or it is a folder itself.
+        OutputError: its folder does not exist or is not writable, it is a folder itself, a device or a pipe, or
+            read-only, or no file can have its name.
     """
-    path = Path(target).expanduser()
-    _require_folder(path)
-    if path.is_dir():
+    path = expanded(target)
+    with refusing(path, _BAD_NAME):
+        path = path.resolve() if path.is_symlink() else path
+        mode = _mode(path)
+        _require_folder(path)
+    if mode is not None and stat.S_ISDIR(mode):
         raise OutputError(f"Cannot write {path}: it is a folder.", remedy="Give the name of a file.", path=str(path))
+    if mode is not None and not stat.S_ISREG(mode):
+        raise OutputError(f"Cannot write {path}: it is a pipe or a device.", remedy="Name a file.", path=str(path))
+    # for the superuser every file is writable; one without any such permission was still meant to stay as it is
+    if mode is not None and not (mode & 0o222 and os.access(path, os.W_OK)):
+        remedy = "Make it writable, or give another name."
+        raise OutputError(f"Cannot write {path}: it is read-only.", remedy=remedy, path=str(path))
+    return path
 
 
 def write_text(target: str | Path, text: str) -> None:
@@ -65,7 +98,7 @@ def write_text(target: str | Path, text: str) -> None:
     Raises:
         OutputError: as ``replacing_file``.
     """
-    with replacing_file(target) as temporary, _refusing(Path(target)):
+    with replacing_file(target) as temporary, refusing(Path(target)):
         temporary.write_text(text, encoding="utf-8", newline="")
 
 
@@ -85,28 +118,33 @@ def replacing_folder(target: str | Path) -> Iterator[Path]:
     Raises:
         OutputError: as ``require_replaceable``, or the disk refuses; the target is then as it was before.
     """
-    path = Path(target).expanduser().resolve()
-    require_replaceable(path)
-    with _refusing(path):
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    path = require_replaceable(target)
+    _collect(path.parent)
+    _restore(path)
+    with refusing(path):
+        temporary, lock = _made_locked(path.parent)
         temporary.chmod(0o777 & ~_umask())
     try:
         yield temporary
         _swap(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+        _unlock(lock)
 
 
-def require_replaceable(target: str | Path) -> None:
-    """Check that a folder of results can be written, before the work that fills it is done.
+def require_replaceable(target: str | Path) -> Path:
+    """Check that a folder of results can be written, before the work that fills it is done, and return its path.
 
     Raises:
         OutputError: its parent does not exist or is not writable, it is a file, the current folder or a parent of it,
             or it holds files that are not results.
     """
-    path = Path(target).expanduser().resolve()
-    _require_folder(path)
-    if path.exists() and not path.is_dir():
+    path = expanded(target)
+    with refusing(path, _BAD_NAME):
+        path = path.resolve()
+        mode = _mode(path)
+        _require_folder(path)
+    if mode is not None and not stat.S_ISDIR(mode):
         raise OutputError(f"Cannot write {path}: it is a file.", remedy="Give the name of a folder.", path=str(path))
     if path == Path.cwd() or path in Path.cwd().parents:
         raise OutputError(
@@ -114,7 +152,7 @@ def require_replaceable(target: str | Path) -> None:
             remedy="Give a folder of its own, such as `results`.",
             path=str(path),
         )
-    if path.is_dir():
+    if mode is not None:
         foreign = sorted(_files(path) - _listed(path))
         if foreign:
             raise OutputError(
@@ -123,6 +161,29 @@ def require_replaceable(target: str | Path) -> None:
                 path=str(path),
                 files=tuple(foreign),
             )
+    return path
+
+
+def expanded(target: str | Path) -> Path:
+    """Return a path to write, ``~`` being the user's folder.
+
+    Raises:
+        OutputError: there is no such user.
+    """
+    try:
+        return Path(target).expanduser()
+    except RuntimeError as error:
+        raise OutputError(
+            f"Cannot write {shortened(str(target))}: {error}", remedy="Write the folder itself.", path=str(target)
+        ) from error
+
+
+def _mode(path: Path) -> int | None:
+    """Return kind and permissions of a path; None where nothing is there."""
+    try:
+        return path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return None
 
 
 def _require_folder(path: Path) -> None:
@@ -138,30 +199,114 @@ def _require_folder(path: Path) -> None:
 
 
 @contextmanager
-def _refusing(path: Path) -> Iterator[None]:
+def refusing(path: str | Path, kinds: tuple[type[Exception], ...] = (OSError,)) -> Iterator[None]:
     """Turn what the disk refuses into an error that names the path."""
     try:
         yield
-    except OSError as error:
+    except kinds as error:
+        reason = (error.strerror if isinstance(error, OSError) else "") or str(error)
         raise OutputError(
-            f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
+            f"Cannot write {shortened(str(path))}: {reason}.", remedy="Choose another place.", path=str(path)
         ) from error
 
 
+def _give_permissions(temporary: Path, target: Path) -> None:
+    """Give a file those of the one it is to replace, or the usual ones: it was its owner's alone so far."""
+    try:
+        there = target.stat()
+    except FileNotFoundError:
+        temporary.chmod(0o666 & ~_umask())
+        return
+    with suppress(PermissionError):  # only the superuser can give files away
+        if sys.platform != "win32":
+            os.chown(temporary, there.st_uid, there.st_gid)
+    temporary.chmod(stat.S_IMODE(there.st_mode))
+
+
+# --- what a writer that was killed leaves ---------------------------------------------------------------------------
+
+
+def _made_locked(parent: Path) -> tuple[Path, int | None]:
+    """Make a temporary folder and lock it; once more where another writer collected it in between."""
+    while True:
+        path = Path(tempfile.mkdtemp(prefix=_TEMPORARY, dir=parent))
+        with suppress(FileNotFoundError):
+            lock = _lock(path, wait=True)
+            if lock is None or os.path.samestat(os.fstat(lock), path.stat()):
+                return path, lock
+            _unlock(lock)
+
+
+def _lock(path: Path, *, wait: bool = False) -> int | None:
+    """Return the open handle of a folder, locked until it is closed; None where system or disk have no such locks.
+
+    Raises:
+        OSError: there is nothing, or (without ``wait``) somebody else has locked it.
+    """
+    if sys.platform == "win32":
+        return None
+    import fcntl
+
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError as error:
+        os.close(handle)
+        if error.errno in _NO_LOCKS:
+            return None
+        raise
+    return handle
+
+
+def _unlock(lock: int | None) -> None:
+    if lock is not None:
+        os.close(lock)
+
+
+def _collect(folder: Path) -> None:
+    """Remove temporary folders of writers that are gone."""
+    for left in folder.glob(f"{_TEMPORARY}*"):
+        with suppress(OSError):  # being written, or somebody else's
+            lock = _lock(left)
+            if lock is not None:
+                shutil.rmtree(left)
+                _unlock(lock)
+
+
+def _restore(target: Path) -> None:
+    """Bring back an earlier folder whose successor never took its place, or remove the rest of one that is replaced."""
+    for earlier in target.parent.glob(f"{glob.escape(_earlier(target))}*"):
+        with suppress(OSError):
+            lock = _lock(earlier)
+            if lock is not None:
+                shutil.rmtree(earlier) if target.exists() else os.replace(earlier, target)
+                _unlock(lock)
+
+
+def _earlier(target: Path) -> str:
+    """Return how names of the earlier version of a folder begin, while a new one takes its place."""
+    return f"{_EARLIER}{os.fsencode(target.name)[:_LONGEST_NAME].decode(errors='ignore')}-"
+
+
 def _swap(new: Path, target: Path) -> None:
-    with _refusing(target):
+    with refusing(target):
         if not target.exists():
             os.replace(new, target)
             return
         require_replaceable(target)  # once more: something may have been put there meanwhile
-        old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-        os.replace(target, old)
+        # locked, so that nobody restores it between the two renames; a lock stays with a folder that is renamed
+        lock = _lock(target, wait=True)
         try:
-            os.replace(new, target)
-        except OSError:
-            os.replace(old, target)
-            raise
-    shutil.rmtree(old, ignore_errors=True)
+            old = Path(tempfile.mkdtemp(prefix=_earlier(target), dir=target.parent))
+            os.replace(target, old)
+            try:
+                os.replace(new, target)
+            except OSError:
+                os.replace(old, target)
+                raise
+            shutil.rmtree(old, ignore_errors=True)
+        finally:
+            _unlock(lock)
 
 
 def _files(folder: Path) -> set[str]:
@@ -171,9 +316,9 @@ def _files(folder: Path) -> set[str]:
 def _listed(folder: Path) -> set[str]:
     """Return the files that the manifest of a results folder lists, and the manifest; nothing if it has none."""
     try:
-        listed = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["files"]
-        return {MANIFEST, *(str(name) for name in listed)}
-    except (OSError, ValueError, KeyError, TypeError):
+        text = read_text(folder / MANIFEST, OutputError, largest=LARGEST_TEXT)
+        return {MANIFEST, *(str(name) for name in read_json(text, constants=True)["files"])}
+    except (OutputError, ValueError, KeyError, TypeError):
         return set()
 
 

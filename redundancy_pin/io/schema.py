@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
-from redundancy_pin.errors import DeclarationError, did_you_mean
+from redundancy_pin.errors import DeclarationError, did_you_mean, shown
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -19,7 +20,9 @@ class Schema(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-def validated(kind: type[_Model], data: object, *, key: str = "", context: object = None) -> _Model:
+def validated(
+    kind: type[_Model], data: object, *, key: str = "", context: object = None, of: str = "declaration"
+) -> _Model:
     """Return the data as a model.
 
     Args:
@@ -27,6 +30,7 @@ def validated(kind: type[_Model], data: object, *, key: str = "", context: objec
         data: as a reader of YAML or JSON gives it.
         key: where the data are in their file, for messages.
         context: handed to the validators.
+        of: what the data are, for messages.
 
     Raises:
         DeclarationError: naming the first bad key, its value and what is allowed; for an unknown key the nearest known.
@@ -47,13 +51,33 @@ def validated(kind: type[_Model], data: object, *, key: str = "", context: objec
         allowed = f"a mapping with the keys {', '.join(inner.model_fields)}"
     else:
         allowed = (field.description if field else None) or first["msg"]
-    raise bad_value(_joined(key, path), value, allowed)
+    raise bad_value(_joined(key, path), value, allowed, of)
 
 
-def bad_value(key: str, value: object, allowed: str) -> DeclarationError:
+_T = TypeVar("_T")
+
+
+@functools.cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def typed(kind: type[_T], data: object) -> _T:
+    """Return a dataclass of numbers and text from a mapping of its fields; ValueError where it is none."""
+    try:
+        known: Any = kind  # hashable, as every class, which its type does not say
+        made: _T = _adapter(known).validate_python(data)
+        return made
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{kind.__name__} {place}: {first['msg']}, not {shown(first['input'])}") from error
+
+
+def bad_value(key: str, value: object, allowed: str, of: str = "declaration") -> DeclarationError:
     """Return the error for a value that is not allowed."""
     return DeclarationError(
-        f"The declaration's `{key}` is {value!r}.", remedy=f"It must be {allowed}.", key=key, value=value
+        f"The {of}'s `{key}` is {shown(value)}.", remedy=f"It must be {allowed}.", key=key, value=value
     )
 
 
@@ -67,7 +91,8 @@ def require_known_keys(given: Sequence[str] | Mapping[str, Any], known: Sequence
         if key not in known:
             place = f" in `{where}`" if where else ""
             remedy = f"{did_you_mean(key, known)}Allowed: {', '.join(known)}."
-            raise DeclarationError(f"Unknown key `{key}`{place}.", remedy=remedy, key=key)
+            inner = f"{where}.{key}" if where else key
+            raise DeclarationError(f"Unknown key `{shown(key)[1:-1]}`{place}.", remedy=remedy, key=inner)
 
 
 def _joined(key: str, path: Sequence[int | str]) -> str:

@@ -7,7 +7,6 @@ singular exactly where the platform velocity does not determine the joint veloci
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -20,11 +19,11 @@ from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import (
     coordinates,
     difference,
+    in_working_mode,
     joint_position,
     row_scale,
     velocity_scale,
 )
-from redundancy_pin.kinematics.modes import in_working_mode
 
 _SETTLED_STEP = 1e-8
 """A Newton step this small (rad, m) leaves an error of its square: below rounding."""
@@ -139,17 +138,19 @@ def assemble(
     q = np.array(guess, dtype=float)
     active, state = np.arange(len(q)), system.evaluate(q)
     residual = equations.residual(state)
+    done = np.zeros(len(q), dtype=bool)
     for _ in range(max_iterations):
         step = equations.newton_step(state, residual)
+        step[done] = 0.0  # a sample ends where it would end alone, whatever the others need
         reached = _line_search(equations, q[active], step, residual, shortest_step)
         state, residual = reached.state, reached.residual
         q[active] = state.q
-        done = reached.stalled | (reached.longest < _SETTLED_STEP)
+        done |= reached.stalled | (reached.longest < _SETTLED_STEP)
         if done.all():
             break
         if 2 * done.sum() > len(done):  # go on with the rest alone; to leave out fewer costs more than it saves
             active, residual = active[~done], residual[~done]
-            state, equations = system.evaluate(q[active]), everything.of(active)
+            state, equations, done = system.evaluate(q[active]), everything.of(active), done[~done]
     if len(active) < len(q):
         state = system.evaluate(q)
         residual = everything.residual(state)
@@ -167,12 +168,24 @@ def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     scale = np.outer(velocity_scale(robot)[columns] ** 2, 1.0 / rows**2)
     # 1 / σ_min is the 2-norm of the scaled inverse; the Frobenius norm bounds it within √p and needs no decomposition
     with np.errstate(over="ignore"):  # next to a singularity, where the margin is zero all the same
-        size = np.sqrt((inverse**2).reshape(len(inverse), scale.size) @ scale.ravel())
+        size = np.sqrt(np.einsum("nij,nij,ij->n", inverse, inverse, scale))
     margin = np.where(size < 1.0 / SINGULAR_MARGIN, 1.0 / np.where(size > 0.0, size, np.inf), 0.0)
     inverse[margin == 0.0] = np.nan
     gamma = np.zeros((len(inverse), robot.model.nv, robot.n))
     gamma[:, columns] = inverse[:, :, len(system.rows) :]
     return Projection(inverse, gamma, margin)
+
+
+def rates(
+    system: ConstraintSystem, state: ConstraintState, projection: Projection, xd: Array, xdd: Array
+) -> tuple[Array, Array]:
+    """Return v = Γ ẋ and a (N, nv): K a = (−J̇_c v, ẍ − J̇_x v), for rates (N, n) of the independent coordinates."""
+    v = np.einsum("nvi,ni->nv", projection.gamma, xd)
+    bias_c, bias_x = system.bias(state, v)
+    a = np.zeros_like(v)
+    rest = np.concatenate([-bias_c, xdd - bias_x], axis=1)
+    a[:, system.pose_columns] = np.einsum("npr,nr->np", projection.inverse, rest)
+    return v, a
 
 
 def integrate(model: pin.Model, q: Array, step: Array) -> Array:
@@ -254,13 +267,18 @@ def _line_search(equations: _Equations, q: Array, step: Array, residual: Array, 
 
 def _solve(matrix: Array, rhs: Array) -> Array:
     if matrix.shape[1] == matrix.shape[2]:
-        with contextlib.suppress(np.linalg.LinAlgError):  # an exactly singular sample spoils the whole stack
+        try:
             solution = np.asarray(np.linalg.solve(matrix, rhs[:, :, None])[:, :, 0], dtype=np.float64)
-            if np.isfinite(solution).all():
-                return solution
-    inverse = np.asarray(np.linalg.pinv(matrix, rcond=1e-10), dtype=np.float64)
-    result: Array = (inverse @ rhs[:, :, None])[:, :, 0]
-    return result
+        except np.linalg.LinAlgError:  # an exactly singular sample spoils the whole stack
+            singular = np.linalg.slogdet(matrix)[0] == 0.0
+            solution = np.full(rhs.shape, np.nan)
+            solution[~singular] = np.linalg.solve(matrix[~singular], rhs[~singular, :, None])[:, :, 0]
+        bad = ~np.isfinite(solution).all(axis=1)
+    else:
+        solution, bad = np.empty((len(rhs), matrix.shape[2])), np.ones(len(rhs), dtype=bool)
+    if bad.any():
+        solution[bad] = (np.linalg.pinv(matrix[bad], rcond=1e-10) @ rhs[bad, :, None])[:, :, 0]
+    return solution
 
 
 def inverses(matrices: Array) -> Array:

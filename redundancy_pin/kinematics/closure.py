@@ -1,4 +1,4 @@
-"""Loop closures and platform rows at position, velocity and acceleration level, for many samples at once.
+"""Loop closures and platform rows at position, velocity and acceleration level, at one state or at many.
 
 A closure row pairs an axis a of frame A with a partner c carried by frame B: the origin p_B of frame B (a translation
 along a, σ = 1), or an axis b of frame B that is normal to a when closed (a rotation, σ = 0):
@@ -6,28 +6,205 @@ along a, σ = 1), or an axis b of frame B that is normal to a when closed (a rot
     Φ = a · (c − σ p_A).
 
 It acts as a wrench w on frame B, and as −w on frame A, about the world origin. With V_A, V_B the spatial velocities of
-the two bodies and A_A, A_B their accelerations at v̇ = 0 (see ``kinematics.tree``)
+the two bodies and A_A, A_B their accelerations at v̇ = 0 (see ``kinematics.tree``), J the joint Jacobian, and a mask of
++1 where a joint moves B only, −1 where it moves A only,
 
-    w = (σ a, c × a),          Φ̇ = w · (V_B − V_A),           J_c = ± w · J on the joints that move only one of them,
-    ẇ = (σ ȧ, ċ × a + c × ȧ),  J̇_c v = ẇ · (V_B − V_A) + w · (A_B − A_A),   ȧ = ω_A × a,  ċ = ω_B × c + σ v_B.
+    w = (σ a, c × a),          Φ̇ = w · (V_B − V_A),           J_c = mask ∘ (w · J),
+    ẇ = (σ ȧ, ċ × a + c × ȧ),  J̇_c v = ẇ · (V_B − V_A) + w · (A_B − A_A),   ȧ = ω_A × a,  ċ = ω_B × c + σ v_B,
+    ẅ = (σ ä, c̈ × a + 2 ċ × ȧ + c × ä),   J̇_c = mask ∘ (ẇ J + w J̇),   J̈_c = mask ∘ (ẅ J + 2 ẇ J̇ + w J̈).
+
+Rows of a platform's twist are such rows too. Their axis is one of the world; the partner of a translation is the
+platform's origin, that of a rotation about a third axis of the world.
 
 Which axes a rotation row pairs depends on what else is constrained: with one rotation left free (a hinge) both rows
 use the free axis of B, so that they stay independent at every hinge angle. Every row is exact at every configuration,
 closed or not, and no row is redundant where the mask has none too many. Two or three rotation rows have false zeros too
 (a hinge turned over), which ``ConstraintSystem.misalignment`` tells apart; a single one fixes its angle up to half a
 turn.
+
+Arrays of rows are component-major: vectors (3, R) at one state, (3, R, N) at N of them. ``kinematics.chain`` has the
+joint Jacobian at one state from Pinocchio, ``ConstraintSystem`` at many from ``kinematics.tree``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.kinematics.tree import TreeKinematics, TreePose, cross
 from redundancy_pin.robot import AXES, Closure, Robot
+
+_ORIGIN = 3
+"""Column of a frame's origin, behind its three axes."""
+
+
+class Row(NamedTuple):
+    """One row: its axis and partner as (frame, column), and the frames between which it acts."""
+
+    axis: tuple[int, int]
+    partner: tuple[int, int]
+    first: int
+    second: int
+    sign: float
+
+    @property
+    def rotation(self) -> bool:
+        """Whether the row is one of rotation."""
+        return self.partner[1] != _ORIGIN
+
+
+class RowSet:
+    """R rows between frames of a tree.
+
+    Args:
+        rows: the rows.
+        support: (F, nv) 1 where a velocity moves a frame.
+    """
+
+    def __init__(self, rows: Sequence[Row], support: Array) -> None:
+        self.size = size = len(rows)
+        # axes of all rows, then their partners
+        pairs = np.array([[row.axis for row in rows], [row.partner for row in rows]], dtype=np.intp).reshape(2, size, 2)
+        frames, columns = pairs[:, :, 0], pairs[:, :, 1]
+        self._vectors, self._origins = 4 * frames + columns, 4 * frames[0] + _ORIGIN
+        self._carried = support[frames.ravel()]
+        signs, moving = np.array([row.sign for row in rows]), (columns == _ORIGIN).astype(float)
+        self._shaped = (signs, moving), (signs[:, None], moving[:, :, None])
+        self._signed = bool((signs < 0.0).any())
+        first, second = np.array([row[2:4] for row in rows], dtype=np.intp).reshape(size, 2).T
+        self.mask = support[second] - support[first]
+        self.groups = [
+            (part, frames[:, part.start], first[part.start], second[part.start])
+            for part in _runs(np.stack([*frames, first, second], axis=1))
+        ]
+        """Rows between the same bodies: frames of axis and partner, first and second frame."""
+        self._blocks = [
+            (part, column, float(self.mask[part.start, column]))
+            for part in _runs(self.mask)
+            for column in np.flatnonzero(self.mask[part.start]).tolist()
+        ]
+
+    def place(self, vectors: Array | list[Array]) -> PlacedRows:
+        """Return the rows at a configuration.
+
+        Args:
+            vectors: three axes and the origin of each frame, world axes: (3, 4 F), or a list of 4 F arrays (3, N).
+        """
+        signs, moving = self._shaped[isinstance(vectors, list)]
+        pairs = _taken(vectors, self._vectors)
+        if self._signed:
+            pairs[:, 0] *= signs
+        axis, partner = pairs[:, 0], pairs[:, 1]
+        wrench = np.empty((6, *axis.shape[1:]))
+        np.multiply(axis, moving[1], out=wrench[:3])
+        cross(partner, axis, wrench[3:])
+        return PlacedRows(self, vectors, pairs, moving, wrench)
+
+    def residual(self, placed: PlacedRows) -> Array:
+        """Return Φ, (R,) or (R, N), m; for rotation rows the sine of the angle that is off."""
+        axis, partner = placed.pairs[:, 0], placed.pairs[:, 1]
+        phi: Array = np.add.reduce(axis * (partner - _taken(placed.vectors, self._origins) * placed.moving[1]))
+        return phi
+
+    def times(self, wrench: Array, J: Array, out: Array | None = None) -> Array:
+        """Return mask ∘ (w · J), (R, nv) or (R, nv, N), for joint columns J (6, nv) or (6, nv, N)."""
+        if J.ndim == 2:
+            rows: Array = self.mask * wrench.T.dot(J)
+            return rows
+        result = np.zeros((self.size, *J.shape[1:])) if out is None else out
+        for block, column, sign in self._blocks:  # one einsum over all columns takes ten times as long on many samples
+            np.einsum("krn,kn->rn", wrench[:, block], J[:, column], out=result[block, column])
+            if sign < 0.0:
+                # not np.negative(x, out=x): numpy 2.4.6 with AVX-512 loses entries at a stride of 64 bytes
+                # (x = np.ones(16)[::8]; np.negative(x, out=x) makes -1 and -0), as with nv = 8 and one sample
+                result[block, column] *= -1.0
+        return result
+
+    def twists(self, J: Array, v: Array) -> Array:
+        """Return (6, 2, R) the sums of J v over the joints that carry each axis, and each partner."""
+        twists: Array = J.dot((self._carried * v).T).reshape(6, 2, self.size)
+        return twists
+
+
+def _runs(values: NDArray[Any]) -> list[slice]:
+    """Return the runs of equal rows."""
+    starts = [i for i in range(len(values)) if i == 0 or (values[i] != values[i - 1]).any()]
+    return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(values)], strict=False)]
+
+
+def _taken(vectors: Array | list[Array], which: IntArray) -> Array:
+    if isinstance(vectors, list):
+        if not which.size:  # an open tree has no rows
+            return np.empty((3, *which.shape, vectors[0].shape[-1]))
+        return np.stack([vectors[i] for i in which.ravel()], axis=1).reshape(3, *which.shape, -1)
+    taken: Array = vectors.take(which, 1)
+    return taken
+
+
+class PlacedRows(NamedTuple):
+    """Rows at a configuration, or at N; made by ``RowSet.place``.
+
+    Attributes:
+        rows: the rows.
+        vectors: what they were placed with.
+        pairs: (3, 2, R) or (3, 2, R, N) each axis, and each partner.
+        moving: (2, R) or (2, R, 1) 1 for an origin, 0 for an axis; of the partners it is σ.
+        wrench: (6, R) or (6, R, N) w.
+    """
+
+    rows: RowSet
+    vectors: Array | list[Array]
+    pairs: Array
+    moving: Array
+    wrench: Array
+
+    def rates(self, twists: Array) -> tuple[Array, Array]:
+        """Return ȧ and ċ, and ẇ, for the twists (6, 2, R) of the bodies that carry a and c."""
+        first = cross(twists[3:], self.pairs) + twists[:3] * self.moving
+        # ċ × a + c × ȧ = ċ × a − ȧ × c: one call for both
+        parts = cross(first[:, ::-1], self.pairs)
+        rate = np.empty(self.wrench.shape)
+        np.multiply(first[:, 0], self.moving[1], out=rate[:3])
+        np.subtract(parts[:, 0], parts[:, 1], out=rate[3:])
+        return first, rate
+
+    def bias(self, twists: Array, relative: Array, rest: Array) -> Array:
+        """Return J̇ v, (R,) or (R, N).
+
+        Args:
+            twists: (6, 2, R) or (6, 2, 1, N) V of the bodies that carry each axis, and each partner.
+            relative: (6, R) or (6, 1, N) V_B − V_A.
+            rest: A_B − A_A of the same shape.
+        """
+        bias: Array = np.add.reduce(self.rates(twists)[1] * relative + self.wrench * rest)
+        return bias
+
+    def jacobian_rate(self, J: Array, dJ: Array, v: Array) -> Array:
+        """Return (R, nv) the rate of the rows at one state."""
+        rows = self.rows
+        return rows.times(self.rates(rows.twists(J, v))[1], J) + rows.times(self.wrench, dJ)
+
+    def time_derivatives(self, J: Array, dJ: Array, ddJ: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """Return (R, nv) the rows and their first and second time derivative along a motion v, a (nv,)."""
+        rows = self.rows
+        twists, second_twists = rows.twists(J, v), rows.twists(J, a) + rows.twists(dJ, v)
+        first, rate = self.rates(twists)
+        # the spatial acceleration at the world origin is the rate of the velocity there
+        second = cross(second_twists[3:], self.pairs) + cross(twists[3:], first) + second_twists[:3] * self.moving
+        (axis, partner), (da, dc), (dda, ddc) = (np.swapaxes(part, 0, 1) for part in (self.pairs, first, second))
+        curve = cross(ddc, axis) + 2.0 * cross(dc, da) + cross(partner, dda)
+        bend = np.concatenate((dda * self.moving[1], curve))
+        return (
+            rows.times(self.wrench, J),
+            rows.times(rate, J) + rows.times(self.wrench, dJ),
+            rows.times(bend, J) + 2.0 * rows.times(rate, dJ) + rows.times(self.wrench, ddJ),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +214,7 @@ class ConstraintState:
     Attributes:
         q: (N, nq) configurations.
         pose: the tree's placements.
-        axis, partner: (3, r, N) the pair a, c of each row, world axes.
+        rows: closure rows, then platform rows, placed.
         phi: (N, r) closure residuals Φ, m (rotation rows: sine of the angle that is off).
         J: (r + n, nv, N) constraint Jacobian dΦ/dv over that of the independent velocities.
         columns: (p,) the velocities without the carriers'.
@@ -45,8 +222,7 @@ class ConstraintState:
 
     q: Array
     pose: TreePose
-    axis: Array
-    partner: Array
+    rows: PlacedRows
     phi: Array
     J: Array
     columns: IntArray
@@ -73,98 +249,70 @@ class ConstraintSystem:
 
     Args:
         robot: the robot.
+
+    Attributes:
+        rows: the r closure rows.
+        closures, platform: closure rows, and rows of the platform's twist (none where the independent velocities are
+            those of joints).
+        pose_columns: velocity indices that move the pose: all but the carriers.
+        selection: (m, nv) S, the main actuators among the velocities.
+        independent: (n, nv) unit rows of the independent joints; zero where there is a platform.
+        closure_scale: (r,) length that turns each closure row into m.
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = robot
+        self.robot, nv = robot, robot.model.nv
         frames = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
         if robot.platform is not None:
             frames.append(robot.platform.frame)
         self.tree = TreeKinematics(robot.model, tuple(dict.fromkeys(frames)))
-        self.rows = tuple(
-            (closure, row) for closure in robot.closures for row in (_row(closure, axis) for axis in closure.axes)
-        )
-        self.pose_columns = np.setdiff1d(np.arange(robot.model.nv), robot.carrier_velocity)
-        """Velocity indices that move the pose: all but the carriers."""
-        self.selection = np.zeros((robot.m, robot.model.nv))
-        """S, (m, nv): the main actuators among the velocities."""
+        at = {name: i for i, name in enumerate(self.tree.support)}
+        # the world is one more frame, which nothing moves
+        support = np.zeros((len(at) + 1, nv))
+        for name, columns in self.tree.support.items():
+            support[at[name], list(columns)] = 1.0
+        self.rows = tuple(_row(closure, axis, at) for closure in robot.closures for axis in closure.axes)
+        platform = _platform_rows(robot, at)
+        self.closures, self.platform = RowSet(self.rows, support), RowSet(platform, support)
+        self._all = RowSet((*self.rows, *platform), support)
+        self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity)
+        self.selection = np.zeros((robot.m, nv))
         self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
-        rotation = np.array([row.rotation for _, row in self.rows], dtype=bool)
-        self.closure_scale = np.where(rotation, robot.characteristic_length, 1.0)
-        """(r,) length that turns each closure row into m."""
-        self._slides = np.where(rotation, 0.0, 1.0)[:, None]
-        self._moving = self._moving_columns()
-
-    def _moving_columns(self) -> list[tuple[slice, dict[int, float]]]:
-        """Return for each closure its rows, and of the velocities that move one of its bodies +1 for B, −1 for A."""
-        moving, first = [], 0
-        for closure in self.robot.closures:
-            of_a, of_b = (set(self.tree.support[frame]) for frame in (closure.frame_a, closure.frame_b))
-            signs = {column: 1.0 if column in of_b else -1.0 for column in sorted(of_a ^ of_b)}
-            moving.append((slice(first, first + len(closure.axes)), signs))
-            first += len(closure.axes)
-        return moving
+        self.independent = np.zeros((robot.n, nv))
+        if robot.platform is None:
+            self.independent[np.arange(robot.n), independent_velocity(robot)] = 1.0
+        self.closure_scale = np.where([row.rotation for row in self.rows], robot.characteristic_length, 1.0)
 
     def evaluate(self, q: Array) -> ConstraintState:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
-        pose = self.tree.pose(q)
-        shape = (3, len(self.rows), pose.samples)
-        axis, partner, offset = np.empty(shape), np.empty(shape), np.empty(shape)
-        for i, (closure, row) in enumerate(self.rows):
-            axis[:, i] = pose.frame_rotation[closure.frame_a][:, row.axis_a]
-            if row.rotation:
-                partner[:, i] = pose.frame_rotation[closure.frame_b][:, row.axis_b] * row.sign
-                offset[:, i] = partner[:, i]
-            else:
-                partner[:, i] = pose.frame_origin[closure.frame_b]
-                offset[:, i] = partner[:, i] - pose.frame_origin[closure.frame_a]
-        phi = _dot(axis, offset)
-        wrench = np.concatenate([axis * self._slides, cross(partner, axis)])
-        jacobian = np.zeros((len(self.rows) + self.robot.n, self.robot.model.nv, pose.samples))
-        for rows, moving in self._moving:
-            for column, sign in moving.items():  # one einsum over all columns takes ten times as long on many samples
-                np.einsum("krn,kn->rn", wrench[:, rows], pose.jacobian[:, column], out=jacobian[rows, column])
-                jacobian[rows, column] *= sign
-        self._fill_platform_rows(jacobian[len(self.rows) :], pose)
-        return ConstraintState(q, pose, axis, partner, phi.T, jacobian, self.pose_columns)
-
-    def _fill_platform_rows(self, jacobian: Array, pose: TreePose) -> None:
-        robot = self.robot
-        if robot.platform is None:
-            jacobian[np.arange(robot.n), independent_velocity(robot)] = 1.0
-            return
-        origin = pose.frame_origin[robot.platform.frame]
-        for column in self.tree.support[robot.platform.frame]:
-            linear, angular = pose.jacobian[:3, column], pose.jacobian[3:, column]
-            for row, axis in enumerate(robot.platform.axes):
-                rotation, k = divmod(AXES.index(axis), 3)
-                i, j = (k + 1) % 3, (k + 2) % 3  # the velocity at the platform's origin p is v + ω × p
-                at_origin = angular[k] if rotation else linear[k] + angular[i] * origin[j] - angular[j] * origin[i]
-                jacobian[row, column] = at_origin
+        pose, r, world = self.tree.pose(q), len(self.rows), np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))
+        vectors = []
+        for name, origin in (*pose.frame_origin.items(), ("", world[:, 0])):  # nobody asks for the world's origin
+            axes = pose.frame_rotation.get(name, world)
+            vectors += [axes[:, 0], axes[:, 1], axes[:, 2], origin]
+        rows = self._all.place(vectors)
+        jacobian = np.zeros((r + self.robot.n, self.robot.model.nv, pose.samples))
+        self._all.times(rows.wrench, pose.jacobian, jacobian)
+        if self.robot.platform is None:
+            jacobian[r:] = self.independent[:, :, None]
+        return ConstraintState(q, pose, rows, rows.rows.residual(rows)[:r].T, jacobian, self.pose_columns)
 
     def bias(self, state: ConstraintState, v: Array) -> tuple[Array, Array]:
         """Return J̇_c v (N, r) and J̇_x v (N, n) at velocities v (N, nv)."""
-        motions = self.tree.motions(state.pose, v)
-        of_rows = np.empty((len(self.rows), state.pose.samples))
-        for closure, (rows, _) in zip(self.robot.closures, self._moving, strict=True):
-            (velocity_a, rest_a), (velocity_b, rest_b) = (motions[f] for f in (closure.frame_a, closure.frame_b))
-            a, c, slides = state.axis[:, rows], state.partner[:, rows], self._slides[rows]
-            a_rate = cross(velocity_a[3:, None], a)
-            c_rate = cross(velocity_b[3:, None], c) + slides * velocity_b[:3, None]
-            velocity, rest = (velocity_b - velocity_a)[:, None], (rest_b - rest_a)[:, None]
-            of_rows[rows] = (
-                slides * (_dot(a_rate, velocity[:3]) + _dot(a, rest[:3]))
-                + _dot(cross(c_rate, a) + cross(c, a_rate), velocity[3:])
-                + _dot(cross(c, a), rest[3:])
+        still, r = np.zeros((6, state.pose.samples)), len(self.rows)
+        motions = [*self.tree.motions(state.pose, v).values(), (still, still)]
+        result = np.zeros((r + self.robot.n, state.pose.samples))
+        for rows, (a, c), first, second in self._all.groups:
+            twists = np.stack([motions[a][0], motions[c][0]], axis=1)[:, :, None]
+            relative, rest = (
+                two[:, None] - one[:, None] for one, two in zip(motions[first], motions[second], strict=True)
             )
-        of_platform = np.zeros((self.robot.n, state.pose.samples))
-        if (platform := self.robot.platform) is not None:
-            (velocity, rest), origin = motions[platform.frame], state.pose.frame_origin[platform.frame]
-            # the acceleration of the platform's origin: that of a point, not the spatial one
-            point = velocity[:3] + cross(velocity[3:], origin)
-            linear = rest[:3] + cross(rest[3:], origin) + cross(velocity[3:], point)
-            of_platform = np.concatenate([linear, rest[3:]])[[AXES.index(axis) for axis in platform.axes]]
-        return of_rows.T, of_platform.T
+            placed = state.rows
+            part = placed._replace(
+                pairs=placed.pairs[:, :, rows], moving=placed.moving[:, rows], wrench=placed.wrench[:, rows]
+            )
+            result[rows] = part.bias(twists, relative, rest)
+        return result[:r].T, result[r:].T
 
     def misalignment(self, state: ConstraintState) -> Array:
         """Return (N,) the largest angle, rad, between two axes of a closure that must point the same way.
@@ -178,7 +326,8 @@ class ConstraintSystem:
             free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
             # they coincide when closed: the free axis of a hinge, all three of a weld
             for k in {0: [0, 1, 2], 1: free}.get(len(free), []):
-                cosine = _dot(*(state.pose.frame_rotation[frame][:, k] for frame in (closure.frame_a, closure.frame_b)))
+                a, b = (state.pose.frame_rotation[frame][:, k] for frame in (closure.frame_a, closure.frame_b))
+                cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
                 angle = np.maximum(angle, np.arccos(np.clip(cosine, -1.0, 1.0)))
         return angle
 
@@ -189,30 +338,30 @@ def independent_velocity(robot: Robot) -> list[int]:
     return [int(model.joints[model.getJointId(name)].idx_v) for name in robot.independent_joints]
 
 
-@dataclass(frozen=True)
-class _Row:
-    rotation: bool
-    axis_a: int
-    axis_b: int
-    sign: float
-
-
-def _row(closure: Closure, axis: str) -> _Row:
+def _row(closure: Closure, axis: str, at: dict[str, int]) -> Row:
     rotation, k = divmod(AXES.index(axis), 3)
+    a, b = at[closure.frame_a], at[closure.frame_b]
     if not rotation:
-        return _Row(False, k, k, 1.0)
+        return Row((a, k), (b, _ORIGIN), a, b, 1.0)
     i, j = (k + 1) % 3, (k + 2) % 3
     free = [c for c in range(3) if AXES[3 + c] not in closure.axes]
     if len(free) == 1:
         # a hinge: compare the free axis of B with the two axes of A that must stay normal to it
         other = i if free[0] == j else j
-        return _Row(True, other, free[0], 1.0 if other == j else -1.0)
-    return _Row(True, j, i, 1.0)
+        return Row((a, other), (b, free[0]), a, b, 1.0 if other == j else -1.0)
+    return Row((a, j), (b, i), a, b, 1.0)
 
 
-def _dot(a: Array, b: Array) -> Array:
-    product: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return product
+def _platform_rows(robot: Robot, at: dict[str, int]) -> list[Row]:
+    if robot.platform is None:
+        return []
+    world, platform = len(at), at[robot.platform.frame]
+    rows = []
+    for rotation, k in (divmod(AXES.index(axis), 3) for axis in robot.platform.axes):
+        axis = (k + 2) % 3 if rotation else k  # e_{k+1} × e_{k+2} = e_k
+        partner = (world, (k + 1) % 3) if rotation else (platform, _ORIGIN)
+        rows.append(Row((world, axis), partner, world, platform, 1.0))
+    return rows
 
 
 @lru_cache(maxsize=32)

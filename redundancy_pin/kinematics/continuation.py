@@ -4,19 +4,24 @@ Anchors are laid along the path no further apart than a fraction of the robot's 
 the samples are sparser, samples are passed over where they are denser). They are solved in batches that start from the
 last solved anchor and shrink where the branch turns fast. The samples then start from an interpolation between their
 anchors, so that a long, dense trajectory costs a few batched Newton steps and no loop over samples.
+
+Poses where the closures themselves lose rank (a flat four-bar whose sides add up in pairs, a stretched parallelogram)
+are crossings of branches. K is singular there, but along each branch q and Γ are smooth: the branch goes on with
+the tangent it came with. See ``carry``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, blocks
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project, rates
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import difference, moved, row_scale
+from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved, row_scale
 from redundancy_pin.kinematics.inverse_kinematics import multistart
 
 ANCHOR_SPACING = 0.04
@@ -37,12 +42,33 @@ _MOST_ANCHORS = 20_000
 """Anchors laid along one path beyond one a sample: eight hundred characteristic lengths of path."""
 
 
+NEAR_RANK_LOSS = 3e-3
+"""Scaled margin below which rounding shows: it costs velocities 1e-16 / margin², accelerations 1e-16 / margin³."""
+
+_NODES = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
+_NODE_SPACINGS = (1e-2, 2.5e-3)
+"""Distance of the nodes of an interpolation, in characteristic lengths: wide ones keep away from the singular pose,
+narrow ones are for branches that turn fast."""
+
+_SAME_TANGENT = 0.05
+"""As ``_CONTINUITY``, for the step across a rank loss. A prediction by both slopes is wrong by less than a hundredth of
+a step of eight node spacings; a branch whose tangent is nearer than this to the own one would not be told apart."""
+
+_CARRIED = 1e-8
+"""Largest part of Γ that K Γ = (0, 1) may be missed by at a carried pose. At a fold, where Γ is infinite, it is missed
+by one."""
+
+
 class Point(NamedTuple):
-    """One solved pose: coordinates (n,) or a pose (4, 4), configuration (nq,) and Γ (nv, n)."""
+    """One solved pose: coordinates (n,) or a pose (4, 4), configuration (nq,), Γ (nv, n), and the sign of det K.
+
+    The sign is zero where K is singular, or where nobody asks for it.
+    """
 
     x: Array
     q: Array
     gamma: Array
+    side: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +91,13 @@ class Anchors:
 
 
 def follow(
-    system: ConstraintSystem, x: Array, start: Array, *, resume: bool = False, every_sample: bool = False
+    system: ConstraintSystem,
+    x: Array,
+    start: Array,
+    slope: Array | None = None,
+    *,
+    resume: bool = False,
+    every_sample: bool = False,
 ) -> Anchors:
     """Solve anchors along a path from a configuration closed at its first pose.
 
@@ -73,6 +105,7 @@ def follow(
         system: closures and platform rows.
         x: (N, n) coordinates or (N, 4, 4) poses.
         start: (nq,) closed configuration at ``x[0]``.
+        slope: (nv, n) Γ there, for a start at which K is singular.
         resume: where the branch ends or leaves the robot's working mode, go on at the next pose that closes in it;
             without it the mode is not looked at, and the anchors after the end of the branch are left invalid.
         every_sample: lay an anchor on every sample.
@@ -82,30 +115,45 @@ def follow(
     q = np.tile(start, (count, 1))
     gamma = np.zeros((count, system.robot.model.nv, system.robot.n))
     valid = np.zeros(count, dtype=bool)
-    slope = project(system, system.evaluate(start[None])).gamma[0]
+    side = np.zeros(count)
+    if slope is None:
+        state = system.evaluate(start[None])
+        slope, side[0] = project(system, state).gamma[0], np.linalg.slogdet(state.K)[0][0]
     if np.isfinite(slope).all():  # a start at a type I singularity has no slope to follow
         gamma[0], valid[0] = slope, True
     last, batch, following = 0, _LARGEST_BATCH, 1
+    mode = np.array(system.robot.working_mode, dtype=float) if resume else None
+    regular = Point(poses[0], q[0], gamma[0], side[0])
     while following < count:
         stop = min(following + batch, count)
-        here = Point(poses[last], q[last], gamma[last])
-        new = _advance(system, here, poses[following:stop], in_mode=resume)
+        here = Point(poses[last], q[last], gamma[last], side[last])
+        regular = here if here.side != 0.0 else regular
+        new = _advance(system, here, poses[following:stop], mode)
         if not new and stop - following > 1:
             batch = max(1, batch // 4)
             continue
         if not new:
-            halved = _advance_by_halving(system, here, poses[following], in_mode=resume)
+            halved = _carried_to(system, here, poses[following])
+            if halved is None and mode is not None:
+                beyond = _advance(system, here, poses[following : following + 1], None)
+                # a path that starts at a rank loss starts between two modes
+                if beyond and (regular.side == 0.0 or crosses(system, regular, beyond[0])):
+                    halved, mode = beyond[0], np.sign(mode_indicator(system.robot, beyond[0].q[None])[0])
+            if halved is None:
+                halved = _advance_by_halving(system, here, poses[following], mode)
             if halved is None:
                 behind = reacquire(system, poses[following:], q[last]) if resume else None
                 if behind is None:
                     q[following:] = q[last]
                     break
                 skipped, halved = behind
+                mode = np.array(system.robot.working_mode, dtype=float)
                 q[following : following + skipped] = q[last]
                 following += skipped
             new = [halved]
         reached = following + len(new)
-        q[following:reached], gamma[following:reached] = [one.q for one in new], [one.gamma for one in new]
+        for part, values in zip((q, gamma, side), list(zip(*new, strict=True))[1:], strict=True):
+            part[following:reached] = values
         valid[following:reached] = True
         last, following = reached - 1, reached
         batch = min(2 * batch, _LARGEST_BATCH) if reached == stop else max(1, batch // 2)
@@ -118,13 +166,27 @@ def initial_guess(system: ConstraintSystem, x: Array, anchors: Anchors) -> Array
     Where the branch turns too fast for that between two anchors (next to a type I singularity), it is followed again
     from sample to sample.
     """
-    samples = np.arange(len(x), dtype=float)
     if len(anchors.position) == 1:
         return np.repeat(anchors.q, len(x), axis=0)
+    samples = np.arange(len(x), dtype=float)
     left = np.clip(np.searchsorted(anchors.position, samples, side="right") - 1, 0, len(anchors.position) - 2)
-    right = left + 1
+    guess = np.empty((len(x), system.robot.model.nq))
+    for part in blocks(len(x)):
+        guess[part] = _between_anchors(system, x[part], anchors, left[part])
+    smooth = continuous(system, anchors.q, anchors.gamma, anchors.x)
+    smooth |= ~(anchors.valid[1:] & anchors.valid[:-1])
+    for rough in np.unique(left[~smooth[left] & (samples > anchors.position[left])]):
+        between = np.flatnonzero((left == rough) & (samples > anchors.position[rough]))
+        path = np.concatenate([anchors.x[rough, None], x[between]])
+        again = follow(system, path, anchors.q[rough], anchors.gamma[rough], every_sample=True)
+        guess[between] = again.q[np.isin(again.position, np.arange(1, len(between) + 1))]
+    return guess
+
+
+def _between_anchors(system: ConstraintSystem, x: Array, anchors: Anchors, left: IntArray) -> Array:
+    """Return (N, nq) guesses for samples beside the anchors number ``left``."""
     robot, model = system.robot, system.robot.model
-    unit = row_scale(robot)
+    right, unit = left + 1, row_scale(robot)
     chord = difference(robot, anchors.x[right], anchors.x[left])
     here = difference(robot, x, anchors.x[left])
     length = np.maximum(((chord * unit) ** 2).sum(axis=1), np.finfo(float).tiny)
@@ -133,18 +195,17 @@ def initial_guess(system: ConstraintSystem, x: Array, anchors: Anchors) -> Array
     slope_right = np.einsum("nvi,ni->nv", anchors.gamma[right], chord)
     across = np.einsum("nvi,ni->nv", anchors.gamma[left], here - u * chord)
     span = configuration_difference(model, anchors.q[left], anchors.q[right])
-    cubic = u * u * (3 - 2 * u) * span + u * (1 - u) ** 2 * slope_left - u * u * (1 - u) * slope_right
     both = anchors.valid[left] & anchors.valid[right]
-    step = np.where(both[:, None], cubic + across, 0.0)
+    step = np.where(both[:, None], _cubic(u, span, slope_left, slope_right) + across, 0.0)
     # where the branch is found again behind a gap, the far side of the gap says nothing
     base = np.where(~anchors.valid[left] & anchors.valid[right], right, left)
-    guess = integrate(model, anchors.q[base], step)
-    smooth = continuous(system, anchors.q, anchors.gamma, anchors.x)
-    for rough in np.unique(left[both & ~smooth[left] & (samples > anchors.position[left])]):
-        between = np.flatnonzero((left == rough) & (samples > anchors.position[rough]))
-        part = follow(system, np.concatenate([anchors.x[rough, None], x[between]]), anchors.q[rough], every_sample=True)
-        guess[between] = part.q[np.isin(part.position, np.arange(1, len(between) + 1))]
-    return guess
+    return integrate(model, anchors.q[base], step)
+
+
+def _cubic(u: Array, span: Array, slope_left: Array, slope_right: Array) -> Array:
+    """Return Hermite's cubic from 0 at u = 0 to ``span`` at u = 1."""
+    result: Array = u * u * (3 - 2 * u) * span + u * (1 - u) ** 2 * slope_left - u * u * (1 - u) * slope_right
+    return result
 
 
 def continuous(system: ConstraintSystem, q: Array, gamma: Array, x: Array) -> BoolArray:
@@ -156,10 +217,10 @@ def continuous(system: ConstraintSystem, q: Array, gamma: Array, x: Array) -> Bo
     return follows(step, gamma[:-1], gamma[1:], difference(system.robot, x[1:], x[:-1]))
 
 
-def follows(step: Array, gamma0: Array, gamma1: Array, increment: Array) -> BoolArray:
+def follows(step: Array, gamma0: Array, gamma1: Array, increment: Array, part: float = _CONTINUITY) -> BoolArray:
     """Return (N,) whether steps (N, nv) of q are what Γ at both ends (N, nv, n) says of increments (N, n) of x."""
     predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment)
-    allowed = _CONTINUITY * np.abs(predicted).max(axis=1, initial=0.0) + _ROUNDING
+    allowed = part * np.abs(predicted).max(axis=1, initial=0.0) + _ROUNDING
     result: BoolArray = np.abs(step - predicted).max(axis=1, initial=0.0) <= allowed
     return result
 
@@ -189,8 +250,14 @@ def _lay_anchors(system: ConstraintSystem, x: Array, every_sample: bool) -> tupl
     return position[by_position], poses[by_position]
 
 
-def _advance(system: ConstraintSystem, here: Point, targets: Array, *, in_mode: bool) -> list[Point]:
-    """Solve a batch of poses from one solved pose; return those before the first that leaves the branch."""
+def _advance(
+    system: ConstraintSystem, here: Point, targets: Array, mode: Array | None, *, guarded: bool = True
+) -> list[Point]:
+    """Solve a batch of poses from one solved pose; return those before the first that leaves the branch, or a mode.
+
+    ``mode`` (legs,) are signs to keep, None for any. Where the sign of det K changes, branches cross or a jump from one
+    to another beside it (two that all but touch) looks like it: ``crosses`` tells.
+    """
     robot = system.robot
     step = difference(robot, targets, np.repeat(here.x[None], len(targets), axis=0)) @ here.gamma.T
     guess = integrate(robot.model, np.repeat(here.q[None], len(targets), axis=0), step)
@@ -198,12 +265,17 @@ def _advance(system: ConstraintSystem, here: Point, targets: Array, *, in_mode: 
     q = np.concatenate([here.q[None], solution.q])
     gamma = np.concatenate([here.gamma[None], solution.gamma])
     good = continuous(system, q, gamma, np.concatenate([here.x[None], targets]))
-    good &= solution.usable if in_mode else solution.regular
-    reached = len(good) if good.all() else int(np.argmin(good))
-    return [Point(*point) for point in zip(targets[:reached], solution.q, solution.gamma, strict=False)]
+    good &= solution.regular
+    if mode is not None:
+        good &= (mode_indicator(robot, solution.q) * mode > 0.0).all(axis=1)
+    side = np.linalg.slogdet(solution.state.K)[0]
+    points = [here, *map(Point, targets, solution.q, solution.gamma, side.tolist())]
+    for k, (before, after) in enumerate(pairwise(points)) if guarded else ():
+        good[k] = good[k] and (before.side * after.side >= 0.0 or (good[:k].all() and crosses(system, before, after)))
+    return points[1:] if good.all() else points[1 : int(np.argmin(good)) + 1]
 
 
-def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, *, in_mode: bool) -> Point | None:
+def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, mode: Array | None) -> Point | None:
     """Reach one pose by shorter and shorter steps; None when even the shortest loses the branch."""
     robot = system.robot
     if not assemble(system, here.q[None], target[None]).closed[0]:
@@ -213,7 +285,7 @@ def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, *,
     while done < 1.0:
         size = min(size, 1.0 - done)
         nearer = moved(robot, start[None], whole * (done + size)) if done + size < 1.0 else target[None]
-        reached = _advance(system, here, nearer, in_mode=in_mode)
+        reached = _advance(system, here, nearer, mode)
         if reached:
             done += size
             here, size = reached[0], 2.0 * size
@@ -222,6 +294,159 @@ def _advance_by_halving(system: ConstraintSystem, here: Point, target: Array, *,
             if size < 2.0**-_DEEPEST_HALVING:
                 return None
     return here
+
+
+class Carried(NamedTuple):
+    """M poses at a rank loss: q (M, nq), Γ (M, nv, n), v and a (M, nv), closure gap (M,)."""
+
+    q: Array
+    gamma: Array
+    v: Array
+    a: Array
+    gap: Array
+
+
+def carry(
+    system: ConstraintSystem, here: Point, x: Array, xd: Array, xdd: Array, along: Array | None = None
+) -> Carried | None:
+    """Return neighbouring poses at or beside a rank loss of the closures, on the branch of a point.
+
+    q, Γ and the rates are interpolated, with an error O(h⁸), between eight nodes on a line through the poses, four on
+    each side. A node is an ordinary pose, h and more away from the rank loss, and the branch is followed to it; across,
+    by the continuity of the tangent. The answer is verified: it closes, and K Γ = (0, 1).
+
+    Args:
+        system: closures and platform rows.
+        here: a point of the branch.
+        x: (M, n) coordinates or (M, 4, 4) poses, within a node spacing of one another.
+        xd: (M, n) their rates.
+        xdd: (M, n) and rates of these.
+        along: (n,) direction of the line; when left out that from the point to the poses, or, where that goes along the
+            rank loss, one coordinate's.
+
+    Returns:
+        None where the branch does not go on smoothly (a leg at full stretch: a fold).
+    """
+    robot, unit = system.robot, row_scale(system.robot)
+    centre = x[len(x) // 2]
+    ways = (difference(robot, centre[None], here.x[None])[0], *np.eye(robot.n)) if along is None else (along,)
+    for way in ways:
+        size = float(np.linalg.norm(way * unit))
+        for spacing in _NODE_SPACINGS if size > 0.0 else ():
+            line = _line(system, here, centre, way / size * spacing * robot.characteristic_length)
+            result = None if line is None else _interpolated(system, line, x, xd, xdd)
+            if result is not None:
+                return result
+    return None
+
+
+def crosses(system: ConstraintSystem, before: Point, after: Point) -> bool:
+    """Return whether a rank loss that the branch goes smoothly through lies between two neighbouring points of it.
+
+    det K changes its sign there, and so may the indicator of a working mode: the legs do not change over, the branch
+    leads from one mode to the other.
+    """
+    way = difference(system.robot, after.x[None], before.x[None])
+    sign, log = np.linalg.slogdet(system.evaluate(np.stack([before.q, after.q])).K)
+    if not np.isfinite(log).any():
+        return False
+    size = np.exp(log - log.max())
+    if sign[0] * sign[1] > 0.0 and size.min() > _ROUNDING:
+        return False
+    root = moved(system.robot, before.x[None], way * (size[0] / size.sum()))
+    still = np.zeros_like(way)
+    return carry(system, before, root, still, still, way[0]) is not None
+
+
+def _carried_to(system: ConstraintSystem, here: Point, target: Array) -> Point | None:
+    """Return the point at a target where the closures lose rank; None where they do not, or no branch goes through."""
+    step = here.gamma @ difference(system.robot, target[None], here.x[None])[0]
+    guess = system.evaluate(integrate(system.robot.model, here.q[None], step[None]))
+    if project(system, guess).margin[0] > 10.0 * NEAR_RANK_LOSS:
+        return None
+    solution = assemble(system, guess.q, target[None])
+    if solution.closed[0] and solution.projection.margin[0] > NEAR_RANK_LOSS:
+        return None
+    still = np.zeros((1, system.robot.n))
+    result = carry(system, here, target[None], still, still)
+    return None if result is None else Point(target, result.q[0], result.gamma[0])
+
+
+class _Line(NamedTuple):
+    """Nodes of an interpolation: centre of the line, step from node to node (n,), x (8, n), q (8, nq), Γ (8, nv, n)."""
+
+    centre: Array
+    step: Array
+    x: Array
+    q: Array
+    gamma: Array
+
+
+def _line(system: ConstraintSystem, here: Point, centre: Array, step: Array, *, recentre: bool = True) -> _Line | None:
+    """Solve nodes on both sides of a pose, on the branch of a point; None where it does not lead to all of them."""
+    robot, model = system.robot, system.robot.model
+    x = moved(robot, np.repeat(centre[None], len(_NODES), axis=0), _NODES[:, None] * step)
+    near = _advance(system, here, x[:1], None, guarded=False)  # it is for guards that lines are made
+    if not near:
+        return None
+    first = near[0]
+    whole = (_NODES[-1] - _NODES[0]) * step
+    guess = integrate(model, first.q[None], (first.gamma @ whole)[None])
+    across = assemble(system, guess, x[-1:], max_iterations=10, shortest_step=_SHORTEST_STEP)
+    if not across.regular[0]:
+        return None
+    span = configuration_difference(model, first.q[None], across.q)
+    if not follows(span, first.gamma[None], across.gamma, whole[None], _SAME_TANGENT)[0]:
+        return None
+    sign, log = np.linalg.slogdet(system.evaluate(np.stack([first.q, across.q[0]])).K)
+    if recentre and sign[0] * sign[1] < 0.0:
+        part = 1.0 / (1.0 + np.exp(min(log[1] - log[0], 100.0)))  # of det K, all but linear between the two
+        pose = moved(robot, x[:1], (part * whole)[None])[0]
+        return _line(system, first, pose, step, recentre=False)
+    u = ((_NODES[1:-1] - _NODES[0]) / (_NODES[-1] - _NODES[0]))[:, None]
+    between = _cubic(u, span, first.gamma @ whole, across.gamma[0] @ whole)
+    inner = assemble(system, integrate(model, np.repeat(first.q[None], len(u), axis=0), between), x[1:-1])
+    apart = configuration_difference(model, np.repeat(first.q[None], len(u), axis=0), inner.q) - between
+    if not inner.regular.all() or np.abs(apart).max() > _SAME_TANGENT * np.abs(span).max() / len(_NODES):
+        return None
+    q = np.concatenate([first.q[None], inner.q, across.q])
+    return _Line(centre, step, x, q, np.concatenate([first.gamma[None], inner.gamma, across.gamma]))
+
+
+def _interpolated(system: ConstraintSystem, line: _Line, x: Array, xd: Array, xdd: Array) -> Carried | None:
+    robot, model, count = system.robot, system.robot.model, len(_NODES)
+    unit = row_scale(robot) ** 2
+    away = difference(robot, x, np.repeat(line.centre[None], len(x), axis=0))
+    u = (away * line.step * unit).sum(axis=1) / (line.step**2 * unit).sum()
+    if np.abs(u).max() > _NODES[-1] / 2.0:
+        return None
+    others = _NODES[None, :] - _NODES[:, None] + np.eye(count)
+    factors = np.where(np.eye(count, dtype=bool), 1.0, (u[:, None, None] - _NODES) / -others)
+    weights = factors.prod(axis=2)  # Lagrange's, (M, 8)
+    # each pose has its own nodes: the line, moved sideways through the pose
+    aside = np.repeat(away - u[:, None] * line.step, count, axis=0)
+    places = moved(robot, np.tile(line.x, (len(x), *(1,) * (line.x.ndim - 1))), aside)
+    start = integrate(
+        model, np.tile(line.q, (len(x), 1)), np.einsum("nvi,ni->nv", np.tile(line.gamma, (len(x), 1, 1)), aside)
+    )
+    nodes = assemble(system, start, places)
+    if not nodes.regular.all():
+        return None
+    v, a = rates(system, nodes.state, nodes.projection, np.repeat(xd, count, axis=0), np.repeat(xdd, count, axis=0))
+
+    def at_poses(values: Array) -> Array:
+        result: Array = np.einsum("mj,mj...->m...", weights, values.reshape(len(x), count, *values.shape[1:]))
+        return result
+
+    base = np.repeat(nodes.q.reshape(len(x), count, -1)[:, count // 2], count, axis=0)
+    q = integrate(model, base[::count], at_poses(configuration_difference(model, base, nodes.q)))
+    gamma, state = at_poses(nodes.gamma), system.evaluate(q)
+    gap = np.abs(np.concatenate([state.phi, difference(robot, x, coordinates(robot, state))], axis=1)).max(axis=1)
+    product = np.einsum("nrv,nvi->nri", state.K, gamma[:, system.pose_columns])
+    product[:, len(system.rows) :] -= np.eye(robot.n)
+    if gap.max() > CLOSURE_TOLERANCE or np.abs(product).max() > _CARRIED * (1.0 + np.abs(gamma).max()):
+        return None
+    return Carried(q, gamma, at_poses(v), at_poses(a), gap)
 
 
 def reacquire(system: ConstraintSystem, targets: Array, q: Array) -> tuple[int, Point] | None:

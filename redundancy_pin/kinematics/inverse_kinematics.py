@@ -15,8 +15,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.kinematics.assembly import Assembly, assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import turning_velocities
-from redundancy_pin.kinematics.modes import in_working_mode, mode_indicator
+from redundancy_pin.kinematics.coordinates import in_working_mode, mode_indicator, turning_velocities
 from redundancy_pin.robot import Robot
 
 _STARTS = (1, 16, 240)
@@ -162,9 +161,10 @@ def _assemble_around(
 
 
 def _wrapped(robot: Robot, q: Array) -> Array:
-    """Return q with the angles of bounded revolute joints in (−π, π]."""
+    """Return q with the angles of bounded revolute joints in (−π, π], but for those that the pose prescribes."""
     result: Array = q.copy()
-    columns = _bounded_angles(robot)
+    prescribed = {robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.independent_joints}
+    columns = [column for column in _bounded_angles(robot) if column not in prescribed]
     result[:, columns] = np.pi - (np.pi - q[:, columns]) % (2.0 * np.pi)
     return result
 

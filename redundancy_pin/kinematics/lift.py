@@ -3,18 +3,46 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, blocks, read_only
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
-from redundancy_pin.kinematics.assembly import Assembly, assemble, configuration_difference, project
+from redundancy_pin.kinematics.assembly import (
+    SINGULAR_MARGIN,
+    Assembly,
+    assemble,
+    configuration_difference,
+    project,
+    rates,
+)
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.continuation import Anchors, continuous, follow, initial_guess, reacquire
-from redundancy_pin.kinematics.coordinates import coordinates, require_matching
+from redundancy_pin.kinematics.continuation import (
+    NEAR_RANK_LOSS,
+    Anchors,
+    Point,
+    carry,
+    continuous,
+    crosses,
+    follow,
+    initial_guess,
+    reacquire,
+)
+from redundancy_pin.kinematics.coordinates import (
+    coordinates,
+    difference,
+    in_working_mode,
+    mode_indicator,
+    mode_name,
+    require_matching,
+    row_scale,
+    velocity_scale,
+    working_modes,
+)
 from redundancy_pin.kinematics.inverse_kinematics import multistart
-from redundancy_pin.kinematics.modes import in_working_mode, mode_indicator, mode_name, working_modes
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 
@@ -25,11 +53,17 @@ given up."""
 _SAME_CONFIGURATION = 1e-6
 """Two closed configurations of one pose nearer than this (rad, m) are the same one, computed twice."""
 
+_ALMOST_CLOSED = 1e-6
+"""Gap that Newton comes below at a rank loss too, where it halves the error with each step and no more."""
+
+_NO_SIDE = 1e-6
+"""A mode indicator (sine or metres) this small at a pose where modes meet is zero."""
+
 _STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
 
 @dataclass(frozen=True, eq=False)
-class TreeMotion:
+class TreeMotion(Frozen):
     """Motion of the tree with the chains closed, carriers at zero; made by ``lift``.
 
     Carriers do not change the pose: their positions, rates and accelerations are added to their own entries of q, v, a.
@@ -61,7 +95,13 @@ class TreeMotion:
     serial_margin_bound: Array
 
 
-def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False) -> TreeMotion:
+def lift(
+    robot: Robot,
+    motion: PlatformMotion,
+    *,
+    mark_unreachable: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> TreeMotion:
     """Lift a platform motion to the tree.
 
     The first pose is found on the branch of the reference configuration (and in the robot's working mode); from there
@@ -73,6 +113,7 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
         mark_unreachable: instead of raising, mark samples without a configuration in the working mode, and type I
             singularities, with NaN. Behind them the motion is reacquired in the working mode; a robot that declares no
             modes may come back on another branch, but never without a marked sample in between.
+        progress: called with samples done and samples in all, now and then.
 
     Raises:
         InputError: the motion does not have the robot's coordinates.
@@ -83,24 +124,105 @@ def lift(robot: Robot, motion: PlatformMotion, *, mark_unreachable: bool = False
     require_matching(robot, motion)
     system = constraint_system(robot)
     # the guesses lie on the branch, so that all samples can be solved at once: no sample waits for the one before
-    solved = assemble(system, _guesses(system, motion, mark_unreachable), motion.x, max_iterations=30)
+    solved = _solve(system, motion, _guesses(system, motion, mark_unreachable), progress)
+    _carry(motion, solved)
     if not mark_unreachable:
-        _require_usable(motion, solved)
-    good = solved.usable
+        _require_closed_and_regular(motion, solved, 0)
+    good = solved.regular & _require_modes(motion, solved, mark=mark_unreachable)
     breaks = _branch_breaks(motion, solved, good)
     if len(breaks) and not mark_unreachable:
-        raise _discontinuous(motion, int(breaks[0]) - 1)
+        k = int(breaks[0])
+        raise WorkingModeError(
+            f"The motion cannot be followed continuously from sample {k - 1} to {k} (t = {motion.t[k - 1]:.6g} to "
+            f"{motion.t[k]:.6g} s): another branch of the kinematics is nearer.",
+            remedy="Keep away from type I singularities, or sample the motion more finely.",
+            sample=k,
+        )
     good[breaks] = False  # closed, but on another branch than the sample before
-    gamma, inverse = solved.gamma, solved.projection.inverse
-    v = np.einsum("nvi,ni->nv", gamma, motion.xd)
-    bias_c, bias_x = system.bias(solved.state, v)
-    a = np.zeros_like(v)
-    a[:, system.pose_columns] = np.einsum("npr,nr->np", inverse, np.concatenate([-bias_c, motion.xdd - bias_x], axis=1))
+    q, gamma, v, a = solved.q, solved.gamma, solved.v, solved.a
     W = np.ascontiguousarray(gamma[:, robot.actuated_velocity, :].transpose(0, 2, 1))
-    for array in (solved.q, v, a, gamma, W):
+    for array in (q, gamma, v, a, W):
         array[~good] = np.nan
-    parts = (solved.q, v, a, gamma, W, solved.gap, good, solved.projection.margin)
+    parts = (q, v, a, gamma, W, solved.gap, good, solved.margin)
     return TreeMotion(robot, motion, *(read_only(part) for part in parts))
+
+
+@dataclass(frozen=True, eq=False)
+class _Lifted:
+    """Samples that Newton reached; those at a rank loss are ``carried`` (N,) and replaced in place."""
+
+    system: ConstraintSystem
+    q: Array
+    gamma: Array
+    v: Array
+    a: Array
+    gap: Array
+    margin: Array
+    carried: BoolArray
+
+    @property
+    def closed(self) -> BoolArray:
+        """(N,) whether the gap is below the closure tolerance."""
+        return self.gap < CLOSURE_TOLERANCE
+
+    @property
+    def regular(self) -> BoolArray:
+        """(N,) closed, and either no type I singularity or one that the branch goes smoothly through."""
+        return self.closed & ((self.margin > 0.0) | self.carried)
+
+
+def _solve(
+    system: ConstraintSystem, motion: PlatformMotion, guess: Array, progress: Callable[[int, int], None] | None
+) -> _Lifted:
+    """Assemble all samples, in blocks: what a block takes besides its results is a dozen times as much."""
+    samples, (nv, n) = len(motion), (system.robot.model.nv, system.robot.n)
+    gamma, v, a = np.empty((samples, nv, n)), np.empty((samples, nv)), np.empty((samples, nv))
+    gap, margin = np.empty((2, samples))
+    for part in blocks(samples):
+        one = assemble(system, guess[part], motion.x[part], max_iterations=30)
+        guess[part], gamma[part], gap[part], margin[part] = one.q, one.gamma, one.gap, one.projection.margin
+        v[part], a[part] = rates(system, one.state, one.projection, motion.xd[part], motion.xdd[part])
+        if progress is not None:
+            progress(part.stop, samples)
+    return _Lifted(system, guess, gamma, v, a, gap, margin, np.zeros(samples, dtype=bool))
+
+
+def _carry(motion: PlatformMotion, solved: _Lifted) -> None:
+    """Replace the samples at and beside a rank loss of the closures that the branch goes through."""
+    system, carried = solved.system, solved.carried
+    near = (solved.gap < _ALMOST_CLOSED) & (solved.margin < NEAR_RANK_LOSS)
+    parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap
+    unit = row_scale(system.robot)
+    for first, stop in _runs(near):
+        while first < stop:
+            away = np.linalg.norm(
+                difference(system.robot, motion.x[first:stop], motion.x[first : first + 1]) * unit, axis=1
+            )
+            last = first + int(np.argmax(np.append(away, np.inf) > NEAR_RANK_LOSS * system.robot.characteristic_length))
+            part = slice(first, last)
+            neighbours = [
+                k
+                for k in (first - 1, stop)
+                if 0 <= k < len(near) and (carried[k] or (solved.regular[k] and not near[k]))
+            ]
+            points = [Point(motion.x[k], solved.q[k], solved.gamma[k]) for k in neighbours]
+            if first == 0:
+                with contextlib.suppress(UnreachablePoseError, SingularPoseError, WorkingModeError):
+                    points.append(_point_on_branch(system, motion.x[0]))
+            for point in points:
+                result = carry(system, point, motion.x[part], motion.xd[part], motion.xdd[part])
+                if result is not None:
+                    for array, new in zip(parts, result, strict=True):
+                        array[part] = new
+                    carried[part] = True
+                    break
+            first = last
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Return start and stop of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.intp), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Array:
@@ -119,15 +241,20 @@ def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Ar
         SingularPoseError: the pose is a type I singularity.
         WorkingModeError: there are closed configurations, but none in the working mode.
     """
+    return _point_on_branch(system, x, sample).q
+
+
+def _point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Point:
     robot, reference = system.robot, np.array(system.robot.q_reference)
     home = coordinates(robot, system.evaluate(reference[None]))
     anchors = follow(system, np.concatenate([home, x[None]]), reference)
-    if anchors.valid[-1] and in_working_mode(robot, anchors.q[-1:])[0]:
-        q: Array = anchors.q[-1]
-        return q
+    reached = Point(x, anchors.q[-1], anchors.gamma[-1])
+    if anchors.valid[-1] and (in_working_mode(robot, reached.q[None])[0] or _between_modes(robot, reached.q)):
+        return reached
     q, gap, in_mode = multistart(system, reference, x)
     closed, pose = gap < CLOSURE_TOLERANCE, f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
-    if closed and project(system, system.evaluate(q[None])).margin[0] == 0.0:
+    projection = project(system, system.evaluate(q[None]))
+    if closed and projection.margin[0] == 0.0:
         raise SingularPoseError(
             f"{pose} is a type I singularity: the platform velocity does not determine the joint velocities.",
             remedy=_STAY_AWAY,
@@ -147,7 +274,12 @@ def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Ar
             sample=sample,
             gap=gap,
         )
-    return q
+    return Point(x, q, projection.gamma[0])
+
+
+def _between_modes(robot: Robot, q: Array) -> bool:
+    """Return whether a configuration (nq,) lies where working modes meet: it belongs to both."""
+    return bool((np.abs(mode_indicator(robot, q[None])) < _NO_SIDE).any())
 
 
 def _guesses(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> Array:
@@ -155,44 +287,46 @@ def _guesses(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> Ar
     start = _first_on_branch(system, motion, mark)
     if start is None:
         return np.repeat(system.robot.q_reference[None], len(motion), axis=0)
-    first, q = start
+    first, (_, q, slope, _) = start
     onward = motion.x[first:]
-    anchors = follow(system, onward, q, resume=mark)
+    anchors = follow(system, onward, q, slope, resume=mark)
     if not mark:
         _require_branch(system, motion, anchors)
     guess = initial_guess(system, onward, anchors)
     if first == 0:
         return guess
     back = motion.x[first::-1]
-    before = initial_guess(system, back, follow(system, back, q, resume=mark))
+    before = initial_guess(system, back, follow(system, back, q, slope, resume=mark))
     return np.concatenate([before[:0:-1], guess])
 
 
-def _first_on_branch(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> tuple[int, Array] | None:
-    """Return the first sample that is solved on the branch, and its configuration."""
+def _first_on_branch(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> tuple[int, Point] | None:
+    """Return the first sample that is solved on the branch, and its solution."""
     try:
-        return 0, find_on_branch(system, motion.x[0])
+        return 0, _point_on_branch(system, motion.x[0])
     except (UnreachablePoseError, SingularPoseError, WorkingModeError):
         if not mark:
             raise
     near = reacquire(system, motion.x, np.array(system.robot.q_reference))
     if near is not None:
-        return near[0], near[1].q
+        return near
     for sample in np.linspace(0, len(motion) - 1, _FAR_STARTS).round().astype(int)[1:]:
         with contextlib.suppress(UnreachablePoseError, SingularPoseError, WorkingModeError):
-            return int(sample), find_on_branch(system, motion.x[sample], sample=int(sample))
+            return int(sample), _point_on_branch(system, motion.x[sample], int(sample))
     return None
 
 
-def _branch_breaks(motion: PlatformMotion, solved: Assembly, good: BoolArray) -> IntArray:
+def _branch_breaks(motion: PlatformMotion, solved: _Lifted, good: BoolArray) -> IntArray:
     """Return the samples whose configuration does not continue the branch of the sample before, both being good."""
     system, q, x = solved.system, solved.q, motion.x
+    steps = [(part.start, part.stop) for part in blocks(len(q) - 1)]
     if len(q) < 2:
         return np.zeros(0, dtype=np.intp)
-    suspects = np.flatnonzero(good[1:] & good[:-1] & ~continuous(system, q, solved.gamma, x))
+    same = [continuous(system, *(array[first : last + 1] for array in (q, solved.gamma, x))) for first, last in steps]
+    suspects = np.flatnonzero(good[1:] & good[:-1] & ~np.concatenate(same))
 
     def reached_again(k: int) -> bool:
-        again = follow(system, x[k : k + 2], q[k])
+        again = follow(system, x[k : k + 2], q[k], solved.gamma[k])
         apart = configuration_difference(system.robot.model, again.q[-1:], q[k + 1 : k + 2])
         return bool(again.valid.all()) and float(np.abs(apart).max()) <= _SAME_CONFIGURATION
 
@@ -210,6 +344,8 @@ def _require_branch(system: ConstraintSystem, motion: PlatformMotion, anchors: A
     poses = motion.x[first : last + 1]
     solved = assemble(system, np.repeat(anchors.q[lost][None], len(poses), axis=0), poses)
     _require_closed_and_regular(motion, solved, first)
+    if not solved.in_mode.all():
+        raise _leaves_mode(motion, system.robot, first + int(np.argmin(solved.in_mode)), solved.q[~solved.in_mode][0])
     raise WorkingModeError(
         f"The motion cannot be followed continuously to sample {last} (t = {motion.t[last]:.6g} s): the way there "
         "leaves the workspace or passes a type I singularity (a leg at full stretch, full fold or zero length).",
@@ -218,26 +354,54 @@ def _require_branch(system: ConstraintSystem, motion: PlatformMotion, anchors: A
     )
 
 
-def _require_usable(motion: PlatformMotion, solved: Assembly) -> None:
-    """Check every sample: closed, regular, in the working mode."""
-    _require_closed_and_regular(motion, solved, 0)
-    robot = solved.system.robot
-    if robot.working_modes is not None and not solved.in_mode.all():
-        k = int(np.argmin(solved.in_mode))
-        leg = int(np.argmax(mode_indicator(robot, solved.q[k : k + 1])[0] * np.array(robot.working_mode) <= 0.0))
-        raise WorkingModeError(
-            f"The motion leaves the working mode {mode_name(robot.working_mode)} at sample {k} "
-            f"(t = {motion.t[k]:.6g} s): leg {leg + 1} ({robot.working_modes.joints[leg]}) changes over.",
-            remedy="Plan a path that keeps every leg on its side, or load the robot in another working_mode.",
-            sample=k,
-            leg=leg + 1,
-        )
+def _require_modes(motion: PlatformMotion, solved: _Lifted, *, mark: bool) -> BoolArray:
+    """Return (N,) which samples are in the working mode, or in the one that the branch has led to from it.
+
+    Raises:
+        WorkingModeError: one is not, and none is to be marked.
+    """
+    system, robot, regular, carried = solved.system, solved.system.robot, solved.regular, solved.carried
+    in_mode = np.ones(len(regular), dtype=bool)
+    if robot.working_modes is None:
+        return in_mode
+    indicator = mode_indicator(robot, solved.q)
+    side = np.where(carried[:, None] & (np.abs(indicator) < _NO_SIDE), 0.0, np.sign(indicator))
+    declared = mode = np.array(robot.working_mode, dtype=float)
+    changes = np.flatnonzero((side[1:] != side[:-1]).any(axis=1) | (regular[1:] != regular[:-1])) + 1
+    for first, stop in pairwise([0, *changes.tolist(), len(side)]):
+        if first > 0 and not regular[first - 1]:
+            mode = declared  # behind a gap the motion is reacquired
+        if (side[first] * mode < 0.0).any() and first > 0 and regular[first - 1 : first + 1].all():
+            known = np.flatnonzero(~carried[:first])  # a carried sample says little of its side
+            points = [Point(motion.x[k], solved.q[k], solved.gamma[k]) for k in (*known[-1:], first)]
+            # a motion that starts at a rank loss starts between two modes
+            if len(points) == 1 or (regular[known[-1] : first].all() and crosses(system, *points)):
+                mode = np.where(side[first] == 0.0, mode, side[first])
+        in_mode[first:stop] = (side[first] * mode >= 0.0).all() & (carried[first] | (side[first] != 0.0).all())
+    wrong = regular & ~in_mode
+    if wrong.any() and not mark:
+        k = int(np.argmax(wrong))
+        raise _leaves_mode(motion, robot, k, solved.q[k])
+    return in_mode
 
 
-def _require_closed_and_regular(motion: PlatformMotion, solved: Assembly, first: int) -> None:
+def _leaves_mode(motion: PlatformMotion, robot: Robot, k: int, q: Array) -> WorkingModeError:
+    leg = int(np.argmax(mode_indicator(robot, q[None])[0] * np.array(robot.working_mode) <= 0.0))
+    name = robot.working_modes.joints[leg] if robot.working_modes else ""
+    return WorkingModeError(
+        f"The motion leaves the working mode {mode_name(robot.working_mode)} at sample {k} "
+        f"(t = {motion.t[k]:.6g} s): leg {leg + 1} ({name}) changes over.",
+        remedy="Plan a path that keeps every leg on its side, or load the robot in another working_mode.",
+        sample=k,
+        leg=leg + 1,
+    )
+
+
+def _require_closed_and_regular(motion: PlatformMotion, solved: Assembly | _Lifted, first: int) -> None:
     """Check samples of a motion from number ``first`` on."""
-    if not solved.closed.all():
-        i = int(np.argmin(solved.closed))
+    closed, regular = solved.closed, solved.regular
+    if not closed.all():
+        i = int(np.argmin(closed))
         k, gap = first + i, float(solved.gap[i])
         raise UnreachablePoseError(
             f"The pose of sample {k} (t = {motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}) cannot be "
@@ -246,20 +410,24 @@ def _require_closed_and_regular(motion: PlatformMotion, solved: Assembly, first:
             sample=k,
             gap=gap,
         )
-    if not solved.regular.all():
-        k = first + int(np.argmin(solved.regular))
+    if not regular.all():
+        i = int(np.argmin(regular))
+        k, system = first + i, solved.system
+        state, columns = system.evaluate(solved.q[i : i + 1]), system.pose_columns
+        closures = state.Jc[0][:, columns] * system.closure_scale[:, None] / velocity_scale(system.robot)[columns]
+        values = np.linalg.svd(closures, compute_uv=False)
+        if values[-1] < SINGULAR_MARGIN:
+            raise SingularPoseError(
+                f"At sample {k} (t = {motion.t[k]:.6g} s, x = {np.round(motion.x[k], 6).tolist()}) the closures lose "
+                "rank, and no branch leads smoothly through that pose: the joint velocities are undetermined.",
+                remedy="Keep away from that pose, or change a length a little so that branches do not meet.",
+                sample=k,
+                time=float(motion.t[k]),
+                x=motion.x[k].tolist(),
+            )
         raise SingularPoseError(
             f"Sample {k} (t = {motion.t[k]:.6g} s) is a type I singularity: the platform velocity does not determine "
             "the joint velocities.",
             remedy=_STAY_AWAY,
             sample=k,
         )
-
-
-def _discontinuous(motion: PlatformMotion, k: int) -> WorkingModeError:
-    return WorkingModeError(
-        f"The motion cannot be followed continuously from sample {k} to {k + 1} (t = {motion.t[k]:.6g} to "
-        f"{motion.t[k + 1]:.6g} s): another branch of the kinematics is nearer.",
-        remedy="Keep away from type I singularities, or sample the motion more finely.",
-        sample=k + 1,
-    )

@@ -43,7 +43,7 @@ SAMPLES_A_PIECE = 33
 LARGEST_CONDITION = 1e6
 """Beyond it the times at which W reaches a threshold are lost in the rounding of W."""
 
-SINGULAR = 1e-9
+ZERO_SINGULAR_VALUE = 1e-9
 """A smallest singular value below this fraction of the largest along the motion is zero."""
 
 
@@ -111,7 +111,7 @@ class Actuation:
         lowest = min(value for _, value in minima(lambda t: self._nearness(t, measure), self._times, np.inf))
         if measure == "margin":
             return lowest
-        return 1.0 / lowest if lowest > SINGULAR else float("inf")
+        return 1.0 / lowest if lowest > ZERO_SINGULAR_VALUE else float("inf")
 
     def singular_instants(self) -> list[float]:
         """Return the times, s, at which the motion crosses or touches a type II singularity."""
@@ -121,7 +121,7 @@ class Actuation:
             sign = np.sign(np.linalg.det(W)) if W.shape[1] == W.shape[2] else 1.0
             return np.asarray(self._nearness(times, "condition") * sign)
 
-        return [zero.t for zero in zeros(signed, self._times, SINGULAR)]
+        return [zero.t for zero in zeros(signed, self._times, ZERO_SINGULAR_VALUE)]
 
     def _nearness(self, times: Array, measure: Measure) -> Array:
         """Return σ_min/σ_max, or σ_min: continuous also at a singularity, where a condition number is not."""
@@ -155,13 +155,9 @@ class CarrierModel:
 
     N samples, n independent coordinates, m main actuators, k carriers; last axis: s, s², ṡ, s ṡ, s̈.
 
-    Attributes:
-        t: (N,) time, s.
-        W: (N, n, m) actuation matrix.
-        f0: (N, n) f with the carriers at rest at s = 0, N and N·m.
-        f_terms: (N, n, k, 5) coefficients of f, by carrier and term.
-        force0: (N, k) carrier forces with the carriers at rest at s = 0, N.
-        force_terms: (N, k, 5) coefficients of each carrier's force in its own motion.
+    ``t`` (N,) time, s; ``W`` (N, n, m) actuation matrix; ``f0`` (N, n) f with the carriers at rest at s = 0, N and N·m;
+    ``f_terms`` (N, n, k, 5) coefficients of f, by carrier and term; ``force0`` (N, k) carrier forces with the carriers
+    at rest at s = 0, N; ``force_terms`` (N, k, 5) coefficients of each carrier's force in its own motion.
     """
 
     t: Array
@@ -192,14 +188,36 @@ def terms(s: Array, sd: Array, sdd: Array) -> Array:
     return np.stack([s, s * s, sd, s * sd, sdd], axis=-1)
 
 
-def carrier_model(along: DynamicsAlongMotion) -> CarrierModel:
-    """Read the coefficients off a backend along a platform motion."""
-    robot, samples = along.robot, len(along.motion)
+MASSLESS = 1e-12
+"""A carrier with less than this fraction of the largest mass and inertia of the robot has none."""
+
+
+def require_carriers(robot: Robot) -> None:
+    """Check that there are carriers, and that moving them does something: each moves a mass, or an inertia."""
     if robot.k == 0:
         raise UnsupportedRobotError(
             f"{robot.name} has no carriers to plan for.", remedy="Load it with carriers, or declare some."
         )
+    bodies = np.abs([body.toDynamicParameters() for body in robot.model.inertias])
+    massless = []
+    for name in robot.carriers:
+        moved = bodies[list(robot.model.subtrees[robot.model.getJointId(name)])]
+        if (moved.max(axis=0) <= MASSLESS * bodies.max(axis=0)).all():
+            massless.append(name)
+    if massless:
+        several = len(massless) > 1
+        raise UnsupportedRobotError(
+            f"{', '.join(massless)} of {robot.name} {'have' if several else 'has'} no mass: moving "
+            f"{'them' if several else 'it'} changes no effort, so there is nothing to plan.",
+            remedy="Give every carrier a mass, or load the robot without carriers and use inverse dynamics.",
+            carriers=tuple(massless),
+        )
 
+
+def carrier_model(along: DynamicsAlongMotion) -> CarrierModel:
+    """Read the coefficients off a backend along a platform motion."""
+    robot, samples = along.robot, len(along.motion)
+    require_carriers(robot)
     parked = along.reduce(CarrierMotion.parked(samples, robot.k))
     n = parked.f.shape[1]
 
@@ -329,12 +347,9 @@ does not shrink with the group."""
 class TimedModel:
     """The carrier model as a function of time.
 
-    Attributes:
-        breaks: (b,) inner times at which f may jump, s.
-        knots: (c,) further ends of the pieces, s.
-        interpolant: all coefficients side by side.
-        tolerance: of the coefficients, relative.
-        shapes: of W, f0, f_terms, force0 and force_terms at one instant.
+    ``breaks`` (b,) inner times at which f may jump, s; ``knots`` (c,) further ends of the pieces, s; ``interpolant``:
+    all coefficients side by side; ``tolerance``: of the coefficients, relative; ``shapes``: of W, f0, f_terms, force0
+    and force_terms at one instant.
     """
 
     breaks: Array

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from redundancy_pin.arrays import Array, Side
+from redundancy_pin.arrays import Array, Frozen, Side
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError
@@ -34,15 +34,21 @@ BESIDE = 0.3
 DEGREE_BESIDE = 5
 """Of τ in the pieces at a singular instant, from the rest of the piece and the τ that the plan has there."""
 
+ROUNDED = 1e-10
+"""Times that differ by less than this fraction of the interval are one."""
+
+ROOT = 1e-6
+"""How exactly a root of det W is known, relative to the piece: a double one to the square root of rounding."""
+
 POLE = 1e-2
 """Last coefficients of the efforts in a piece, relative to the largest, from which they have a pole there."""
 
-SINGULAR = 1e-6
+SINGULAR_SAMPLE = 1e-6
 """Margin of W, relative to the largest along the motion, below which a sample of a plan counts as singular."""
 
 
 @dataclass(frozen=True, eq=False)
-class PlanFunctions:
+class PlanFunctions(Frozen):
     """The functions of time of a plan, from its first to its last sample.
 
     Attributes:
@@ -90,17 +96,16 @@ class PlanFunctions:
         ``chebyshev_times`` of the pieces; ``limits``: efforts (m,) at edges, s, on a type II singularity, which W⁻¹ f
         tends to.
         """
-        left, right = edges[:-1], edges[1:]
+        left, right, slack = edges[:-1], edges[1:], ROUNDED * (edges[-1] - edges[0])
         times = reduced.t.reshape(len(left), -1)
         tau = self.efforts(reduced).reshape(*times.shape, -1)
-        middle = 0.5 * (left + right)
-        decided = np.zeros(len(left), dtype=bool)
-        for part in self.prescribed:
-            decided |= (part.start <= middle) & (middle <= part.end)
         for t, value in limits.items():
-            for i in np.flatnonzero(((left == t) | (right == t)) & ~decided):
+            at_end = (np.abs(left - t) <= slack) | (
+                np.abs(right - t) <= slack
+            )  # an edge may be a knot beside the sample
+            for i in np.flatnonzero(at_end):
                 tau[i] = _beside((times[i] - t) / (right[i] - left[i]), tau[i], value)
-        _require_finite(tau, left)
+        _require_finite(tau, edges, reduced)
         return PiecewisePolynomial.from_values(edges, tau)
 
 
@@ -117,25 +122,43 @@ def _beside(distance: Array, tau: Array, value: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _require_finite(tau: Array, left: Array) -> None:
+def _require_finite(tau: Array, edges: Array, reduced: ReducedDynamics) -> None:
     """Check the (P, d, m) efforts in each piece: a pole, which no node need meet, leaves large last coefficients."""
     series = chebyshev_series(tau)
     size = np.abs(series).max(initial=0.0, where=np.isfinite(series))
     bad = ~np.isfinite(series).all(axis=(1, 2)) | (np.abs(series[:, -2:]).max(axis=(1, 2)) > POLE * size)
-    if bad.any():
-        t = float(left[int(np.flatnonzero(bad)[0])])
+    for i in np.flatnonzero(bad)[:1].tolist():
+        t = _singular_instant(tau[i], edges[i : i + 2], reduced, i)
         raise InfeasiblePlanError(
-            f"In the step from t = {t:.6g} s on, the motion has no finite efforts.",
+            f"The motion has no finite efforts at t = {t:.9g} s.",
             remedy="It meets a type II singularity that it may not cross: plan it with plan_whole_trajectory.",
             constraint="effort",
             time=t,
         )
 
 
+def _singular_instant(tau: Array, ends: Array, reduced: ReducedDynamics, piece: int) -> float:
+    """Return where in a piece the (d, m) efforts have their pole: where det W, a polynomial there, is zero."""
+    nodes = slice(piece * len(tau), (piece + 1) * len(tau))
+    times, W = reduced.t[nodes], np.asarray(reduced.W[nodes])
+    lost = np.flatnonzero(~np.isfinite(tau).all(axis=1))
+    if len(lost):
+        return float(times[lost[0]])
+    if W.shape[1] == W.shape[2]:
+        determinant = np.linalg.det(W)
+        roots = Chebyshev.fit(times, determinant / np.abs(determinant).max(), len(times) - 1, domain=ends).roots()
+        slack = ROOT * (ends[1] - ends[0])
+        near = np.sort(
+            roots.real[(np.abs(roots.imag) <= slack) & (np.abs(roots.real - ends.mean()) <= 0.5 * np.ptp(ends) + slack)]
+        )
+        if len(near):
+            return float(next((end for end in ends if abs(near[0] - end) <= slack), near[0]))
+    return float(times[np.abs(tau).max(axis=1).argmax()])
+
+
 def apart(times: Array) -> Array:
     """Return times in order, those that differ from the one before by rounding left out, the first and last kept."""
     edges = np.unique(times)
-    kept = np.append(np.diff(edges) > 1e-10 * (edges[-1] - edges[0]), True)
-    kept[0] = True
-    result: Array = edges[kept]
-    return result
+    kept: Array = edges[np.append(True, np.diff(edges) > ROUNDED * (edges[-1] - edges[0]))]
+    kept[-1] = edges[-1]
+    return kept

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, frozen
-from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.arrays import Array, BoolArray, Frozen, frozen, positive
+from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 BINDING = 1e-6
 """A quantity within this fraction of its limit counts as touching it."""
@@ -20,8 +22,12 @@ EXCEEDING = 1e-9
 """Relative excess that still counts as rounding of a motion built to lie on its limit."""
 
 
+ROUNDING = 1e-6
+"""The same of an effort at a sample and of a track between samples, which are computed and not built."""
+
+
 @dataclass(frozen=True, eq=False)
-class Limits:
+class Limits(Frozen):
     """Limits of a plan; what is None is the robot's own, or no limit where the robot declares none.
 
     Attributes:
@@ -68,14 +74,11 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class ResolvedLimits:
+class ResolvedLimits(Frozen):
     """The limits a planner keeps to, all of them arrays; infinite for none.
 
-    Attributes:
-        names: (k,) names of the carriers.
-        track: (k, 2) ends, m.
-        speed, acceleration, carrier_force, jerk: (k,) m/s, m/s², N and m/s³.
-        effort: (m,) N or N·m.
+    ``names`` (k,) names of the carriers; ``track`` (k, 2) ends, m; ``speed``, ``acceleration``, ``carrier_force``,
+    ``jerk`` (k,) m/s, m/s², N and m/s³; ``effort`` (m,) N or N·m.
     """
 
     names: tuple[str, ...]
@@ -150,6 +153,40 @@ def broadcast_to(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
     return values
 
 
+def one_of(value: object, name: str, allowed: tuple[object, ...]) -> None:
+    """Check that an option is one of its choices."""
+    if not any(type(value) is type(choice) and value == choice for choice in allowed):
+        raise InputError(
+            f"{name} is {shown(value)}.", remedy=f"Use one of {', '.join(map(str, allowed))}.", name=name, value=value
+        )
+
+
+def fraction(value: float, name: str) -> float:
+    """Return a number after checking that it is from 0 to 1."""
+    if isinstance(value, bool) or not (isinstance(value, (int, float, np.number)) and 0.0 <= value <= 1.0):
+        raise InputError(f"{name} is {shown(value)}, expected a number in [0, 1].", name=name, value=value)
+    return float(value)
+
+
+def whole(value: Any, name: str, least: int, most: int) -> int:
+    """Return a whole number after checking that it is from ``least`` to ``most``."""
+    number = isinstance(value, (int, float, np.integer)) and not isinstance(value, bool)
+    if not number or not least <= value <= most or int(value) != value:
+        raise InputError(
+            f"{name} is {shown(value)}, expected a whole number from {least} to {most}.", name=name, value=value
+        )
+    return int(value)
+
+
+def return_duration(value: float | Literal["shortest"], name: str) -> float | Literal["shortest"]:
+    """Return how long the carriers' return takes, s, or "shortest", after checking it."""
+    if value == "shortest":
+        return "shortest"
+    if isinstance(value, str):
+        raise InputError(f"{name} is {shown(value)}.", remedy="Pass a duration in seconds or 'shortest'.", name=name)
+    return positive(value, name, "s")
+
+
 Group = TypeVar("Group", bound=Any)
 
 
@@ -213,6 +250,16 @@ class LimitReport:
     judged_by: tuple[CarrierLimits, ...]
 
 
+QUANTITIES = ("track", "speed", "acceleration", "force")
+"""Of a carrier, in the order of its position, its rates and its force."""
+
+
+def limit_bounds(limits: Sequence[CarrierLimits]) -> tuple[Array, Array]:
+    """Return lower and upper limits (4, k) of track, speed, acceleration and force of k carriers."""
+    lower = np.array([[c.lower, -c.speed, -c.acceleration, -c.force] for c in limits]).reshape(-1, 4).T
+    return lower, np.array([[c.upper, c.speed, c.acceleration, c.force] for c in limits]).reshape(-1, 4).T
+
+
 def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force: Array) -> LimitReport:
     """Compare a carrier motion and its forces with the limits of the robot's carriers.
 
@@ -221,14 +268,11 @@ def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force:
     """
     violated: list[LimitEvent] = []
     binding: list[LimitEvent] = []
-    for i, (name, limits) in enumerate(zip(robot.carriers, robot.carrier_limits, strict=True)):
-        bounds = {
-            "track": (carriers.s[:, i], limits.lower, limits.upper),
-            "speed": (carriers.sd[:, i], -limits.speed, limits.speed),
-            "acceleration": (carriers.sdd[:, i], -limits.acceleration, limits.acceleration),
-            "force": (carrier_force[:, i], -limits.force, limits.force),
-        }
-        for quantity, (value, lower, upper) in bounds.items():
+    lowest, highest = limit_bounds(robot.carrier_limits)
+    values = (carriers.s, carriers.sd, carriers.sdd, carrier_force)
+    for i, name in enumerate(robot.carriers):
+        for quantity, series, lower, upper in zip(QUANTITIES, values, lowest[:, i], highest[:, i], strict=True):
+            value = series[:, i]
             for limit, excess in ((upper, value - upper), (lower, lower - value)):
                 if not np.isfinite(limit):
                     continue
@@ -239,6 +283,17 @@ def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force:
                 binding += _events(name, quantity, t, value, limit, excess, touched)
     violated, binding = (sorted(events, key=lambda event: event.start) for events in (violated, binding))
     return LimitReport(tuple(violated), tuple(binding), robot.carrier_limits)
+
+
+def tracks_broken(robot: Robot, position: PiecewisePolynomial) -> tuple[LimitEvent, ...]:
+    """Return where carriers whose positions (k,), m, are a function of time leave their tracks."""
+    inside = np.linspace(0.0, 1.0, 5)[:-1]  # that an event has a start and an end; the extremes decide
+    even = position.edges[:-1, None] + np.diff(position.edges)[:, None] * inside
+    times = np.unique(np.concatenate([even.ravel(), position.edges[-1:], position.extremes()]))
+    s = position(times)
+    report = check_limits(robot, times, CarrierMotion(s, np.zeros_like(s), np.zeros_like(s)), np.zeros_like(s))
+    span = {name: limit.upper - limit.lower for name, limit in zip(robot.carriers, robot.carrier_limits, strict=True)}
+    return tuple(event for event in report.violated if event.amount > ROUNDING * span[event.carrier])
 
 
 def _events(

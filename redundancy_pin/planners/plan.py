@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import Array, IntArray, Side, frozen, largest, peak, read_only
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.arrays import Array, Frozen, IntArray, Side, frozen, largest, peak, read_only
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.archive import read_archive, write_archive
+from redundancy_pin.io.schema import typed
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import LimitEvent, LimitReport, check_limits
+from redundancy_pin.planners.dense_check import DEGREE, DenseCheck, dense_check, least_effort, peaks_between
+from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions
+from redundancy_pin.planners.limits import ROUNDING, LimitEvent, LimitReport, check_limits, limits_broken, tracks_broken
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot, robot_record
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory.functions_of_time import (
@@ -50,10 +52,13 @@ class PlanStatus(Enum):
     """Some sample has no finite main effort: see ``sample_status``."""
     STOPPED_EARLY = "stopped_early"
     """Every limit holds, but the optimiser stopped before it had an optimum: there may be a better plan."""
+    UNRESOLVED = "unresolved"
+    """Every limit holds, but between the samples the efforts exceed those at the samples by more than 5 %: the samples
+    do not show the plan; ``peak_effort`` does. See ``between``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan:
+class Plan(Frozen):
     """What a planner returns; the arrays are read-only. N samples, n coordinates, m main actuators, k carriers.
 
     Attributes:
@@ -78,6 +83,7 @@ class Plan:
         functions: platform, carriers and efforts as functions of time, as the planner had them. None in a plan that was
             put together from samples, or read from a file of version 0.1.0: ``functions_of_time`` reconstructs them.
             Whoever replaces ``motion`` or ``carriers`` replaces it too.
+        between: efforts and forces of the continuous motion, between the samples. None as ``functions``.
     """
 
     motion: PlatformMotion
@@ -99,6 +105,7 @@ class Plan:
     parameters: Mapping[str, object] = field(default_factory=dict)
     diagnostics: Mapping[str, object] = field(default_factory=dict)
     functions: PlanFunctions | None = None
+    between: DenseCheck | None = None
 
     def __repr__(self) -> str:
         """Return what tells plans apart, not their arrays."""
@@ -106,7 +113,7 @@ class Plan:
         return (
             f"Plan({self.robot.name!r}, {self.planner!r}, {self.backend!r}, {self.status.value}; "
             f"N={len(self.t)}, t={self.t[0]:g}..{self.t[-1]:g} s, n={self.motion.xd.shape[1]}, m={len(main)}, "
-            f"k={len(moved)}; {peak('tau', self.tau, self.robot.effort_unit(*main))}, "
+            f"k={len(moved)}; {peak('tau', self.peak_effort[None], self.robot.effort_unit(*main))}, "
             f"{peak('carrier_force', self.carrier_force, self.robot.effort_unit(*moved))})"
         )
 
@@ -187,6 +194,14 @@ class Plan:
 
     @property
     def peak_effort(self) -> Array:
+        """(m,) largest |τ| of each main actuator in the continuous motion, N or N·m; infinite where it has no bound.
+
+        Of a plan without ``between`` that of the samples.
+        """
+        return self.peak_effort_at_samples if self.between is None else self.between.peak
+
+    @property
+    def peak_effort_at_samples(self) -> Array:
         """(m,) largest |τ| of each main actuator over the samples with finite efforts, N or N·m."""
         return largest(self.tau)
 
@@ -208,11 +223,11 @@ class Plan:
             OutputError: the file cannot be written; an earlier one is as it was.
             InputError: ``parameters`` or ``diagnostics`` hold something that is not plain data.
         """
-        functions = self.functions
+        functions, robot = self.functions, self.robot.saved_beside(path)
         if functions is not None:  # a trajectory is no plain data
             platform = replace(functions.platform, source=functions.platform.polynomials)
             functions = replace(functions, platform=platform)
-        write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions))
+        write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions, robot=robot))
 
 
 def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) -> PlanFunctions:
@@ -294,39 +309,63 @@ def finish_plan(
     diagnostics: Mapping[str, object],
     prescribed: Array | None = None,
     carrier_limits: tuple[CarrierLimits, ...] | None = None,
-    between: Sequence[tuple[Array, CarrierMotion]] = (),
+    effort_limit: Array | None = None,
+    extremes: Sequence[tuple[Array, CarrierMotion]] = (),
     functions: PlanFunctions | None = None,
+    dynamics: Dynamics | None = None,
+    between: tuple[DenseCheck, tuple[LimitEvent, ...]] | None = None,
+    singular: IntArray | None = None,
+    optimal: bool = True,
 ) -> Plan:
     """Evaluate the backend once more along the planned motion and collect everything a plan carries.
 
     ``along``: dynamics along the platform motion of the plan; ``carriers``: planned carrier motion, N samples;
     ``phase`` (N,) index of the phase of each sample; ``prescribed`` (N, m) main efforts the planner decided on, NaN
     where W τ = f decides. Their imbalance is checked and reported, never corrected; ``carrier_limits``: limits to judge
-    the plan by in place of the robot's own, one for each carrier; ``between``: times, s, and carrier motions between
-    the samples at which the limits of track, speed and acceleration are judged as well; ``functions``: what the planner
-    made, between the samples too.
+    the plan by in place of the robot's own, one for each carrier; ``effort_limit`` (m,) those of the main efforts;
+    ``extremes``: times, s, and carrier motions between the samples at which the limits of track, speed and acceleration
+    are judged as well; ``functions``: what the planner made, between the samples too; ``dynamics``: the backend, to
+    look between the samples, unless ``between`` has what was seen there already, and the limits exceeded there;
+    ``singular``: samples at which the efforts are the limits from both sides; ``optimal``: whether the planner had an
+    optimum.
     """
-    robot = along.robot
+    robot, t = along.robot, along.motion.t
     reduced = along.reduce(carriers)
     solved = distribute(reduced)
     tau, status, residual = np.array(solved.tau), np.array(solved.status), np.array(solved.residual)
     if prescribed is not None:
         given = np.isfinite(prescribed).all(axis=1)
         tau[given] = prescribed[given]
-        imbalance = np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f
-        imbalance = np.linalg.norm(imbalance / reduced.row_scale, axis=1)
-        residual[given] = imbalance[given]
-        size = float(np.abs(reduced.f / reduced.row_scale).max())
-        balanced = imbalance[given] <= BALANCE_TOLERANCE * size
+        left, size = imbalance(reduced, tau)
+        residual[given] = left[given]
+        balanced = left[given] <= BALANCE_TOLERANCE * size
         status[given] = np.where(balanced, SampleStatus.REGULAR, SampleStatus.SINGULAR_INCONSISTENT)
+    if singular is not None:  # however well W τ = f looks at one instant
+        status[singular] = np.where(
+            status[singular] == SampleStatus.REGULAR, SampleStatus.SINGULAR_CONSISTENT, status[singular]
+        )
     judged = robot if carrier_limits is None else replace(robot, carrier_limits=carrier_limits)
-    limits = check_limits(judged, along.motion.t, carriers, reduced.carrier_force)
-    for times, motion in between:
-        # the forces are not known there
+    limits = check_limits(judged, t, carriers, reduced.carrier_force)
+    for times, motion in extremes:
+        # the forces are judged by the dense check
         inner = check_limits(judged, times, motion, np.zeros_like(motion.s))
         limits = replace(limits, violated=_merged(limits.violated, inner.violated))
-    overall = PlanStatus.VIOLATES_LIMITS if limits.violated else PlanStatus.WITHIN_LIMITS
+    most = np.full(robot.m, np.inf) if effort_limit is None else effort_limit
+    if between is None and functions is not None and dynamics is not None:
+        between = dense_check_of(dynamics, functions, judged, reduced, tau, solved.margin, most)
+    check, exceeded = between or (None, ())
+    at_samples = limits_broken("effort", robot.actuated, t, tau, most, 1.0 + ROUNDING)
+    if functions is not None:
+        exceeded = (*exceeded, *tracks_broken(judged, functions.carriers))
+    violated = _merged((*limits.violated, *at_samples), exceeded)
+    overall = PlanStatus.WITHIN_LIMITS if optimal else PlanStatus.STOPPED_EARLY
+    if check is not None and not check.passed:
+        overall = PlanStatus.UNRESOLVED
+    if violated:
+        overall = PlanStatus.VIOLATES_LIMITS
     if not np.isfinite(tau).all() or (status > SampleStatus.SINGULAR_CONSISTENT).any():
+        overall = PlanStatus.UNBOUNDED_EFFORT
+    if check is not None and not np.isfinite(check.peak).all():
         overall = PlanStatus.UNBOUNDED_EFFORT
     return Plan(
         motion=along.motion,
@@ -340,24 +379,71 @@ def finish_plan(
         condition=solved.condition,
         phase=read_only(np.array(phase, dtype=np.intp)),
         phases=phases,
-        limits=limits,
+        limits=replace(limits, violated=violated),
         status=overall,
         planner=planner,
         backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
         robot=robot_record(robot),
         parameters=dict(parameters),
-        diagnostics=dict(diagnostics),
+        diagnostics={**diagnostics, **({} if check is None else {"dense_check": _summary(check, tau)})},
         functions=functions,
+        between=check,
     )
 
 
+def imbalance(reduced: ReducedDynamics, tau: Array) -> tuple[Array, float]:
+    """Return (N,) |W τ − f| for efforts (N, m), N, moments over the characteristic length; and the largest f."""
+    left = (np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f) / reduced.row_scale
+    return np.linalg.norm(left, axis=1), float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
+
+
+def dense_check_of(
+    dynamics: Dynamics,
+    functions: PlanFunctions,
+    judged: Robot,
+    reduced: ReducedDynamics,
+    tau: Array,
+    margin: Array,
+    effort_limit: Array,
+) -> tuple[DenseCheck, tuple[LimitEvent, ...]]:
+    """Look between the samples of a plan: what is needed there, and the limits exceeded.
+
+    ``reduced``, ``tau`` (N, m) and ``margin`` (N,): dynamics, efforts and margins at the samples.
+    """
+    on_singularity = np.unique(reduced.t[margin <= SINGULAR_SAMPLE * margin.max(initial=0.0)])
+    peaks = peaks_between(dynamics, functions, float(reduced.t[0]), float(reduced.t[-1]), on_singularity)
+    force = np.array([limit.force for limit in judged.carrier_limits])
+    return dense_check(peaks, judged, tau, least_effort(reduced), effort_limit, force)[:2]
+
+
+def _summary(check: DenseCheck, tau: Array) -> dict[str, object]:
+    """Return the dense check as plain data."""
+    worst = int(np.argmax(check.peak))
+    return {
+        "finer": DEGREE + 1,
+        "points": check.points,
+        "peak_effort": float(check.peak[worst]),
+        "time_of_peak": float(check.time[worst]),
+        "peak_effort_at_nodes": float(np.nanmax(np.abs(tau), initial=0.0)),
+        "ratio": check.ratio,
+        "passed": check.passed,
+    }
+
+
 def _merged(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...]) -> tuple[LimitEvent, ...]:
-    """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more."""
+    """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more.
+
+    An effort that is exceeded has one event from first to last, whatever its sign.
+    """
     kept = list(at_samples)
     for event in between:
-        what = (event.carrier, event.quantity, event.limit)
-        same = [one for one in kept if (one.carrier, one.quantity, one.limit) == what]
-        same = [one for one in same if one.start <= event.end and event.start <= one.end]
+        effort = event.quantity == "effort"
+        same = [one for one in kept if (one.carrier, one.quantity) == (event.carrier, event.quantity)]
+        same = [
+            one
+            for one in same
+            if effort or (one.limit == event.limit and one.start <= event.end and event.start <= one.end)
+        ]
         if all(event.amount > other.amount for other in same):
             kept = [other for other in kept if other not in same] + [event]
     return tuple(sorted(kept, key=lambda event: event.start))
@@ -370,34 +456,40 @@ def load_plan(path: str | Path) -> Plan:
         PlanFileError: the file is missing, truncated, damaged, no plan, of a newer format, or its arrays do not fit
             together.
     """
-    return read_archive(path, PLAN_FORMAT, PLAN_VERSION, "plan", _plan)
+    return read_archive(path, PLAN_FORMAT, PLAN_VERSION, "plan", lambda record: _plan(record, path))
 
 
-def load_robot_of(plan: Plan, source: str | Path | None = None) -> Robot:
+def load_robot_of(plan: Plan, source: str | Path | None = None, *, trust: bool = False) -> Robot:
     """Load the robot a plan was made for, with the arguments, gravity and working mode it had.
 
     Args:
         plan: the plan.
-        source: where the robot is now (as for ``load_robot``), if its files have moved.
+        source: where the robot is now (as for ``load_robot``), if its files have moved. A plan that was loaded from a
+            file needs it where its robot is neither shipped nor inside the folder of that file: who wrote the file does
+            not choose what is loaded.
+        trust: let expressions in the robot's files be any Python, as for ``load_robot``.
 
     Raises:
-        PlanFileError: the robot's files are gone, or describe another robot than when the plan was made.
+        PlanFileError: the robot's files are gone, lie elsewhere than in the plan's folder, or describe another robot
+            than when the plan was made.
     """
-    return load_recorded(plan.robot, source)
+    return load_recorded(plan.robot, source, trust=trust)
 
 
-def _plan(record: Mapping[str, Any]) -> Plan:
-    """Return the plan of a record, checked."""
-    values = _values(Plan, {"functions": None, **record})  # files of version 1 have no functions of time
+def _plan(record: Mapping[str, Any], path: str | Path) -> Plan:
+    """Return the plan of a record of a file, checked."""
+    # files of version 1 have no functions of time
+    values = _values(Plan, {"functions": None, "between": None, **record})
     limits = _values(LimitReport, values["limits"])
     kinds = {"violated": LimitEvent, "binding": LimitEvent, "judged_by": CarrierLimits}
     values |= {
         "motion": PlatformMotion(**values["motion"]),
         "carriers": CarrierMotion(**values["carriers"]),
-        "limits": LimitReport(**{key: tuple(kind(**one) for one in limits[key]) for key, kind in kinds.items()}),
+        "limits": LimitReport(**{key: tuple(typed(kind, one) for one in limits[key]) for key, kind in kinds.items()}),
         "status": PlanStatus(values["status"]),
-        "robot": read_robot(values["robot"]),
+        "robot": read_robot(values["robot"], path),
         "functions": None if values["functions"] is None else _functions(values["functions"]),
+        "between": None if values["between"] is None else DenseCheck(**values["between"]),
     }
     plan = Plan(**values)
     _check(plan)
@@ -406,6 +498,11 @@ def _plan(record: Mapping[str, Any]) -> Plan:
 
 def _functions(record: Mapping[str, Any]) -> PlanFunctions:
     platform = _values(ContinuousMotion, record["platform"])
+    for name in ("breaks", "knots"):
+        _require_array(f"functions, {name}", platform[name], "f", np.shape(platform[name])[:1] or (0,))
+    for name, kind in (("start", float), ("end", float), ("moves_until", float), ("exact", bool)):
+        if type(platform[name]) is not kind or not np.isfinite(platform[name]):
+            raise InputError(f"functions, {name} is {shown(platform[name])}, expected a finite {kind.__name__}")
     preferred = record["preferred"]
     return PlanFunctions(
         platform=ContinuousMotion(**{**platform, "source": _polynomial(platform["source"])}),
@@ -419,7 +516,11 @@ def _polynomial(record: Mapping[str, Any]) -> PiecewisePolynomial:
     function = PiecewisePolynomial(**record)
     _require_array("functions, edges", function.edges, "f", (function.coefficients.shape[1] + 1,))
     _require_array("functions, coefficients", function.coefficients, "f", function.coefficients.shape)
-    if function.coefficients.ndim != 3 or not (np.diff(function.edges) > 0.0).all():
+    if (
+        function.coefficients.ndim != 3
+        or 0 in function.coefficients.shape[:2]
+        or not (np.diff(function.edges) > 0.0).all()
+    ):
         raise InputError("functions hold polynomials whose pieces do not follow each other")
     return function
 
@@ -432,6 +533,10 @@ def _values(kind: type[Any], record: Mapping[str, Any]) -> dict[str, Any]:
 def _check(plan: Plan) -> None:
     """Check that the arrays of a plan fit together and that its codes mean something."""
     samples, actuators, carriers = len(plan.motion), len(plan.robot.actuated), len(plan.robot.carriers)
+    kinds = {"phases": tuple, "planner": str, "backend": str, "parameters": Mapping, "diagnostics": Mapping}
+    for name, expected in kinds.items():
+        if not isinstance(getattr(plan, name), expected) or not all(isinstance(phase, str) for phase in plan.phases):
+            raise InputError(f"its {name} are {shown(getattr(plan, name))}")
     _require_array("carriers.s", plan.carriers.s, "f", (samples, carriers))
     for columns, kind, names in (
         ((actuators,), "f", ("tau", "actuated_rate")),
@@ -441,9 +546,16 @@ def _check(plan: Plan) -> None:
     ):
         for name in names:
             _require_array(name, getattr(plan, name), kind, (samples, *columns))
+    if plan.between is not None:
+        for name, count in (("peak", actuators), ("time", actuators), ("force_peak", carriers)):
+            _require_array(f"between, {name}", getattr(plan.between, name), "f", (count,))
     for entries in (plan.robot.carrier_limits, plan.limits.judged_by):
         if len(entries) != carriers:
             raise InputError(f"it has limits of {len(entries)} carriers, but {carriers} carriers")
+    unbounded = ~np.isfinite(plan.tau).all(axis=1)
+    if unbounded.any() and plan.status is not PlanStatus.UNBOUNDED_EFFORT:
+        t = float(plan.t[unbounded][0])
+        raise InputError(f"its status is {plan.status.value}, but it has no finite efforts at t = {t:.6g} s")
     _require_codes("phase", plan.phase, range(len(plan.phases)))
     _require_codes("sample_status", plan.sample_status, [int(status) for status in SampleStatus])
 

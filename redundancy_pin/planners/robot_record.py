@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import ConfigDict, Field
 
-from redundancy_pin.errors import ModelFileError, PlanFileError, RedundancyPinError
-from redundancy_pin.loading import load_robot
+from redundancy_pin.errors import ModelFileError, PlanFileError, RedundancyPinError, shown
+from redundancy_pin.io.schema import Schema, typed, validated
+from redundancy_pin.loading import load_with
 from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot.declaration import read_declaration
+from redundancy_pin.robot.urdf import declaration_path, shipped_robots
 
 _SAME_BODIES = 1e-9
 """Relative deviation of mass properties that xacro's arithmetic may show between two machines."""
@@ -29,7 +34,8 @@ class RobotRecord:
 
     Attributes:
         name: its name.
-        source: name of a shipped robot or absolute path of its declaration; empty for a robot that was not loaded.
+        source: name of a shipped robot or absolute path of its declaration, in a file the path from the folder of the
+            file where it lies in there; empty for a robot that was not loaded.
         arguments: its xacro arguments.
         gravity: (3,) m/s².
         working_mode: ±1 a leg.
@@ -40,6 +46,9 @@ class RobotRecord:
         bodies: a row of 10 for each joint of the tree: mass, kg; mass times centre, kg·m; inertia xx, xy, yy, xz, yz,
             zz about the joint, kg·m²; of the body it moves, in the frame of the joint.
         q_reference: (nq,) its closed reference configuration.
+        folder: absolute path of the folder of the file that the record was read from, None for one made of a robot. Who
+            wrote a file may not choose what is loaded: of a record that was read, ``source`` counts only where it is a
+            shipped robot or inside that folder.
     """
 
     name: str
@@ -53,10 +62,26 @@ class RobotRecord:
     carrier_limits: tuple[CarrierLimits, ...]
     bodies: tuple[tuple[float, ...], ...]
     q_reference: tuple[float, ...]
+    folder: str | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         """Return which robot it is, not its mass properties."""
         return f"RobotRecord({self.name!r}, m={len(self.actuated)}, k={len(self.carriers)}, source={self.source!r})"
+
+    def describes(self, robot: Robot) -> bool:
+        """Return whether the record is of that very robot, wherever its files are."""
+        return replace(robot_record(robot), source=self.source) == self
+
+    def saved_beside(self, path: str | Path) -> RobotRecord:
+        """Return the record as it goes into the file of that path: a source in its folder as the path from there."""
+        source, folder = self.source, _folder_of(path)
+        if source and source not in shipped_robots() and (self.folder is not None or os.path.isabs(source)):
+            place = _real(self.folder or "", source)
+            if place.is_relative_to(folder):
+                source = place.relative_to(folder).as_posix()
+            elif self.folder is not None:
+                source = str(place)
+        return replace(self, source=source, folder=None)
 
     def limit_unit(self, quantity: str, joint: str) -> str:
         """Return the unit of a limit of a joint.
@@ -91,40 +116,104 @@ def robot_record(robot: Robot) -> RobotRecord:
     )
 
 
-def read_robot(record: Mapping[str, Any]) -> RobotRecord:
-    """Return the record that a file holds as a mapping of its fields."""
-    values = {field.name: record[field.name] for field in fields(RobotRecord)}
-    values["carrier_limits"] = tuple(CarrierLimits(**entry) for entry in values["carrier_limits"])
-    return RobotRecord(**values)
+_Floats = Annotated[tuple[Annotated[float, Field(allow_inf_nan=False)], ...], Field(description="finite numbers")]
+_Names = Annotated[tuple[str, ...], Field(description="names")]
 
 
-def load_recorded(record: RobotRecord, source: str | Path | None = None) -> Robot:
+class _Record(Schema):
+    """What a file must hold for a ``RobotRecord``. Nothing is converted."""
+
+    model_config = ConfigDict(strict=True)
+
+    name: str
+    source: str
+    arguments: dict[str, float | bool | str]
+    gravity: Annotated[_Floats, Field(min_length=3, max_length=3, description="3 finite numbers")]
+    working_mode: tuple[Literal[1, -1], ...]
+    actuated: _Names
+    carriers: _Names
+    rotating: _Names
+    carrier_limits: tuple[dict[str, Any], ...]
+    bodies: tuple[Annotated[_Floats, Field(min_length=10, max_length=10, description="10 finite numbers")], ...]
+    q_reference: _Floats
+
+
+def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
+    """Return the record that a file holds as a mapping of its fields.
+
+    Raises:
+        KeyError: a field is missing.
+        DeclarationError: naming the first field that is wrong, and what is allowed.
+    """
+    values = dict(validated(_Record, {name: record[name] for name in _Record.model_fields}, of="robot"))
+    values["carrier_limits"] = tuple(typed(CarrierLimits, entry) for entry in values["carrier_limits"])
+    return RobotRecord(**values, folder=str(_folder_of(file)))
+
+
+def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trust: bool = False) -> Robot:
     """Load the robot of a record, and make sure that it is still the same.
 
-    ``source``: where the robot is now, if its files have moved.
+    ``source``: where the robot is now, if its files have moved, or lie elsewhere than the file that holds the record;
+    ``trust``: as for ``load_robot``, which only a user says, never a file.
     """
-    place = record.source if source is None else source
-    if not str(place):
-        raise PlanFileError(
-            f"The plan does not say where its robot {record.name} was loaded from.",
-            remedy="Pass source=, the path of its robot.yaml.",
-        )
     try:
-        robot = load_robot(
-            place, gravity=record.gravity, working_mode=record.working_mode or None, **dict(record.arguments)
+        place = _own_source(record) if source is None else source
+        robot = load_with(
+            place, record.arguments, gravity=record.gravity, working_mode=record.working_mode or None, trust=trust
         )
     except ModelFileError as error:
         raise PlanFileError(
-            f"The robot of the plan cannot be loaded: {error.message}",
-            remedy="Pass source=, the path of its robot.yaml.",
-            source=str(place),
+            f"The robot of the plan cannot be loaded: {error.message}", remedy=_PASS_SOURCE, source=record.source
         ) from error
+    except PlanFileError:
+        raise
     except RedundancyPinError as error:
-        raise _changed(record, place, error.message) from error
-    difference = _difference(record, robot_record(robot))
+        raise _changed(record, source or record.source, error.message) from error
+    difference = record_difference(record, robot_record(robot))
     if difference:
         raise _changed(record, place, difference)
-    return robot
+    return replace(robot, own_meshes_only=source is None and record.folder is not None and not trust)
+
+
+_PASS_SOURCE = "Pass source=, the path of its robot.yaml (--robot on the command line)."
+
+
+def _own_source(record: RobotRecord) -> str:
+    """Return where the record itself may say its robot is; PlanFileError where the user has to."""
+    if not record.source:
+        raise PlanFileError(
+            f"The plan does not say where its robot {shown(record.name)} was loaded from.", remedy=_PASS_SOURCE
+        )
+    if record.folder is None or record.source in shipped_robots():
+        return record.source
+    place = _real(record.folder, record.source)
+    _require_inside(place, record.folder)
+    place = _real(str(declaration_path(str(place))))  # of a folder: its robot.yaml may be a link, too
+    _require_inside(place, record.folder)
+    _require_inside(_real(os.path.dirname(place), read_declaration(place).data["urdf"]), record.folder)
+    return str(place)
+
+
+def _require_inside(place: Path, folder: str) -> None:
+    if not place.is_relative_to(folder):
+        raise PlanFileError(
+            f"The plan names {place} for its robot, outside its own folder {folder}: a file does not choose "
+            "what is loaded from elsewhere.",
+            remedy=f"Where you trust that robot: {_PASS_SOURCE[0].lower()}{_PASS_SOURCE[1:]}",
+            source=str(place),
+        )
+
+
+def _folder_of(file: str | Path) -> Path:
+    return _real(os.path.dirname(os.path.expanduser(file)))
+
+
+def _real(*parts: str) -> Path:
+    """Return the absolute path, every symbolic link on it followed; text that is no path as one that leads nowhere."""
+    try:
+        return Path(os.path.realpath(os.path.join(*parts)))
+    except (OSError, ValueError):
+        return Path(os.sep, "\N{REPLACEMENT CHARACTER}")
 
 
 def _rotates(robot: Robot, name: str) -> bool:
@@ -139,7 +228,7 @@ def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError
     )
 
 
-def _difference(then: RobotRecord, now: RobotRecord) -> str:
+def record_difference(then: RobotRecord, now: RobotRecord) -> str:
     """Say what differs first between two records; empty if they describe the same robot."""
     for name in ("arguments", "working_mode", "actuated", "carriers", "carrier_limits"):
         before, after = getattr(then, name), getattr(now, name)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import os
+import re
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 
@@ -10,10 +16,11 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, checked, read_only
-from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean
-from redundancy_pin.robot.declaration import CarrierEntry, Declaration
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
+from redundancy_pin.robot.declaration import CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.types import CarrierLimits, Robot
 from redundancy_pin.robot.urdf import Argument, source_of
+from redundancy_pin.robot.urdf_tree import Tree, read_tree, require_same
 
 
 def build(
@@ -30,18 +37,13 @@ def build(
     provisional.
 
     Raises:
-        ModelFileError: Pinocchio refuses the URDF.
+        ModelFileError: Pinocchio refuses the URDF, complains about it, or reads other numbers than are in it.
         DeclarationError: an unknown joint or frame, a joint in two roles, a carrier that moves the pose.
         InputError: a gravity or working mode of the wrong form.
     """
-    try:
-        model = pin.buildModelFromXML(urdf)
-    except (ValueError, RuntimeError) as error:
-        raise ModelFileError(
-            f"Pinocchio cannot read the URDF of {path}: {error}",
-            remedy="Check the file with `check_urdf` or yourdfpy.",
-            path=str(path),
-        ) from error
+    _require_closed_form(declaration, parameters)
+    tree = read_tree(urdf, path.parent / declaration.urdf)
+    model = _built(tree, urdf, path.parent / declaration.urdf)
     model.gravity.linear = np.array(declaration.gravity if gravity is None else checked(gravity, "gravity", (3,)))
     entries = tuple(entry for entry in declaration.carriers if entry.when)
     carriers = tuple(entry.joint for entry in entries)
@@ -70,6 +72,83 @@ def build(
     )
     _check_carriers_carry(robot)
     return robot
+
+
+def _built(tree: Tree, urdf: str, path: Path) -> pin.Model:
+    """Return Pinocchio's model of a URDF, which is what the file says."""
+    with _complaints_of_urdfdom() as complaints:
+        try:
+            model = pin.buildModelFromXML(urdf)
+        except (ValueError, RuntimeError) as error:
+            complaints.append(str(error))
+    if any(not _OF_PICTURES.match(complaint) for complaint in complaints):
+        text = " ".join(f"{complaint.rstrip('.')}." for complaint in complaints)
+        named = {(kind.lower(), name) for kind, name in re.findall(r"\b(Link|joint) +\[(.*?)\]", text, re.IGNORECASE)}
+        lines = sorted(tree.lines[each] for each in named if each in tree.lines)
+        raise ModelFileError(
+            f"Pinocchio cannot read the URDF {path}: {text}",
+            remedy=f"Correct the {'element in line ' + str(lines[0]) if lines else 'file'}.",
+            path=str(path),
+            lines=tuple(lines),
+        )
+    require_same(tree, model, path)
+    return model
+
+
+@contextmanager
+def _complaints_of_urdfdom() -> Iterator[list[str]]:
+    """Give the list that urdfdom's complaints are put into; it writes them to the error stream and goes on.
+
+    What others write there meanwhile reaches it afterwards.
+    """
+    complaints: list[str] = []
+    with _ERROR_STREAM, tempfile.TemporaryFile() as written:
+        try:
+            stream = os.dup(2)
+        except OSError:  # a process without an error stream
+            yield complaints
+            return
+        try:
+            os.dup2(written.fileno(), 2)
+            try:
+                yield complaints
+            finally:
+                os.dup2(stream, 2)
+        finally:
+            os.close(stream)
+        written.seek(0)
+        text = written.read().decode("utf-8", "replace")
+    complaints[:0] = [" ".join(match[1].split()) for match in _COMPLAINT.finditer(text)]
+    rest = _COMPLAINT.sub("", text)
+    if rest:
+        sys.stderr.write(rest)
+
+
+_ERROR_STREAM = threading.Lock()
+"""There is one error stream in a process."""
+
+_COMPLAINT = re.compile(
+    r"^(?:Error|Warning):\s+(.*?)\n\s+at line \d+ in \S*\.(?:cpp|h|hpp)\n?", re.MULTILINE | re.DOTALL
+)
+"""What console_bridge writes for urdfdom."""
+
+_OF_PICTURES = re.compile(r"Could not parse (visual|collision) element for Link ")
+"""Alone: a shape that urdfdom does not know, such as a capsule. After another complaint: a known one with a mistake."""
+
+
+def _require_closed_form(declaration: Declaration, parameters: Mapping[str, Argument]) -> None:
+    """Require the xacro arguments from which a closed form is written out."""
+    for name in CLOSED_FORMS.get(declaration.closed_form or "", ()):
+        value = parameters.get(name)
+        flag, auto = name == "carriers", name == "platform_inertia" and value == "auto"
+        if not auto and (value is None or isinstance(value, str) or isinstance(value, bool) is not flag):
+            what = f"is {value!r}" if name in parameters else "is missing"
+            raise DeclarationError(
+                f"`closed_form: {declaration.closed_form}` needs the xacro argument {name!r}, which {what}.",
+                remedy="Leave `closed_form` out: RneaDynamics covers every robot.",
+                key="closed_form",
+                name=name,
+            )
 
 
 def _body_of(model: pin.Model, frame: str) -> int:
@@ -166,7 +245,7 @@ def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, 
         legs = len(default)
         allowed = f"a tuple of {legs} signs, 1 or -1, one a leg" if legs else "left out: this robot declares no modes"
         raise InputError(
-            f"The working mode is {wanted!r}.", remedy=f"It must be {allowed}.", working_mode=wanted, legs=legs
+            f"The working mode is {shown(wanted)}.", remedy=f"It must be {allowed}.", working_mode=wanted, legs=legs
         )
     return tuple(int(sign) for sign in mode)
 

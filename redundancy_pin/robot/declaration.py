@@ -7,20 +7,44 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import simpleeval
-import yaml
 from pydantic import AfterValidator, BeforeValidator, Field, RootModel, ValidationInfo, field_validator
 
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, validated
+from redundancy_pin.io.yaml_file import YamlFile, read_yaml
+from redundancy_pin.robot.expressions import MATHEMATICS, Budget, evaluate
 from redundancy_pin.robot.types import AXES, Closure, Platform, WorkingModes
 from redundancy_pin.robot.urdf import Argument
+
+CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
+    "2rpr": (
+        *("base_distance", "track_offset", "carriers", "carrier_mass", "end_effector_mass"),
+        *("cylinder_mass", "cylinder_length", "piston_mass", "piston_length"),
+    ),
+    "3rrr": (
+        *("base_radius", "platform_radius", "proximal_length", "distal_length", "tail_length", "carriers"),
+        *("carrier_mass", "proximal_mass", "distal_mass", "platform_mass", "platform_inertia"),
+    ),
+}
+"""The closed forms there are, and the xacro arguments that each is written out in."""
 
 _LARGEST = 1e300
 """Numbers of this size are refused as infinite: their squares are."""
 
 
-def _number(value: object, info: ValidationInfo[simpleeval.SimpleEval]) -> float:
+class Evaluator:
+    """Evaluates the expressions of one declaration."""
+
+    def __init__(self, names: Mapping[str, object]) -> None:
+        self.names = names
+        self._budget = Budget()
+
+    def eval(self, text: str) -> Any:
+        """Return the value of an expression; anything may be raised."""
+        return evaluate(text, self.names, self._budget)
+
+
+def _number(value: object, info: ValidationInfo[Evaluator]) -> float:
     """Return a number, or what an expression in the xacro arguments gives."""
     if isinstance(value, str):
         try:
@@ -44,9 +68,9 @@ def _track(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
-def _switch(name: object, info: ValidationInfo[simpleeval.SimpleEval]) -> bool:
+def _switch(name: object, info: ValidationInfo[Evaluator]) -> bool:
     """Return the value of the xacro argument that switches an entry on and off."""
-    value = info.context.names.get(name)
+    value = info.context.names.get(name) if isinstance(name, str) else None
     if not isinstance(value, bool):
         raise ValueError("the name of a xacro argument that is true or false")
     return value
@@ -200,19 +224,15 @@ class Declaration(Schema):
         return place
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def read_declaration(path: Path) -> YamlFile:
     """Read the mapping at the top of a declaration.
 
     Raises:
         ModelFileError: unreadable file or broken YAML.
         DeclarationError: not a mapping, an unknown key, or no ``urdf``.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ModelFileError(
-            f"{path} is not readable YAML: {error}.", remedy="Repair the file.", path=str(path)
-        ) from error
+    file = read_yaml(path, ModelFileError)
+    data = file.data
     if isinstance(data, str) and data.lstrip().startswith("<"):
         raise DeclarationError(
             f"{path} is a URDF, not a declaration.", remedy="Pass the robot.yaml that names it under `urdf`."
@@ -220,10 +240,15 @@ def read_yaml(path: Path) -> dict[str, Any]:
     known = list(Declaration.model_fields)
     if not isinstance(data, dict):
         raise DeclarationError(f"{path} holds no mapping of keys.", remedy=f"Its keys: {', '.join(known)}.")
-    require_known_keys([str(key) for key in data], known, "")
-    if not isinstance(data.get("urdf"), str):
-        raise DeclarationError(f"{path} names no `urdf`.", remedy="Add `urdf: file.urdf.xacro`, relative to the file.")
-    return data
+    with file.naming():
+        require_known_keys(data, known, "")
+        if not isinstance(data.get("urdf"), str):
+            raise DeclarationError(
+                "The declaration names no `urdf`.",
+                remedy="Add `urdf: file.urdf.xacro`, relative to the file.",
+                key="urdf",
+            )
+    return file
 
 
 def require_conditions(data: Mapping[str, Any], parameters: Mapping[str, Argument]) -> None:
@@ -236,9 +261,10 @@ def require_conditions(data: Mapping[str, Any], parameters: Mapping[str, Argumen
     conditions = data.get("requires", [])
     if not isinstance(conditions, list):
         raise bad_value("requires", conditions, "a list")
+    evaluator = _evaluator(parameters)  # one for all, as its work is bounded
     for condition in map(str, conditions):
         try:
-            holds = _evaluator(parameters).eval(condition)
+            holds = evaluator.eval(condition)
         except Exception as error:  # a condition may raise anything
             raise bad_value("requires", condition, f"a condition on the xacro arguments ({error})") from error
         if not isinstance(holds, bool):
@@ -258,7 +284,7 @@ def parse(data: Mapping[str, Any], parameters: Mapping[str, Argument]) -> Declar
     """Check the mapping against the schema, with the expressions in it evaluated.
 
     Args:
-        data: from ``read_yaml``.
+        data: from ``read_declaration``.
         parameters: the xacro arguments, which expressions may use.
 
     Raises:
@@ -267,6 +293,6 @@ def parse(data: Mapping[str, Any], parameters: Mapping[str, Argument]) -> Declar
     return validated(Declaration, data, context=_evaluator(parameters))
 
 
-def _evaluator(parameters: Mapping[str, Argument]) -> simpleeval.SimpleEval:
-    functions = {name: getattr(math, name) for name in ("sqrt", "sin", "cos", "tan", "atan2")}
-    return simpleeval.SimpleEval(functions=functions, names={"pi": math.pi, **parameters})
+def _evaluator(parameters: Mapping[str, Argument]) -> Evaluator:
+    functions = {name: MATHEMATICS[name] for name in ("sqrt", "sin", "cos", "tan", "atan2")}
+    return Evaluator({**functions, "pi": math.pi, **parameters})

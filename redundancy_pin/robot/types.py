@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.arrays import Array, Frozen, IntArray
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the rows a closure or a platform may use: translations, then rotations."""
@@ -81,7 +81,7 @@ class WorkingModes:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Robot:
+class Robot(Frozen):
     """A closed-chain robot, loaded, checked and frozen.
 
     Symbols: nq and nv as in Pinocchio; n independent velocities, m main actuators, k carriers.
@@ -109,6 +109,7 @@ class Robot:
             declaration; empty for a robot that was not loaded.
         urdf_folder: absolute path of the folder of the URDF, which names of mesh files are relative to; empty for a
             robot that was not loaded.
+        own_meshes_only: draw it only with meshes of its own folder or package: a file chose it, not its user.
     """
 
     name: str
@@ -131,6 +132,7 @@ class Robot:
     closed_form: str | None
     source: str = ""
     urdf_folder: str = ""
+    own_meshes_only: bool = False
 
     def __repr__(self) -> str:
         """Return what tells robots apart, not their whole URDF."""

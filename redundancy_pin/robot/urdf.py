@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-import threading
-import xml.etree.ElementTree as ElementTree
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
-from redundancy_pin.errors import InputError, ModelFileError, did_you_mean
+from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
+from redundancy_pin.io.reading import is_file
+from redundancy_pin.robot.urdf_tree import read_tree
+from redundancy_pin.robot.xacro_engine import expand, is_within, own_folders
+from redundancy_pin.robot.xml_files import MOST_BYTES, parsed, read_model
 
 Argument = float | bool | str
 """A xacro argument: a number, a flag, or text (such as ``"auto"``)."""
+
+_MOST_INCLUDES = 500
+_MOST_BYTES = 3 * MOST_BYTES
+"""What is looked into for arguments before xacro, which has bounds of its own, expands the files."""
 
 _XACRO = "{http://www.ros.org/wiki/xacro}"
 
@@ -51,24 +57,6 @@ def known_values(path: Path, arguments: Mapping[str, object]) -> dict[str, Argum
     return values
 
 
-def parsed(path: Path) -> ElementTree.Element:
-    """Return the root element of an XML file.
-
-    Raises:
-        ModelFileError: missing file or broken XML.
-    """
-    if not path.is_file():
-        raise ModelFileError(
-            f"The URDF {path} does not exist.", remedy="Correct `urdf` in the declaration.", path=str(path)
-        )
-    try:
-        return ElementTree.fromstring(path.read_text(encoding="utf-8"))
-    except (ElementTree.ParseError, UnicodeDecodeError, OSError) as error:
-        raise ModelFileError(
-            f"{path} is not well-formed XML: {error}.", remedy="Repair the file at that place.", path=str(path)
-        ) from error
-
-
 def from_text(text: str) -> Argument:
     """Return what a xacro argument means: a flag, a finite number, or the text itself."""
     lowered = text.strip().lower()
@@ -85,19 +73,25 @@ def _declared(path: Path) -> tuple[dict[str, str | None], bool]:
     """Return the arguments of a file and its includes with their defaults, and whether every include was found."""
     defaults: dict[str, str | None] = {}
     complete = True
-    waiting, seen = [path], set[Path]()
+    if not is_file(path):
+        parsed(path)  # says why
+    waiting, seen, folders, size = [path], set[Path](), own_folders(path), 0
     while waiting:
         current = waiting.pop(0)
-        if current in seen:
+        # resolved, as a file may include itself by ever longer paths
+        if (place := current.resolve()) in seen:
             continue
-        seen.add(current)
+        size += place.stat().st_size
+        if size > _MOST_BYTES or len(waiting) > _MOST_INCLUDES:
+            return defaults, False
+        seen.add(place)
         root = parsed(current)
         for argument in root.iter(f"{_XACRO}arg"):
             if "name" in argument.attrib and defaults.get(argument.attrib["name"]) is None:
                 defaults[argument.attrib["name"]] = argument.attrib.get("default")
-        for include in root.iter(f"{_XACRO}include"):
+        for include in itertools.islice(root.iter(f"{_XACRO}include"), _MOST_INCLUDES + 1):
             target = current.parent / include.attrib.get("filename", "")
-            if "$" in include.attrib.get("filename", "$") or not target.is_file():
+            if "$" in include.attrib.get("filename", "$") or not is_file(target) or not is_within(target, folders):
                 complete = False  # xacro alone knows what it will include
             else:
                 waiting.append(target)
@@ -110,7 +104,7 @@ def _as_argument(name: str, value: object, default: Argument | None) -> Argument
         argument = value if isinstance(value, bool) else from_text(value) if isinstance(value, str) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"The argument {name!r} cannot be {value!r}.",
+            f"The argument {name!r} cannot be {shown(value)}.",
             remedy="Pass a number, True or False, or text.",
             argument=name,
         ) from error
@@ -125,64 +119,6 @@ def _as_argument(name: str, value: object, default: Argument | None) -> Argument
             argument=name,
         )
     return argument
-
-
-_TRIANGLE_TOLERANCE = 1e-6
-"""A moment of inertia may exceed the sum of the other two by this fraction: files carry six digits."""
-
-
-def _require_sound(path: Path, urdf: str) -> None:
-    """Check what Pinocchio takes as it is: masses, inertias, and joints that follow another.
-
-    Raises:
-        ModelFileError: naming the link whose mass is negative or not a number, or whose inertia no body can have, or
-            the joint that mimics another: the tree would be given a freedom it does not have.
-    """
-    root = ElementTree.fromstring(urdf)
-    for joint in root.iter("joint"):
-        if joint.find("mimic") is not None:
-            raise ModelFileError(
-                f"The joint {joint.get('name')!r} of {path.name} mimics another, which closed chains do not cover.",
-                remedy="Build the coupling as a loop, or make the joint free or fixed.",
-                path=str(path),
-            )
-    for link in root.iter("link"):
-        inertial = link.find("inertial")
-        fault = None if inertial is None else _fault(inertial)
-        if fault:
-            raise ModelFileError(
-                f"The link {link.get('name')!r} of {path.name} has {fault}.",
-                remedy="Correct the URDF, or the xacro arguments it is made from.",
-                path=str(path),
-                link=link.get("name"),
-            )
-
-
-def _fault(inertial: ElementTree.Element) -> str:
-    """Return what is wrong with the mass or the moments of inertia of a link; empty where nothing is."""
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if inertia is None:
-        return "no inertia"
-    texts = {"mass": None if mass is None else mass.get("value")}
-    texts |= {key: inertia.get(key) for key in ("ixx", "iyy", "izz")}
-    texts |= {key: inertia.get(key, "0") for key in ("ixy", "ixz", "iyz")}
-    numbers = {}
-    for key, text in texts.items():
-        number = from_text(text or "")
-        if type(number) is not float:
-            return f"the {key} {text!r}, which is not a finite number"
-        numbers[key] = number
-    if numbers["mass"] < 0.0:
-        return f"a negative mass, {numbers['mass']:g} kg"
-    moments = np.linalg.eigvalsh([[numbers["i" + "".join(sorted(a + b))] for b in "xyz"] for a in "xyz"])
-    allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max())
-    if moments[0] < -allowed or moments[2] > moments[0] + moments[1] + allowed:
-        return f"principal moments of inertia {np.array2string(moments, precision=4)} that no body can have"
-    return ""
-
-
-_XACRO_LOCK = threading.Lock()
-"""xacro keeps its stacks in globals: two threads at once empty each other's."""
 
 
 def models_root() -> Path:
@@ -207,13 +143,13 @@ def declaration_path(source: str | Path) -> Path:
         return models_root() / source / "robot.yaml"
     if not isinstance(source, (str, Path)):
         raise ModelFileError(
-            f"A robot is named by text or a path, not by {source!r}.",
+            f"A robot is named by text or a path, not by {shown(source)}.",
             remedy=f"Shipped robots: {', '.join(shipped_robots())}.",
         )
     path, names = Path(source), ", ".join(shipped_robots())
-    if path.is_file() or (path / "robot.yaml").is_file():
-        return path if path.is_file() else path / "robot.yaml"
-    if path.is_dir():
+    if is_file(path) or is_file(path / "robot.yaml"):
+        return path if is_file(path) else path / "robot.yaml"
+    if os.path.isdir(path):
         message = f"The folder {path} holds no robot.yaml."
         remedy = "Name the declaration itself, or the folder that holds it."
     elif path.suffix or len(path.parts) > 1:
@@ -232,46 +168,30 @@ def source_of(path: Path) -> str:
     return absolute.parent.name if shipped else str(absolute)
 
 
-def render(path: Path, arguments: Mapping[str, object]) -> tuple[str, dict[str, Argument]]:
+def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) -> tuple[str, dict[str, Argument]]:
     """Return the URDF that a ``.urdf`` or ``.xacro`` file gives, and every xacro argument with the value that was used.
 
     What it includes is found relative to it. Arguments are checked by ``known_values``; those left out keep their
     defaults.
 
+    Args:
+        path: the file.
+        arguments: of the xacro file.
+        trust: let xacro evaluate its expressions as Python, with all that Python can do.
+
     Raises:
-        ModelFileError: missing file, broken XML, a xacro expression that fails, masses and inertias that are none, or a
-            joint that mimics another.
+        ModelFileError: missing file, broken XML, a xacro expression that fails or that models may not use, or a URDF
+            that is none (``read_tree``).
     """
-    parsed(path)
     if path.suffix == ".xacro":
+        parsed(path)
         # as xacro reads them; whole numbers keep the form they were given in
         texts = {
             name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()
         }
-        urdf, parameters = _run_xacro(path, texts)
+        urdf, resolved = expand(path, texts, trust=trust)
+        parameters = {name: from_text(value) for name, value in resolved.items()}
     else:
-        urdf, parameters = path.read_text(encoding="utf-8"), {}
-    _require_sound(path, urdf)
+        urdf, parameters = read_model(path), {}
+    read_tree(urdf, path)
     return urdf, parameters
-
-
-def _run_xacro(path: Path, given: dict[str, str]) -> tuple[str, dict[str, Argument]]:
-    import xacro
-    from xacrodoc import XacroDoc
-
-    resolved = dict(given)  # xacro adds the arguments that were left out, their defaults evaluated
-    try:
-        with _XACRO_LOCK:
-            document = xacro.process_file(str(path.resolve()), mappings=resolved)
-            text: str = XacroDoc.from_string(
-                document.toxml(),
-                rootdir=path.parent,
-                resolve_packages=False,  # the meshes of a package that is not there are missed by pictures only
-            ).to_urdf_string()
-    except Exception as error:  # xacro evaluates Python expressions: anything may come out of it
-        raise ModelFileError(
-            f"xacro cannot render {path}: {type(error).__name__}: {error}",
-            remedy="Check the expression and the arguments it uses.",
-            path=str(path),
-        ) from error
-    return text, {name: from_text(str(value)) for name, value in resolved.items()}

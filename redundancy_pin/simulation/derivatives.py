@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, read_only
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, read_only
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import difference, row_scale, velocity_scale
@@ -42,7 +42,7 @@ class RowDerivatives(NamedTuple):
 
 
 def row_derivatives(chain: ClosedChain, q: Array, v: Array, a: Array) -> RowDerivatives:
-    """Evaluate the rows and what is needed of their derivatives.
+    """Evaluate K and its derivatives.
 
     For a row that is the differential of a function φ of q, and joints of one freedom each, variations and time
     derivatives commute: δφ̇ = J̇ δq + J δv and δφ̈ = J̈ δq + 2 J̇ δv + J δa. World-aligned rotation rows of the platform are
@@ -89,7 +89,7 @@ def _skew(w: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class DynamicsDerivatives:
+class DynamicsDerivatives(Frozen):
     """Derivatives in minimal coordinates y = (x, s), ζ = (ẋ, ṡ); d = n + k.
 
     For a platform with all three rotations δx is a translation of its origin and a world-aligned rotation vector.
@@ -132,13 +132,8 @@ def inverse_derivatives(
         UnsupportedRobotError: a joint has more than one freedom.
         SingularPoseError: a type I pose, where (x, s) are no coordinates.
     """
-    return _inverse_derivatives(ClosedChain(robot), q, v, a, tau, carrier_force)
-
-
-def _inverse_derivatives(
-    chain: ClosedChain, q: Array, v: Array, a: Array, tau: Array | None, carrier_force: Array | None
-) -> DynamicsDerivatives:
-    robot, model, data = chain.robot, chain.model, chain.data
+    chain = ClosedChain(robot)
+    model, data = chain.model, chain.data
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
         if joint.nv != 1:
             raise UnsupportedRobotError(
@@ -214,7 +209,7 @@ def _rotation_rate(robot: Robot, rate: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Linearisation:
+class Linearisation(Frozen):
     """d(δz)/dt = A δz + B δu about a state, δz = (δx, δs, δẋ, δṡ), δu = (δτ, δF); d = n + k.
 
     For a platform with all three rotations δx is a translation of its origin and a world-aligned rotation vector; see
@@ -254,13 +249,13 @@ def linearise(robot: Robot, state: State, tau: Array, carrier_force: Array | Non
     dynamics = ForwardDynamics(robot)
     dynamics.adapt(state.q)
     a = dynamics.acceleration(state.q, state.v, force)
-    chain = dynamics.chain
-    inverse = _inverse_derivatives(chain, state.q, state.v, a, np.asarray(tau, dtype=float), loads)
+    inverse = inverse_derivatives(robot, state.q, state.v, a, np.asarray(tau, dtype=float), loads)
     d = robot.n + robot.k
     solved = np.linalg.solve(inverse.mass, np.concatenate([-inverse.force_y, -inverse.force_z, inverse.input], axis=1))
     A = np.block([[inverse.rate_y, np.eye(d)], [solved[:, : 2 * d]]])
     B = np.concatenate([np.zeros((d, robot.m + robot.k)), solved[:, 2 * d :]])
-    chain.update(state.q, state.v)  # the derivatives have left it at unit velocities
+    chain = dynamics.chain
+    chain.update(state.q, state.v)
     platform = chain.platform_jacobian() @ a + chain.platform_jacobian_rate() @ state.v
     return Linearisation(
         read_only(A), read_only(B), read_only(np.concatenate([platform, a[robot.carrier_velocity]])), read_only(a)

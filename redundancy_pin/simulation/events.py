@@ -15,18 +15,19 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import OdeSolver
-from scipy.optimize import brentq
+from scipy.optimize import bisect, brentq, minimize_scalar
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import velocity_scale
-from redundancy_pin.kinematics.modes import ModeIndicator
+from redundancy_pin.kinematics.coordinates import ModeIndicator, velocity_scale
 from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.rank_loss import NEAR, Sheet, rank_ratio
 
-KINDS = ("track", "joint_limit", "type_I", "type_II")
+KINDS = ("track", "joint_limit", "type_I", "type_II", "closure_rank")
 """A carrier at an end of its track; another joint at its limit; a leg at full stretch or folded, where the platform
-velocity does not determine the joints; actuators that do not hold the platform."""
+velocity does not determine the joints; actuators that do not hold the platform; a pose at which the closures lose
+rank."""
 
 ONE_SIDED = ("track", "joint_limit")
 """Kinds that stand for a stop: only leaving the allowed side counts."""
@@ -42,6 +43,12 @@ _LOOKS = (0.25, 0.5, 0.75, 1.0)
 
 _BRIEF = 2e-3
 """s; in a step shorter than this only the end is looked at, and where joints turn back."""
+
+_BETWEEN = 0.2
+"""rad; no joint of the pose moves farther than this from look to look at the rank of the closures."""
+
+_SAME = 1e-4
+"""s; a determinant with a zero of third order gives its time no better than this."""
 
 _TURN = 1e-6
 """Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it."""
@@ -82,6 +89,7 @@ class EventFunctions:
         self._square = robot.m == robot.n
         labels += [("type_I", f"leg {i + 1}") for i in range(legs)] or [("type_I", "type_I")]
         labels += [("type_II", "type_II")] if self._square else []
+        labels += [("closure_rank", "closures")]
         self.kinds, self.names = (tuple(part) for part in zip(*labels, strict=True))
         self._terminal = np.array([kind in stop_at for kind in self.kinds])
         self._one_sided = np.array([kind in ONE_SIDED for kind in self.kinds])
@@ -96,7 +104,7 @@ class EventFunctions:
         p, r = len(columns), chain.rows
         # [J_c; S], whose determinant is zero where actuators do not hold the platform, and [J_c; J_x]
         # determinants, for their signs: a singular value only dips to zero, and a root needs a change of sign
-        by_actuators, by_platform = np.empty((count, p, p)), np.empty((count, p, p))
+        by_actuators, by_platform, rows = np.empty((count, p, p)), np.empty((count, p, p)), np.empty((count, r, p))
         for i, one in enumerate(q):
             chain.update(one, self._still)
             closures = chain.jacobian()[:, columns]
@@ -104,10 +112,13 @@ class EventFunctions:
                 by_actuators[i, :r], by_actuators[i, r:] = closures, self._actuated
             if not self._by_legs:
                 by_platform[i, :r], by_platform[i, r:] = closures, chain.platform_jacobian()[:, columns]
+            rows[i] = closures
         parts = [self._side * (self._bound - q.take(self._position, 1))]
         parts.append(self._indicator(q) if self._by_legs else np.linalg.det(by_platform * self._scale)[:, None])
         if self._square:
             parts.append(np.linalg.det(by_actuators * self._scale)[:, None])
+        # a ratio of singular values has no sign: it touches zero where rank is lost, at roots of any multiplicity
+        parts.append(rank_ratio(rows * self._scale)[:, None])
         return np.concatenate(parts, axis=1)
 
     def at_start(self, q: Array) -> Array:
@@ -153,6 +164,41 @@ class EventFunctions:
         reach = length[:, None] * np.maximum(np.abs(rate[:-1]), np.abs(rate[1:]))
         turning: BoolArray = (rate[:-1] < 0.0) & (rate[1:] > 0.0) & (np.minimum(away[:-1], away[1:]) < reach)
         return turning
+
+    def travel(self, states: Array, length: float) -> float:
+        """Return about how far, rad, the fastest joint of the pose moves in a step of some length, s.
+
+        ``states`` (L, nq + nv) are its states at equidistant looks.
+        """
+        speeds = np.abs(states[:, self.nq + self._columns]) / self._scale
+        return length * float(speeds.max(axis=1).mean()) / self._chain.robot.characteristic_length
+
+    def ratios(self, step: Step, count: int) -> Array:
+        """Return (count + 1,) the ratio of singular values of the closures at equidistant looks at a step."""
+        states = np.array([step.at(fraction) for fraction in np.linspace(0.0, 1.0, count + 1).tolist()])
+        return self(states[:, : self.nq])[:, -1]
+
+    def least_rank(self, step: Step) -> float:
+        """Return the smallest ratio of singular values of the closures within a step, to 1e-6 of the step."""
+
+        def ratio(fraction: float) -> float:
+            return float(self(step.at(fraction)[None, : self.nq])[0, -1])
+
+        travel = self.travel(np.array([step.at(fraction) for fraction in (0.0, *_LOOKS)]), step.end - step.start)
+        looks = np.linspace(0.0, 1.0, 33 + int(travel / _BETWEEN))
+        lowest = int(np.argmin(self.ratios(step, len(looks) - 1)))
+        ends = looks[max(lowest - 1, 0)], looks[min(lowest + 1, len(looks) - 1)]
+        return float(minimize_scalar(ratio, bounds=ends, method="bounded", options={"xatol": 1e-6}).fun)
+
+    @property
+    def determinants(self) -> tuple[str, ...]:
+        """Kinds whose functions are determinants with the closure rows in them."""
+        return (*(() if self._by_legs else ("type_I",)), *(("type_II",) if self._square else ()))
+
+    def rank_loss(self, t: float) -> list[Event]:
+        """Return the events at a rank loss of the closures."""
+        kinds = ("closure_rank", *self.determinants)
+        return [self.event(self.kinds.index(kind), t) for kind in kinds]
 
     def event(self, index: int, t: float) -> Event:
         """Return the event of one of the functions."""
@@ -230,30 +276,80 @@ class Step:
         return states
 
 
-def find_events(functions: EventFunctions, before: Array, step: Step) -> tuple[list[Event], Array]:
+def find_events(
+    functions: EventFunctions, before: Array, step: Step, sheet: Sheet | None = None
+) -> tuple[list[Event], Array, Array]:
     """Return the events in a step in order of time, up to the first terminal one, and the functions (w,) at its end.
 
-    ``before`` are the functions at its start.
+    Also the ratios (L,) of singular values of the closures at its start, at equidistant looks and at its end.
+    ``before`` (w,) are the functions at the start, ``sheet`` what the motion is on where the closures lose rank.
     """
-    looks, weights = (_LOOKS, _WEIGHTS) if step.end - step.start > _BRIEF else (_LOOKS[-1:], _WEIGHTS_OF_ENDS)
+    fine = step.end - step.start > _BRIEF or before[-1] < NEAR
+    looks, weights = (_LOOKS, _WEIGHTS) if fine else (_LOOKS[-1:], _WEIGHTS_OF_ENDS)
     states = step.estimates(weights)
-    after = functions(states[1:, : functions.nq])
-    previous = np.concatenate([before[None], after[:-1]])
-    same_signs = bool((previous * after > 0.0).all())  # nearly always, and quickly seen
-    if (same_signs or not functions.sign_changes(previous, after).any()) and not _turns(
+    values = np.concatenate([before[None], functions(states[1:, : functions.nq])])
+    same_signs = bool((values[:-1] * values[1:] > 0.0).all())  # nearly always, and quickly seen
+    if (same_signs or not functions.sign_changes(values[:-1], values[1:]).any()) and not _turns(
         functions, step, states, looks
     ).any():
-        return [], after[-1]
-    return _find_exactly(functions, before, step, looks)
+        events: list[Event] = []
+    else:
+        events = _find_exactly(functions, before, step, looks)
+    if sheet is not None:
+        return _with_rank_loss(functions, events, step, sheet), values[-1], values[:, -1]
+    count = int(functions.travel(states, step.end - step.start) / _BETWEEN)
+    return events, values[-1], values[:, -1] if count < len(values) else functions.ratios(step, count)
+
+
+def may_touch_zero(values: Array, near: float) -> bool:
+    """Return whether a function like |t − t₀| may come to zero between equidistant looks at it, or below ``near``."""
+    lowest = int(values.argmin())
+    if lowest and values[lowest] < near:
+        return True
+    change = float(np.abs(np.diff(values)).max())
+    return bool((values[1:] + values[:-1]).min() <= 1.5 * change)
+
+
+def turning_point(step: Step, sheet: Sheet, nq: int) -> float | None:
+    """Return the fraction of a step at which a motion on a sheet turns back, if it does."""
+
+    def speed(fraction: float) -> float:
+        return sheet.speed(step.at(fraction)[nq:])
+
+    return float(brentq(speed, 0.0, 1.0, xtol=_TURN)) if speed(0.0) * speed(1.0) < 0.0 else None
+
+
+def _with_rank_loss(functions: EventFunctions, events: list[Event], step: Step, sheet: Sheet) -> list[Event]:
+    """Return events with the rank losses of the closures that a motion on a sheet comes to in this step.
+
+    The determinants of type I and type II vanish there too, as often as rank is lost, and with a sign or without: they
+    are events there whatever their sign does.
+    """
+
+    def beyond(fraction: float) -> Array:
+        distances = sheet.distances(step.at(fraction)[: functions.nq])
+        distances[np.abs(distances) <= _ROUNDING] = 0.0
+        return distances
+
+    turn = turning_point(step, sheet, functions.nq)
+    ends = [0.0, 1.0] if turn is None else [0.0, turn, 1.0]
+    values = np.array([beyond(fraction) for fraction in ends])
+    # what starts there has not come to it
+    crossed = (values[:-1] * values[1:] <= 0.0) & (values[:-1] != 0.0)
+    for part, i in np.argwhere(crossed):
+        fraction = brentq(lambda x, i=i: beyond(x)[i], ends[part], ends[part + 1], xtol=1e-14, rtol=1e-14)
+        t = step.time(float(fraction))
+        apart = [event for event in events if event.kind not in functions.determinants or abs(event.t - t) > _SAME]
+        events = sorted([*apart, *functions.rank_loss(t)], key=lambda event: event.t)
+    end = next((i for i, event in enumerate(events) if event.terminal), len(events))
+    return events[: end + 1]
 
 
 def _turns(functions: EventFunctions, step: Step, states: Array, looks: Sequence[float]) -> BoolArray:
     return functions.turns(states, np.diff(looks, prepend=0.0) * (step.end - step.start))
 
 
-def _find_exactly(
-    functions: EventFunctions, before: Array, step: Step, looks: Sequence[float]
-) -> tuple[list[Event], Array]:
+def _find_exactly(functions: EventFunctions, before: Array, step: Step, looks: Sequence[float]) -> list[Event]:
     """Find events on the integrator's own interpolant, which costs more."""
     ends = [0.0, *looks]
     turning = _turns(functions, step, np.array([step.at(x) for x in ends]), looks)
@@ -271,7 +367,7 @@ def _find_exactly(
     ]
     events.sort(key=lambda event: event.t)
     last = next((i for i, event in enumerate(events) if event.terminal), len(events))
-    return events[: last + 1], after[-1]
+    return events[: last + 1]
 
 
 def _root(functions: EventFunctions, step: Step, index: int, left: float, right: float) -> float:
@@ -282,7 +378,9 @@ def _root(functions: EventFunctions, step: Step, index: int, left: float, right:
 
     at_left, at_right = value(left), value(right)
     if at_left * at_right < 0.0:
-        fraction = float(brentq(value, left, right, xtol=1e-14, rtol=1e-14))
+        fraction, result = brentq(value, left, right, xtol=1e-14, rtol=1e-14, full_output=True, disp=False)
+        if not result.converged:  # a root of third order or more, where secants crawl
+            fraction = bisect(value, left, right, xtol=1e-14, rtol=1e-14)
     else:  # zero to rounding at one end: it starts or ends there
         fraction = left if abs(at_left) <= abs(at_right) else right
     return step.time(fraction)

@@ -29,6 +29,7 @@ from redundancy_pin.errors import IllPosedModelError, SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.rank_loss import LOST, Sheet, rank_ratio
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +47,13 @@ class Partition:
     prescribed: IntArray
 
 
-def choose(jacobian: Array, scale: Array, pose_columns: IntArray, free: IntArray, prescribed: IntArray) -> Partition:
+def choose(
+    jacobian: Array, scale: Array, pose_columns: IntArray, free: IntArray, prescribed: IntArray, q: Array | None = None
+) -> Partition:
     """Choose the dependent ones of the velocities that move the pose, by J_c (r, nv) in m/s (``scale``, (nv,)).
 
-    Carriers driven by force (``free``) are always independent, those driven by motion ``prescribed``.
+    Carriers driven by force (``free``) are always independent, those driven by motion ``prescribed``; ``q`` is for the
+    error.
 
     Raises:
         SingularPoseError: J_c has lost row rank: the closures do not determine how the machine moves on.
@@ -61,11 +65,13 @@ def choose(jacobian: Array, scale: Array, pose_columns: IntArray, free: IntArray
     triangle, order, *_ = lapack.dgeqp3(scaled, overwrite_a=1)
     diagonal = np.abs(triangle.diagonal())
     if diagonal[-1] <= RANK_TOLERANCE * diagonal[0]:
+        place = "" if q is None else f"; q = {(np.round(q, 6) + 0.0).tolist()}"
         raise SingularPoseError(
-            f"The {rows} closure rows have lost rank (smallest pivot {diagonal[-1]:.3g} of {diagonal[0]:.3g}): the "
-            "machine can move on in more than one way.",
-            remedy="Choose lengths or a motion that keep away from this pose.",
+            f"The {rows} closure rows have lost rank (smallest pivot {diagonal[-1]:.3g} of {diagonal[0]:.3g}{place}): "
+            "the machine can move on in more than one way.",
+            remedy="Choose lengths or a motion that keep away from this pose, or come to it at speed.",
             pivots=diagonal.tolist(),
+            **({} if q is None else {"q": np.asarray(q).tolist()}),
         )
     order = pose_columns[order - 1]
     return Partition(order[:rows], np.concatenate([order[rows:], free]), prescribed)
@@ -126,7 +132,7 @@ class ForwardDynamics:
             SingularPoseError: the closures have lost rank there.
         """
         self.chain.update(q, np.zeros(self.robot.model.nv))
-        return choose(self.chain.jacobian(), self._scale, self.chain.pose_columns, self._free, self._given)
+        return choose(self.chain.jacobian(), self._scale, self.chain.pose_columns, self._free, self._given, q)
 
     def adapt(self, q: Array) -> None:
         """Choose the independent velocities anew for a configuration (nq,).
@@ -146,7 +152,15 @@ class ForwardDynamics:
         self._system = np.empty((self.chain.rows, len(partition.independent) + 1), order="F")
         self._columns = np.concatenate([partition.dependent, partition.independent])
 
-    def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array:
+    def acceleration(
+        self,
+        q: Array,
+        v: Array,
+        force: Array,
+        carrier_acceleration: Array | None = None,
+        *,
+        sheet: Sheet | None = None,
+    ) -> Array:
         """Return the tree acceleration (nv,).
 
         Args:
@@ -154,12 +168,15 @@ class ForwardDynamics:
             v: (nv,) velocity that the closures allow.
             force: (nv,) generalised forces: efforts, carrier forces, friction.
             carrier_acceleration: (k,) s̈ where the carriers' motion is prescribed, m/s².
+            sheet: what the motion is on where the closures lose rank (``rank_loss``); NaN is returned off its line.
 
         Raises:
             IllPosedModelError: a free motion has no inertia.
             SingularPoseError: the closures have lost rank.
         """
-        model, data, chain = self.robot.model, self.chain.data, self.chain
+        chain = self.chain
+        if sheet is not None:
+            return self._acceleration_on(sheet, q, v, force, carrier_acceleration)
         chain.update(q, v)
         particular, basis = self._particular, self._basis
         if carrier_acceleration is not None:
@@ -178,28 +195,47 @@ class ForwardDynamics:
                 self.adapt(q)  # raises where the closures themselves have lost rank
                 return self.acceleration(q, v, force, carrier_acceleration)
             self._fresh = False
-            np.negative(solved, out=solved)
+            solved *= -1.0
             basis[dependent] = solved[:, :-1]
             particular[dependent] = solved[:, -1]
+        return self._solve(q, v, force, basis, particular, self._inverse_scale)
+
+    def _acceleration_on(
+        self, sheet: Sheet, q: Array, v: Array, force: Array, carrier_acceleration: Array | None
+    ) -> Array:
+        motion = sheet.at(q, v)
+        if motion is None:
+            return np.full(self.robot.model.nv, np.nan)
+        free = np.zeros((len(v), len(self._free)), order="F")
+        free[self._free, np.arange(len(self._free))] = 1.0
+        basis = np.asfortranarray(np.concatenate([motion.basis, free], axis=1))
+        if carrier_acceleration is not None:
+            motion.particular[self._given] = carrier_acceleration
+        inverse_scale = 1.0 / self._scale[np.concatenate([sheet.follower.independent, self._free])]
+        return self._solve(motion.q, motion.v, force, basis, motion.particular, inverse_scale)
+
+    def _solve(self, q: Array, v: Array, force: Array, basis: Array, particular: Array, inverse_scale: Array) -> Array:
+        model, data = self.robot.model, self.chain.data
         effort = pin.rnea(model, data, q, v, particular)
         mass = pin.crba(model, data, q)
         # the binding leaves the lower triangle alone, and dsymm reads the upper one only
         reduced = blas.dgemm(1.0, basis, blas.dsymm(1.0, mass, basis), trans_a=1)
         factor, z, failed = lapack.dposv(reduced, basis.T.dot(force - effort))
         # squares of the Cholesky diagonal: the inertia that is left of each motion when those before it yield
-        inertia = ((factor.diagonal() * self._inverse_scale) ** 2).tolist()
+        inertia = ((factor.diagonal() * inverse_scale) ** 2).tolist()
         self.least_inertia = 0.0 if failed else min(inertia) / max(max(inertia), 1e-300)
         if not self.least_inertia > LEAST_INERTIA:
             if not np.isfinite(reduced).all():  # a trial step of an integrator, far off
                 return np.full(model.nv, np.nan)
-            raise self._ill_posed(reduced)
+            raise self._ill_posed(reduced, basis)
         result: Array = particular + basis.dot(z)
         return result
 
-    def forces(self, q: Array, v: Array, force: Array, a: Array) -> Acceleration:
+    def forces(self, q: Array, v: Array, force: Array, a: Array, *, sheet: Sheet | None = None) -> Acceleration:
         """Return closure forces and carrier forces that go with an acceleration a (nv,), from here or from elsewhere.
 
-        ``force`` (nv,) are the generalised forces without those of carriers driven by motion.
+        ``force`` (nv,) are the generalised forces without those of carriers driven by motion. At a rank loss of the
+        closures (``sheet``) they do not determine their forces, which are NaN there.
 
         Raises:
             SingularPoseError: the closures have lost rank.
@@ -207,8 +243,17 @@ class ForwardDynamics:
         chain = self.chain
         chain.update(q, v)
         missing = np.array(pin.rnea(self.robot.model, chain.data, q, v, a)) - force
-        closure = np.zeros(chain.rows)
-        if chain.rows:
+        closure: Array = np.zeros(chain.rows)
+        if sheet is not None:
+            jacobian = chain.jacobian()[:, sheet.follower.dependent]
+            ratio = rank_ratio((jacobian / self._scale[sheet.follower.dependent])[None])[0]
+            finite = ratio > LOST
+            closure = (
+                np.asarray(np.linalg.solve(jacobian.T, missing[sheet.follower.dependent]))
+                if finite
+                else closure + np.nan
+            )
+        elif chain.rows:
             # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
             dependent, jacobian = self.partition.dependent, chain.jacobian()
             factor, _, closure, _ = lapack.dgesv(jacobian[:, dependent].T, missing[dependent])
@@ -232,12 +277,12 @@ class ForwardDynamics:
             self._basis[dependent] = -np.linalg.solve(jacobian[:, dependent], jacobian[:, independent])
         return self._basis.copy()
 
-    def _ill_posed(self, reduced: Array) -> IllPosedModelError:
+    def _ill_posed(self, reduced: Array, basis: Array) -> IllPosedModelError:
         """Return the error that names the motion without inertia."""
         robot = self.robot
         values, vectors = eigh(reduced)
         condition = float(values[-1] / max(abs(values[0]), np.finfo(float).tiny))
-        direction = self._basis @ vectors[:, 0]
+        direction = basis @ vectors[:, 0]
         share = np.abs(direction * self._scale)
         joints = zip(list(robot.model.names)[1:], list(robot.model.joints)[1:], strict=True)
         moved = [str(name) for name, j in joints if share[j.idx_v : j.idx_v + j.nv].max() > 0.1 * share.max()]

@@ -12,17 +12,21 @@ What changes along the way is one value, ``Progress``: each step returns the nex
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+import pinocchio as pin
 from scipy.integrate import DOP853, RK45, OdeSolver
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
+from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.simulation.controllers.base import Command, Sampling
-from redundancy_pin.simulation.events import Event, EventFunctions, Step, find_events
-from redundancy_pin.simulation.result import SimulationStatus, Statistics
+from redundancy_pin.simulation.events import Event, EventFunctions, Step, find_events, may_touch_zero, turning_point
+from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, rank_ratio, sheet_ahead
+from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.system import Machine
 
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45}
@@ -43,26 +47,29 @@ _LITTLE_INERTIA = 1e-3
 GAP_LIMIT = 1e-9
 """Closure gap, m, that the projection must not leave."""
 
+_JUMP, _STIR = 0.05, 1e-3
+"""The projection may change a velocity by this share of the largest, and this much, m/s or rad/s. It takes away what a
+step has gained in error; a change beyond that leads to another branch of the motion."""
 
-@dataclass(frozen=True)
-class Settings:
-    """Tolerances of a step, longest step, s, most steps, and a key of ``INTEGRATORS``."""
+_TOUCHED = 1e-4
+"""Ratio of singular values of J_c below which a step has come through a rank loss, as far as it is resolved."""
 
-    rtol: float
-    atol: float
-    max_step: float
-    max_steps: int
-    integrator: str
+_FARTHEST = 4.0 * np.pi
+"""rad; a step that moves farther and may come to a rank loss is taken again, shorter."""
+
+_LEAST_TRAVEL = 0.01
+"""rad; a rank loss that is nearer, and cannot be carried across, is given up."""
+
+_AT_REST, _AT = 1e-10, 1e-8
+"""Speed, 1/s, and distance from a rank loss at which a motion may go on on either sheet."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A time over which the efforts are smooth.
+    """A time, s, over which the efforts are smooth.
 
-    Attributes:
-        start, end: s.
-        reads: whether a digital controller reads the state at its start.
-        acting: number of the reading whose answer acts meanwhile; None where the controller answers at every instant.
+    ``reads``: whether a digital controller reads the state at its start; ``acting``: number of the reading whose answer
+    acts meanwhile, None where the controller answers at every instant.
     """
 
     start: float
@@ -101,7 +108,8 @@ class Problem:
     Attributes:
         machine: the differential equation.
         functions: whose zeros are events.
-        settings: of the integration.
+        integrator: from ẏ(t, y), t, y and the last time to a solver of scipy; tolerances and longest step are in it.
+        max_steps: number of steps after which it is given up.
         grid: (G,) times at which to record, s, first and last included.
         breaks: inner times at which efforts jump, s.
         sampling: of a digital controller, or None.
@@ -109,7 +117,8 @@ class Problem:
 
     machine: Machine
     functions: EventFunctions
-    settings: Settings
+    integrator: Callable[..., OdeSolver]
+    max_steps: int
     grid: Array
     breaks: Array
     sampling: Sampling | None
@@ -123,9 +132,11 @@ class Progress:
         t: s.
         y: (nq + nv,) the closed state there.
         values: (w,) functions of the events there.
+        sheet: what it is on where the closures lose rank, see ``rank_loss``.
+        near: ratio of singular values of the closures below which a rank loss is looked for.
         next_step: length the integrator suggests for its next step, s; None before the first.
         short: how many steps in a row were shorter than ``SHORTEST``.
-        steps, evaluations, restarts, largest_correction: see ``Statistics``.
+        steps, evaluations, restarts, largest_correction, seconds: see ``Statistics``.
         status: None while it goes on.
         reason: why it failed.
     """
@@ -133,12 +144,15 @@ class Progress:
     t: float
     y: Array
     values: Array
+    sheet: Sheet | None = None
+    near: float = NEAR
     next_step: float | None = None
     short: int = 0
     steps: int = 0
     evaluations: int = 0
     restarts: int = 0
     largest_correction: float = 0.0
+    seconds: float = 0.0
     status: SimulationStatus | None = None
     reason: str = ""
 
@@ -154,28 +168,20 @@ class Sample:
     t: float
     y: Array
     hold: Command | None
+    sheet: Sheet | None
 
 
 @dataclass(eq=False)
 class Record:
-    """Samples and events as they come in."""
+    """Samples and events in order of time, as they come in."""
 
     samples: list[Sample] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What an integration leaves: samples and events in order of time, and how it ended."""
-
-    samples: tuple[Sample, ...]
-    events: tuple[Event, ...]
-    status: SimulationStatus
-    reason: str
-    statistics: Statistics
-
-
-def integrate(problem: Problem, y: Array, values: Array, first: Command) -> Outcome:
+def integrate(
+    problem: Problem, y: Array, values: Array, first: Command, sheet: Sheet | None
+) -> tuple[Record, Progress]:
     """Integrate from a closed state y at the first time of the grid, where a controller gave its first command.
 
     Raises:
@@ -183,27 +189,25 @@ def integrate(problem: Problem, y: Array, values: Array, first: Command) -> Outc
     """
     began, machine, grid = time.perf_counter(), problem.machine, problem.grid
     record, commands, hold = Record(), [first], None
-    progress = Progress(float(grid[0]), y, values)
+    progress = Progress(float(grid[0]), y, values, sheet)
     with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
         for stretch in stretches(float(grid[0]), float(grid[-1]), problem.breaks, problem.sampling):
             if stretch.reads:
-                commands.append(machine.command(machine.state(stretch.start, progress.y)))
+                commands.append(machine.amplifiers.command(machine.state(stretch.start, progress.y)))
             hold = None if stretch.acting is None else commands[stretch.acting]
             progress = _integrate_stretch(problem, progress, stretch, hold, record)
             if progress.status is not None:
                 break
-    record.samples.append(_sample(machine, progress.t, progress.y, hold))
-    seconds = time.perf_counter() - began
-    counts = progress.steps, progress.evaluations, progress.restarts, progress.largest_correction
+    record.samples.append(_sample(machine, progress.t, progress.y, hold, progress.sheet))
     status = progress.status or SimulationStatus.COMPLETED
-    return Outcome(tuple(record.samples), tuple(record.events), status, progress.reason, Statistics(*counts, seconds))
+    return record, replace(progress, status=status, seconds=time.perf_counter() - began)
 
 
 class _Rate:
     """ẏ over one stretch, as scipy's solvers call it; ``failure`` says why a call of this step had no answer."""
 
-    def __init__(self, machine: Machine, hold: Command | None, end: float) -> None:
-        self._machine, self._hold, self._end = machine, hold, end
+    def __init__(self, machine: Machine, hold: Command | None, end: float, sheet: Sheet | None) -> None:
+        self._machine, self._hold, self._end, self.sheet = machine, hold, end, sheet
         self.evaluations = 0
         self.failure: RedundancyPinError | None = None
 
@@ -215,7 +219,8 @@ class _Rate:
         # efforts that jump at the end of a stretch are evaluated just before it
         state = self._machine.state(t if t < self._end else float(np.nextafter(self._end, -np.inf)), y)
         try:
-            return self._machine.rate(state, self._machine.command(state) if self._hold is None else self._hold)
+            command = self._machine.amplifiers.command(state) if self._hold is None else self._hold
+            return self._machine.rate(state, command, self.sheet)
         except (IllPosedModelError, SingularPoseError, InputError) as error:
             # a controller may have no answer to the state of a trial step that is too long
             self.failure = error
@@ -226,31 +231,32 @@ def _integrate_stretch(
     problem: Problem, progress: Progress, stretch: Stretch, hold: Command | None, record: Record
 ) -> Progress:
     """Integrate over one stretch, and add its samples and events to the record."""
-    settings, length = problem.settings, stretch.end - progress.t
-    rate = _Rate(problem.machine, hold, stretch.end)
-    solver = INTEGRATORS[settings.integrator](
-        rate,
-        progress.t,
-        progress.y,
-        stretch.end,
-        rtol=settings.rtol,
-        atol=settings.atol,
-        max_step=settings.max_step,
-        first_step=None if progress.next_step is None else min(progress.next_step, length),
-    )
-    progress = replace(progress, restarts=progress.restarts + 1)
-    while solver.status == "running" and progress.status is None:
-        progress = _step(problem, progress, solver, rate, hold, record)
-    return replace(progress, next_step=solver.h_abs, evaluations=progress.evaluations + rate.evaluations)
+    while progress.status is None and progress.t < stretch.end:
+        rate = _Rate(problem.machine, hold, stretch.end, progress.sheet)
+        step = None if progress.next_step is None else min(progress.next_step, stretch.end - progress.t)
+        solver = problem.integrator(rate, progress.t, progress.y, stretch.end, first_step=step)
+        progress = replace(progress, restarts=progress.restarts + 1)
+        again = None
+        while solver.status == "running" and progress.status is None and again is None:
+            try:
+                progress = _step(problem, progress, solver, rate, hold, record)
+            except RetryStep as retry:  # from where it began, on a sheet or with a shorter step
+                again = retry
+        progress = replace(progress, next_step=solver.h_abs, evaluations=progress.evaluations + rate.evaluations)
+        if again is not None:
+            progress = replace(progress, sheet=again.sheet, next_step=again.length)
+            if again.reason and again.length < SHORTEST:
+                progress = progress.failed(again.reason)
+    return progress
 
 
 def _step(
     problem: Problem, progress: Progress, solver: OdeSolver, rate: _Rate, hold: Command | None, record: Record
 ) -> Progress:
-    machine, settings = problem.machine, problem.settings
-    if progress.steps >= settings.max_steps:
+    machine = problem.machine
+    if progress.steps >= problem.max_steps:
         return progress.failed(f"{progress.steps} steps did not reach the end")
-    before = solver.y, solver.f
+    before, earlier = (solver.y, solver.f), progress
     message = solver.step()
     if solver.status == "failed":
         _require_answers(rate)
@@ -260,27 +266,122 @@ def _step(
     progress = replace(progress, t=solver.t, y=solver.y, steps=progress.steps + 1, short=short)
     if short >= _MOST_SHORT:
         _require_answers(rate)
-        return progress.failed(f"the steps have shrunk to {solver.step_size:.2g} s: {_why(machine)}")
+        ratio = float(earlier.values[-1])
+        return progress.failed(f"the steps have shrunk to {solver.step_size:.2g} s: {_why(machine, ratio)}")
     rate.failure = None
     # events and samples come from the interpolant, which is that of the step before its end is projected
     step = Step(solver, before)
-    events, values = find_events(problem.functions, progress.values, step)
-    record.events.extend(events)
+    events, values, ratios = find_events(problem.functions, progress.values, step, rate.sheet)
+    near = progress.near
+    if rate.sheet is None and may_touch_zero(ratios, near):
+        _require_no_rank_loss(problem, earlier, step)
+        near = 0.5 * float(ratios.min())  # a look ahead takes as long as some steps: the next one from nearer by
     stop = events[-1].t if events and events[-1].terminal else None
-    _record(problem, step, solver.t if stop is None else stop, hold, record)
+    rest = None if rate.sheet is None else _rest(step, rate.sheet, machine.robot.model.nq)
+    if rest is not None and (stop is None or rest < stop):
+        events, stop = [event for event in events if event.t < rest], rest
+    y, gap, left = machine.project(solver.t, solver.y, rate.sheet)
+    _require_continuous(machine, solver, before, y, rate.sheet)
+    record.events.extend(events)
+    _record(problem, step, solver.t if stop is None else stop, hold, record, rate.sheet)
     if stop is not None:
-        y, _, _ = machine.project(stop, step(stop))
-        return replace(progress, t=stop, y=y, status=SimulationStatus.STOPPED_BY_EVENT)
-    y, gap, left = machine.project(solver.t, solver.y)
+        y, _, _ = machine.project(stop, step(stop), rate.sheet)
+        progress = replace(progress, t=stop, y=y, status=SimulationStatus.STOPPED_BY_EVENT)
+        if stop != rest:
+            return progress
+        return progress.failed(
+            _at_pose(
+                machine,
+                y[: problem.functions.nq],
+                "it rests where its closures lose rank, and its motion is undetermined",
+            )
+        )
     largest = max(progress.largest_correction, gap)
     progress = replace(progress, y=y, values=values, largest_correction=largest)
+    progress = replace(progress, near=near if ratios[-1] < NEAR else NEAR)
     if left > GAP_LIMIT:
         return progress.failed(f"the closures leave a gap of {left:.3g} m")
+    if rate.sheet is not None:
+        q, v = np.split(y, [machine.robot.model.nq])
+        place, speed = rate.sheet.position(q), rate.sheet.speed(v)
+        if abs(place) > BEYOND * rate.sheet.half and place * speed > 0.0:
+            progress, rate.sheet = replace(progress, sheet=None), None
     # the integrator goes on from the projected state, with the rate there: its first stage
     solver.y = y
     if solver.status == "running":
         solver.f = rate(solver.t, y)
     return progress
+
+
+def _rest(step: Step, sheet: Sheet, nq: int) -> float | None:
+    """Return the time in a step at which a motion comes to rest at a rank loss, if it does."""
+    turn = turning_point(step, sheet, nq)
+    fraction = 1.0 if turn is None else turn
+    q, v = np.split(step.at(fraction), [nq])
+    at_rest = turn is not None or abs(sheet.speed(v)) < _AT_REST
+    return step.time(fraction) if at_rest and (np.abs(sheet.distances(q)) < _AT).any() else None
+
+
+class RetryStep(Exception):  # noqa: N818 - it tells the integration to go back, and is no failure
+    """A step is to be taken again from its start, at most some length long, s, on a sheet or on none.
+
+    ``reason`` is why it failed, if it cannot be shorter; empty where it will not.
+    """
+
+    def __init__(self, length: float, sheet: Sheet | None, reason: str) -> None:
+        super().__init__(reason)
+        self.length, self.sheet, self.reason = length, sheet, reason
+
+
+def _require_no_rank_loss(problem: Problem, earlier: Progress, step: Step) -> None:
+    """Raise RetryStep where the closures lose rank in a step, with the sheet that leads across if it is near enough."""
+    machine, length = problem.machine, step.end - step.start
+    q, v = np.split(earlier.y, [machine.robot.model.nq])
+    way = velocity_scale(machine.robot) / machine.robot.characteristic_length
+    moved = pin.difference(machine.robot.model, q, step.at(1.0)[: len(q)]) * way
+    moved[machine.robot.carrier_velocity] = 0.0
+    travel = float(np.linalg.norm(moved))
+    if travel > _FARTHEST:  # the way ahead is followed point by point
+        raise RetryStep(0.5 * length, None, _at_pose(machine, q, "its closures may lose rank within a step of turns"))
+    ahead = sheet_ahead(machine.chain, q, v, 1.2 * travel + WIDEST)
+    if isinstance(ahead, Sheet):
+        raise RetryStep(min(length, 0.5 * ahead.half / max(abs(ahead.speed(v)), 1e-300)), ahead, "")
+    if ahead is None and problem.functions.least_rank(step) > _TOUCHED:
+        return
+    if ahead is None or ahead <= 1.1 * travel:
+        lost = "its closures lose rank just ahead, or nearly so, and no smooth motion is known to lead across"
+        raise RetryStep(0.5 * length if travel > _LEAST_TRAVEL else 0.0, None, _at_pose(machine, q, lost))
+
+
+def _require_continuous(
+    machine: Machine, solver: OdeSolver, before: tuple[Array, Array], y: Array, sheet: Sheet | None
+) -> None:
+    """Raise RetryStep where the projection changes a velocity by more than the error of a step."""
+    nq = machine.robot.model.nq
+    v, projected = solver.y[nq:], y[nq:]
+    jump = float(np.abs(projected - v).max(initial=0.0))
+    largest = max(float(np.abs(part).max(initial=0.0)) for part in (before[0][nq:], v))
+    if not jump <= _JUMP * largest + _STIR:
+        i = int(np.abs(projected - v).argmax())
+        moved = [
+            name for name, j in zip(machine.robot.model.names, machine.robot.model.joints, strict=True) if j.idx_v <= i
+        ]
+        raise RetryStep(
+            0.25 * solver.step_size,
+            sheet,
+            f"the velocity of {moved[-1]} would jump from {v[i]:.3g} to {projected[i]:.3g}: the step leads to another "
+            "branch of the motion",
+        )
+
+
+def _at_pose(machine: Machine, q: Array, why: str) -> str:
+    """Return a reason with the pose and the singular values of the closures there."""
+    columns = machine.chain.pose_columns
+    machine.chain.update(q, np.zeros(machine.robot.model.nv))
+    scaled = machine.chain.jacobian()[:, columns] / velocity_scale(machine.robot)[columns]
+    ratio = float(rank_ratio(scaled[None])[0])
+    pose = (np.round(q, 6) + 0.0).tolist()
+    return f"{why} (q = {pose}, ratio of singular values {ratio:.2g})"
 
 
 def _require_answers(rate: _Rate) -> None:
@@ -289,8 +390,10 @@ def _require_answers(rate: _Rate) -> None:
         raise rate.failure
 
 
-def _why(machine: Machine) -> str:
-    """Return what makes a motion blow up, as far as it shows."""
+def _why(machine: Machine, ratio: float) -> str:
+    """Return what makes a motion blow up, as far as it shows, at a ratio of singular values of the closures."""
+    if ratio < NEAR * NEAR:
+        return f"its closures have nearly lost rank (ratio of singular values {ratio:.2g})"
     inertia = machine.dynamics.least_inertia
     if inertia < _LITTLE_INERTIA:
         return (
@@ -300,12 +403,14 @@ def _why(machine: Machine) -> str:
     return "something grows without bound. Check the efforts of the controller"
 
 
-def _record(problem: Problem, step: Step, end: float, hold: Command | None, record: Record) -> None:
+def _record(
+    problem: Problem, step: Step, end: float, hold: Command | None, record: Record, sheet: Sheet | None
+) -> None:
     """Record the grid times before ``end``; what happens at the end of a stretch belongs to the next."""
     grid, same = problem.grid, SAME * float(problem.grid[1] - problem.grid[0])
     while (t := float(grid[len(record.samples)])) < end - same:
-        record.samples.append(_sample(problem.machine, t, step(t), hold))
+        record.samples.append(_sample(problem.machine, t, step(t), hold, sheet))
 
 
-def _sample(machine: Machine, t: float, y: Array, hold: Command | None) -> Sample:
-    return Sample(t, machine.project(t, y)[0], hold)
+def _sample(machine: Machine, t: float, y: Array, hold: Command | None, sheet: Sheet | None) -> Sample:
+    return Sample(t, machine.project(t, y, sheet)[0], hold, sheet)

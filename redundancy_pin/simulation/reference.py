@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array, Frozen, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.functions import DEGREE, SINGULAR, PlanFunctions, apart
+from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.plan import Plan, load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import (
@@ -33,32 +33,12 @@ from redundancy_pin.trajectory.functions_of_time import (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class InverseDynamics:
-    """The tree along a motion, and W τ = f.
+def inverse_dynamics(
+    robot: Robot, motion: PlatformMotion, carriers: CarrierMotion
+) -> tuple[TreeMotion, ReducedDynamics]:
+    """Return N samples of the tree, carriers included, and W τ = f; raises like ``lift``.
 
-    Attributes:
-        q: (N, nq) configurations, carriers included.
-        v, a: (N, nv) velocities and accelerations.
-        reduced: f, W and carrier forces.
-    """
-
-    q: Array
-    v: Array
-    a: Array
-    reduced: ReducedDynamics
-
-
-def inverse_dynamics(robot: Robot, motion: PlatformMotion, carriers: CarrierMotion) -> InverseDynamics:
-    """Return tree motion and reduced dynamics, without a backend: the simulation judges plans that a backend made.
-
-    Args:
-        robot: the robot.
-        motion: (N,) samples of the platform.
-        carriers: (N, k) samples of the carriers.
-
-    Raises:
-        UnreachablePoseError, SingularPoseError, WorkingModeError: see ``kinematics.lift.lift``.
+    It forms f without a backend on purpose: the simulation judges the plans that a backend made.
     """
     tree = lift(robot, motion)
     q, v, a = np.array(tree.q), np.array(tree.v), np.array(tree.a)
@@ -77,11 +57,11 @@ def inverse_dynamics(robot: Robot, motion: PlatformMotion, carriers: CarrierMoti
         row_scale=row_scale(robot),
         column_scale=column_scale(robot),
     )
-    return InverseDynamics(read_only(q), read_only(v), read_only(a), reduced)
+    return replace(tree, q=read_only(q), v=read_only(v), a=read_only(a)), reduced
 
 
 @dataclass(frozen=True, eq=False)
-class ReferencePoint:
+class ReferencePoint(Frozen):
     """A planned motion at one instant.
 
     Attributes:
@@ -113,22 +93,16 @@ class MotionReference:
 
     Made by ``plan_reference`` or ``motion_reference``.
 
-    Args:
+    Attributes:
         robot: the robot whose efforts these are.
         edges: (P + 1,) ends of the pieces, s; efforts may jump or kink there and nowhere else.
-        series: "loads" (τ and carrier forces), "carriers" (s, ṡ, s̈), "platform" (x, ẋ, ẍ) and "tree" (q, v, a) as
-            polynomials on these pieces.
-        is_pose: whether x is a pose.
+        jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
+        start, end: first and last time, s.
+        efforts: τ and carrier forces as polynomials on the pieces.
         carrier_lag: (k,) largest distance of the carriers from the samples of a plan, m: what backward differences
             leave.
-        deviation: largest distance of the efforts from the finite ones that a plan has at its samples, N or N·m; what
-            its own discretisation costs. NaN without a plan.
-
-    Attributes:
-        start, end: first and last time, s.
-        efforts: the loads.
-        effort_deviation: the deviation.
-        jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
+        effort_deviation: largest distance of the efforts from the finite ones that a plan has at its samples, N or N·m;
+            what its own discretisation costs. NaN without a plan.
     """
 
     def __init__(
@@ -224,21 +198,13 @@ def motion_reference(
 
 
 def reference_of(robot: Robot, functions: PlanFunctions, edges: Array, plan: Plan | None = None) -> MotionReference:
-    """Evaluate the inverse dynamics along two motions at the Chebyshev points of all pieces at once.
+    """Evaluate the inverse dynamics along two motions, smooth between ``edges``, at all Chebyshev points at once.
 
-    Args:
-        robot: the robot.
-        functions: the motions.
-        edges: (P + 1,) ends of pieces in which they are smooth, s.
-        plan: the plan they belong to; its efforts at singular instants are those that W⁻¹ f tends to.
-
-    Raises:
-        InfeasiblePlanError: some instant has no finite efforts.
-        UnreachablePoseError, SingularPoseError, WorkingModeError: see ``kinematics.lift.lift``.
+    The efforts of a plan at singular instants are those that W⁻¹ f tends to. Raises like ``plan_reference``.
     """
     times = chebyshev_times(edges, DEGREE)
     motion, along = functions.platform.sample_at(times), functions.carriers_at(times)
-    tree = inverse_dynamics(robot, motion, along)
+    tree, reduced = inverse_dynamics(robot, motion, along)
 
     def polynomials(*parts: Array) -> PiecewisePolynomial:
         values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1)
@@ -246,12 +212,12 @@ def reference_of(robot: Robot, functions: PlanFunctions, edges: Array, plan: Pla
 
     limits, lag = {}, np.zeros(robot.k)
     if plan is not None:
-        singular = np.flatnonzero(plan.margin <= SINGULAR * plan.margin.max())
+        singular = np.flatnonzero(plan.margin <= SINGULAR_SAMPLE * plan.margin.max())
         limits = {float(plan.t[i]): np.asarray(plan.tau[i]) for i in singular if np.isfinite(plan.tau[i]).all()}
         lag = np.abs(functions.carriers(plan.t) - plan.carriers.s).max(axis=0, initial=0.0)
-    tau = functions.effort_polynomials(edges, tree.reduced, limits)
+    tau = functions.effort_polynomials(edges, reduced, limits)
     series = {
-        "loads": tau.beside(polynomials(tree.reduced.carrier_force)),
+        "loads": tau.beside(polynomials(reduced.carrier_force)),
         "carriers": polynomials(along.s, along.sd, along.sdd),
         "platform": polynomials(motion.x, motion.xd, motion.xdd),
         "tree": polynomials(tree.q, tree.v, tree.a),

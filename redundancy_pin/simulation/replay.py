@@ -95,17 +95,7 @@ def replay_table(
     drives: Sequence[Drive] = DRIVES,
     sampling: Sampling = SAMPLING,
 ) -> tuple[Replay, ...]:
-    """Return ``replay`` of plans, by name, with each of several drives.
-
-    Args:
-        plans: by name.
-        motions: the trajectories that were planned for, by the same names, for exact values between the samples.
-        drives: what drives the machine.
-        sampling: of the controllers.
-
-    Raises:
-        InputError, PlanFileError: see ``replay``.
-    """
+    """Return ``replay`` of plans with each of several drives; ``motions`` by the names of the plans."""
     known = motions or {}
     return tuple(
         replay(plan, drive, name=name, motion=known.get(name), sampling=sampling)
@@ -236,5 +226,5 @@ class _SampleEfforts(Tracking):
 
 
 def _off_track(robot: Robot, s: Array) -> float:
-    lower, upper = (np.array([getattr(limits, side) for limits in robot.carrier_limits]) for side in ("lower", "upper"))
+    lower, upper = np.array([(limits.lower, limits.upper) for limits in robot.carrier_limits]).reshape(-1, 2).T
     return float(np.maximum(s - upper, lower - s).max(initial=0.0))

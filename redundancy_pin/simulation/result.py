@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
-from redundancy_pin.arrays import Array, checked, peak
+from redundancy_pin.arrays import Array, Frozen, checked, peak
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.motion import CarrierMotion
@@ -22,7 +22,7 @@ from redundancy_pin.simulation.events import Event
 FORMAT = "redundancy_pin simulation"
 """What a saved simulation calls itself."""
 
-VERSION = 1
+VERSION = 2
 """Version of the file format."""
 
 
@@ -57,7 +57,7 @@ class Statistics:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Simulation:
+class Simulation(Frozen):
     """A simulated motion; the arrays are read-only.
 
     N samples, n coordinates, m main actuators, k carriers, r closure rows.
@@ -161,7 +161,7 @@ class Simulation:
         Raises:
             OutputError: the file cannot be written; an earlier one is as it was.
         """
-        write_archive(path, FORMAT, VERSION, self)
+        write_archive(path, FORMAT, VERSION, replace(self, robot=self.robot.saved_beside(path)))
 
 
 def load_simulation(path: str | Path) -> Simulation:
@@ -171,13 +171,13 @@ def load_simulation(path: str | Path) -> Simulation:
         PlanFileError: the file is missing, truncated, damaged, no simulation, of a newer format, or its arrays do not
             fit together.
     """
-    return read_archive(path, FORMAT, VERSION, "simulation", _simulation)
+    return read_archive(path, FORMAT, VERSION, "simulation", lambda record: _simulation(record, path))
 
 
-def _simulation(record: Mapping[str, Any]) -> Simulation:
-    """Return the simulation of a record, checked."""
+def _simulation(record: Mapping[str, Any], path: str | Path) -> Simulation:
+    """Return the simulation of a record of a file, checked."""
     values = {field.name: record[field.name] for field in fields(Simulation)}
-    values["robot"] = read_robot(values["robot"])
+    values["robot"] = read_robot(values["robot"], path)
     values["events"] = tuple(Event(**entry) for entry in values["events"])
     values["status"] = SimulationStatus(values["status"])
     values["statistics"] = Statistics(**values["statistics"])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import fields
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -28,12 +30,14 @@ from redundancy_pin.simulation.controllers.base import (
     Sampling,
     as_controller,
     limit,
+    one_of,
     positive,
 )
 from redundancy_pin.simulation.events import EventFunctions
-from redundancy_pin.simulation.integrator import INTEGRATORS, Outcome, Problem, Settings, integrate
+from redundancy_pin.simulation.integrator import INTEGRATORS, Problem, Progress, Record, integrate
+from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.reference import plan_reference
-from redundancy_pin.simulation.result import Simulation, SimulationStatus
+from redundancy_pin.simulation.result import Simulation, SimulationStatus, Statistics
 from redundancy_pin.simulation.state import State
 from redundancy_pin.simulation.system import External, Machine, Method
 
@@ -122,7 +126,13 @@ def simulate(
         warnings.warn("simulate(way=...) is now simulate(method=...).", DeprecationWarning, stacklevel=2)
         method = way
     controller = _controller(robot, drive, sampling)
-    settings = _settings(rtol, atol, max_step, max_steps, integrator)
+    if integrator not in INTEGRATORS:
+        raise InputError(f"integrator is {integrator!r}.", remedy=f"Pass one of {', '.join(INTEGRATORS)}.")
+    for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
+        if not fits:
+            raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
+    tolerances = {"rtol": positive("rtol", rtol, LEAST_RTOL), "atol": positive("atol", atol)}
+    solver = partial(INTEGRATORS[integrator], max_step=max_step, **tolerances)
     state = _start(robot, controller, start)
     grid, breaks = _times(controller, state.t, duration, dt, restart_at)
     law = _carrier_law(robot, controller, carriers)
@@ -136,13 +146,16 @@ def simulate(
     functions = EventFunctions(machine.chain, tuple(stop_at))
     first = machine.state(state.t, np.concatenate([state.q, state.v]))
     _require_closed(machine, first)  # before it is projected, which would close any start
-    y, _, _ = machine.project(first.t, np.concatenate([first.q, first.v]))
+    sheet = _sheet_at_start(machine, first, float(functions(first.q[None])[0, -1]))
+    y, _, _ = machine.project(first.t, np.concatenate([first.q, first.v]), sheet)
     values = functions.at_start(y[: robot.model.nq])
-    command = machine.command(first)
+    command = machine.amplifiers.command(first)
     # an ill-posed start is an error, a pose that becomes ill-posed on the way a failure with samples before it
-    machine.dynamics.adapt(first.q)
-    machine.loads(first, command)
-    outcome = integrate(Problem(machine, functions, settings, grid, breaks, sampling), y, values, command)
+    if sheet is None:
+        machine.dynamics.adapt(first.q)
+    machine.loads(first, command, sheet)
+    problem = Problem(machine, functions, solver, int(max_steps), grid, breaks, sampling)
+    record, progress = integrate(problem, y, values, command, sheet)
     parameters = {
         "drive": drive.planner if isinstance(drive, Plan) else controller.class_name(),
         "carriers": carriers,
@@ -159,7 +172,7 @@ def simulate(
         "method": method,
         "dt": dt,
     }
-    return _simulation(machine, outcome, parameters)
+    return _simulation(machine, record, progress, parameters)
 
 
 def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampling: Sampling | None) -> Controller:
@@ -168,7 +181,7 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
     if isinstance(drive, Plan):
         # the efforts of a plan are those of the machine it was made for: another machine is driven by them all the
         # same, so that what an imperfect model costs can be simulated
-        own = robot if robot_record(robot) == drive.robot else None
+        own = robot if drive.robot.describes(robot) else None
         return FeedForward(plan_reference(drive, robot=own))
     controller = as_controller(drive)
     made_for = controller.sampling
@@ -178,15 +191,6 @@ def _controller(robot: Robot, drive: Plan | Controller | EffortLaw | None, sampl
             remedy=f"Pass sampling={made_for} to simulate, or make the controller for what it has.",
         )
     return controller
-
-
-def _settings(rtol: float, atol: float, max_step: float, max_steps: int, integrator: str) -> Settings:
-    if integrator not in INTEGRATORS:
-        raise InputError(f"integrator is {integrator!r}.", remedy=f"Pass one of {', '.join(INTEGRATORS)}.")
-    for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
-        if not fits:
-            raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
-    return Settings(positive("rtol", rtol, LEAST_RTOL), positive("atol", atol), max_step, int(max_steps), integrator)
 
 
 def _start(robot: Robot, controller: Controller, start: State | None) -> State:
@@ -204,8 +208,7 @@ def _times(
     controller: Controller, start: float, duration: float | None, dt: float, restart_at: str
 ) -> tuple[Array, Array]:
     """Return the times to record and the times at which the integration starts anew."""
-    if restart_at not in ("breaks", "jumps"):
-        raise InputError(f"restart_at is {restart_at!r}.", remedy='Pass "breaks" or "jumps".')
+    one_of("restart_at", restart_at, "breaks", "jumps")
     if duration is None and controller.end is None:
         raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
     last = float(controller.end) if duration is None and controller.end is not None else start + float(duration or 0.0)
@@ -220,8 +223,7 @@ def _times(
 
 
 def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> CarrierLaw | None:
-    if carriers not in ("force", "motion"):
-        raise InputError(f"carriers is {carriers!r}.", remedy='Pass "force" or "motion".')
+    one_of("carriers", carriers, "force", "motion")
     if robot.k == 0:
         return None
     made_for = controller.carrier_drive
@@ -248,11 +250,29 @@ def _require_closed(machine: Machine, state: State) -> None:
         )
 
 
-def _simulation(machine: Machine, outcome: Outcome, parameters: dict[str, object]) -> Simulation:
+def _sheet_at_start(machine: Machine, start: State, ratio: float) -> Sheet | None:
+    """Return what a motion is on that starts near a rank loss of its closures, by their ratio of singular values."""
+    if not ratio < NEAR:
+        return None
+    sheet = sheet_ahead(machine.chain, start.q, start.v, WIDEST)
+    motion = sheet.at(start.q, start.v) if isinstance(sheet, Sheet) else None
+    away = 0.0 if motion is None else float(np.abs(motion.v - start.v).max())
+    if away > START_GAP * max(1.0, float(np.abs(start.v).max())):
+        raise SingularPoseError(
+            f"The start is where the closures of {machine.robot.name} lose rank, and its velocity, though allowed, "
+            f"is {away:.3g} from that of the nearest smooth motion through there.",
+            remedy="Start with a velocity along one of the motions that meet there, or beside that pose.",
+            amount=away,
+        )
+    return sheet if isinstance(sheet, Sheet) else None
+
+
+def _simulation(machine: Machine, record: Record, end: Progress, parameters: dict[str, object]) -> Simulation:
     """Evaluate forces, accelerations and energies at the samples and put everything together."""
-    robot, model, data, samples = machine.robot, machine.robot.model, machine.chain.data, outcome.samples
+    robot, model, data, samples = machine.robot, machine.robot.model, machine.chain.data, record.samples
+    status = end.status or SimulationStatus.COMPLETED
     count, t = len(samples), frozen([sample.t for sample in samples])
-    q, v = (np.array([sample.y[part] for sample in samples]) for part in np.s_[: model.nq, model.nq :])
+    q, v = np.split(np.array([sample.y for sample in samples]), [model.nq], axis=1)
     a, energy = np.full((count, model.nv), np.nan), np.empty(count)
     tau, carrier_force = np.full((count, robot.m), np.nan), np.full((count, robot.k), np.nan)
     closure_force = np.full((count, machine.chain.rows), np.nan)
@@ -260,12 +280,12 @@ def _simulation(machine: Machine, outcome: Outcome, parameters: dict[str, object
         energy[i] = pin.computeKineticEnergy(model, data, q[i], v[i]) + pin.computePotentialEnergy(model, data, q[i])
         state = machine.state(sample.t, sample.y)
         try:
-            command = machine.command(state) if sample.hold is None else sample.hold
-            loads = machine.loads(state, command)
+            command = machine.amplifiers.command(state) if sample.hold is None else sample.hold
+            loads = machine.loads(state, command, sample.sheet)
         except (IllPosedModelError, SingularPoseError):
             continue  # a failed simulation ends there: the efforts have no accelerations
         except InputError:
-            if outcome.status is not SimulationStatus.FAILED:
+            if status is not SimulationStatus.FAILED:
                 raise
             continue  # what blows up may leave a controller without an answer
         tau[i], carrier_force[i] = command[0], loads.carrier_force
@@ -275,8 +295,8 @@ def _simulation(machine: Machine, outcome: Outcome, parameters: dict[str, object
     x, xd = coordinates(robot, evaluated), np.einsum("nij,nj->ni", evaluated.Jx, v)
     return Simulation(
         t=t,
-        q=read_only(q),
-        v=read_only(v),
+        q=frozen(q),
+        v=frozen(v),
         a=read_only(a),
         x=read_only(_unwrapped(robot, t, x, xd)),
         xd=read_only(xd),
@@ -289,10 +309,10 @@ def _simulation(machine: Machine, outcome: Outcome, parameters: dict[str, object
         closure_force=read_only(closure_force),
         gap=frozen(np.abs(evaluated.phi).max(axis=1, initial=0.0)),
         energy=read_only(energy),
-        events=outcome.events,
-        status=outcome.status,
-        reason=outcome.reason,
-        statistics=outcome.statistics,
+        events=tuple(record.events),
+        status=status,
+        reason=end.reason,
+        statistics=Statistics(**{field.name: getattr(end, field.name) for field in fields(Statistics)}),
         robot=robot_record(robot),
         parameters=parameters,
     )

@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
-from redundancy_pin.arrays import Array, checked, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, checked, frozen, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import velocity_scale
@@ -72,7 +72,7 @@ class Manifold:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class State(Frozen):
     """Configuration and velocity of the tree at one instant, and what a controller reads off them.
 
     Attributes:

@@ -12,8 +12,9 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.robot import Closure, Robot
-from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command
+from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command, one_of
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
+from redundancy_pin.simulation.rank_loss import Sheet
 from redundancy_pin.simulation.state import Manifold, State
 
 Rate = Callable[[Array, Array], Array]
@@ -151,7 +152,7 @@ class Machine:
         self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None)
         self.chain = self.dynamics.chain
         self.manifold = Manifold(self.chain)
-        self._law, self._external, self._amplifiers = carrier_law, external, amplifiers
+        self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
         self._configuration_rate = configuration_rate(robot.model)
         self._compiled = _compiled(robot, method, carrier_law is not None)
         self._split = robot.model.nq
@@ -164,32 +165,36 @@ class Machine:
         q[self.robot.carrier_position], v[self.robot.carrier_velocity], _ = self._law(t)
         return State(self.chain, t, q, v)
 
-    def command(self, state: State) -> Command:
-        """Return what the controller commands at a state, saturated; see ``Amplifiers.command``."""
-        return self._amplifiers.command(state.t, state)
-
-    def rate(self, state: State, command: Command) -> Array:
-        """Return ẏ (nq + nv,) at a state under a command.
+    def rate(self, state: State, command: Command, sheet: Sheet | None = None) -> Array:
+        """Return ẏ (nq + nv,) at a state under a command; ``sheet``: see ``ForwardDynamics.acceleration``.
 
         Raises:
             IllPosedModelError, SingularPoseError: there is none.
         """
-        acceleration = self._acceleration(state, self._force(state, command))
+        acceleration = self._acceleration(state, self._force(state, command), sheet)
         return np.concatenate([self._configuration_rate(state.q, state.v), acceleration])
 
-    def loads(self, state: State, command: Command) -> Acceleration:
+    def loads(self, state: State, command: Command, sheet: Sheet | None = None) -> Acceleration:
         """Return accelerations and forces at a closed state under a command; raises like ``rate``."""
         force = self._force(state, command)
-        loads = self.dynamics.forces(state.q, state.v, force, self._acceleration(state, force))
+        a = self._acceleration(state, force, sheet)
+        loads = self.dynamics.forces(state.q, state.v, force, a, sheet=sheet)
         if self._law is None:  # what the actuators give, without friction and other external forces on the carriers
             loads = replace(loads, carrier_force=command[1])
         return loads
 
-    def project(self, t: float, y: Array) -> tuple[Array, float, float]:
-        """Return the closed state nearest to y, the gap that y had, and the gap left, m."""
+    def project(self, t: float, y: Array, sheet: Sheet | None = None) -> tuple[Array, float, float]:
+        """Return the closed state nearest to y, or that on a sheet, the gap that y had, and the gap left, m."""
         state = self.state(t, y)
+        motion = None if sheet is None else sheet.at(state.q, state.v)
+        if motion is not None:
+            return np.concatenate([motion.q, motion.v]), self._gap(state.q), self._gap(motion.q)
         q, v, before, left = self.manifold.project(state.q, state.v)
         return np.concatenate([q, v]), before, left
+
+    def _gap(self, q: Array) -> float:
+        self.chain.update(q, np.zeros(self.robot.model.nv))
+        return float(np.abs(self.chain.residual()).max(initial=0.0))
 
     def _force(self, state: State, command: Command) -> Array:
         robot = self.robot
@@ -199,18 +204,18 @@ class Machine:
             force[robot.carrier_velocity] = command[1]
         return force if self._external is None else force + self._external(state)
 
-    def _acceleration(self, state: State, force: Array) -> Array:
-        if self._compiled is not None:
+    def _acceleration(self, state: State, force: Array, sheet: Sheet | None) -> Array:
+        # beside a rank loss Pinocchio's solver, damped, gives an acceleration that belongs to no sheet
+        if self._compiled is not None and sheet is None:
             return self._compiled(state.q, state.v, force)
         given = None if self._law is None else self._law(state.t)[2]
-        return self.dynamics.acceleration(state.q, state.v, force, given)
+        return self.dynamics.acceleration(state.q, state.v, force, given, sheet=sheet)
 
 
 def _compiled(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics | None:
+    one_of("method", method, "projected", "constraint_dynamics")
     if method == "projected":
         return None
-    if method != "constraint_dynamics":
-        raise InputError(f"method is {method!r}.", remedy='Pass "projected" or "constraint_dynamics".')
     if prescribed:
         raise InputError(
             "Pinocchio's constraintDynamics cannot drive carriers by motion.",

@@ -32,6 +32,7 @@ from redundancy_pin.arrays import (
     RANK_TOLERANCE,
     Array,
     BoolArray,
+    Frozen,
     checked,
     read_only,
 )
@@ -127,7 +128,7 @@ class SingularityKind(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Singularities:
+class Singularities(Frozen):
     """The singularities of N configurations; made by ``classify`` and ``classify_motion``.
 
     A direction is a twist ẋ (m/s, rad/s, base frame) of length 1 m/s in the scaled metric, in which a rotation counts

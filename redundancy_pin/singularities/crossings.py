@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, frozen
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, frozen
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
-from redundancy_pin.kinematics.coordinates import difference, row_scale
-from redundancy_pin.kinematics.modes import mode_indicator
+from redundancy_pin.kinematics.coordinates import difference, mode_indicator, row_scale
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import SingularityKind, classify
@@ -39,7 +38,7 @@ _PROBE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
-class Crossing:
+class Crossing(Frozen):
     """One singularity met along a motion.
 
     Attributes:

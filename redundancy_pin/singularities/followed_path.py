@@ -17,9 +17,8 @@ from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeE
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import continuous
-from redundancy_pin.kinematics.coordinates import difference, require_matching, row_scale
+from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, require_matching, row_scale
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.kinematics.modes import mode_indicator, mode_name
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.singularities.classify import Margins, margins_of

@@ -22,12 +22,11 @@ import numpy as np
 from contourpy import contour_generator
 from numpy.typing import NDArray
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, frozen, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import coordinates, difference
-from redundancy_pin.kinematics.modes import mode_indicator
+from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import (
     SingularityKind,
@@ -65,7 +64,7 @@ MatrixOf = Callable[[ConstraintSystem, ConstraintState], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class LocusCurve:
+class LocusCurve(Frozen):
     """One singular curve.
 
     Attributes:
@@ -84,7 +83,7 @@ class LocusCurve:
 
 
 @dataclass(frozen=True, eq=False)
-class SingularLocus:
+class SingularLocus(Frozen):
     """Singular curves of a robot over its workspace, and the margins they were found in.
 
     Attributes:

@@ -11,7 +11,7 @@ from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follows
-from redundancy_pin.kinematics.coordinates import coordinates, difference
+from redundancy_pin.kinematics.coordinates import coordinates, difference, is_revolute
 from redundancy_pin.kinematics.lift import find_on_branch
 from redundancy_pin.robot import Robot
 
@@ -124,10 +124,7 @@ def default_axes(system: ConstraintSystem, place: Slice, resolution: int) -> tup
 
 def _turns(robot: Robot) -> bool:
     """Whether the only coordinate is the angle of a joint."""
-    if robot.platform is not None:
-        return False
-    joint = robot.model.joints[robot.model.getJointId(robot.independent_joints[0])]
-    return not str(joint.shortname()).startswith("JointModelP")
+    return robot.platform is None and is_revolute(robot, robot.independent_joints[0])
 
 
 def _free(robot: Robot, names: tuple[str, ...]) -> tuple[int, ...]:

@@ -96,7 +96,7 @@ def _started(extent: Extent) -> list[Case]:
     """Return the cases that are planned from several first guesses."""
     return [
         by_method(task, method, extent.starts_coarser).with_options(starts=extent.starts, refinements=0)
-        for task in cases.STARTED
+        for task in extent.started
         for method in (EFFORT, PEAK)
     ]
 
@@ -183,14 +183,9 @@ def headline(records: Sequence[Record]) -> Table:
             shown = {"none": group.get(NONE), "thesis": best(group.get(method) for method in thesis),
                      "effort": group[EFFORT], "peak": group.get(PEAK)}  # fmt: skip
             rows.append({"motion": task.title, **{name: headline_cell(record) for name, record in shown.items()}})
-    columns = [
-        Column("motion"),
-        Column("none", "no moving masses"),
-        Column("thesis", "planner of the thesis"),
-        Column("effort", "whole trajectory: least effort"),
-        Column("peak", "... least peak"),
-    ]
-    return Table.of(columns, rows)
+    titles = {"motion": "motion", "none": "no moving masses", "thesis": "planner of the thesis",
+              "effort": "whole trajectory: least effort", "peak": "... least peak"}  # fmt: skip
+    return Table.of([Column(name, title) for name, title in titles.items()], rows)
 
 
 def best(records: Iterable[Record | None]) -> Record | None:
@@ -241,15 +236,22 @@ def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) 
         whole = by_method(task, EFFORT, extent.coarser).with_options(refinements=1, **limit, **changed)
         return cases.at_speed(whole, speed)
 
+    def ramps_fit(speed: float) -> bool:
+        try:
+            case_at(speed).trajectory()
+        except InputError:
+            return False
+        return True
+
     def tried(speed: float, starts: int = 1) -> Record:
         if speed not in trials or (starts > 1 and not trials[speed]["feasible"]):
             trials[speed] = attempt(plans, case_at(speed, **({"starts": starts} if starts > 1 else {})))
         return trials[speed]
 
     def bracket(low: float, high: float) -> tuple[float, float | None]:
-        while _ramps_fit(case_at(high)) and tried(high)["feasible"]:
+        while ramps_fit(high) and tried(high)["feasible"]:
             low, high = high, high * GROWTH
-        if not _ramps_fit(case_at(high)):
+        if not ramps_fit(high):
             return low, None
         while high - low > extent.tolerance * low:
             middle = 0.5 * (low + high)
@@ -268,17 +270,9 @@ def fastest(plans: Plans, task: Case, extent: Extent, effort: float = math.inf) 
         # the planner says which acceleration would do: does it?
         wider = plans.outcome(case_at(above["speed"], acceleration=_MORE * abs(above["limit"])))
         suffices = isinstance(wider, Plan)
-    return {
-        "task": task.name,
-        "title": task.title.rpartition(" at ")[0],
-        "unit": task.unit,
-        "effort_limit": effort,
-        "fastest_with_plan": trials[low],
-        "slowest_without": above,
-        "starts": extent.starts if above else 0,
-        "suffices": suffices,
-        "trials": [trials[speed] for speed in sorted(trials)],
-    }
+    return {"task": task.name, "title": task.title.rpartition(" at ")[0], "unit": task.unit, "effort_limit": effort,
+            "fastest_with_plan": trials[low], "slowest_without": above, "starts": extent.starts if above else 0,
+            "suffices": suffices, "trials": [trials[speed] for speed in sorted(trials)]}  # fmt: skip
 
 
 def attempt(plans: Plans, case: Case) -> Record:
@@ -292,7 +286,7 @@ def attempt(plans: Plans, case: Case) -> Record:
         if isinstance(outcome, InfeasiblePlanError):
             details = {key: outcome.details[key] for key in reasons if outcome.details.get(key) is not None}
             failed = {**record, **details, "said": outcome.message}
-        elif outcome.status in (PlanStatus.WITHIN_LIMITS, PlanStatus.STOPPED_EARLY):
+        elif outcome.status in (PlanStatus.WITHIN_LIMITS, PlanStatus.STOPPED_EARLY, PlanStatus.UNRESOLVED):
             binding = sorted({f"{event.quantity} of {event.carrier}" for event in outcome.limits.binding})
             peak = max(float(outcome.peak_effort.max()), dense_peak(attempted, outcome))
             return {**record, "feasible": True, "status": outcome.status.value, "peak": peak, "binding": binding}
@@ -300,14 +294,6 @@ def attempt(plans: Plans, case: Case) -> Record:
             message = "the plan breaks limits or has no finite efforts"
             failed = {**record, "status": outcome.status.value, "said": message}
     return failed
-
-
-def _ramps_fit(case: Case) -> bool:
-    try:
-        case.trajectory()
-    except InputError:
-        return False
-    return True
 
 
 # --- working modes, backends, first guesses, trade-off -------------------------------------------------------------
@@ -354,16 +340,10 @@ def starts_record(plans: Plans, case: Case) -> Record:
     for cost in reached:
         if cost > last + SAME_COST * abs(cost):
             optima, last = optima + 1, cost
-    return {
-        "case": case.name,
-        "step": case.dt,
-        "costs": costs,
-        "missing": len(costs) - len(reached),
-        "best": reached[0] if reached else math.nan,
-        "excess": (reached[-1] - reached[0]) / reached[0] if reached else math.nan,
-        "optima": optima,
-        "parked_is_best": bool(reached) and costs[0] <= reached[0] * (1.0 + SAME_COST),
-    }
+    best, last = (reached[0], reached[-1]) if reached else (math.nan, math.nan)
+    return {"case": case.name, "step": case.dt, "costs": costs, "missing": len(costs) - len(reached), "best": best,
+            "excess": (last - best) / best, "optima": optima,
+            "parked_is_best": bool(reached) and costs[0] <= best * (1.0 + SAME_COST)}  # fmt: skip
 
 
 def trade_record(plans: Plans, task: Case, extent: Extent) -> Record:

@@ -8,28 +8,19 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.loading import load_robot
+from redundancy_pin.loading import load_with
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan, finish_plan
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot import CarrierLimits, Robot
-from redundancy_pin.trajectory import (
-    Path,
-    SpeedProfile,
-    Trajectory,
-    reference,
-    rounded_polygon,
-    through_points,
-    with_constant,
-)
+from redundancy_pin.trajectory import Trajectory, reference
 from redundancy_pin.workers import parallel
 
 RNEA = "rnea"
@@ -48,39 +39,6 @@ Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory"
 """What moves the carriers: nobody as there are none, nobody as they stay at s = 0, or a planner."""
 
 
-def points(
-    points: ArrayLike,
-    speed: float,
-    ramp_time: float,
-    ramp_length: float | None = None,
-    closed: bool = False,
-    alpha: float | None = None,
-) -> Trajectory:
-    """Return a motion along a smooth path through (N, n) points, m; two of them give a straight line.
-
-    Ramps last ``ramp_time``, s, and are ``ramp_length``, m, long; ``alpha``, rad, is a constant last coordinate.
-    """
-    return _along(through_points(points, closed=closed), speed, ramp_time, ramp_length, alpha)
-
-
-def polygon(
-    vertices: ArrayLike,
-    radius: float,
-    speed: float,
-    ramp_time: float,
-    ramp_length: float | None = None,
-    closed: bool = False,
-    alpha: float | None = None,
-) -> Trajectory:
-    """Return a motion along a polygon of (N, n) corners, m, rounded by arcs of a radius, m; the rest as ``points``."""
-    return _along(rounded_polygon(vertices, radius, closed=closed), speed, ramp_time, ramp_length, alpha)
-
-
-def _along(path: Path, speed: float, ramp_time: float, ramp_length: float | None, alpha: float | None) -> Trajectory:
-    whole = path if alpha is None else with_constant(path, alpha)
-    return Trajectory(whole, SpeedProfile(whole.length, speed, ramp_time, ramp_length))
-
-
 PATHS: Mapping[str, Callable[..., Trajectory]] = {
     "circle": reference.circle,
     "line": reference.line,
@@ -89,7 +47,11 @@ PATHS: Mapping[str, Callable[..., Trajectory]] = {
 }
 """Makers of the trajectories of the thesis."""
 
-TRAJECTORIES: Mapping[str, Callable[..., Trajectory]] = {**PATHS, "points": points, "polygon": polygon}
+TRAJECTORIES: Mapping[str, Callable[..., Trajectory]] = {
+    **PATHS,
+    "points": reference.points,
+    "polygon": reference.polygon,
+}
 """Makers of trajectories by name: those of the thesis, and two for the user's own paths."""
 
 
@@ -106,10 +68,14 @@ def _hashable(value: Any) -> Any:
 
 @functools.lru_cache(maxsize=64)
 def load(
-    robot: str, working_mode: Mode = (), arguments: Options = (), gravity: tuple[float, ...] | None = None
+    robot: str,
+    working_mode: Mode = (),
+    arguments: Options = (),
+    gravity: tuple[float, ...] | None = None,
+    trust: bool = False,
 ) -> Robot:
     """Load a robot once a process: that takes longer than many a plan, and constraint models do not pickle."""
-    return load_robot(robot, working_mode=working_mode or None, gravity=gravity, **dict(arguments))
+    return load_with(robot, dict(arguments), working_mode=working_mode or None, gravity=gravity, trust=trust)
 
 
 @functools.lru_cache(maxsize=64)
@@ -149,6 +115,7 @@ class Case:
         gravity: (3,) m/s²; as declared when left out.
         limits: of the carriers in place of the robot's own: "stroke" (length of every track, about its middle),
             "max_speed", "max_acceleration", "max_carrier_force"; m, s, N.
+        trust: as for ``load_robot``.
     """
 
     name: str
@@ -164,6 +131,7 @@ class Case:
     title: str = ""
     gravity: tuple[float, ...] | None = None
     limits: Options = ()
+    trust: bool = False
 
     @property
     def backends(self) -> tuple[str, ...]:
@@ -193,12 +161,11 @@ class Case:
 
     def load_robot(self) -> Robot:
         """Return the robot with its own limits, loaded once."""
-        return load(self.robot, self.working_mode, self._arguments, self.gravity)
+        return load(*self._machine)
 
     def dynamics(self, backend: str | None = None) -> Dynamics:
         """Return its dynamics by a backend (the first of ``backends`` when left out), made once."""
-        robot = (self.robot, self.working_mode, self._arguments, self.gravity)
-        return _dynamics(backend or self.backends[0], robot, self.limits)
+        return _dynamics(backend or self.backends[0], self._machine, self.limits)
 
     @property
     def has_baseline(self) -> bool:
@@ -243,8 +210,11 @@ class Case:
         return replace(self, planner="none").dynamics(backend) if self.has_baseline else None
 
     @property
-    def _arguments(self) -> Options:
-        return options(**{**dict(self.arguments), "carriers": False}) if self.planner == "none" else self.arguments
+    def _machine(self) -> tuple[str, Mode, Options, tuple[float, ...] | None, bool]:
+        """Arguments of ``load``."""
+        without = self.planner == "none"
+        arguments = options(**{**dict(self.arguments), "carriers": False}) if without else self.arguments
+        return self.robot, self.working_mode, arguments, self.gravity, self.trust
 
 
 def _at_rest(machine: Dynamics, trajectory: Trajectory, dt: float, name: str) -> Plan:

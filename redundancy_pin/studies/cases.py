@@ -335,6 +335,7 @@ class Extent:
         tolerance: width of the bracket of the fastest motion, as a fraction of the speed.
         starts: first guesses in the search for other optima, and for a plan at a speed where one failed.
         starts_coarser: the factor for plans from several first guesses.
+        started: tasks that are planned from them.
         ratios: weights of the carriers' acceleration in the trade-off, over the one at which both parts of the cost
             would be the same for the plan of least effort.
         races: motions whose fastest is bracketed.
@@ -350,6 +351,7 @@ class Extent:
     tolerance: float = 1e-2
     starts: int = 5
     starts_coarser: float = 2.0
+    started: tuple[Case, ...] = STARTED
     ratios: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3)
     races: tuple[Race, ...] = RACES
     both_backends: bool = True
@@ -366,6 +368,7 @@ QUICK = Extent(
     tolerance=0.1,
     starts=2,
     starts_coarser=6.0,
+    started=STARTED[:1],
     ratios=(1e-2, 1.0, 100.0),
     races=RACES[3:],
     both_backends=False,

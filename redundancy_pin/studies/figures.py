@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -22,15 +22,21 @@ from redundancy_pin.studies.results import Results
 from redundancy_pin.visualisation.figures.comparisons import (
     TradeCurve,
     plot_bars,
-    plot_comparison,
     plot_efforts,
     plot_side_by_side,
     plot_speed_border,
     plot_tracking,
     plot_trade_off,
 )
-from redundancy_pin.visualisation.figures.curves import curves
 from redundancy_pin.visualisation.figures.paths import plot_path, plot_plane_paths
+from redundancy_pin.visualisation.figures.plots import (
+    carrier_panels,
+    curves,
+    curves_of_plan,
+    main_panel,
+    plot_comparison,
+    singularity_panel,
+)
 from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels, series
 from redundancy_pin.visualisation.viewer.parts import base_hinges, links
 
@@ -66,8 +72,7 @@ def motion_pictures(runs: Sequence[MotionRun]) -> list[Picture]:
     """Return the figures of the motions without a planner: efforts and path of each, and cases side by side."""
     pictures = []
     for run in runs:
-        name = run.case.name
-        title = f"{run.case.title}, {_carriers(run.case)}"
+        name, title = run.case.name, f"{run.case.title}, {_carriers(run.case)}"
         caption = f"{title}: efforts by both backends. {run.statement}."
         pictures.append(Picture(f"{name}-efforts", f"Efforts of {name}", caption, effort_figure, (run, title)))
         caption = f"{title}: mechanism, path and condition number."
@@ -76,8 +81,9 @@ def motion_pictures(runs: Sequence[MotionRun]) -> list[Picture]:
         same = [run for run in runs if cases.motion_name(run.case) == motion]
         if len(same) > 1:
             caption = f"{same[0].case.title}: efforts with parked carriers and without carriers."
-            title = f"Comparison of {motion}"
-            pictures.append(Picture(f"{motion}-comparison", title, caption, comparison_figure, (same,)))
+            pictures.append(
+                Picture(f"{motion}-comparison", f"Comparison of {motion}", caption, comparison_figure, (same,))
+            )
     return pictures
 
 
@@ -131,11 +137,11 @@ def _mechanism(robot: Robot, motion: PlatformMotion) -> tuple[tuple[Array, ...],
 def profile(results: Results, case: Case) -> Figure:
     """Draw the platform's speed and acceleration (norms)."""
     motion = case.trajectory().sample(_FINE)
-    speed, acceleration = (np.linalg.norm(part[:, :2], axis=1) for part in (motion.xd, motion.xdd))
-    panels = (
-        Panel("speed |ẋ| [m/s]", (Curve("speed", motion.t, speed),)),
-        Panel("acceleration |ẍ| [m/s²]", (Curve("acceleration", motion.t, acceleration, 1),)),
-    )
+    labels = {"speed |ẋ| [m/s]": motion.xd, "acceleration |ẍ| [m/s²]": motion.xdd}
+    panels = [
+        Panel(label, (Curve(label.partition(" ")[0], motion.t, np.linalg.norm(part[:, :2], axis=1), i),))
+        for i, (label, part) in enumerate(labels.items())
+    ]
     return plot_time_panels(f"{case.title}: speed and acceleration of the platform", panels)
 
 
@@ -149,63 +155,43 @@ def displacement(results: Results, case: Case) -> Figure:
 
 def paths(results: Results, *several: Case) -> Figure:
     """Draw the paths of cases; of a crossing with the mechanism at its start and the singular points."""
+    first, alone = several[0], len(several) == 1
     lines = {
-        f"radius {case.option('radius'):g} m" if len(several) > 1 else "path": case.trajectory().sample(_FINE).x[:, :2]
+        "path" if alone else f"radius {case.option('radius'):g} m": case.trajectory().sample(_FINE).x[:, :2]
         for case in several
     }
-    first = several[0]
-    if first.planner != "switch_off":
-        return plot_plane_paths("Corners of the 3-RRR's platform" if len(several) > 1 else first.title, lines)
+    if not cases.crosses(first):
+        return plot_plane_paths(first.title if alone else "Corners of the 3-RRR's platform", lines)
     trajectory = first.trajectory()
     mechanism, hinges = _mechanism(first.load_robot(), trajectory.sample(_FINE))
-    return plot_plane_paths(
-        f"{first.title}: path and mechanism at the start",
-        lines,
-        mechanism=mechanism,
-        hinges=hinges,
-        singular=list(trajectory.sample_at(np.array(_instants(results.plans.plan(first)))).x),
-    )
+    singular = trajectory.sample_at(np.array(curves_of_plan(results.plans.plan(first)).instants)).x
+    title = f"{first.title}: path and mechanism at the start"
+    return plot_plane_paths(title, lines, mechanism=mechanism, hinges=hinges, singular=list(singular))
 
 
 def condition(results: Results, *several: Case) -> Figure:
     """Draw the condition number along the motion of cases that differ in their threshold."""
-    plan = results.plans.plan(several[0])
-    levels = tuple((case.option("threshold"), f"threshold {case.option('threshold'):g}") for case in several)
-    panel = _condition(plan, levels, height=1.8)
-    return plot_time_panels(f"{several[0].title}: condition number", (panel,), instants=_instants(plan))
-
-
-def _condition(plan: Plan, levels: tuple[tuple[float, str], ...], height: float = 1.0) -> Panel:
-    curve = Curve("condition number", plan.t, plan.condition)
-    return Panel("condition number [–]", (curve,), levels, log=True, height=height)
+    thresholds = tuple(float(case.option("threshold")) for case in several)
+    drawn = replace(curves_of_plan(results.plans.plan(several[0])), thresholds=thresholds)
+    panel = replace(singularity_panel(drawn), height=1.8)
+    return plot_time_panels(f"{several[0].title}: condition number", (panel,), instants=drawn.instants)
 
 
 def forces(results: Results, case: Case) -> Figure:
     """Draw the forces of the main actuators and the condition number of a crossing."""
-    plan, threshold = results.plans.plan(case), case.option("threshold")
-    before = plan.t <= float(window(plan)["exit"])
-    names = ("τ1", "τ2")
-    panels = (
-        Panel("force τ [N]", series(names, plan.t, plan.tau), height=1.3),
-        Panel("force τ [N], until\nswitched on", series(names, plan.t[before], plan.tau[before]), height=1.2),
-        _condition(plan, ((threshold, f"threshold {threshold:g}"),)),
-    )
-    return plot_time_panels(f"{_off(case)}: main actuators", panels, plan=plan, instants=_instants(plan))
-
-
-_QUANTITIES = {"position": ("s", "s [m]"), "speed": ("sd", "ṡ [m/s]"), "acceleration": ("sdd", "s̈ [m/s²]")}
-"""Of carriers: their name in a motion, and the label of the axis."""
+    plan = results.plans.plan(case)
+    drawn, before = curves_of_plan(plan), plan.t <= float(window(plan)["exit"])
+    until = series(("τ1", "τ2"), plan.t[before], plan.tau[before])
+    panels = (main_panel(drawn), Panel("force τ [N], until\nswitched on", until, height=1.2), singularity_panel(drawn))
+    return plot_time_panels(f"{_off(case)}: main actuators", panels, plan=plan, instants=drawn.instants)
 
 
 def carriers(results: Results, case: Case) -> Figure:
     """Draw position, speed and acceleration of the carriers of a crossing."""
     plan = results.plans.plan(case)
-    panels = []
-    for quantity, (name, label) in _QUANTITIES.items():
-        names = [f"carrier {i + 1}" for i in range(len(plan.robot.carriers))]
-        curves = series(names, plan.t, getattr(plan.carriers, name), carrier=True)
-        panels.append(Panel(label, curves, limits=_limits(plan, quantity), height=1.2))
-    return plot_time_panels(f"{_off(case)}: carriers", panels, plan=plan, instants=_instants(plan))
+    drawn = curves_of_plan(plan)
+    panels = [replace(panel, height=1.2) for panel in carrier_panels(drawn)]
+    return plot_time_panels(f"{_off(case)}: carriers", panels, plan=plan, instants=drawn.instants)
 
 
 def torques(results: Results, case: Case) -> Figure:
@@ -226,23 +212,19 @@ def torques(results: Results, case: Case) -> Figure:
 
 
 def positions(results: Results, case: Case) -> Figure:
-    """Draw the positions of the carriers of a stepwise plan, one panel each."""
-    return _each_carrier(results, case, "position")
+    """Draw the positions of the carriers of a stepwise plan."""
+    return _carriers_of(results, case, "position", 0)
 
 
 def accelerations(results: Results, case: Case) -> Figure:
     """Draw their accelerations."""
-    return _each_carrier(results, case, "acceleration")
+    return _carriers_of(results, case, "acceleration", 2)
 
 
-def _each_carrier(results: Results, case: Case, quantity: str) -> Figure:
-    plan, (name, label) = results.plans.plan(case), _QUANTITIES[quantity]
-    names = [f"{quantity} of carrier {i + 1}" for i in range(3)]
-    curves = series(names, plan.t, getattr(plan.carriers, name), carrier=True)
-    panels = [
-        Panel(f"carrier {i + 1}\n{label}", (curve,), limits=_limits(plan, quantity)) for i, curve in enumerate(curves)
-    ]
-    return plot_time_panels(f"{_stepwise(case)}: {quantity} of the carriers", panels, plan=plan)
+def _carriers_of(results: Results, case: Case, quantity: str, place: int) -> Figure:
+    plan = results.plans.plan(case)
+    panel = replace(carrier_panels(curves_of_plan(plan))[place], height=2.4)
+    return plot_time_panels(f"{_stepwise(case)}: {quantity} of the carriers", [panel], plan=plan)
 
 
 def _off(case: Case) -> str:
@@ -253,58 +235,23 @@ def _stepwise(case: Case) -> str:
     return f"{case.title}, λ = {case.option('lam'):g}, working mode (+,+,+)"
 
 
-def _limits(plan: Plan, quantity: str) -> tuple[float, ...]:
-    first = plan.limits.judged_by[0]
-    if quantity == "position":
-        return first.lower, first.upper
-    limit = getattr(first, quantity)
-    return (-limit, limit) if np.isfinite(limit) else ()
-
-
-def _instants(plan: Plan) -> list[float]:
-    instants: Any = plan.diagnostics.get("singular_instants") or ()
-    return [float(instant) for instant in instants]
-
-
 _C5, _C10, _C20, _F5, _L1, _L2, _L15 = cases.CROSSINGS
 _WIDE, _WIDE_HALF, _SHARP, _, _SQUARE_HALF, _SQUARE = cases.CORNERS
 
 THESIS: tuple[tuple[str, Draw, tuple[Case, ...]], ...] = (
-    ("3.6", profile, (_C5,)),
-    ("3.7", paths, (_C5,)),
-    ("3.8", profile, (_L1,)),
-    ("3.9", paths, (_L1,)),
-    ("3.10", condition, (_C5, _C10, _C20)),
-    ("3.11", forces, (_C5,)),
-    ("3.12", carriers, (_C5,)),
-    ("3.13", forces, (_C10,)),
-    ("3.14", forces, (_C20,)),
-    ("3.15", carriers, (_C20,)),
-    ("3.16", forces, (_F5,)),
-    ("3.17", carriers, (_F5,)),
-    ("3.18", condition, (_L1,)),
-    ("3.19", forces, (_L1,)),
-    ("3.20", carriers, (_L1,)),
-    ("3.21", forces, (_L2,)),
-    ("3.22", forces, (_L15,)),
-    ("4.2", paths, (_WIDE, _SHARP)),
-    ("4.3", profile, (_WIDE,)),
-    ("4.4", profile, (_SHARP,)),
-    ("4.5", paths, (_SQUARE,)),
-    ("4.6", displacement, (_SQUARE,)),
-    ("4.7", profile, (_SQUARE,)),
-    ("4.8", torques, (_WIDE,)),
-    ("4.9", accelerations, (_WIDE,)),
-    ("4.10", torques, (_SHARP,)),
+    ("3.6", profile, (_C5,)), ("3.7", paths, (_C5,)), ("3.8", profile, (_L1,)), ("3.9", paths, (_L1,)),
+    ("3.10", condition, (_C5, _C10, _C20)), ("3.11", forces, (_C5,)), ("3.12", carriers, (_C5,)),
+    ("3.13", forces, (_C10,)), ("3.14", forces, (_C20,)), ("3.15", carriers, (_C20,)), ("3.16", forces, (_F5,)),
+    ("3.17", carriers, (_F5,)), ("3.18", condition, (_L1,)), ("3.19", forces, (_L1,)), ("3.20", carriers, (_L1,)),
+    ("3.21", forces, (_L2,)), ("3.22", forces, (_L15,)),
+    ("4.2", paths, (_WIDE, _SHARP)), ("4.3", profile, (_WIDE,)), ("4.4", profile, (_SHARP,)),
+    ("4.5", paths, (_SQUARE,)), ("4.6", displacement, (_SQUARE,)), ("4.7", profile, (_SQUARE,)),
+    ("4.8", torques, (_WIDE,)), ("4.9", accelerations, (_WIDE,)), ("4.10", torques, (_SHARP,)),
     ("4.11", accelerations, (_SHARP,)),
-    ("4.12", torques, (_WIDE_HALF,)),
-    ("4.13", positions, (_WIDE_HALF,)),
-    ("4.14", accelerations, (_WIDE_HALF,)),
-    ("4.15", torques, (_SQUARE_HALF,)),
-    ("4.16", accelerations, (_SQUARE_HALF,)),
-    ("4.17", torques, (_SQUARE,)),
+    ("4.12", torques, (_WIDE_HALF,)), ("4.13", positions, (_WIDE_HALF,)), ("4.14", accelerations, (_WIDE_HALF,)),
+    ("4.15", torques, (_SQUARE_HALF,)), ("4.16", accelerations, (_SQUARE_HALF,)), ("4.17", torques, (_SQUARE,)),
     ("4.18", accelerations, (_SQUARE,)),
-)
+)  # fmt: skip
 """Number in the thesis, what is drawn, of which cases. Its 3.1 to 3.5 and 4.1 are flow charts and sketches."""
 
 _CAPTIONS: dict[Draw, str] = {
@@ -335,8 +282,6 @@ def thesis_pictures() -> list[Picture]:
 _SHOWN = (NONE, STEPWISE, SWITCH_OFF, EFFORT, PEAK, cases.SMOOTH)
 """Methods that the figures of a motion show, left to right, where there is a plan."""
 
-RADII = tuple(float(task.option("radius")) for task in cases.TURNS[:2])
-
 
 def beyond_pictures() -> list[Picture]:
     """Return the figures of the chapter beyond the thesis."""
@@ -348,7 +293,7 @@ def beyond_pictures() -> list[Picture]:
     caption = "Largest main force of the plans of least effort over speed: every speed that has a plan (dots), and "
     caption += "those without (crosses, on the lower edge)."
     pictures.append(Picture("beyond-fastest", "Fastest motions", caption, fastest_figure))
-    for radius in RADII:
+    for radius in (float(task.option("radius")) for task in cases.TURNS[:2]):
         title = f"Working modes, radius {radius:g} m"
         caption = f"Largest |τ| at the corner of radius {radius:g} m in every working mode, at the samples or between "
         caption += "them. Stepwise plans leave the carriers where they are; the others bring them back."
@@ -368,7 +313,8 @@ def _existing(results: Results, task: Case) -> dict[str, Plan]:
 def task_figure(results: Results, task: Case) -> Figure:
     """Return the plans of a task side by side."""
     plans = _existing(results, task)
-    return plot_side_by_side(task.title, plans, task.unit, instants=_instants(plans[EFFORT]) if EFFORT in plans else ())
+    instants = curves_of_plan(plans[EFFORT]).instants if EFFORT in plans else ()
+    return plot_side_by_side(task.title, plans, task.unit, instants=instants)
 
 
 def modes_figure(results: Results, radius: float) -> Figure:
@@ -415,18 +361,13 @@ def trade_figure(results: Results) -> Figure:
 def replay_pictures(results: Results) -> list[Picture]:
     """Return the figures of the chapter on replays: tracking errors of the plans that all drives replay."""
     names = {replay.plan for replay in results.replays}
-    return [
-        Picture(
-            f"replay-{replayed.task.name}",
-            f"Replay of {replayed.task.name}",
-            f"Distance of the platform from its plan ({replayed.name}), for each drive.",
-            tracking_figure,
-            (replayed,),
-        )
-        for replayed in results.extent.replayed
-        if replayed.name in names
-        and (replayed.task.name, replayed.method) in (("heavy-0.5", EFFORT), ("corner-r0.025", EFFORT))
-    ]
+    pictures = []
+    for one in results.extent.replayed:
+        if one.name in names and one.method == EFFORT and one.task.name in ("heavy-0.5", "corner-r0.025"):
+            caption = f"Distance of the platform from its plan ({one.name}), for each drive."
+            title = f"Replay of {one.task.name}"
+            pictures.append(Picture(f"replay-{one.task.name}", title, caption, tracking_figure, (one,)))
+    return pictures
 
 
 def tracking_figure(results: Results, replayed: cases.Replayed) -> Figure:
@@ -437,11 +378,10 @@ def tracking_figure(results: Results, replayed: cases.Replayed) -> Figure:
 
 def pictures(results: Results) -> dict[str, list[Picture]]:
     """Return all figures of what was run, by chapter."""
-    chosen = {"motions": motion_pictures(results.runs)}
-    if "planned" in results.chapters:
-        chosen["planned"] = thesis_pictures()
-    if "beyond" in results.chapters:
-        chosen["beyond"] = beyond_pictures()
-    if "replay" in results.chapters:
-        chosen["replay"] = replay_pictures(results)
-    return chosen
+    makers: Mapping[str, Callable[[], list[Picture]]] = {
+        "motions": lambda: motion_pictures(results.runs),
+        "planned": thesis_pictures,
+        "beyond": beyond_pictures,
+        "replay": lambda: replay_pictures(results),
+    }
+    return {name: make() for name, make in makers.items() if name in ("motions", *results.chapters)}

@@ -1,8 +1,4 @@
-"""Numbers read off a plan or off a motion without a planner; the data files name these functions.
-
-A measure returns one or more numbers, NaN where there is none. ``measure("first_bound", "speed", 2)`` binds the
-arguments behind the plan.
-"""
+"""Numbers read off a plan or off a motion without a planner."""
 
 from __future__ import annotations
 
@@ -11,8 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BPoly
-from scipy.signal import find_peaks
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import Dynamics
@@ -44,10 +38,97 @@ _SAME_TIME = 9
 """Digits of a time, s, that have to agree for two samples to be the same: those at events may be apart by rounding."""
 
 
+# --- measures: one number or several, NaN where there is none ------------------------------------------------------
+
+
+def read(name: str, subject: Plan | MotionRun, *arguments: Any) -> Numbers:
+    """Return what a measure of ``MEASURES`` reads off a plan, or off a motion without a planner."""
+    return tuple(float(value) for value in np.atleast_1d(MEASURES[name](subject, *arguments)))
+
+
 def measure(name: str, *arguments: Any) -> Measure:
-    """Return a measure of this file by its name."""
-    function = globals()[name]
-    return lambda plan: function(plan, *arguments)
+    """Return a measure with the arguments behind its subject bound."""
+    return lambda subject: read(name, subject, *arguments)
+
+
+def _largest(values: Any) -> Any:
+    return np.abs(values).max()
+
+
+def _peak_in(plan: Plan, phase: str) -> float:
+    chosen = plan.phase == plan.phases.index(phase)
+    return float(np.nanmax(np.abs(plan.tau[chosen]), initial=0.0)) if chosen.any() else math.nan
+
+
+def _bound_nearest(plan: Plan, kind: str, carrier: int, instant: float) -> float:
+    times = [float(np.clip(instant, start, end)) for _, _, start, end in bounds(plan, kind, carrier)]
+    return min(times, key=lambda t: abs(t - instant), default=math.nan)
+
+
+def _cruising(run: MotionRun) -> IntArray:
+    speed = np.linalg.norm(run.motion.xd, axis=1)
+    return np.flatnonzero(np.isclose(speed, np.median(speed), rtol=1e-9))
+
+
+def _parked_forces(run: MotionRun, threshold: float, ramp: float) -> list[float]:
+    start = _threshold_times(run, threshold)[0] - ramp
+    return [abs(float(np.interp(start, run.t, tau))) for tau in run.distribution.tau.T]
+
+
+def _threshold_times(run: MotionRun, threshold: float) -> tuple[float, float]:
+    """Return when the condition number first and last exceeds a threshold, s.
+
+    The circle passes two singularities, between which the condition number falls to about 17; the thesis treats
+    them as one region, so the first entry and the last exit count.
+    """
+    # the logarithm of the condition number is nearly straight between samples, and finite below the threshold
+    condition = np.minimum(run.distribution.condition, 1e6)
+    above = windows(run.t, condition > threshold)
+    first = int(np.searchsorted(run.t, above[0][0]))
+    last = int(np.searchsorted(run.t, above[-1][1], side="right")) - 1
+
+    def level(left: int) -> float:
+        a, b = np.log(condition[left : left + 2])
+        return float(run.t[left] + (np.log(threshold) - a) / (b - a) * (run.t[left + 1] - run.t[left]))
+
+    return level(first - 1), level(last)
+
+
+MEASURES: Mapping[str, Callable[..., Any]] = {
+    # switch-off plans: when the condition number meets the threshold ("entry") and falls below it, or forces begin to
+    # fall, s; |τ| as they begin to, N; its jump at switch-on, N, zero but for backward differences; its largest rise
+    # from the start of the ramp-down to the threshold, carriers parked, N; the largest |s| at switch-on, m
+    "time_of": lambda plan, event: window(plan)[event],
+    "entry_forces": lambda plan: np.abs(window(plan)["effort_at_ramp_start"]),
+    "exit_forces": lambda plan: window(plan)["exit_jump"],
+    "rise_to_threshold": lambda plan: np.max(
+        np.abs(window(plan)["parked_effort_at_entry"]) - np.abs(window(plan)["effort_at_ramp_start"])
+    ),
+    "position_at_exit": lambda plan: _largest(window(plan)["carriers_at_exit"]["s"]),
+    # any plan: the condition number at an instant, s; the largest |s|, m; of the actuators the largest |τ|, also in a
+    # phase, and the largest root mean square, N or N·m
+    "condition_at": lambda plan, instant: np.interp(instant, plan.t, np.minimum(plan.condition, 1e6)),
+    "farthest_position": lambda plan: _largest(plan.carriers.s),
+    "peak": lambda plan: plan.peak_effort_at_samples.max(),
+    "peak_in": _peak_in,
+    "largest_rms": lambda plan: plan.rms_effort.max(),
+    # stepwise plans: when a carrier first meets a limit, and when, nearest to an instant, it is at one, s
+    "first_bound": lambda plan, kind, carrier: min((b[2] for b in bounds(plan, kind, carrier)), default=math.nan),
+    "bound_nearest": _bound_nearest,
+    # motions without a planner: total time, when the speed begins to fall for the last time, first and last jump of the
+    # acceleration, s; x where it is singular, m; largest |τ| of each actuator, N·m or N
+    "duration": lambda run: run.trajectory.duration,
+    "deceleration_start": lambda run: run.t[_cruising(run)[-1]],
+    "arc_times": lambda run: (run.trajectory.breaks[0], run.trajectory.breaks[-1]),
+    "crossing_abscissae": lambda run: [instant.x[0] for instant in run.instants],
+    "peak_efforts": lambda run: run.peaks,
+    # when the threshold is met and left, and one ramp before it is met the time, s, and |τ| of each actuator, N
+    "threshold_met": lambda run, threshold: _threshold_times(run, threshold)[0],
+    "threshold_left": lambda run, threshold: _threshold_times(run, threshold)[1],
+    "switch_off_start": lambda run, threshold, ramp: _threshold_times(run, threshold)[0] - ramp,
+    "parked_forces": _parked_forces,
+}
+"""Measures by the name that the data file has for them."""
 
 
 # --- switch-off plans ----------------------------------------------------------------------------------------------
@@ -59,72 +140,20 @@ def window(plan: Plan) -> Mapping[str, Any]:
     return first
 
 
-def time_of(plan: Plan, event: str) -> Numbers:
-    """Return when the condition number meets the threshold ("entry") and falls below it, or forces begin to fall, s."""
-    return (float(window(plan)[event]),)
-
-
-def entry_forces(plan: Plan) -> Numbers:
-    """Return |τ| of each actuator as the forces begin to fall, N."""
-    return tuple(abs(float(value)) for value in window(plan)["effort_at_ramp_start"])
-
-
-def exit_forces(plan: Plan) -> Numbers:
-    """Return the jump of |τ| of each actuator at switch-on, N: zero but for backward differences."""
-    return tuple(float(value) for value in window(plan)["exit_jump"])
-
-
-def rise_to_threshold(plan: Plan) -> Numbers:
-    """Return by how much |τ| rises at most from the start of the ramp-down to the threshold, carriers parked, N."""
-    met = window(plan)["parked_effort_at_entry"]
-    return (max(abs(float(b)) - a for a, b in zip(entry_forces(plan), met, strict=True)),)
-
-
-def condition_at(plan: Plan, instant: float) -> Numbers:
-    """Return the condition number at an instant, s."""
-    return (float(np.interp(instant, plan.t, np.minimum(plan.condition, 1e6))),)
-
-
-def position_at_exit(plan: Plan) -> Numbers:
-    """Return the largest |s| of a carrier as the actuators are switched on, m."""
-    return (max(abs(float(value)) for value in window(plan)["carriers_at_exit"]["s"]),)
-
-
 def peak_until_off(plan: Plan) -> float:
     """Return the largest |τ| until the motors are off, N or N·m; NaN of plans that do not switch off."""
-    if plan.planner != "switch_off":
-        return math.nan
-    off = np.flatnonzero(plan.phase == plan.phases.index("off"))
-    return float(np.nanmax(np.abs(plan.tau[: off[0]]))) if len(off) else math.nan
+    off = plan.phase == plan.phases.index("off") if plan.planner == "switch_off" else np.zeros(1, dtype=bool)
+    return float(np.nanmax(np.abs(plan.tau[: int(off.argmax())]))) if off.any() else math.nan
 
 
 # --- plans of any kind ---------------------------------------------------------------------------------------------
 
 
-def farthest_position(plan: Plan) -> Numbers:
-    """Return the largest |s| of a carrier over the whole plan, m."""
-    return (float(np.abs(plan.carriers.s).max()),)
-
-
-def peak(plan: Plan) -> Numbers:
-    """Return the largest |τ| of any actuator, N or N·m."""
-    return (float(plan.peak_effort.max()),)
-
-
-def peak_in(plan: Plan, phase: str) -> Numbers:
-    """Return the largest |τ| of any actuator in a phase, N or N·m."""
-    chosen = plan.phase == plan.phases.index(phase)
-    return (float(np.nanmax(np.abs(plan.tau[chosen]), initial=0.0)) if chosen.any() else math.nan,)
-
-
-def largest_rms(plan: Plan) -> Numbers:
-    """Return the largest root mean square over time of an actuator's τ, N or N·m."""
-    return (float(plan.rms_effort.max()),)
-
-
 def reversals(plan: Plan) -> IntArray:
     """Return (m,) how often each main effort turns round and then moves by more than ``SWING`` of the peak."""
-    least = SWING * float(plan.peak_effort.max())
+    from scipy.signal import find_peaks  # it loads scipy.stats as well: 0.4 s that no other command should wait for
+
+    least = SWING * float(plan.peak_effort_at_samples.max())
     if least == 0.0:
         return np.zeros(plan.tau.shape[1], dtype=np.intp)
     tau = np.nan_to_num(plan.tau)
@@ -171,22 +200,9 @@ def bounds(plan: Plan, kind: str | None = None, carrier: int | None = None) -> l
     Kinds are "speed", "acceleration", "track" and "stop"; any kind, any carrier when left out.
     """
     events: Any = plan.diagnostics["bounds"]
-    met = [
-        (plan.robot.carriers.index(event["carrier"]) + 1, event["bound"], event["start"], event["end"])
-        for event in events
-    ]
-    return [event for event in met if (kind is None or event[1] == kind) and (carrier is None or event[0] == carrier)]
-
-
-def first_bound(plan: Plan, kind: str, carrier: int) -> Numbers:
-    """Return when a carrier first meets a limit, s; NaN if it never does."""
-    return (min((start for _, _, start, _ in bounds(plan, kind, carrier)), default=math.nan),)
-
-
-def bound_nearest(plan: Plan, kind: str, carrier: int, instant: float) -> Numbers:
-    """Return the time nearest to an instant at which a carrier is at a limit, s; NaN if it never is."""
-    times = [float(np.clip(instant, start, end)) for _, _, start, end in bounds(plan, kind, carrier)]
-    return (min(times, key=lambda t: abs(t - instant), default=math.nan),)
+    numbers = {name: i + 1 for i, name in enumerate(plan.robot.carriers)}
+    met = [(numbers[event["carrier"]], event["bound"], event["start"], event["end"]) for event in events]
+    return [event for event in met if kind in (None, event[1]) and carrier in (None, event[0])]
 
 
 def limits_met(plan: Plan) -> str:
@@ -217,30 +233,12 @@ def dense_peak(case: Case, plan: Plan) -> float:
 
 
 def _dense_switch_off(dynamics: Dynamics, trajectory: Trajectory, plan: Plan) -> float:
-    """Carriers move on quintics through s, ṡ, s̈ of the samples, which follow the planner's motion to rounding."""
     off = plan.phase == plan.phases.index("off")
     left = np.flatnonzero((np.diff(plan.t) > 0.0) & ~off[1:] & ~off[:-1])
     fraction = (np.arange(_FINER_SWITCH_OFF) + 0.5) / _FINER_SWITCH_OFF
     times = (plan.t[left, None] + np.diff(plan.t)[left, None] * fraction).ravel()
-    carriers = _interpolated(plan, times)
-    efforts = distribute(dynamics.reduce(trajectory.sample_at(times), carriers, check_track=False)).tau
-    return float(np.nanmax(np.abs(efforts)))
-
-
-def _interpolated(plan: Plan, times: Array) -> CarrierMotion:
-    """Return the carriers between the samples; a time that occurs twice separates two pieces."""
-    carriers, edges = plan.carriers, np.flatnonzero(np.diff(plan.t) == 0.0) + 1
-    parts = [np.empty((len(times), carriers.s.shape[1])) for _ in range(3)]
-    for first, stop in zip([0, *edges], [*edges, len(plan.t)], strict=True):
-        if stop - first < 2:
-            continue
-        here = (times >= plan.t[first]) & (times <= plan.t[stop - 1])
-        piece = slice(first, stop)
-        given = np.stack([carriers.s[piece], carriers.sd[piece], carriers.sdd[piece]], axis=1)
-        curve = BPoly.from_derivatives(plan.t[piece], given)
-        for part, rate in zip(parts, (curve, curve.derivative(), curve.derivative(2)), strict=True):
-            part[here] = rate(times[here])
-    return CarrierMotion(*parts)
+    reduced = dynamics.reduce(trajectory.sample_at(times), plan.carriers_at(times), check_track=False)
+    return float(np.nanmax(np.abs(distribute(reduced).tau)))
 
 
 # --- plans in numbers ----------------------------------------------------------------------------------------------
@@ -256,7 +254,7 @@ def numbers(plan: Plan) -> dict[str, Any]:
     carriers, limits = plan.carriers, plan.limits.judged_by if plan.carriers.s.shape[1] else ()
     return {
         "status": plan.status.value,
-        "peak": peak(plan)[0],
+        "peak": float(plan.peak_effort_at_samples.max()),
         "before": peak_until_off(plan),
         "reversals": float(reversals(plan).max()),
         "rms": float(np.linalg.norm(plan.rms_effort)),
@@ -278,91 +276,18 @@ def numbers(plan: Plan) -> dict[str, Any]:
 def plan_differences(first: Plan, second: Plan) -> dict[str, float]:
     """Return the largest differences of two plans over the largest value, at the samples that both have."""
     a, b = (np.round(plan.t, _SAME_TIME) for plan in (first, second))
-    if len(a) == len(b) and (a == b).all():
-        one, other = np.arange(len(a)), np.arange(len(b))
-    else:
+    one = other = np.arange(len(a))
+    if not np.array_equal(a, b):
         _, one, other = np.intersect1d(a, b, return_indices=True)
-    pairs = {
-        "position": (first.carriers.s, second.carriers.s),
-        "speed": (first.carriers.sd, second.carriers.sd),
-        "acceleration": (first.carriers.sdd, second.carriers.sdd),
-        "tau": (np.nan_to_num(first.tau), np.nan_to_num(second.tau)),
-        "carrier_force": (first.carrier_force, second.carrier_force),
-    }
-    return {name: relative_difference(left[one], right[other]) for name, (left, right) in pairs.items()}
+    left, right = (
+        {"position": plan.carriers.s, "speed": plan.carriers.sd, "acceleration": plan.carriers.sdd,
+         "tau": np.nan_to_num(plan.tau), "carrier_force": plan.carrier_force}
+        for plan in (first, second)
+    )  # fmt: skip
+    return {name: relative_difference(left[name][one], right[name][other]) for name in left}
 
 
 def missing_force(error: InfeasiblePlanError) -> float:
     """Return the force that nothing can carry at a singular pose, N, where that is why there is no plan; else NaN."""
     amount = error.details.get("amount") if error.details.get("constraint") == "singular_pose" else None
     return amount if isinstance(amount, float) else math.nan
-
-
-# --- motions without a planner -------------------------------------------------------------------------------------
-
-
-def duration(run: MotionRun) -> Numbers:
-    """Return the total time, s."""
-    return (run.trajectory.duration,)
-
-
-def deceleration_start(run: MotionRun) -> Numbers:
-    """Return the time at which the speed begins to fall for the last time, s."""
-    speed = np.linalg.norm(run.motion.xd, axis=1)
-    cruising = np.isclose(speed, np.median(speed), rtol=1e-9)
-    return (float(run.t[np.flatnonzero(cruising)[-1]]),)
-
-
-def arc_times(run: MotionRun) -> Numbers:
-    """Return the first and last jump of the acceleration, s: where the corner begins and ends."""
-    breaks = run.trajectory.breaks
-    return (float(breaks[0]), float(breaks[-1]))
-
-
-def crossing_abscissae(run: MotionRun) -> Numbers:
-    """Return x at the singular instants, m."""
-    return tuple(instant.x[0] for instant in run.instants)
-
-
-def peak_efforts(run: MotionRun) -> Numbers:
-    """Return the largest |τ| of each actuator, N·m or N."""
-    return tuple(float(value) for value in run.peaks)
-
-
-def threshold_met(run: MotionRun, threshold: float) -> Numbers:
-    """Return when the condition number first exceeds a threshold, s.
-
-    The circle passes two singularities, between which the condition number falls to about 17; the thesis treats
-    them as one region, so the first entry and the last exit count.
-    """
-    return _threshold_times(run, threshold)[:1]
-
-
-def threshold_left(run: MotionRun, threshold: float) -> Numbers:
-    """Return when it last exceeds the threshold, s."""
-    return _threshold_times(run, threshold)[1:]
-
-
-def parked_forces(run: MotionRun, threshold: float, ramp: float) -> Numbers:
-    """Return |τ| of each actuator one ramp, s, before the condition number meets a threshold, N."""
-    start, tau = switch_off_start(run, threshold, ramp)[0], run.distribution.tau
-    return tuple(abs(float(np.interp(start, run.t, tau[:, i]))) for i in range(tau.shape[1]))
-
-
-def switch_off_start(run: MotionRun, threshold: float, ramp: float) -> Numbers:
-    """Return the time one ramp, s, before the condition number meets a threshold, s."""
-    return (_threshold_times(run, threshold)[0] - ramp,)
-
-
-def _threshold_times(run: MotionRun, threshold: float) -> tuple[float, float]:
-    # the logarithm of the condition number is nearly straight between samples, and finite below the threshold
-    condition = np.minimum(run.distribution.condition, 1e6)
-    above = windows(run.t, condition > threshold)
-    first = int(np.searchsorted(run.t, above[0][0]))
-    last = int(np.searchsorted(run.t, above[-1][1], side="right")) - 1
-
-    def level(left: int) -> float:
-        a, b = np.log(condition[left : left + 2])
-        return float(run.t[left] + (np.log(threshold) - a) / (b - a) * (run.t[left + 1] - run.t[left]))
-
-    return level(first - 1), level(last)

@@ -155,22 +155,11 @@ class MotionRun:
         exist.
         """
         motion, solved = self.motion, self.distribution
-        return csv_text(
-            {
-                "t": motion.t,
-                "x": motion.x,
-                "xd": motion.xd,
-                "xdd": motion.xdd,
-                "tau": solved.tau,
-                "tau_virtual_work": self.solved[VIRTUAL_WORK].tau,
-                "carrier_force": self.reduced[RNEA].carrier_force,
-                "status": solved.status_labels,
-                "margin": solved.margin,
-                "condition": solved.condition,
-                "residual": solved.residual,
-            },
-            digits=CSV_DIGITS,
-        )
+        columns = {"t": motion.t, "x": motion.x, "xd": motion.xd, "xdd": motion.xdd, "tau": solved.tau,
+                   "tau_virtual_work": self.solved[VIRTUAL_WORK].tau,
+                   "carrier_force": self.reduced[RNEA].carrier_force, "status": solved.status_labels,
+                   "margin": solved.margin, "condition": solved.condition, "residual": solved.residual}  # fmt: skip
+        return csv_text(columns, digits=CSV_DIGITS)
 
 
 def run(case: Case) -> MotionRun:

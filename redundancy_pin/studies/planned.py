@@ -17,7 +17,7 @@ from redundancy_pin.planners.stepwise.planner import between_samples
 from redundancy_pin.studies import cases, measures
 from redundancy_pin.studies.case import Case, Mode, Plans
 from redundancy_pin.studies.cases import CORNERS, CROSSINGS, MODE_CASES, NONE, PARKED, Extent, mode_text
-from redundancy_pin.studies.measures import bounds, exit_forces, numbers
+from redundancy_pin.studies.measures import bounds, numbers, read
 from redundancy_pin.studies.statements import DIFFERENCES, in_order, judge_all, sensitivity, thesis
 from redundancy_pin.studies.table import Record, text
 
@@ -60,8 +60,8 @@ def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     chapter["crossings"] = [crossing_record(plans, case) for case in CROSSINGS]
     chapter["heavy_end_effector"] = heavy_record(plans)
     tell("limits of the crossings")
-    chapter["fair_comparison"] = fair_comparison(plans, extent.modes)
-    tell("fair comparison")
+    chapter["fair_comparison"] = machine_records(plans, extent.modes)
+    tell("comparison of machines")
     chapter["sensitivity"] = sensitivity(plans, extent)
     tell("sensitivity")
     return chapter
@@ -103,14 +103,14 @@ def crossing_record(plans: Plans, case: Case) -> Record:
         "case": case.name,
         "status": plan.status.value,
         "broken": measures.broken_limits(plan),
-        "beyond_track_at_exit": max(0.0, measures.position_at_exit(plan)[0] - end),
-        "beyond_track": max(0.0, measures.farthest_position(plan)[0] - end),
+        "beyond_track_at_exit": max(0.0, read("position_at_exit", plan)[0] - end),
+        "beyond_track": max(0.0, read("farthest_position", plan)[0] - end),
         "shortest": float(measures.window(shortest)["return_time"]) if isinstance(shortest, Plan) else math.nan,
         "no_shortest": "" if isinstance(shortest, Plan) else shortest.message,
-        "jump": exit_forces(plan),
-        "jump_of_differences": exit_forces(plans.plan(case.with_options(scheme=DIFFERENCES))),
+        "jump": read("exit_forces", plan),
+        "jump_of_differences": read("exit_forces", plans.plan(case.with_options(scheme=DIFFERENCES))),
         "step": case.dt,
-        "peak_on_return": measures.peak_in(plan, "return")[0],
+        "peak_on_return": read("peak_in", plan, "return")[0],
     }
 
 
@@ -126,31 +126,28 @@ def heavy_record(plans: Plans) -> Record | None:
 # --- no carriers, carriers parked, carriers moving; both sets of actuators counted ---------------------------------
 
 
-def fair_comparison(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
+def machine_records(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
     """Compare for every motion of the thesis; corners and square in every working mode."""
     records: list[Record] = []
     for case in CROSSINGS:
         motion = case.name.rpartition("-")[0]
         if not any(record["motion"] == motion for record in records):
-            records.append(_fair(motion, (), PARKED, cases.parked(case), plans))
-        records.append(_fair(motion, (), f"{MOVING}, off above CN {case.option('threshold'):g}", case, plans))
+            records.append(_machine(motion, (), PARKED, cases.parked(case), plans))
+        records.append(_machine(motion, (), f"{MOVING}, off above CN {case.option('threshold'):g}", case, plans))
     raised = [case for case in MODE_CASES.values() if case.option("speed") or case.option("acceleration")]
     for mode in modes:
         for motion in ("corner-r0.025", "corner-r0.013", "square"):
             moded = [replace(case, working_mode=mode) for case in (*CORNERS, *raised) if case.name.startswith(motion)]
-            records.append(_fair(motion, mode, NONE, cases.without_carriers(moded[0]), plans))
-            records.append(_fair(motion, mode, PARKED, cases.parked(moded[0]), plans))
-            records += [_fair(motion, mode, _how(case), case, plans) for case in moded]
+            records.append(_machine(motion, mode, NONE, cases.without_carriers(moded[0]), plans))
+            records.append(_machine(motion, mode, PARKED, cases.parked(moded[0]), plans))
+            for case in moded:
+                acceleration, speed = case.option("acceleration"), case.option("speed")
+                limit = f", {acceleration:g} m/s²" if acceleration else f", {speed:g} m/s" if speed else ""
+                records.append(_machine(motion, mode, f"{MOVING}, λ = {case.option('lam'):g}{limit}", case, plans))
     return records
 
 
-def _how(case: Case) -> str:
-    acceleration, speed = case.option("acceleration"), case.option("speed")
-    limit = f", {acceleration:g} m/s²" if acceleration else f", {speed:g} m/s" if speed else ""
-    return f"{MOVING}, λ = {case.option('lam'):g}{limit}"
-
-
-def _fair(motion: str, mode: Mode, how: str, case: Case, plans: Plans) -> Record:
+def _machine(motion: str, mode: Mode, how: str, case: Case, plans: Plans) -> Record:
     plan = plans.plan(case)
     bounded = plan.status is not PlanStatus.UNBOUNDED_EFFORT
     # along a singular motion efforts without a plan grow without bound between samples, even if no sample is singular
@@ -272,20 +269,22 @@ def first_jumps(runs: Runs) -> Outcome:
     """Hold if τ1 jumps as the sharp corner is entered, at an acceleration limit."""
     run = runs["sharp"]
     entered = int(np.flatnonzero(run.baseline.motion.jumps)[0])
-    step = float(abs(run.tau[entered, 0] - run.tau[entered - 1, 0]))
-    near = run.inside(float(run.baseline.t[entered]), float(run.baseline.t[entered]) + 0.02)
-    limited = bool((run.limited("acceleration") & near).any())
+    step, start = float(abs(run.tau[entered, 0] - run.tau[entered - 1, 0])), float(run.baseline.t[entered])
+    limited = bool((run.limited("acceleration") & run.inside(start, start + 0.02)).any())
     return step > SMALL_JUMP and limited, f"{step:.2g} N·m, acceleration limit {'met' if limited else 'not met'}"
 
 
-def wide_half(runs: Runs) -> Outcome:
+def wide_half(runs: Runs, name: str = "wide half") -> Outcome:
     """Hold if the torque is half of the baseline's at the wide corner."""
-    return _half(runs["wide half"])
+    run = runs[name]
+    other = run.baseline.tau
+    off = float(np.abs(run.tau - 0.5 * other)[run.decided].max() / np.abs(other).max())
+    return off <= HALF, f"off half by {off:.2g} of the baseline's peak"
 
 
 def square_half(runs: Runs) -> Outcome:
     """Hold if the torque is half of the baseline's in ramps and corners of the square."""
-    return _half(runs["square half"])
+    return wide_half(runs, "square half")
 
 
 def no_limit(runs: Runs) -> Outcome:
@@ -297,8 +296,7 @@ def no_limit(runs: Runs) -> Outcome:
 def returns_exceed(runs: Runs) -> Outcome:
     """Hold if all torques exceed the baseline while carriers return."""
     run = runs["square half"]
-    at = (run.plan.phase == run.plan.phases.index("return"))[: len(run.baseline.t)]
-    ours, other = run.peaks(at)
+    ours, other = run.peaks((run.plan.phase == run.plan.phases.index("return"))[: len(run.baseline.t)])
     return bool((ours > other).all()), _against(ours, other)
 
 
@@ -326,12 +324,6 @@ def cured_by_speed(runs: Runs) -> Outcome:
     return bool((ours < other).all()), _against(ours, other)
 
 
-def _half(run: Beside) -> Outcome:
-    tau, other = run.tau, run.baseline.tau
-    off = float(np.abs(tau - 0.5 * other)[run.decided].max() / np.abs(other).max())
-    return off <= HALF, f"off half by {off:.2g} of the baseline's peak"
-
-
 def _against(ours: Array, other: Array) -> str:
     return f"{text(ours, '.2g')} against {text(other, '.2g')} N·m"
 
@@ -343,18 +335,12 @@ def working_modes(plans: Plans, modes: Sequence[Mode]) -> dict[str, list[Record]
     """Return records of each mode and case, of each claim with its outcome in each mode, and those as verdicts."""
     runs = {mode: runs_of(plans, mode) for mode in modes}
     records = [
-        {
-            "mode": mode,
-            "case": MODE_CASES[name].name,
-            "baseline_peak": np.abs(run.baseline.tau).max(axis=0),
-            "peak": run.plan.peak_effort,
-            "rms": run.plan.rms_effort,
-            "limits": measures.limits_met(run.plan),
-            "status": run.plan.status.value,
-        }
+        {"mode": mode, "case": MODE_CASES[name].name, "baseline_peak": np.abs(run.baseline.tau).max(axis=0),
+         "peak": run.plan.peak_effort_at_samples, "rms": run.plan.rms_effort, "limits": measures.limits_met(run.plan),
+         "status": run.plan.status.value}
         for mode, of_mode in runs.items()
         for name, run in of_mode.items()
-    ]
+    ]  # fmt: skip
     claims = []
     for claim in thesis()["claims"]:
         test: Callable[[Runs], Outcome] = globals()[claim["test"]]
@@ -372,19 +358,10 @@ def _judged(claim: Record) -> Record:
         reason = f"in {len(holding)} of {len(outcomes)} working modes: {', '.join(holding)}"
     else:
         reason = f"in none of {len(outcomes)} working modes ({claim['criterion']})"
-    return {
-        "row": claim["row"],
-        "source": claim["source"],
-        "condition": thesis()["rows"][claim["row"]],
-        "quantity": claim["claim"],
-        "stated": "in words",
-        "ours": f"{first}: {outcomes[first]['found']}",
-        "deviation": "",
-        "covered": "",
-        "verdict": "reproduced" if holding else "differs",
-        "reason": reason,
-        "as_run": first in holding,
-    }
+    return {"row": claim["row"], "source": claim["source"], "condition": thesis()["rows"][claim["row"]],
+            "quantity": claim["claim"], "stated": "in words", "ours": f"{first}: {outcomes[first]['found']}",
+            "deviation": "", "covered": "", "verdict": "reproduced" if holding else "differs", "reason": reason,
+            "as_run": first in holding}  # fmt: skip
 
 
 def square_returns(plans: Plans, modes: Sequence[Mode]) -> list[Record]:

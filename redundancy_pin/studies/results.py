@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import redundancy_pin
 from redundancy_pin.crosscheck import CrossCheckReport
@@ -15,19 +14,15 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.replay import Drive, Replay, replay
 from redundancy_pin.studies import beyond, planned
 from redundancy_pin.studies.case import Case, Plans
-from redundancy_pin.studies.cases import Extent, Replayed
+from redundancy_pin.studies.cases import CHAPTERS, Extent, Replayed
 from redundancy_pin.studies.claims import conclusions, findings
 from redundancy_pin.studies.motions import MotionRun, run
 from redundancy_pin.studies.statements import compare_motions, thesis
+from redundancy_pin.studies.store import versions
 from redundancy_pin.studies.table import Record, json_data
 from redundancy_pin.workers import parallel
 
-FORMAT = "redundancy_pin results"
-FORMAT_VERSION = 1
-
-_PACKAGES = ("pin", "numpy", "scipy", "xacrodoc", "matplotlib", "casadi")
-
-NOTES = (
+_NOTES = (
     "Efforts are positive when they do positive work on the joint rate; the thesis has the opposite sign.",
     "Near-singular samples (margin below the threshold) are left out of peaks: towards a singular instant at which a "
     "part of the required force is outside what the actuators can carry, efforts grow as that part over the margin.",
@@ -51,41 +46,38 @@ class Results:
     plans: Plans
     replays: tuple[Replay, ...] = ()
 
+    notes: ClassVar = _NOTES
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Of this package, of Python and of what the numbers depend on, where it is installed."""
+        known = versions("pin", "numpy", "scipy", "xacrodoc", "matplotlib", "casadi")
+        own = {"redundancy_pin": redundancy_pin.__version__, "python": platform.python_version()}
+        return own | {name: version for name, version in known.items() if version}
+
     def summary(self, files: Sequence[str]) -> dict[str, Any]:
         """Return everything worth keeping as plain data; None stands for numbers that do not exist.
 
         ``files`` are all of the results folder: a later run replaces the folder only if there are no others.
         """
-        data: dict[str, Any] = json_data(
-            {
-                "format": FORMAT,
-                "format_version": FORMAT_VERSION,
-                "versions": versions(),
-                "cross_check": self.check.as_dict(),
-                "experiments": {run.case.name: _with_source(run) for run in self.runs},
-                "thesis": self.compared,
-                **{name: self.chapters.get(name) for name in ("planned", "beyond", "replay")},
-                "notes": NOTES,
-                "files": sorted(files),
-            }
+        experiments = {one.case.name: one.record() for one in self.runs}
+        for one in self.runs:
+            experiments[one.case.name]["configuration"]["source"] = thesis()["sources"][one.case.robot]
+        return dict(
+            json_data(
+                {
+                    "format": "redundancy_pin results",
+                    "format_version": 1,
+                    "versions": self.versions,
+                    "cross_check": self.check.as_dict(),
+                    "experiments": experiments,
+                    "thesis": self.compared,
+                    **{name: self.chapters.get(name) for name in CHAPTERS},
+                    "notes": self.notes,
+                    "files": sorted(files),
+                }
+            )
         )
-        return data
-
-
-def _with_source(run: MotionRun) -> Record:
-    record = run.record()
-    return {**record, "configuration": {**record["configuration"], "source": thesis()["sources"][run.case.robot]}}
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of this package, of Python and of what the numbers depend on."""
-    installed = {"redundancy_pin": redundancy_pin.__version__, "python": platform.python_version()}
-    for name in _PACKAGES:
-        try:
-            installed[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return installed
 
 
 def compute(motions: Sequence[Case], extent: Extent, check: CrossCheckReport, tell: Callable[[str], None]) -> Results:

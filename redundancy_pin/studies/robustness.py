@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -12,16 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest, bootstrap
 
 import redundancy_pin
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, require_few
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot.urdf import models_root
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr, bryson_weights
-from redundancy_pin.studies.store import Progress, Store
+from redundancy_pin.studies.store import Progress, Store, versions
 from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, json_data, text
 from redundancy_pin.studies.trial import (
     ATOL,
@@ -36,8 +34,9 @@ from redundancy_pin.studies.trial import (
     Trial,
     run_trial,
 )
+from redundancy_pin.workers import require_jobs
 
-DRAWS = 200
+DRAWS, MOST_DRAWS = 200, 100_000
 
 CONFIDENCE = 0.95
 
@@ -47,7 +46,17 @@ RESAMPLES = 2000
 LIBRARIES = ("casadi", "numpy", "pin", "scipy")
 """Whose versions may change a digit of a plan or a simulation."""
 
-UNUSED = ("_moved.py", "cli", "crosscheck", "experiments", "studies", "view.py", "visualisation", "workers.py")
+UNUSED = (
+    "_moved.py",
+    "_startup.py",
+    "cli",
+    "crosscheck",
+    "experiments",
+    "studies",
+    "view.py",
+    "visualisation",
+    "workers.py",
+)
 """Parts of the package that no trial uses, but for ``OWN``."""
 
 OWN = ("studies/case.py", "studies/trial.py")
@@ -141,6 +150,9 @@ def robustness_study(
     """
     if draws < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"draws is {draws}, jobs is {jobs}.", remedy="Pass positive whole numbers.")
+    require_few(draws, MOST_DRAWS, "draws is {}", "Ask for fewer.")
+    if jobs is not None:
+        require_jobs(jobs)
     names = [scenario.name for scenario in scenarios]
     if len(set(names)) < len(names):
         raise InputError(
@@ -208,12 +220,16 @@ def cell_statistics(trials: Sequence[Trial]) -> CellStatistics:
 
 def wilson(successes: int, count: int) -> Interval:
     """Return a rate with Wilson's interval (Wilson 1927)."""
+    from scipy.stats import binomtest  # takes 0.3 s to load: not for every command
+
     interval = binomtest(successes, count).proportion_ci(CONFIDENCE, method="wilson")
     return Interval(successes / count, float(interval.low), float(interval.high))
 
 
 def mean_interval(values: Array) -> Interval:
     """Return a mean with the percentile interval of the bootstrap; without an interval for fewer than two values."""
+    from scipy.stats import bootstrap  # as above
+
     if len(values) < 2:
         return Interval(float(values[0]) if len(values) else math.nan)
     mean = float(values.mean())
@@ -300,7 +316,7 @@ def identity(bounds: Imperfections, seed: int, scenarios: Sequence[Scenario]) ->
         "computed torque": _defaults(ComputedTorque.__init__),
         "LQR": {**_defaults(TimeVaryingLqr.__init__), **_defaults(bryson_weights)},
         "encoders": _defaults(Encoders.__init__),
-        "libraries": {name: _version(name) for name in LIBRARIES},
+        "libraries": versions(*LIBRARIES),
         "code": code_digest(),
     }
 
@@ -324,10 +340,3 @@ def _defaults(made: Callable[..., Any]) -> Mapping[str, float]:
     """Return the settings with which the study makes something: the numbers among the defaults."""
     given: Mapping[str, object] = getattr(made, "__kwdefaults__", None) or {}
     return {name: value for name, value in given.items() if isinstance(value, (int, float))}
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return ""

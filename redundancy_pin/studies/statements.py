@@ -6,17 +6,18 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from itertools import product
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import yaml
 
+from redundancy_pin.errors import InputError
+from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import BY_NAME, CORNERS, CROSSINGS, Extent, mode_text
-from redundancy_pin.studies.measures import Measure, Numbers, entry_forces, exit_forces, first_bound, measure
+from redundancy_pin.studies.measures import Measure, Numbers, measure, read
 from redundancy_pin.studies.motions import MotionRun
 from redundancy_pin.studies.table import Record, span, text
 
@@ -34,7 +35,7 @@ DIFFERENCES = "backward_differences"
 @functools.cache
 def thesis() -> Mapping[str, Any]:
     """Return what the data file holds."""
-    data: Mapping[str, Any] = yaml.safe_load(files(__package__).joinpath("thesis.yaml").read_text(encoding="utf-8"))
+    data: Mapping[str, Any] = read_yaml(Path(__file__).with_name("thesis.yaml"), InputError).data
     return data
 
 
@@ -160,18 +161,12 @@ def compare_motions(runs: Sequence[MotionRun]) -> list[Record]:
     """Return every statement about the motions that were run, beside our numbers; no verdict."""
     by_name = {run.case.name: run for run in runs}
     return [
-        {
-            "source": entry["source"],
-            "experiment": entry["case"],
-            "quantity": entry["quantity"],
-            "unit": entry["unit"],
-            "stated": entry["stated"],
-            "computed": measure(*entry["measure"])(by_name[entry["case"]]),
-            "note": entry.get("note", ""),
-        }
+        {"source": entry["source"], "experiment": entry["case"], "quantity": entry["quantity"], "unit": entry["unit"],
+         "stated": entry["stated"], "computed": measure(*entry["measure"])(by_name[entry["case"]]),
+         "note": entry.get("note", "")}
         for entry in thesis()["motions"]
         if entry["case"] in by_name
-    ]
+    ]  # fmt: skip
 
 
 def judge_all(plans: Plans, extent: Extent) -> list[Record]:
@@ -191,15 +186,15 @@ def in_order(records: Sequence[Record]) -> list[Record]:
 
 
 def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
-    case, read, late = BY_NAME[entry["case"]], measure(*entry["measure"]), entry.get("late", 0.0)
+    case, reading, late = BY_NAME[entry["case"]], measure(*entry["measure"]), entry.get("late", 0.0)
     if entry.get("differences"):
         case = case.with_options(scheme=DIFFERENCES)
     stated, unit = [str(digits) for digits in entry["stated"]], entry["unit"]
     grids = [grid(name, extent) for name in entry["grids"]]
     plan = plans.plan(case)
-    ours = read(plan)
+    ours = reading(plan)
     as_run = given_by(stated, ours, late)
-    variations = [(ours, ""), *_varied(case, grids, read, plans)]
+    variations = [(ours, ""), *_varied(case, grids, reading, plans)]
     values = [varied for varied, _ in variations]
     # the nearest run: one that gives the numbers before one that does not
     _, _, nearest = min(
@@ -216,27 +211,21 @@ def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
         reason = f"{beyond:.2g} {unit} beyond the range" if math.isfinite(beyond) else "never happens here"
         reason += "; " + entry["why"].format(*measure(*entry["of"])(plan)) if "why" in entry else ""
     over = [varied.parameter for varied in grids] + ([f"step up to {late:g} s"] if late else [])
-    return {
-        "row": entry["row"],
-        "source": entry["source"],
-        "condition": thesis()["rows"][entry["row"]],
-        "quantity": f"{entry['quantity']} [{unit}]",
-        "stated": ", ".join(stated),
-        "ours": text(ours),
-        "deviation": ", ".join(
-            text(value - _value(digits), "+.2g") for value, digits in zip(ours, stated, strict=True)
-        ),
-        "covered": ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}",
-        "verdict": "reproduced" if reproduced else "differs",
-        "reason": reason,
-        "as_run": as_run,
-    }
+    deviations = [text(value - _value(digits), "+.2g") for value, digits in zip(ours, stated, strict=True)]
+    covered = ", ".join(span((low, high + late)) for low, high in ranges) + f" over {', '.join(over)}"
+    return {"row": entry["row"], "source": entry["source"], "condition": thesis()["rows"][entry["row"]],
+            "quantity": f"{entry['quantity']} [{unit}]", "stated": ", ".join(stated), "ours": text(ours),
+            "deviation": ", ".join(deviations), "covered": covered, **_verdict(reproduced, reason, as_run)}  # fmt: skip
 
 
-def _varied(case: Case, grids: Sequence[Grid], read: Measure, plans: Plans) -> list[tuple[Numbers, str]]:
+def _verdict(reproduced: bool, reason: str, as_run: bool) -> Record:
+    return {"verdict": "reproduced" if reproduced else "differs", "reason": reason, "as_run": as_run}
+
+
+def _varied(case: Case, grids: Sequence[Grid], reading: Measure, plans: Plans) -> list[tuple[Numbers, str]]:
     """Return what a measure reads off every variation that has a plan, with what the variation changes."""
     outcomes = [(plans.outcome(varied), label) for entry in grids for varied, label in entry.cases(case)]
-    return [(read(outcome), label) for outcome, label in outcomes if isinstance(outcome, Plan)]
+    return [(reading(outcome), label) for outcome, label in outcomes if isinstance(outcome, Plan)]
 
 
 def _value(stated: str) -> float:
@@ -256,28 +245,19 @@ def same_step(plans: Plans, extent: Extent) -> Record:
     for runs in zip(*variations, strict=True):
         worst = 1.0
         for entry, (case, _) in zip(entries, runs, strict=True):
-            for value, digits in zip(exit_forces(plans.plan(case)), entry["stated"], strict=True):
+            for value, digits in zip(read("exit_forces", plans.plan(case)), entry["stated"], strict=True):
                 ratio = value / _value(digits)
                 worst = max(worst, ratio, 1.0 / ratio)
         best = min(best, (worst, runs[0][1]))
-    return {
-        "ours": f"missed by a factor of {best[0]:.2g} at best",
-        "verdict": "reproduced" if best[0] <= FACTOR else "differs",
-        "reason": f"best with {best[1]}; a factor of {FACTOR:g} would pass",
-        "as_run": False,
-    }
+    reason = f"best with {best[1]}; a factor of {FACTOR:g} would pass"
+    return {"ours": f"missed by a factor of {best[0]:.2g} at best", **_verdict(best[0] <= FACTOR, reason, False)}
 
 
 def growth_with_threshold(plans: Plans, extent: Extent) -> Record:
     """Judge whether the forces on the line grow with threshold and speed."""
-    slow, fast, high = (entry_forces(plans.plan(case)) for case in CROSSINGS[4:])
-    holds = max(slow) < max(fast) < max(high)
-    return {
-        "ours": "; ".join(text(pair, ".2g") for pair in (slow, fast, high)) + " N",
-        "verdict": "reproduced" if holds else "differs",
-        "reason": "forces as they begin to fall",
-        "as_run": holds,
-    }
+    slow, fast, high = (read("entry_forces", plans.plan(case)) for case in CROSSINGS[4:])
+    holds, ours = max(slow) < max(fast) < max(high), "; ".join(text(pair, ".2g") for pair in (slow, fast, high))
+    return {"ours": f"{ours} N", **_verdict(holds, "forces as they begin to fall", holds)}
 
 
 def same_before_the_corner(plans: Plans, extent: Extent) -> Record:
@@ -286,13 +266,9 @@ def same_before_the_corner(plans: Plans, extent: Extent) -> Record:
     entered = float(wide.motion.t[wide.motion.jumps][0])
     first, second = wide.t < entered - 1e-9, sharp.t < entered - 1e-9
     apart = float(np.abs(wide.carriers.s[first] - sharp.carriers.s[second]).max())
-    met = [first_bound(plan, "speed", 2)[0] for plan in (wide, sharp)]
-    return {
-        "ours": f"{text(met[0])} and {text(met[1])}",
-        "verdict": "differs" if apart < 1e-9 else "reproduced",
-        "reason": f"up to {entered:.2g} s the plans differ by at most {apart:.1g} m: no set-up meets both times",
-        "as_run": False,
-    }
+    met = [read("first_bound", plan, "speed", 2)[0] for plan in (wide, sharp)]
+    reason = f"up to {entered:.2g} s the plans differ by at most {apart:.1g} m: no set-up meets both times"
+    return {"ours": f"{text(met[0])} and {text(met[1])}", **_verdict(not apart < 1e-9, reason, False)}
 
 
 # --- sensitivity ---------------------------------------------------------------------------------------------------
@@ -316,19 +292,10 @@ def _ranges(case: Case, over: Grid, plans: Plans) -> list[Record]:
     existing = [plan for _, plan in plans.existing(variations)]
     records = []
     for quantity, reading in thesis()["sensitivity"][case.path]["quantities"].items():
-        read = measure(*reading)
-        low, high = limits_of([value for plan in existing for value in read(plan)])
-        records.append(
-            {
-                "case": case.name + (" (backward differences)" if differences else ""),
-                "quantity": quantity,
-                "parameter": over.parameter,
-                "grid": over.shown,
-                "ours": max(read(plans.plan(own))),
-                "low": low,
-                "high": high,
-                "plans": len(variations),
-                "without": len(variations) - len(existing),
-            }
-        )
+        value_of = measure(*reading)
+        low, high = limits_of([value for plan in existing for value in value_of(plan)])
+        name = case.name + (" (backward differences)" if differences else "")
+        records.append({"case": name, "quantity": quantity, "parameter": over.parameter, "grid": over.shown,
+                        "ours": max(value_of(plans.plan(own))), "low": low, "high": high, "plans": len(variations),
+                        "without": len(variations) - len(existing)})  # fmt: skip
     return records

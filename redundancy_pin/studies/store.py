@@ -7,23 +7,28 @@ records in a second file, which a copy of the first would lack, and shares memor
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import redundancy_pin
-from redundancy_pin.errors import OutputError
-from redundancy_pin.io.files import require_writable
-from redundancy_pin.workers import parallel
+from redundancy_pin.errors import OutputError, shortened, shown
+from redundancy_pin.io.files import expanded, require_writable
+from redundancy_pin.io.json_text import read_json
+from redundancy_pin.workers import ready
 
 FILE = "store.sqlite"
 """Name of the store in the folder of a study."""
 
 OLD_FILE = "journal.jsonl"
 """What version 0.1.0 kept in its place."""
+
+_TABLES = ("CREATE TABLE study (kind TEXT, identity TEXT)", "CREATE TABLE record (record TEXT)")
+"""What a store consists of."""
 
 Progress = Callable[[int, int, str], None]
 """Called with records done, records in all as far as known, and what is being done."""
@@ -69,7 +74,7 @@ class Store(Generic[R]):
             OutputError: the file cannot be written; is in use by another run; is no store of this kind; is one of
                 another identity, which is named; or is damaged.
         """
-        place = ":memory:" if path is None else str(_writable(Path(path).expanduser()))
+        place = ":memory:" if path is None else str(_writable(expanded(path)))
         identity = json.loads(json.dumps({**identity, "package": redundancy_pin.__version__}))
         try:
             connection = sqlite3.connect(place, timeout=0.0, isolation_level=None)
@@ -82,14 +87,17 @@ class Store(Generic[R]):
                 connection.execute("PRAGMA synchronous = FULL")
                 connection.execute("BEGIN EXCLUSIVE")
                 # a kill before the end of this transaction leaves an empty file
-                if not connection.execute("SELECT 1 FROM sqlite_master").fetchall():
-                    connection.execute("CREATE TABLE study (kind TEXT, identity TEXT)")
-                    connection.execute("CREATE TABLE record (record TEXT)")
+                tables = [sql for (sql,) in connection.execute("SELECT sql FROM sqlite_master").fetchmany(3)]
+                if tables and set(tables) != set(_TABLES):  # a view, say, could make records without end
+                    raise OutputError(_foreign(place, kind), remedy="Choose another folder.", path=place)
+                if not tables:
+                    for table in _TABLES:
+                        connection.execute(table)
                     connection.execute("INSERT INTO study VALUES (?, ?)", (kind, json.dumps(identity)))
                 _require_own(connection, place, kind, identity)
                 records = _records(connection, place, read)
                 connection.execute("COMMIT")
-            except sqlite3.Error as error:
+            except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite quotes a damaged table's text in its errors
                 raise _unusable(place, kind, error) from error
             yield cls(connection, place, records)
 
@@ -98,14 +106,20 @@ class Store(Generic[R]):
         """The finished records, by key."""
         return self._records
 
-    def put(self, record: R) -> None:
-        """Add a finished record; when this returns, it survives a crash of the machine. OutputError if it cannot."""
+    def put(self, *records: R) -> None:
+        """Add finished records; when this returns, they survive a crash of the machine. OutputError if they cannot."""
+        texts = [(json.dumps(record.as_dict()),) for record in records]
         try:
-            self._connection.execute("INSERT INTO record VALUES (?)", (json.dumps(record.as_dict()),))
+            # the disk takes as long for many as for one
+            self._connection.execute("BEGIN")
+            self._connection.executemany("INSERT INTO record VALUES (?)", texts)
+            self._connection.execute("COMMIT")
         except sqlite3.Error as error:
+            with suppress(sqlite3.Error):  # of most errors SQLite has done so itself
+                self._connection.execute("ROLLBACK")
             remedy = "What is in it is safe: make room and run again."
             raise OutputError(f"Cannot write {self._path}: {error}.", remedy=remedy, path=self._path) from error
-        self._records[record.key] = record
+        self._records.update((record.key, record) for record in records)
 
     def complete(
         self,
@@ -124,19 +138,32 @@ class Store(Generic[R]):
         done = len(wanted) - len(missing)
         tell = progress or (lambda done, total, what: None)
         tell(done, len(wanted), what)
-        for record in parallel(function, missing, jobs):
-            self.put(record)
-            done += 1
-            tell(done, len(wanted), what)
+        for records in ready(function, missing, jobs):
+            self.put(*records)
+            for _ in records:
+                done += 1
+                tell(done, len(wanted), what)
+
+
+def versions(*names: str) -> dict[str, str]:
+    """Return the versions of packages, empty for those that are not installed."""
+    installed = {}
+    for name in names:
+        try:
+            installed[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            installed[name] = ""
+    return installed
 
 
 def make_folder(folder: str | Path) -> Path:
     """Return a folder, made with its parents if it is missing; OutputError if it cannot be, or is a file."""
-    place = Path(folder).expanduser()
+    place = expanded(folder)
     try:
         place.mkdir(exist_ok=True, parents=True)
-    except OSError as error:
-        message = f"Cannot make the folder {place}: {error.strerror or error}."
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = (error.strerror if isinstance(error, OSError) else "") or str(error)
+        message = f"Cannot make the folder {shortened(str(place))}: {reason}."
         raise OutputError(message, remedy="Choose another.", path=str(place)) from error
     return place
 
@@ -156,11 +183,14 @@ def _writable(path: Path) -> Path:
 
 
 def _require_own(connection: sqlite3.Connection, path: str, kind: str, now: Mapping[str, Any]) -> None:
-    its_kind, text = connection.execute("SELECT kind, identity FROM study").fetchone()
+    its_kind, text = connection.execute("SELECT kind, identity FROM study").fetchone() or (None, "")
     if its_kind != kind:
-        message = f"{path} is no store of a {kind}, but of a {its_kind}."
+        message = f"{path} is no store of a {kind}, but of a {shortened(str(its_kind))}."
         raise OutputError(message, remedy="Choose another folder.", path=path)
-    then = json.loads(text)
+    try:
+        then = dict(read_json(text, constants=True))
+    except (ValueError, TypeError) as error:
+        raise OutputError(f"The identity in the store {path} is damaged.", remedy=_ANEW, path=path) from error
     for name in (*now, *then):
         old, new, where = then.get(name), now.get(name), name
         if old == new:
@@ -169,7 +199,7 @@ def _require_own(connection: sqlite3.Connection, path: str, kind: str, now: Mapp
             for key in (key for key in new if key in old and old[key] != new[key]):
                 old, new, where = old[key], new[key], f"{name}.{key}"
                 break
-        message = f"The store {path} is of another {kind}: for {where} it has {old!r}, now it is {new!r}."
+        message = f"The store {path} is of another {kind}: for {where} it has {shown(old)}, now it is {shown(new)}."
         raise OutputError(message, remedy=_ANEW, path=path)
 
 
@@ -179,20 +209,24 @@ def _records(
     records: dict[tuple[Any, ...], R] = {}
     for number, text in connection.execute("SELECT rowid, record FROM record ORDER BY rowid"):
         try:
-            record = read(json.loads(text))
-        except (ValueError, KeyError, TypeError) as error:
+            record = read(read_json(text, constants=True))
+            records[record.key] = record
+        except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
             raise OutputError(f"Record {number} of the store {path} is damaged.", remedy=_ANEW, path=path) from error
-        records[record.key] = record
     return records
 
 
-def _unusable(path: str, kind: str, error: sqlite3.Error) -> OutputError:
+def _foreign(path: str, kind: str) -> str:
+    return f"{path} is no store of a {kind}."
+
+
+def _unusable(path: str, kind: str, error: Exception) -> OutputError:
     """Return what an error of SQLite at the opening says to a user; Python 3.10 has no codes of them, but texts."""
     text = str(error)
     if "locked" in text:
         message, remedy = f"The store {path} is in use by another run.", "Wait for it to end, or choose another folder."
     elif "not a database" in text or "no such" in text:
-        message, remedy = f"{path} is no store of a {kind}.", "Choose another folder."
+        message, remedy = _foreign(path, kind), "Choose another folder."
     elif isinstance(error, sqlite3.OperationalError):  # such as a file system without locks
         message, remedy = f"Cannot use {path}: {text}.", "Choose another folder, on a disk of this machine."
     else:

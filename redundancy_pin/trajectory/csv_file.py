@@ -5,18 +5,24 @@ from __future__ import annotations
 import csv
 import os
 import re
+from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path as FilePath
+from io import TextIOWrapper
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
+from redundancy_pin.io.reading import opened
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 
 _QUATERNION_TOLERANCE = 1e-6
 """How far the norm of a quaternion may be from one: text with six digits passes; it is then normalised."""
+
+# Rates are compared with positions from so many steps on. A wrong unit is off by 9.5 (rpm), 57 (degrees), 1000 (mm):
+# what is off by a quarter is no rounding, nor an integral by trapezoids over steps that are small parts of the whole
+_FEWEST_STEPS, _MISFIT, _LARGEST_STEP, _ROUNDED = 8, 0.25, 0.15, 1e-6
 
 
 def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
@@ -24,14 +30,16 @@ def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
 
     The first row names the columns: ``t`` (s), ``x0``, ``x1``, ... (m, rad), ``xd0``, ... and ``xdd0``, ...; any order,
     other columns are ignored. For a spatial platform give six rates and seven x: position (m) and unit quaternion
-    (x, y, z, w). An instant may occur twice for the acceleration before and after a jump.
+    (x, y, z, w). An instant may occur twice for the acceleration before and after a jump. Where samples are dense
+    enough to tell, rates must be those of the positions: other units, or columns in another order, are refused.
 
     Args:
         path: of the file, UTF-8, comma separated.
 
     Raises:
         InputError: no such file, not text, a missing column (with the names seen), a cell that is not a finite
-            number (with row and column), rows of different lengths, or a motion that is not one.
+            number (with row and column), rows of different lengths, rates that are not those of the positions (with
+            column and factor), or a motion that is not one.
     """
     table = _read(path)
     x, xd, xdd = (_columns(table, name, path) for name in ("x", "xd", "xdd"))
@@ -40,7 +48,10 @@ def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
     else:
         _require_as_many(path, x=x, xd=xd)
     _require_as_many(path, xd=xd, xdd=xdd)
-    return PlatformMotion(table["t"], x, xd, xdd)
+    motion = PlatformMotion(table["t"], x, xd, xdd)
+    _require_rates(path, table["t"], _steps(x), xd, "x", "xd")
+    _require_rates(path, table["t"], np.diff(xd, axis=0), xdd, "xd", "xdd")
+    return motion
 
 
 def carriers_from_csv(path: str | os.PathLike[str]) -> CarrierMotion | None:
@@ -61,13 +72,15 @@ def carriers_from_csv(path: str | os.PathLike[str]) -> CarrierMotion | None:
     s, sd, sdd = (_columns(table, name, path) for name in ("s", "sd", "sdd"))
     _require_as_many(path, s=s, sd=sd)
     _require_as_many(path, sd=sd, sdd=sdd)
+    _require_rates(path, table["t"], np.diff(s, axis=0), sd, "s", "sd")
+    _require_rates(path, table["t"], np.diff(sd, axis=0), sdd, "sd", "sdd")
     return CarrierMotion(s, sd, sdd)
 
 
 def _read(path: str | os.PathLike[str]) -> dict[str, Array]:
     """Return the columns of the file by name, with ``t`` among them."""
     try:
-        with FilePath(path).open(newline="", encoding="utf-8-sig") as stream:
+        with TextIOWrapper(opened(os.fspath(path), InputError), "utf-8-sig", newline="") as stream:
             reader = csv.reader(stream)
             # The row number is that of the line in the file, as an editor shows it.
             rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
@@ -81,7 +94,7 @@ def _read(path: str | os.PathLike[str]) -> dict[str, Array]:
         remedy = "Give a row of column names (t, x0, ..., xd0, ..., xdd0, ...) and at least one row of numbers."
         raise _bad(path, f" has {max(len(rows) - 1, 0)} rows of numbers.", remedy)
     names = [name.strip() for name in rows[0][1]]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
         raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
     table = dict(zip(names, _numbers(names, rows[1:], path).T, strict=True))
@@ -116,7 +129,7 @@ def _number(cell: str) -> float:
 
 def _columns(table: dict[str, Array], prefix: str, path: str | os.PathLike[str]) -> Array:
     """Return (N, n) the columns prefix0, prefix1, ...; there must be a first one and no gap."""
-    numbers = sorted(int(name[len(prefix) :]) for name in table if re.fullmatch(rf"{prefix}\d+", name))
+    numbers = sorted(int(name[len(prefix) :]) for name in table if re.fullmatch(rf"{prefix}(0|[1-9]\d{{0,3}})", name))
     for expected in range(max(len(numbers), 1)):
         if expected >= len(numbers) or numbers[expected] != expected:
             raise _missing(path, f"{prefix}{expected}", list(table))
@@ -142,6 +155,41 @@ def _poses(x: Array, path: str | os.PathLike[str]) -> Array:
     pose[:, :3, :3] = Rotation.from_quat(x[:, 3:]).as_matrix()
     pose[:, :3, 3] = x[:, :3]
     return pose
+
+
+def _steps(x: Array) -> Array:
+    """Return (N-1, n) what coordinates change by from sample to sample, or (N-1, 6) poses, as a screw in world axes."""
+    if x.ndim == 2:
+        return np.diff(x, axis=0)
+    turned = Rotation.from_matrix(x[1:, :3, :3] @ x[:-1, :3, :3].transpose(0, 2, 1)).as_rotvec()
+    return np.concatenate([np.diff(x[:, :3, 3], axis=0), turned], axis=1)
+
+
+def _require_rates(path: str | os.PathLike[str], t: Array, steps: Array, rates: Array, of: str, name: str) -> None:
+    """Check that rates (N, n), integrated by trapezoids, give what the values change by in ``steps`` (N-1, n).
+
+    Only where that can be told: no step is a large part of the whole. Rates that are all zero are those of poses to
+    stand still in.
+    """
+    dt = np.diff(t)[:, None]
+    if len(steps) < _FEWEST_STEPS or not (dt >= 0.0).all() or not rates.any():
+        return
+    integral = np.cumsum(0.5 * dt * (rates[:-1] + rates[1:]), axis=0)
+    change = np.cumsum(steps, axis=0)
+    size = np.maximum(np.ptp(change, axis=0), np.ptp(integral, axis=0))
+    wrong = np.abs(change - integral).max(axis=0) > _MISFIT * size
+    # angles may be written within a turn
+    continued = np.cumsum(steps - 2.0 * np.pi * np.round(steps / (2.0 * np.pi)), axis=0)
+    wrong &= np.abs(continued - integral).max(axis=0) > _MISFIT * np.ptp(integral, axis=0)
+    # a ramp between two samples is in the values, and not in rates sampled before and after it
+    dense = np.abs(steps).max(axis=0) <= _LARGEST_STEP * size
+    # what hardly changes has few digits: the seventh of the largest coordinate is rounding
+    moves = size > _ROUNDED * max(1.0, float(np.abs(change).max(initial=0.0)))
+    for k in np.flatnonzero(dense & wrong & moves).tolist():
+        factor = float(change[:, k] @ integral[:, k]) / (float(integral[:, k] @ integral[:, k]) or 1.0)
+        message = f": {of}{k} does not change as {name}{k} says, but {factor:.4g} times as much at the best."
+        remedy = "Give SI units (m, rad, s) throughout, and the columns of each coordinate with the same number."
+        raise _bad(path, message, remedy, column=f"{name}{k}", factor=factor)
 
 
 def _bad(path: str | os.PathLike[str], message: str, remedy: str = "", **details: object) -> InputError:

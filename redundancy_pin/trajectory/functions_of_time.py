@@ -21,7 +21,7 @@ from numpy.polynomial import Chebyshev, Legendre, Polynomial, chebyshev
 from numpy.typing import ArrayLike
 from scipy.interpolate import PPoly
 
-from redundancy_pin.arrays import Array, BoolArray, Side, frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, Side, frozen, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.trajectory.timing import SpeedProfile
@@ -45,6 +45,9 @@ JUMP = 1e-6
 STANDS_OUT = 1e-6
 """A peak counts if it exceeds both ends by this fraction; less is no peak worth a sample."""
 
+LEAST_KNOT_DISTANCE = 1e-4
+"""Of the knots of a path, as a fraction of the duration: towards a cusp they come closer and closer."""
+
 DENSE = 1e-9
 """Rounding of the accelerations of the quintic, relative to the largest, from which samples count as dense: at 0.4 m
 and 1 m/s² about 2 ms apart."""
@@ -54,7 +57,7 @@ PLATFORM_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class PiecewisePolynomial:
+class PiecewisePolynomial(Frozen):
     """A function from time to C numbers that is a polynomial on each of P pieces.
 
     Outside the pieces it has the values at their ends.
@@ -86,7 +89,8 @@ class PiecewisePolynomial:
         """Return the values (N, C) at (N,) times, s; ``side`` decides at the edge of two pieces."""
         times = np.asarray(t, dtype=np.float64)
         if side == "left":  # PPoly is continuous from the right: the float before an edge is in the piece before it
-            times = np.nextafter(times, -np.inf)
+            with np.errstate(under="ignore"):  # beside zero it is the smallest number there is
+                times = np.nextafter(times, -np.inf)
         # not clip: NaN in place of extrapolation would be as slow
         values: Array = self.ppoly(np.minimum(np.maximum(times, self.edges[0]), self.edges[-1]))
         return values
@@ -280,7 +284,7 @@ class PiecewisePolynomial:
         pieces: list[Array] = []
         size: Array | None = None
         while len(left):
-            values = function(_points(left, right, DEGREE))
+            values = function(chebyshev_points(left, right, DEGREE))
             size = scale(values) if size is None else size
             series = chebyshev_series(values.reshape(len(left), DEGREE + 1, -1))
             tail = (np.abs(series[:, -3:]).max(axis=1) / size).max(axis=1)
@@ -305,7 +309,13 @@ def carriers_at(position: PiecewisePolynomial, times: ArrayLike, side: Side = "r
 
 def chebyshev_times(edges: Array, degree: int = DEGREE) -> Array:
     """Return (P (D + 1),) times, s, at which values determine a polynomial of degree D on each of P pieces."""
-    return _points(edges[:-1], edges[1:], degree)
+    return chebyshev_points(edges[:-1], edges[1:], degree)
+
+
+def chebyshev_points(left: Array, right: Array, degree: int) -> Array:
+    """Return ``chebyshev_times`` of P pieces, however they lie, from their (P,) left and right ends, s."""
+    nodes = np.sort(chebyshev.chebpts1(degree + 1))
+    return (0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * nodes).ravel()
 
 
 def chebyshev_series(values: Array) -> Array:
@@ -343,7 +353,7 @@ def is_timed(motion: object) -> TypeGuard[TimedTrajectory]:
 
 
 @dataclass(frozen=True, eq=False)
-class ContinuousMotion:
+class ContinuousMotion(Frozen):
     """A platform motion over an interval, from a trajectory or from polynomials.
 
     Attributes:
@@ -430,11 +440,20 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMot
         return _from_samples(motion)
     end = float(motion.duration)
     inner = [float(t) for t in motion.breaks if 0.0 < t < end]
-    timing = getattr(motion, "timing", None)
-    knots = []
-    if isinstance(timing, SpeedProfile):  # the jerk jumps where a ramp meets the cruise
-        knots = [t for t in (timing.ramp_time, timing.ramp_time + timing.cruise_time) if 0.0 < t < end]
+    knots = [t for t in _knots(motion) if 0.0 < t < end]
     return ContinuousMotion(motion, 0.0, end, end, frozen(inner), frozen(knots), True)
+
+
+def _knots(motion: TimedTrajectory) -> list[float]:
+    """Return the times, s, at which the jerk jumps, and those beside a cusp of the path, where little is smooth."""
+    timing, lengths = getattr(motion, "timing", None), getattr(getattr(motion, "path", None), "knots", ())
+    # where a ramp meets the cruise
+    ramps = [timing.ramp_time, timing.ramp_time + timing.cruise_time] if isinstance(timing, SpeedProfile) else []
+    along = np.array([timing.time_at(float(p)) for p in lengths]) if timing is not None else np.empty(0)
+    if len(along):
+        apart = np.diff(along, prepend=0.0) > LEAST_KNOT_DISTANCE * motion.duration
+        along = along[apart]
+    return sorted({*map(float, ramps), *along.tolist()})
 
 
 def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
@@ -480,11 +499,6 @@ def _coordinates(columns: int) -> tuple[int, bool]:
     Three times n is never 28.
     """
     return (6, True) if columns == 28 else (columns // 3, False)
-
-
-def _points(left: Array, right: Array, degree: int) -> Array:
-    nodes = np.sort(chebyshev.chebpts1(degree + 1))
-    return (0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * nodes).ravel()
 
 
 @lru_cache(maxsize=8)

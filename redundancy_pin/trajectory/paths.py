@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import (
     Array,
+    Frozen,
     IntArray,
     Side,
     assign,
@@ -92,7 +93,7 @@ _UNIT_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Line(SmoothPath):
+class Line(Frozen, SmoothPath):
     """A straight line in any dimension.
 
     Attributes:
@@ -132,7 +133,7 @@ class Line(SmoothPath):
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Arc(SmoothPath):
+class Arc(Frozen, SmoothPath):
     """A circular arc in a plane of any dimension: x = c + r (u cos φ + w sin φ), φ = p / r.
 
     Attributes:
@@ -218,7 +219,7 @@ def straight_pieces(points: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class ConstantAppended:
+class ConstantAppended(Frozen):
     """A path with constant coordinates appended, such as the orientation of a platform that does not turn.
 
     Attributes:
@@ -247,6 +248,11 @@ class ConstantAppended:
         """(b,) breaks of the path that moves, m."""
         return self.path.breaks
 
+    @property
+    def knots(self) -> Array:
+        """(c,) knots of the path that moves, if it has any, m."""
+        return frozen(getattr(self.path, "knots", ()))
+
     def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
         """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``."""
         point = self.path.evaluate(p, side)
@@ -266,7 +272,7 @@ tangents): a nanometre on a metre, a thousand times above the rounding of the co
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class ChainedPath:
+class ChainedPath(Frozen):
     """Segments end to end, continuous in position and tangent; curvature may jump at the joints.
 
     Attributes:
@@ -298,6 +304,15 @@ class ChainedPath:
     def dimension(self) -> int:
         """Number n of coordinates."""
         return self.segments[0].dimension
+
+    @property
+    def knots(self) -> Array:
+        """(c,) knots of the segments, m."""
+        starts = np.concatenate([[0.0], self.joints])
+        inner = [
+            start + np.asarray(getattr(part, "knots", ())) for start, part in zip(starts, self.segments, strict=True)
+        ]
+        return frozen(np.concatenate(inner))
 
     def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
         """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``."""

@@ -1,4 +1,4 @@
-"""The reference trajectories of the thesis, with its numbers as defaults, and one for a spatial platform."""
+"""The reference trajectories of the thesis, with its numbers as defaults, and those through points of one's own."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import checked, positive
-from redundancy_pin.trajectory.paths import Line, circle_path, with_constant
+from redundancy_pin.trajectory.paths import Line, Path, circle_path, with_constant
 from redundancy_pin.trajectory.timing import LEAST_RAMP_FRACTION, RestToRest, SpeedProfile
 from redundancy_pin.trajectory.trajectory import PoseTrajectory, Trajectory
-from redundancy_pin.trajectory.waypoints import corner_path, rounded_polygon
+from redundancy_pin.trajectory.waypoints import corner_path, rounded_polygon, through_points
 
 CIRCLE_RAMP_FRACTION = 0.765
 """Length of the ramp up on the thesis's circle as a fraction of v T: 0.153 v metres for T = 0.2 s. The thesis
@@ -155,3 +155,36 @@ def pose(
         InputError: as ``PoseTrajectory`` and ``RestToRest``.
     """
     return PoseTrajectory(start, end, RestToRest(1.0, duration, shape))
+
+
+def points(
+    points: ArrayLike,
+    speed: float,
+    ramp_time: float,
+    ramp_length: float | None = None,
+    closed: bool = False,
+    alpha: float | None = None,
+) -> Trajectory:
+    """Return a motion along a smooth path through (N, n) points, m; two of them give a straight line.
+
+    Ramps last ``ramp_time``, s, and are ``ramp_length``, m, long; ``alpha``, rad, is a constant last coordinate.
+    """
+    return _along(through_points(points, closed=closed), speed, ramp_time, ramp_length, alpha)
+
+
+def polygon(
+    vertices: ArrayLike,
+    radius: float,
+    speed: float,
+    ramp_time: float,
+    ramp_length: float | None = None,
+    closed: bool = False,
+    alpha: float | None = None,
+) -> Trajectory:
+    """Return a motion along a polygon of (N, n) corners, m, rounded by arcs of a radius, m; the rest as ``points``."""
+    return _along(rounded_polygon(vertices, radius, closed=closed), speed, ramp_time, ramp_length, alpha)
+
+
+def _along(path: Path, speed: float, ramp_time: float, ramp_length: float | None, alpha: float | None) -> Trajectory:
+    whole = path if alpha is None else with_constant(path, alpha)
+    return Trajectory(whole, SpeedProfile(whole.length, speed, ramp_time, ramp_length))

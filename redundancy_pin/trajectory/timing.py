@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import ROUNDING, Array, assign, checked, inside, positive, read_only
+from redundancy_pin.arrays import ROUNDING, Array, Frozen, assign, checked, inside, positive, read_only
 from redundancy_pin.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
-class Polynomial:
+class Polynomial(Frozen):
     """A scalar or vector polynomial of time on one interval.
 
     It is kept in Bernstein form on κ = (t − t0)/(t1 − t0): boundary values are met to rounding, however short

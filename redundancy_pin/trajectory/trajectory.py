@@ -14,6 +14,7 @@ from redundancy_pin.arrays import (
     ROUNDING,
     Array,
     BoolArray,
+    Frozen,
     Side,
     assign,
     checked,
@@ -135,7 +136,7 @@ class TimedMotion(ABC):
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Trajectory(TimedMotion):
+class Trajectory(Frozen, TimedMotion):
     """A path travelled by a timing law: x(p(t)), ẋ = x' ṗ, ẍ = x' p̈ + x'' ṗ².
 
     Where x'' jumps by Δ (a straight meets an arc) and the speed is not zero, the acceleration jumps by
@@ -221,7 +222,7 @@ pose) would tilt it by 1e-3."""
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class PoseTrajectory(TimedMotion):
+class PoseTrajectory(Frozen, TimedMotion):
     """The position moves on a straight line while the platform turns about an axis fixed in the world.
 
     With κ = p(t)/length: position p0 + κ d, rotation exp(κ [φ]×) R0, twist κ̇ (d, φ) and its rate κ̈ (d, φ), in

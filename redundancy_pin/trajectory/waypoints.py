@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from redundancy_pin.arrays import ROUNDING, Array, assign, checked, frozen, positive
+from redundancy_pin.arrays import ROUNDING, Array, Frozen, assign, checked, frozen, positive
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, SmoothPath, straight_pieces
 
+_FARTHEST = 1e100  # m: squares of such lengths are numbers still
 _STRAIGHT_ANGLE = 1e-9
 """Turns below this angle, rad, are no corner: the polygon runs straight on."""
 
@@ -75,7 +76,7 @@ def rounded_polygon(
             not fit (with edge, lengths and the largest radius that fits), a start off the straight part or of an
             open polygon.
     """
-    corners = checked(vertices, "vertices", ("N", "n"))
+    corners = _near(vertices, "vertices")
     r = positive(radius, "radius", "m")
     needed = 3 if closed else 2
     if start is not None and not closed:
@@ -179,7 +180,7 @@ _MOST_STEPS = 60
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class SplinePath(SmoothPath):
+class SplinePath(Frozen, SmoothPath):
     """A cubic spline through points, parametrised by its own arc length.
 
     The spline r(u) takes the distance between points as its parameter; its second derivative is continuous,
@@ -204,7 +205,7 @@ class SplinePath(SmoothPath):
     _arc_at_edges: Array
 
     def __init__(self, points: ArrayLike, *, closed: bool = False) -> None:
-        given = checked(points, "points", ("N", "n"))
+        given = _near(points, "points")
         needed = 3 if closed else 2
         if len(given) < needed:
             raise InputError(f"points has {len(given)} points, expected at least {needed}.", count=len(given))
@@ -220,6 +221,11 @@ class SplinePath(SmoothPath):
     def dimension(self) -> int:
         """Number n of coordinates."""
         return int(self.points.shape[1])
+
+    @property
+    def knots(self) -> Array:
+        """(c,) inner arc lengths between which the path is resolved by a few points, m: close together at a cusp."""
+        return self._arc_at_edges[1:-1]
 
     def _at(self, p: Array) -> PathPoint:
         u = self._parameter(p)
@@ -298,3 +304,11 @@ def _require_direction(spline: CubicSpline, edges: Array, unsettled: bool) -> No
             remedy="Space the points more evenly, or round the turn with more points.",
             rate=float(rate[k]),
         )
+
+
+def _near(points: ArrayLike, name: str) -> Array:
+    array = checked(points, name, ("N", "n"))
+    far = float(np.abs(array).max(initial=0.0))
+    if far > _FARTHEST:
+        raise InputError(f"{name} are up to {far:.3g} m from the origin.", remedy="Give them in metres.", name=name)
+    return array

@@ -110,10 +110,12 @@ def test_singular_sample_has_a_status_and_no_effort(tmp_path: Path) -> None:
     """On the base line of the 2-RPR, moving across it, the carriers' inertia needs a force that no leg gives."""
     motion, out = tmp_path / "line.csv", tmp_path / "out.csv"
     motion.write_text("t,x0,x1,xd0,xd1,xdd0,xdd1\n0,0.2,0,0.3,-1,0,0\n")
-    assert call("inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", out).exit_code == 0
+    result = call("inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", out)
+    assert result.exit_code == 0
     found = _columns(out)
     assert found["status"][0] == "singular_inconsistent"
     assert np.isnan(found["tau0"][0])
+    assert "no finite main efforts at 1 of 1 samples, first at t = 0 s (singular_inconsistent)" in result.stderr
     # theta_dd = -2 d_dot theta_dot / d for zero acceleration; only L² theta_dd acts, and its force on the platform is
     # n h / d (Parsa 2014, eq. 2.17 collapsed); both legs push along y
     expected = 0.0

@@ -12,6 +12,7 @@ from command_line import call, refused
 
 from redundancy_pin.cli.map import problem_of
 from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.studies import feasibility
 from redundancy_pin.studies.feasibility import (
     STEPWISE,
     SWITCH_OFF,
@@ -20,7 +21,6 @@ from redundancy_pin.studies.feasibility import (
     MapProblem,
     Verdict,
     feasibility_map,
-    sweep,
 )
 
 pytest.importorskip("matplotlib")
@@ -47,7 +47,7 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float]]:
         verdict, limits = (Verdict.FEASIBLE, ("track",)) if possible else (Verdict.INFEASIBLE, ("effort",))
         return Cell(planner, x, y, verdict, limits, peak_effort=x if possible else None)
 
-    monkeypatch.setattr(sweep, "compute", compute)
+    monkeypatch.setattr(feasibility, "compute", compute)
     return keys
 
 
@@ -100,21 +100,21 @@ def test_tables_tell_counts_and_border(computed: list[Any]) -> None:
 
 
 def test_an_interruption_tells_where_to_go_on(monkeypatch: pytest.MonkeyPatch, computed: list[Any]) -> None:
-    usual = sweep.compute
+    usual = feasibility.compute
 
     def interrupted(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
         if len(computed) == 5:
             raise KeyboardInterrupt
         return usual(problem, planner, x, y)
 
-    monkeypatch.setattr(sweep, "compute", interrupted)
+    monkeypatch.setattr(feasibility, "compute", interrupted)
     result = call(*CORNER)
     assert result.exit_code == 130
     assert result.stderr.strip() == (
         "interrupted: 5 of 12 cells are in map-3rrr/store.sqlite; the same command goes on from there."
     )
     assert {path.name for path in Path("map-3rrr").iterdir()} == {"store.sqlite"}
-    monkeypatch.setattr(sweep, "compute", usual)
+    monkeypatch.setattr(feasibility, "compute", usual)
     assert call(*CORNER).exit_code == 0
     assert len(computed) == 12
 
@@ -131,13 +131,13 @@ def test_failed_cells_are_told_and_nothing_but_them_is_an_error(monkeypatch: pyt
         failed = planner == STEPWISE and x > 0.25
         return Cell(planner, x, y, Verdict.FAILED if failed else Verdict.FEASIBLE, message="Burst." if failed else "")
 
-    monkeypatch.setattr(sweep, "compute", compute)
+    monkeypatch.setattr(feasibility, "compute", compute)
     result = call(*CORNER)
     assert result.exit_code == 0
     assert result.stderr.splitlines() == [
         "warning: stepwise failed in 2 cell(s), in the first (speed 0.3, stroke 0.5) with: Burst."
     ]
-    monkeypatch.setattr(sweep, "compute", lambda problem, *key: Cell(*key, Verdict.FAILED, message="Burst."))
+    monkeypatch.setattr(feasibility, "compute", lambda problem, *key: Cell(*key, Verdict.FAILED, message="Burst."))
     assert call(*CORNER, "--out", "other").exit_code == 1
 
 

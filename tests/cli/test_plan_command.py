@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from command_line import call, write_motion
 from plan_cases import CORNER, LINE, same
 
 import redundancy_pin as rp
+from redundancy_pin.cli.plan import warn
 from redundancy_pin.cli.plan_problem import number, numbers
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import PlanStatus
@@ -67,7 +69,8 @@ def test_stepwise_is_that_of_the_python_api(tmp_path: Path) -> None:
         *CORNER, "--radius", "0.03", "--lam", "0.5", "--baseline", "carriers=false", "--max-speed", "0.8",
         "--max-acceleration", "6,7,8", "--track", "-0.9,0.9", "--brake-time", "0.4", "--no-anticipate", "--out", out,
     )  # fmt: skip
-    assert result.exit_code == 0, result.stderr
+    assert result.exit_code == 4, result.stderr  # steps of 20 ms do not show the efforts between them
+    assert "between the samples" in result.stderr
     expected = plan_stepwise(
         rp.RneaDynamics(rp.load_robot("3rrr", working_mode=(1, 1, 1))),
         reference.corner(radius=0.03).sample(0.02),
@@ -115,7 +118,7 @@ def test_points_of_the_command_line(tmp_path: Path) -> None:
     out = tmp_path / "plan.npz"
     path = "points:points=1.0 0.4;1.02 0.5;0.95 0.6,speed=0.1,ramp_time=0.2,alpha=0.1"
     assert (
-        call("plan", "stepwise", "--robot", "3rrr", "--step", "0.02", "--trajectory", path, "--out", out).exit_code == 0
+        call("plan", "stepwise", "--robot", "3rrr", "--step", "0.02", "--trajectory", path, "--out", out).exit_code == 4
     )
     x = rp.load_plan(out).motion.x
     np.testing.assert_allclose(x[0], [1.0, 0.4, 0.1], atol=1e-12)
@@ -186,3 +189,22 @@ def test_a_plan_through_a_singularity_has_no_margin_left() -> None:
     """Whether a sample lies on the singular instant is chance: the plan crosses it all the same."""
     result = call("plan", "switch-off", "--robot", "2rpr", "--trajectory", "circle", "--threshold", "20", "--json")
     assert json.loads(result.stdout)["smallest_margin"] == 0.0
+
+
+def test_efforts_without_bound_between_the_samples_are_one_warning(capsys: pytest.CaptureFixture[str]) -> None:
+    plan = plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), dt=0.02)
+    between = replace(plan.between, peak=np.array([1.0, np.inf, 2.0]), time=np.array([0.1, 0.2, 0.3]), ratio=np.inf)
+    warn(replace(plan, status=PlanStatus.UNBOUNDED_EFFORT, between=between))
+    assert capsys.readouterr().err == (
+        "warning: no finite main efforts: between the samples, at t = 0.2 s, where W is singular.\n"
+    )
+
+
+def test_no_optimum_is_warned_of_whatever_the_status(capsys: pytest.CaptureFixture[str]) -> None:
+    plan = plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), dt=0.02)
+    facts = {**plan.diagnostics, "optimal": False, "solver": "Time_Exceeded"}
+    for status in (PlanStatus.STOPPED_EARLY, PlanStatus.UNRESOLVED, PlanStatus.UNBOUNDED_EFFORT):
+        warn(replace(plan, status=status, diagnostics=facts))
+        assert "this is no optimum: the optimiser stopped early (Time_Exceeded)" in capsys.readouterr().err
+    warn(plan)
+    assert capsys.readouterr().err == ""

@@ -28,7 +28,7 @@ def test_the_documented_problem_is_that_of_the_python_api(tmp_path: Path) -> Non
     assert call("plan", "--problem", EXAMPLE, "--out", out).exit_code == 0
     vertices = [[1.0, 0.4], [1.0, 0.52], [0.9, 0.56]]
     path = rp.trajectory.with_constant(rp.trajectory.rounded_polygon(vertices, 0.025, closed=False), 0.0)
-    motion = rp.trajectory.Trajectory(path, rp.trajectory.SpeedProfile(path.length, 0.2, 0.2)).sample(0.005)
+    motion = rp.trajectory.Trajectory(path, rp.trajectory.SpeedProfile(path.length, 0.2, 0.2)).sample(0.001)
     mode = {"working_mode": (1, 1, 1), "carrier_mass": 3.0}
     expected = plan_stepwise(
         rp.VirtualWork(rp.load_robot("3rrr", **mode)),
@@ -88,13 +88,28 @@ def test_paths_in_a_problem_are_seen_from_its_folder(tmp_path: Path, monkeypatch
 def test_points_give_a_smooth_path(tmp_path: Path) -> None:
     trajectory = {"name": "points", "points": [[1.0, 0.4], [1.02, 0.5], [0.95, 0.6]], "speed": 0.1, "ramp_time": 0.2}
     problem = write_problem(
-        tmp_path / "p.yaml", planner="stepwise", robot="3rrr", step=0.02, trajectory={**trajectory, "alpha": 0.1}
+        tmp_path / "p.yaml", planner="stepwise", robot="3rrr", step=0.002, trajectory={**trajectory, "alpha": 0.1}
     )
     assert call("plan", "--problem", problem, "--out", tmp_path / "plan.npz").exit_code == 0
     x = rp.load_plan(tmp_path / "plan.npz").motion.x
     np.testing.assert_allclose(x[0], [1.0, 0.4, 0.1], atol=1e-12)
-    # a spline passes through its points: the middle one lies between samples 2 mm apart
-    assert np.linalg.norm(x[:, :2] - [1.02, 0.5], axis=1).min() < 2e-3
+    # a spline passes through its points: the middle one lies between samples 0.2 mm apart
+    assert np.linalg.norm(x[:, :2] - [1.02, 0.5], axis=1).min() < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("wrong", "group"), [("fast", "trajectory"), ("0.2 m/s", "trajectory"), ("fast", "parameters")]
+)
+def test_a_bad_value_has_its_own_line(wrong: str, group: str, tmp_path: Path) -> None:
+    """``speed`` is a key of the trajectory and a parameter of the planner."""
+    problem = tmp_path / "p.yaml"
+    values = {"trajectory": "0.2", "parameters": "1.0", group: wrong}
+    lines = ["planner: stepwise", "robot: 3rrr", "parameters:", f"  speed: {values['parameters']}"]
+    lines += ["trajectory:", "  name: corner", f"  speed: {values['trajectory']}"]
+    problem.write_text("\n".join(lines), encoding="utf-8")
+    expected = 1 + next(i for i, line in enumerate(lines) if line.endswith(wrong))
+    line = refused("plan", "--problem", problem, "--out", tmp_path / "plan.npz")
+    assert f"p.yaml, line {expected}: " in line
 
 
 BAD_PROBLEMS: dict[str, tuple[dict[str, Any], str]] = {
@@ -172,12 +187,47 @@ def test_bad_problems_are_refused_in_one_line(case: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("content", "says"),
-    [(b"planner: [", "not YAML"), (b"", "no mapping"), (b"- 1\n", "no mapping"), (b"\xff\xfe", "not YAML")],
+    [
+        (b"planner: [", "not readable YAML"),
+        (b"", "no mapping"),
+        (b"- 1\n", "no mapping"),
+        (b"\xff\xfe", "not text in UTF-8"),
+    ],
 )
 def test_files_that_are_no_problem(content: bytes, says: str, tmp_path: Path) -> None:
     problem = tmp_path / "p.yaml"
     problem.write_bytes(content)
     assert says in refused("plan", "--problem", problem)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("parameters:\n  lam: 0\n  brake_time: soon\n", "p.yaml, line 7: brake_time is 'soon'"),
+        ("parameters: [1]\n", "p.yaml, line 5: parameters is"),
+        ("set:\n  carrier_mass: []\n", "p.yaml, line 6: carrier_mass"),
+        ("stop: 3\n", "p.yaml, line 5: The problem"),
+        ("step: 1\nstep: 2\n", "p.yaml, line 6, column 1: the key 'step' was given in line 5"),
+        ("gravity: 2026-11-22\n", "p.yaml, line 5, column 10: `gravity` is '2026-11-22'"),
+        ("backend: virtual\n", "p.yaml"),
+    ],
+)
+def test_file_and_line_are_named(text: str, says: str, tmp_path: Path) -> None:
+    problem = tmp_path / "p.yaml"
+    problem.write_text(f"planner: stepwise\nrobot: 3rrr\ntrajectory:\n  name: corner\n{text}", encoding="utf-8")
+    assert says in refused("plan", "--problem", problem)
+
+
+def test_the_file_of_the_robot_is_named_inside_that_of_the_problem(tmp_path: Path) -> None:
+    robot = tmp_path / "robot.yaml"
+    robot.write_text("name: x\nurdf: x.urdf\nname: y\n", encoding="utf-8")
+    problem = write_problem(tmp_path / "p.yaml", **{**PROBLEM, "robot": "robot.yaml"})
+    assert f"p.yaml: {robot}, line 3" in refused("plan", "--problem", problem)
+
+
+def test_codes_of_a_terminal_are_not_printed(tmp_path: Path) -> None:
+    problem = write_problem(tmp_path / "p.yaml", **{**PROBLEM, "\x1b[2J": 1})
+    assert "\x1b" not in refused("plan", "--problem", problem)
 
 
 def test_a_missing_problem(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ def test_small_run_passes_and_is_the_api() -> None:
 def test_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def run(*arguments: object) -> CrossCheckReport:
+    def run(*arguments: object, **_: object) -> CrossCheckReport:
         asked.append(arguments[-1])
         return CrossCheckReport((), 0)
 
@@ -36,7 +36,7 @@ def test_all_cores(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_failure_shows_in_table_json_and_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = (CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True), CheckRow("2rpr", "parity: W", 10, 0.5, 1e-10, False))
-    monkeypatch.setattr(crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
+    monkeypatch.setattr(crosscheck, "run", lambda *_, **__: CrossCheckReport(rows, 0))
     result = call("validate")
     assert result.exit_code == 1
     assert "FAILED" in result.stdout

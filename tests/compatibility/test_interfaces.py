@@ -67,7 +67,10 @@ def _differences(where: str, pinned: dict[str, Any], value: Any) -> Iterator[str
     """Give what is lost of a pinned description."""
     now = describe(value)
     if pinned["kind"] == "constant":
-        if pinned.get("value") != now.get("value"):
+        kept = now.get("value")
+        if isinstance(kept, list):  # of a list the entries count: new ones may come
+            kept = [entry for entry in kept if entry in pinned["value"]]
+        if pinned.get("value") != kept:
             yield f"{where} is {now.get('value')}, was {pinned['value']}"
         return
     if pinned["kind"] == "function":

@@ -213,3 +213,26 @@ def test_limits_that_are_not_reached_change_nothing():
     assert found.status is AllocationStatus.EXACT
     assert np.array_equal(found.tau, free.tau)
     assert np.array_equal(found.deviation, free.deviation)
+
+
+@given(hnp.arrays(float, (2, 4), elements=entries), hnp.arrays(float, 4, elements=st.floats(0.01, 10.0)))
+def test_the_margin_is_what_the_worst_direction_gets_from_deviations_of_the_size_of_the_scales(matrix, scale):
+    row_scale = np.array([1.0, 0.3])
+    margin = shared(
+        *(matrix[:, :2], matrix[:, 2:], np.zeros(2)),
+        **{"effort_scale": scale[:2], "carrier_scale": scale[2:], "row_scale": row_scale},
+    ).margin
+    angle = np.linspace(0.0, np.pi, 2001)
+    directions = np.stack([np.cos(angle), np.sin(angle)], axis=1) / row_scale
+    most = np.linalg.norm(directions @ matrix * scale, axis=1)  # of y · (A u), |u / scale| = 1
+    assert margin <= most.min() * (1.0 + ROUNDING) + ROUNDING
+    assert margin >= most.min() - most.max() * (angle[1] - angle[0])
+
+
+def test_with_fewer_unknowns_than_coordinates_some_direction_gets_nothing():
+    found = shared(
+        *([[2.0], [0.0], [0.0]], [[0.0], [3.0], [0.0]], [2.0, 3.0, 0.0], [0.0]),
+        **{"effort_scale": np.ones(1), "carrier_scale": np.ones(1), "row_scale": np.ones(3)},
+    )
+    assert found.status is AllocationStatus.EXACT
+    assert found.margin == 0.0

@@ -273,3 +273,12 @@ def test_regular_means_balanced_also_with_a_tiny_lever(seed):
     d = distribute(reduced(W, f), lower=[-np.inf, *-0.3 * most[1:]], upper=[np.inf, *0.3 * most[1:]])
     size = np.abs(W * np.nan_to_num(d.tau)[:, None]).max(axis=(1, 2)) + np.linalg.norm(f, axis=1)
     assert (d.residual[d.solved] < 1e-5 * size[d.solved]).all()
+
+
+def test_bounds_that_miss_the_equations_by_rounding_count_as_met():
+    matrix, half = np.array([[[1.0, 1.0]]]), np.array([[1.0, 1.0]])
+    for short, met in ((5e-10, True), (1e-8, False)):
+        upper = np.array([[1.0, 1.0 - short]])
+        u = fit_into_bounds(matrix, half, np.array([1]), np.ones(2), np.full((1, 2), -np.inf), upper)
+        assert np.isfinite(u).all() == met
+        assert not (u > upper).any()

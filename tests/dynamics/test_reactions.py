@@ -5,8 +5,7 @@ import pinocchio as pin
 import pytest
 
 import redundancy_pin as rp
-from redundancy_pin.dynamics.reactions import joint_reactions
-from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
 from redundancy_pin.errors import InputError
 
 FORCE_TOLERANCE = 1e-9

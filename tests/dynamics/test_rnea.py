@@ -17,8 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from written import J, urdf_of, write_robot
 
-from redundancy_pin import CarrierMotion, PlatformMotion, load_robot
+from redundancy_pin import CarrierMotion, PlatformMotion, load_robot, trajectory
+from redundancy_pin.arrays import blocks
+from redundancy_pin.dynamics import rnea as rnea_module
 from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.kinematics import continuation as continuation_module
+from redundancy_pin.kinematics import lift as lift_module
 from redundancy_pin.robot import Robot
 
 MASSIVE = {
@@ -288,3 +292,24 @@ def test_the_2rprs_force_is_the_rate_of_the_legs_angular_momentum() -> None:
         h = (0.1**2 + s**2) * turn_rate + 2 * s * sd * turn + sigma * 0.1 * sdd
         expected += n * (h / d)[:, None]
     np.testing.assert_allclose(RneaDynamics(robot).reduce(motion, carriers).f, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [7, 1000, 4001])
+def test_blocks_do_not_change_a_bit(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kinematics and dynamics in blocks of any size, and in one: what a sample gets does not hang on the others."""
+    robot = load_robot("3rrr")
+    motion = trajectory.reference.corner(radius=0.025).sample(dt=2e-4 if size > 7 else 5e-3)
+    calls: list[tuple[int, int]] = []
+    found = {}
+    for length in (size, 10**9):
+        for module in (lift_module, continuation_module, rnea_module):
+            monkeypatch.setattr(module, "blocks", lambda samples, _=0, length=length: blocks(samples, length))
+        monkeypatch.setattr(rnea_module, "_SAMPLES_PER_BLOCK", length)
+        dynamics = RneaDynamics(robot, progress=lambda done, total: calls.append((done, total)))
+        along = dynamics.along(motion)
+        reduced = along.reduce()
+        parts = (reduced.f, reduced.W, reduced.carrier_force, reduced.gap, along.tree.q, along.tree.v, along.tree.a)
+        found[length] = [part.tobytes() for part in parts]
+    assert found[size] == found[10**9]
+    assert calls[-1] == (len(motion), len(motion))
+    assert len(calls) == -(-len(motion) // size) + 1

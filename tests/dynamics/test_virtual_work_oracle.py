@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from point_mass_oracle import PointMasses, derivative, three_rrr_masses, two_rpr_masses
 
-from redundancy_pin.dynamics.virtual_work.mechanism import Mechanism, base_wrench, energy
+from redundancy_pin.dynamics.virtual_work import Mechanism
+from redundancy_pin.dynamics.virtual_work.mechanism import base_wrench, energy
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprMechanism
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from redundancy_pin.errors import OutputError
 from redundancy_pin.io import files
-from redundancy_pin.io.files import replacing_file, replacing_folder, require_replaceable, write_text
+from redundancy_pin.io.files import replacing_file, replacing_folder, require_replaceable, require_writable, write_text
 
 
 def _names(folder: Path) -> list[str]:
@@ -124,3 +127,131 @@ def test_current_folder_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monk
     for target in (".", ".."):
         with pytest.raises(OutputError, match="current folder"):
             require_replaceable(target)
+
+
+def test_what_a_link_leads_to_is_written(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    target = tmp_path / "there" / "a.txt"
+    for link in (tmp_path / "link.txt", tmp_path / "dangling.txt"):
+        link.symlink_to(target)
+        write_text(link, link.name)
+        assert link.is_symlink()
+        assert target.read_text() == link.name
+        target.unlink()
+    assert _names(tmp_path / "there") == []
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o666, 0o755])
+def test_a_file_that_is_replaced_keeps_its_permissions(mode: int, tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("old")
+    (tmp_path / "a.txt").chmod(mode)
+    write_text(tmp_path / "a.txt", "new")
+    assert (tmp_path / "a.txt").stat().st_mode & 0o777 == mode
+    assert (tmp_path / "a.txt").read_text() == "new"
+
+
+def test_a_read_only_file_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("mine")
+    (tmp_path / "a.txt").chmod(0o444)
+    with pytest.raises(OutputError, match="read-only"):
+        write_text(tmp_path / "a.txt", "new")
+    assert (tmp_path / "a.txt").read_text() == "mine"
+
+
+def test_pipes_are_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")  # not a real device: a fault would take it from the machine
+    with pytest.raises(OutputError, match="a pipe or a device"):
+        write_text(tmp_path / "pipe", "text")
+    assert _names(tmp_path) == ["pipe"]
+
+
+def test_names_as_long_as_names_can_be(tmp_path: Path) -> None:
+    longest = tmp_path / f"{'é' * 125}a.txt"
+    assert len(os.fsencode(longest.name)) == 255
+    write_text(longest, "text")
+    assert longest.read_text() == "text"
+    folder = tmp_path / ("x" * 255)
+    for name in ("a.csv", "b.csv"):
+        _write_results(folder, name)
+    assert _names(folder) == ["b.csv", "summary.json"]
+    for name in ("x" * 256, "x" * 5000, "a/" * 3000, "a\0b"):
+        for require in (require_writable, require_replaceable):
+            with pytest.raises(OutputError, match="Cannot write"):
+                require(tmp_path / name)
+    with pytest.raises(OutputError, match="home"):
+        require_writable("~nobody-of-that-name/a.txt")
+
+
+def _killed(block: Callable[[], object]) -> None:
+    """Run a block in a process that is killed where the block kills it."""
+    child = os.fork()
+    if child == 0:
+        try:
+            block()
+        finally:
+            os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+
+
+def _kill(*_: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_what_a_killed_writer_leaves_is_gone_after_the_next_one(tmp_path: Path) -> None:
+    def file() -> None:
+        with replacing_file(tmp_path / "a.txt") as temporary:
+            temporary.write_text("half")
+            _kill()
+
+    def folder() -> None:
+        with replacing_folder(tmp_path / "results") as temporary:
+            write_text(temporary / "a.csv", "half")
+            _kill()
+
+    for killed in (file, folder):  # the second removes what the first has left, and leaves its own
+        _killed(killed)
+        assert len(_names(tmp_path)) == 1
+    # somebody else's files look otherwise; those of a writer at work are locked
+    (tmp_path / ".hidden-1.txt").write_text("mine")
+    with replacing_file(tmp_path / "b.txt") as working:
+        write_text(tmp_path / "a.txt", "whole")
+        assert _names(tmp_path) == sorted([".hidden-1.txt", working.parent.name, "a.txt"])
+        # a writer may rename over its file, or write in turn with another that does
+        with replacing_file(working) as inner:
+            inner.write_text("b")
+        write_text(tmp_path / "a.txt", "once more")
+    assert _names(tmp_path) == [".hidden-1.txt", "a.txt", "b.txt"]
+
+
+def test_results_survive_a_kill_between_the_two_renames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "results"
+    _write_results(folder, "a.csv")
+    real = os.replace
+
+    def second_kills(source: Path, target: Path) -> None:
+        if Path(target) == folder:
+            _kill()
+        real(source, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(files.os, "replace", second_kills)
+        _killed(lambda: _write_results(folder, "b.csv"))
+    assert not folder.exists()
+    with pytest.raises(RuntimeError), replacing_folder(folder):
+        raise RuntimeError
+    assert _names(folder) == ["a.csv", "summary.json"]
+    assert _names(tmp_path) == ["results"]
+
+
+def test_a_disk_without_locks_is_written_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    write_text(tmp_path / "a.txt", "a")
+    _write_results(tmp_path / "results", "b.csv")
+    _write_results(tmp_path / "results", "c.csv")
+    assert _names(tmp_path) == ["a.txt", "results"]
+    assert _names(tmp_path / "results") == ["c.csv", "summary.json"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from types import MappingProxyType
 
@@ -9,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import zoo
+from engine_oracles import random_tree
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -122,6 +124,14 @@ def test_jacobian_and_bias_are_derivatives_on_and_off_the_manifold(axes: tuple[s
     assert_derivatives(system, np.concatenate([on, off]), rng)
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_an_open_tree_has_no_rows(count: int) -> None:
+    robot = random_tree(0)
+    state = ConstraintSystem(robot).evaluate(np.tile(robot.q_reference, (count, 1)))
+    assert state.phi.shape == (count, 0)
+    assert state.Jc.shape == (count, 0, robot.model.nv)
+
+
 def assert_derivatives(system: ConstraintSystem, q: np.ndarray, rng: np.random.Generator) -> None:
     model = system.robot.model
     state = system.evaluate(q)
@@ -142,6 +152,16 @@ def test_derivatives_on_shipped_robots(shipped: Robot) -> None:
     open_q, _ = zoo.random_tree(shipped, 4, 3)
     q = np.concatenate([open_q, zoo.random_closed(shipped, 4, 3)])
     assert_derivatives(zoo.system_of(shipped), q, np.random.default_rng(5))
+
+
+@pytest.mark.parametrize("joints", range(2, 18))
+def test_derivatives_at_one_sample_whatever_the_number_of_joints(joints: int) -> None:
+    """numpy 2.4.6 negates wrongly in place at some strides: with eight velocities, a row of one sample was lost."""
+    tree = random_tree(joints, joints)
+    closure = Closure("tie", f"frame_{joints - 1}", "frame_0", ("x", "z"))
+    system = ConstraintSystem(dataclasses.replace(tree, closures=(closure,)))
+    rng = np.random.default_rng(joints)
+    assert_derivatives(system, integrate(tree.model, tree.q_reference[None], rng.normal(size=(1, joints))), rng)
 
 
 @pytest.mark.parametrize("axis", AXES)

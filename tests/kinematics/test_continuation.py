@@ -7,10 +7,17 @@ import pytest
 import zoo
 
 from redundancy_pin.kinematics.assembly import assemble, project
-from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, Anchors, continuous, follow, initial_guess, reacquire
-from redundancy_pin.kinematics.coordinates import difference, row_scale
+from redundancy_pin.kinematics.continuation import (
+    ANCHOR_SPACING,
+    Anchors,
+    continuous,
+    follow,
+    follows,
+    initial_guess,
+    reacquire,
+)
+from redundancy_pin.kinematics.coordinates import difference, in_working_mode, row_scale
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.kinematics.modes import in_working_mode
 from redundancy_pin.robot import Robot
 
 
@@ -25,6 +32,13 @@ def test_anchors_are_dense_enough_and_no_denser(shipped: Robot) -> None:
     assert steps.max() <= allowed + sample
     length = np.linalg.norm(difference(shipped, x[1:], x[:-1]) * row_scale(shipped), axis=1).sum()
     assert len(anchors.position) <= length / allowed + 2
+
+
+def test_a_step_follows_if_it_is_what_the_trapezoidal_rule_predicts() -> None:
+    """q̇ = Γ ẋ with Γ = 1 and then 3: an increment of 0.1 moves q by 0.2, not back, by nothing, or thrice as far."""
+    gamma0, gamma1 = np.full((4, 2, 1), 1.0), np.full((4, 2, 1), 3.0)
+    step = np.array([0.2, -0.2, 0.0, 0.6])[:, None] * np.ones(2)
+    assert follows(step, gamma0, gamma1, np.full((4, 1), 0.1)).tolist() == [True, False, False, False]
 
 
 def test_anchors_fill_in_between_sparse_samples() -> None:
@@ -113,7 +127,7 @@ def test_reacquire_finds_the_first_pose_in_the_mode(nothing_within: bool) -> Non
         assert found is None
     else:
         assert found is not None
-        index, (_, q, gamma) = found
+        index, (_, q, gamma, _) = found
         assert index == int(np.argmax(heights < np.sqrt(1 - 0.25**2)))
         assert in_working_mode(robot, q[None])[0]
         assert np.isfinite(gamma).all()

@@ -11,7 +11,13 @@ import zoo
 from spatial_chains import chain_of
 
 from redundancy_pin.kinematics.assembly import integrate
-from redundancy_pin.kinematics.modes import all_working_modes, in_working_mode, mode_indicator, mode_name, working_modes
+from redundancy_pin.kinematics.coordinates import (
+    all_working_modes,
+    in_working_mode,
+    mode_indicator,
+    mode_name,
+    working_modes,
+)
 from redundancy_pin.robot import Robot
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from prescribed import reduced
 
-from redundancy_pin.planners.functions import PlanFunctions
+from redundancy_pin.planners.functions import DEGREE, PlanFunctions, apart
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times, continuous_motion
 
 
 def functions(**options: object) -> PlanFunctions:
@@ -30,3 +32,22 @@ def test_prescribed_efforts_stand_over_their_own_interval_only() -> None:
     along = reduced([[[2.0]]] * 4, [[6.0]] * 4)
     part = PiecewisePolynomial.constant(np.array([7.0]), float(along.t[1]), float(along.t[2]))
     assert functions(prescribed=(part,)).efforts(along)[:, 0].tolist() == [3.0, 7.0, 7.0, 3.0]
+
+
+def test_beside_a_singular_instant_the_efforts_are_continued_and_rounding_is_not_magnified() -> None:
+    """τ = (1 + t)² after a singular instant beside which W, f and its rounding are all that W⁻¹ f has to go by."""
+    edges = np.array([0.0, 0.01])
+    t = chebyshev_times(edges, DEGREE)
+    W, tau = t, (1.0 + t) ** 2
+    rounding = 1e-9 * np.where(t < 0.003, W.max(), 0.0) * np.resize([1.0, -1.0], len(t))
+    along = replace(reduced(W[:, None, None], (W * tau + rounding)[:, None]), t=t)
+    naive = (W * tau + rounding) / W - tau
+    for limits in ({0.0: np.array([1.0])}, {0.0 + 1e-15: np.array([1.0])}):
+        ours = functions().effort_polynomials(edges, along, limits)(t)[:, 0] - tau
+        assert np.abs(naive).max() > 5e-8
+        assert np.abs(ours).max() < 1e-12
+
+
+def test_of_times_within_rounding_the_first_is_kept_and_both_ends_are() -> None:
+    times = np.array([0.0, 1e-13, 0.3, 0.3 + 1e-12, 0.5, 1.0 - 1e-13, 1.0])
+    assert apart(times).tolist() == [0.0, 0.3, 0.5, 1.0]

@@ -69,7 +69,8 @@ def by_hand(plan, t, tau, rate, force, sd):
     count = len(t)
     motion = PlatformMotion(t, np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2)))
     carriers = CarrierMotion(np.zeros((count, 2)), sd, np.zeros((count, 2)))
-    return replace(plan, motion=motion, carriers=carriers, tau=tau, actuated_rate=rate, carrier_force=force)
+    efforts = {"tau": tau, "actuated_rate": rate, "carrier_force": force}
+    return replace(plan, motion=motion, carriers=carriers, **efforts, functions=None, between=None)
 
 
 def test_energies_and_rms_of_a_plan_written_down(crossing):

@@ -113,7 +113,9 @@ def test_defaults_are_evaluated_by_xacro_and_whole_numbers_stay_whole(tmp_path):
     path.write_text("""<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
       <xacro:arg name="a" default="0.5"/><xacro:arg name="b" default="$(arg a)"/>
       <xacro:arg name="c" default="${2 * 0.25}"/><xacro:arg name="n" default="1"/>
-      <link name="leg_$(arg n)"/><link name="${'b' * $(arg n)}_${2 * $(arg b)}_${2 * $(arg c)}"/></robot>""")
+      <link name="leg_$(arg n)"/><link name="${'b' * $(arg n)}_${2 * $(arg b)}_${2 * $(arg c)}"/>
+      <joint name="j" type="fixed"><parent link="leg_$(arg n)"/>
+        <child link="${'b' * $(arg n)}_${2 * $(arg b)}_${2 * $(arg c)}"/></joint></robot>""")
     urdf, parameters = render(path, {})
     assert parameters == {"a": 0.5, "b": 0.5, "c": 0.5, "n": 1.0}
     assert 'name="leg_1"' in urdf

@@ -178,3 +178,8 @@ def test_declarations_of_the_wrong_form_say_what_is_allowed(
 ) -> None:
     with pytest.raises(DeclarationError, match=message):
         load(tmp_path, FIVE_BAR, **changes)
+
+
+def test_a_robot_prints_its_mode_with_a_sign_a_leg() -> None:
+    assert "+-+" in repr(load_robot("3rrr", working_mode=(1, -1, 1)))
+    assert "-+-" in repr(load_robot("3rrr", working_mode=(-1, 1, -1)))

@@ -107,11 +107,11 @@ def test_inverse_dynamics_are_differentiated_along_the_closures(name: str) -> No
         there, second = nearby.at(dy, dz), rate + da
         motion = PlatformMotion([0.0], np.array(there.x)[None], there.xd[None], second[None, : robot.n])
         carriers = CarrierMotion(there.s[None], there.sd[None], second[None, robot.n :])
-        reduced = inverse_dynamics(robot, motion, carriers).reduced
+        _, reduced = inverse_dynamics(robot, motion, carriers)
         return np.concatenate([reduced.f[0], reduced.carrier_force[0]])
 
     motion = PlatformMotion([0.0], np.array(state.x)[None], state.xd[None], rate[None, : robot.n])
-    along = inverse_dynamics(robot, motion, CarrierMotion(state.s[None], state.sd[None], rate[None, robot.n :]))
+    along, _ = inverse_dynamics(robot, motion, CarrierMotion(state.s[None], state.sd[None], rate[None, robot.n :]))
     found = inverse_derivatives(robot, state.q, state.v, along.a[0])
     np.testing.assert_allclose(found.force, force(zero, zero, zero), rtol=1e-9, atol=1e-9)
     for ours, theirs in (

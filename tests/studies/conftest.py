@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from small_maps import quick
 
-from redundancy_pin.studies.feasibility import Cell, MapProblem, sweep
-from redundancy_pin.studies.feasibility.sweep import Key
+from redundancy_pin.studies import feasibility
+from redundancy_pin.studies.feasibility import Cell, Key, MapProblem
 
 
 @pytest.fixture
@@ -18,5 +18,5 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[Key]:
         keys.append((planner, x, y))
         return quick(problem, planner, x, y)
 
-    monkeypatch.setattr(sweep, "compute", compute)
+    monkeypatch.setattr(feasibility, "compute", compute)
     return keys

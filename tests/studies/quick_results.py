@@ -16,9 +16,9 @@ from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
 from redundancy_pin.studies import reproduce as job
 from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.cases import BY_NAME, QUICK
+from redundancy_pin.studies.figures import Picture
 from redundancy_pin.studies.motions import MotionRun, run
 from redundancy_pin.studies.reproduce import Reproduction
-from redundancy_pin.visualisation.figures import style
 
 PASSED = CrossCheckReport((CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True),), 0)
 """The cross-check has tests of its own."""
@@ -35,13 +35,18 @@ def motion_run(name: str, dt: float = 0.01) -> MotionRun:
     return run(motion(name, dt))
 
 
+def undraw(patched: pytest.MonkeyPatch) -> None:
+    """Let the job write pictures of nothing: they cost most of its time, and have a test of their own."""
+    patched.setattr(Picture, "draw", lambda self, results: None)
+    patched.setattr(job, "save", lambda figure, *paths: [path.write_bytes(b"\x89PNG") for path in paths])
+
+
 @functools.cache
 def reproduction(*chapters: str) -> Reproduction:
-    """Run the main job quickly: one motion without a planner, and chapters."""
+    """Run the main job quickly: one motion without a planner, and chapters; its pictures are empty."""
     folder = Path(tempfile.mkdtemp()) / "results"
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(job, "PICTURE_SUFFIXES", (".png",))  # half the time
-        patched.setitem(style._SETTINGS, "savefig.dpi", 40)
+        undraw(patched)
         patched.setattr(job.crosscheck, "run", lambda *_: PASSED)
         return job.reproduce(folder, [motion("corner-r0.025-baseline")], extent=replace(QUICK, chapters=chapters))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from redundancy_pin.errors import InputError
 from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, Cell, MapProblem, Verdict
 
 COARSE = {WHOLE: {"dt": 0.03, "refinements": 0}, SWITCH_OFF: {"threshold": 20.0, "return_time": "shortest", "dt": 5e-3}}
@@ -49,3 +50,15 @@ def slow(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
     """The same in a worker, slowly enough to be interrupted."""
     time.sleep(0.3)
     return quick(problem, planner, x, y)
+
+
+def place(number: int) -> int:
+    """Its argument, whichever process is asked first."""
+    return number
+
+
+def refuses(number: int) -> int:
+    """A call that fails on the fewest of arguments."""
+    if number == 1:
+        raise InputError("One is the fewest.", remedy="Pass two.")
+    return number

@@ -23,7 +23,6 @@ from redundancy_pin.studies.beyond import (
     rises,
     starts_record,
     targets,
-    trade_record,
 )
 from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import (
@@ -32,7 +31,6 @@ from redundancy_pin.studies.cases import (
     PARKED,
     PEAK,
     PEAK_FREE,
-    QUICK,
     SINGULAR,
     SMOOTH,
     STEPWISE,
@@ -208,7 +206,8 @@ def test_optima_are_counted() -> None:
 
 
 def test_trade_off_is_ordered() -> None:
-    record = trade_record(Plans(), TURNS[0], QUICK)
+    record = chapter()["trade_off"][1]
+    assert record["task"] == TURNS[0].name
     assert record["monotone"]
     first, last = record["points"][0], record["points"][-1]
     assert first["rms_effort"] < last["rms_effort"]

@@ -15,6 +15,7 @@ import pytest
 from small_maps import corner, crossing
 
 from redundancy_pin.errors import InfeasiblePlanError, InputError, OutputError, RedundancyPinError
+from redundancy_pin.studies import feasibility
 from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.feasibility import (
     STEPWISE,
@@ -22,12 +23,11 @@ from redundancy_pin.studies.feasibility import (
     WHOLE,
     Axis,
     Cell,
+    Key,
     MapProblem,
     Verdict,
     feasibility_map,
-    sweep,
 )
-from redundancy_pin.studies.feasibility.sweep import Key
 
 HERE = Path(__file__).resolve().parent
 
@@ -38,8 +38,9 @@ KILLED = """
 import sys
 sys.path.insert(0, {here!r})
 import small_maps
-from redundancy_pin.studies.feasibility import feasibility_map, sweep
-sweep.compute = small_maps.slow
+from redundancy_pin.studies import feasibility
+from redundancy_pin.studies.feasibility import feasibility_map
+feasibility.compute = small_maps.slow
 feasibility_map(small_maps.corner(), {store!r}, jobs=2, progress=lambda done, total, what: print(done, flush=True))
 """
 
@@ -110,7 +111,7 @@ def test_a_robot_whose_file_has_changed_is_another_problem(
     tmp_path: Path, computed: list[Key], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     feasibility_map(corner(), tmp_path / "store", jobs=1)
-    monkeypatch.setattr(sweep, "fingerprint", lambda robot: "another")
+    monkeypatch.setattr(feasibility, "fingerprint", lambda robot: "another")
     with pytest.raises(OutputError, match="machine"):
         feasibility_map(corner(), tmp_path / "store", jobs=1)
 
@@ -127,7 +128,7 @@ def test_a_cell_without_meaning_is_damage(tmp_path: Path, computed: list[Key]) -
 
 def test_cells_survive_the_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = (Verdict.INFEASIBLE, ("track", "end"), "c", 0.1, float("nan"), None, 1.1, 0.5, "", "ü", {"a": [1.0, "b"]})
-    monkeypatch.setattr(sweep, "compute", lambda problem, *key: Cell(*key, *given))
+    monkeypatch.setattr(feasibility, "compute", lambda problem, *key: Cell(*key, *given))
     before = feasibility_map(corner(), tmp_path / "store", jobs=1)
     again = feasibility_map(corner(), tmp_path / "store", jobs=1)
     assert [cell.as_dict() for cell in again.cells] == [cell.as_dict() for cell in before.cells]
@@ -171,7 +172,7 @@ def _die(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
 
 
 def test_a_worker_that_dies_is_one_clear_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(sweep, "compute", _die)
+    monkeypatch.setattr(feasibility, "compute", _die)
     with pytest.raises(RedundancyPinError, match="worker process died"):
         feasibility_map(crossing(), tmp_path / "store", jobs=2)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -24,8 +25,8 @@ from redundancy_pin.studies.feasibility import (
     Verdict,
     compute,
     feasibility_map,
+    judge,
 )
-from redundancy_pin.studies.feasibility.sweep import judge
 from redundancy_pin.trajectory import reference
 
 pytest.importorskip("casadi")
@@ -35,14 +36,20 @@ SOLVER = 1e-6
 """Relative difference of an optimum that is found twice, from limits that differ by rounding."""
 
 
-@pytest.fixture(scope="module")
-def circle() -> FeasibilityMap:
-    return feasibility_map(crossing(), jobs=1)
+SCALES = ["corners", pytest.param("whole", marks=pytest.mark.long)]
+"""The four outermost cells of a map, of which each planner can do some and not others; and all of them."""
 
 
-@pytest.fixture(scope="module")
-def bend() -> FeasibilityMap:
-    return feasibility_map(corner(), jobs=1)
+@pytest.fixture(scope="module", params=SCALES)
+def circle(request: pytest.FixtureRequest) -> FeasibilityMap:
+    axes = {"x": Axis("speed", (0.4, 2.0)), "y": Axis("stroke", (0.05, 1.0))} if request.param == "corners" else {}
+    return feasibility_map(crossing(**axes), jobs=1)
+
+
+@pytest.fixture(scope="module", params=SCALES)
+def bend(request: pytest.FixtureRequest) -> FeasibilityMap:
+    axes = {"x": Axis("speed", (0.1, 0.3)), "y": Axis("stroke", (0.02, 2.0))} if request.param == "corners" else {}
+    return feasibility_map(corner(**axes), jobs=1)
 
 
 # ------------------------------------------------------------------------- the planners asked directly, by other means
@@ -55,23 +62,28 @@ def _whole(dynamics: Any, motion: Any, **given: Any) -> Plan | None:
         return None
 
 
-def test_whole_trajectory_cells_are_those_of_the_planner(circle: FeasibilityMap, bend: FeasibilityMap) -> None:
+def _require_cells_of_the_planner(result: FeasibilityMap, dynamics: Any, make: Callable[[float], Any]) -> None:
     """The limits go in as keywords of the planner here, not as limits of the robot."""
-    flat, turning = rp.VirtualWork(rp.load_robot("2rpr")), rp.VirtualWork(rp.load_robot("3rrr", working_mode=(1, 1, 1)))
-    for found, dynamics, make in (
-        (circle, flat, lambda v: reference.circle(speed=v, ramp_length=0.1 * v)),
-        (bend, turning, lambda v: reference.corner(speed=v)),
-    ):
-        effort = found.problem.limits.get("max_effort")
-        for cell in found.of(WHOLE):
-            plan = _whole(dynamics, make(cell.x), track=[-0.5 * cell.y, 0.5 * cell.y], effort=effort)
-            expected = Verdict.INFEASIBLE if plan is None else Verdict.FEASIBLE
-            assert cell.verdict is expected, cell
-            if plan is not None:
-                assert plan.status is PlanStatus.WITHIN_LIMITS
-                ratio = plan.diagnostics["dense_check"]["ratio"]  # type: ignore[index]
-                assert cell.dense_ratio == pytest.approx(ratio, rel=1e-3)
-                assert cell.peak_effort == pytest.approx(plan.peak_effort.max() * max(1.0, ratio), rel=1e-3)
+    effort = result.problem.limits.get("max_effort")
+    for cell in result.of(WHOLE):
+        plan = _whole(dynamics, make(cell.x), track=[-0.5 * cell.y, 0.5 * cell.y], effort=effort)
+        expected = Verdict.INFEASIBLE if plan is None else Verdict.FEASIBLE
+        assert cell.verdict is expected, cell
+        if plan is not None:
+            assert plan.status is PlanStatus.WITHIN_LIMITS
+            assert plan.between is not None
+            assert cell.dense_ratio == pytest.approx(plan.between.ratio, rel=1e-3)
+            assert cell.peak_effort == pytest.approx(plan.peak_effort.max(), rel=1e-3)
+
+
+def test_whole_trajectory_cells_of_a_crossing_are_those_of_the_planner(circle: FeasibilityMap) -> None:
+    dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
+    _require_cells_of_the_planner(circle, dynamics, lambda v: reference.circle(speed=v, ramp_length=0.1 * v))
+
+
+def test_whole_trajectory_cells_of_a_corner_are_those_of_the_planner(bend: FeasibilityMap) -> None:
+    dynamics = rp.VirtualWork(rp.load_robot("3rrr", working_mode=(1, 1, 1)))
+    _require_cells_of_the_planner(bend, dynamics, lambda v: reference.corner(speed=v))
 
 
 def test_switch_off_cells_are_those_of_the_planner(circle: FeasibilityMap) -> None:
@@ -113,30 +125,45 @@ def test_stepwise_cells_are_those_of_the_planner(bend: FeasibilityMap) -> None:
         plan = rp.plan_stepwise(
             dynamics, reference.corner(speed=cell.x), dt=5e-3, track=[-0.5 * cell.y, 0.5 * cell.y], between=3
         )
-        kept = plan.status is PlanStatus.WITHIN_LIMITS and plan.peak_effort.max() <= 5.0
+        kept = plan.status is PlanStatus.WITHIN_LIMITS and plan.peak_effort_at_samples.max() <= 5.0
         assert cell.verdict is (Verdict.FEASIBLE if kept else Verdict.INFEASIBLE), cell
         if not kept:
-            assert cell.limits == ("effort",)
-            assert cell.amount == pytest.approx(plan.peak_effort.max() - 5.0, rel=SOLVER)
+            assert cell.limits[0] == "effort"
+            assert set(cell.limits) <= {"effort", "track"}  # a stop by steps may pass the end between two of them
+            assert cell.amount == pytest.approx(plan.peak_effort_at_samples.max() - 5.0, rel=SOLVER)
 
 
-def test_both_verdicts_occur(circle: FeasibilityMap, bend: FeasibilityMap) -> None:
+def _require_both_verdicts(result: FeasibilityMap) -> None:
     """Else the tests above would say little."""
-    for found in (circle, bend):
-        for planner in found.problem.planners:
-            assert {cell.verdict for cell in found.of(planner)} == {Verdict.FEASIBLE, Verdict.INFEASIBLE}
+    for planner in result.problem.planners:
+        assert {cell.verdict for cell in result.of(planner)} == {Verdict.FEASIBLE, Verdict.INFEASIBLE}
+
+
+def test_both_verdicts_occur_on_a_crossing(circle: FeasibilityMap) -> None:
+    _require_both_verdicts(circle)
+
+
+def test_both_verdicts_occur_on_a_corner(bend: FeasibilityMap) -> None:
+    _require_both_verdicts(bend)
 
 
 # ---------------------------------------------------------------------------------------------------------- physics
 
 
-def test_more_stroke_never_makes_a_feasible_motion_infeasible(circle: FeasibilityMap, bend: FeasibilityMap) -> None:
+def _require_more_with_more_stroke(result: FeasibilityMap) -> None:
     """A plan on a short track is one on a longer track, too."""
-    for found in (circle, bend):
-        for x in found.problem.x.values:
-            column = sorted((cell for cell in found.of(WHOLE) if cell.x == x), key=lambda cell: cell.y)
-            possible = [cell.possible for cell in column]
-            assert possible == sorted(possible), column  # type: ignore[type-var]
+    for x in result.problem.x.values:
+        column = sorted((cell for cell in result.of(WHOLE) if cell.x == x), key=lambda cell: cell.y)
+        possible = [cell.possible for cell in column]
+        assert possible == sorted(possible), column  # type: ignore[type-var]
+
+
+def test_more_stroke_never_makes_a_feasible_crossing_infeasible(circle: FeasibilityMap) -> None:
+    _require_more_with_more_stroke(circle)
+
+
+def test_more_stroke_never_makes_a_feasible_corner_infeasible(bend: FeasibilityMap) -> None:
+    _require_more_with_more_stroke(bend)
 
 
 def test_a_slower_platform_needs_less(bend: FeasibilityMap) -> None:
@@ -245,7 +272,7 @@ def test_a_plan_that_breaks_limits_of_the_carriers_is_none() -> None:
 
 
 def test_a_plan_beyond_the_effort_limit_is_none(planned: Plan) -> None:
-    peak = float(planned.peak_effort.max())
+    peak = float(planned.peak_effort_at_samples.max())
     cell = _judged(planned, 0.9 * peak)
     assert (cell.verdict, cell.limits) == (Verdict.INFEASIBLE, ("effort",))
     assert cell.amount == pytest.approx(0.1 * peak)
@@ -255,8 +282,9 @@ def test_a_plan_beyond_the_effort_limit_is_none(planned: Plan) -> None:
 
 
 def test_efforts_that_the_nodes_do_not_show_leave_the_cell_unknown(planned: Plan) -> None:
-    check = {**planned.diagnostics["dense_check"], "ratio": 1.5}  # type: ignore[dict-item]
-    cell = _judged(replace(planned, diagnostics={"dense_check": check}), 1.1 * float(planned.peak_effort.max()))
+    assert planned.between is not None
+    between = replace(planned.between, ratio=1.5, peak=1.5 * planned.peak_effort_at_samples)
+    cell = _judged(replace(planned, between=between), 1.1 * float(planned.peak_effort_at_samples.max()))
     assert cell.verdict is Verdict.FAILED
     assert "not resolved" in cell.message
 

@@ -52,8 +52,8 @@ def test_motors_that_are_off_need_no_force() -> None:
     off = np.flatnonzero(plan.phase == plan.phases.index("off"))[3:-3]
     sdd = np.array(plan.carriers.sdd)
     sdd[off] += 1e3  # would take forces of kilonewtons, were the motors on
-    shaken = replace(plan, carriers=CarrierMotion(plan.carriers.s, plan.carriers.sd, sdd))
-    assert dense_peak(CIRCLE, plan) == dense_peak(CIRCLE, shaken)
+    shaken = replace(plan, carriers=CarrierMotion(plan.carriers.s, plan.carriers.sd, sdd), functions=None)
+    assert dense_peak(CIRCLE, plan) == pytest.approx(dense_peak(CIRCLE, shaken), rel=1e-6)
 
 
 def test_numbers_of_a_switch_off_plan() -> None:

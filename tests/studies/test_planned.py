@@ -81,7 +81,7 @@ def test_ranges_contain_the_run_they_vary() -> None:
 
 def test_actuators_do_at_least_the_work_that_the_platform_gains_and_loses() -> None:
     """Without gravity ∫ Σ |power| dt is no less than the total variation of the kinetic energy."""
-    plans = Plans()
+    plans = quick_results.reproduction("planned").results.plans
     for record in chapter()["fair_comparison"]:
         if record["motion"].startswith("corner") and not record["what"].startswith(MOVING):
             case = next(case for case in CORNERS if case.name.startswith(record["motion"]))
@@ -92,7 +92,7 @@ def test_actuators_do_at_least_the_work_that_the_platform_gains_and_loses() -> N
 
 @pytest.mark.parametrize("mode", [(1, 1, 1), (-1, -1, -1)])
 def test_known_answers_in_a_working_mode(mode: tuple[int, ...]) -> None:
-    runs = planned.runs_of(Plans(), mode)
+    runs = planned.runs_of(quick_results.reproduction("planned").results.plans, mode)
     for name, answers in KNOWN.items():
         holds, number = getattr(planned, name)(runs)
         assert holds == answers[mode], (name, number)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,10 +19,10 @@ from redundancy_pin.dynamics.virtual_work import VirtualWorkAlongMotion
 from redundancy_pin.errors import CrossCheckError, OutputError
 from redundancy_pin.studies import reproduce as job
 from redundancy_pin.studies.cases import CHAPTERS, FULL
-from redundancy_pin.studies.figures import THESIS, pictures
-from redundancy_pin.studies.report import html
-from redundancy_pin.studies.reproduce import Reproduction
+from redundancy_pin.studies.figures import THESIS, Picture, pictures
+from redundancy_pin.studies.reproduce import Reproduction, html
 from redundancy_pin.visualisation.figures import style
+from redundancy_pin.visualisation.figures.style import save
 
 reproduce = functools.partial(job.reproduce, extent=replace(FULL, chapters=()), samples=4)
 """The job without chapters, which are run once in ``quick_results``; the cross-check has tests of its own."""
@@ -85,9 +85,19 @@ def test_csv_holds_both_backends_and_the_singular_instants(done: Reproduction) -
     assert all(row["tau0"] == "nan" and float(row["residual"]) > 0.1 for row in singular)
 
 
-def test_the_same_run_gives_the_same_bytes(done: Reproduction, tmp_path: Path) -> None:
-    again = reproduce(tmp_path / "again", [motion(name) for name in NAMES])
-    for path in done.folder.iterdir():
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures are empty."""
+    quick_results.undraw(monkeypatch)
+
+
+@pytest.mark.parametrize("names", [NAMES[:1], pytest.param(NAMES, marks=pytest.mark.long)])
+def test_the_same_run_gives_the_same_bytes(names: tuple[str, ...], done: Reproduction, tmp_path: Path) -> None:
+    """Of one motion the files of its own, of all of them summary and report too."""
+    again = reproduce(tmp_path / "again", [motion(name) for name in names])
+    same = [path for path in done.folder.iterdir() if names == NAMES or path.name.startswith(names[0])]
+    assert len(same) >= 5
+    for path in same:
         assert path.read_bytes() == (again.folder / path.name).read_bytes(), path.name
 
 
@@ -105,6 +115,24 @@ def test_reports_show_every_figure_and_link_to_files_that_exist(chapter: str, do
     listed = json.loads((made.folder / "summary.json").read_text())["files"]
     assert sorted([*listed, "summary.json"]) == sorted(path.name for path in made.folder.iterdir())
     assert len(require_self_contained((made.folder / "report.html").read_text())) == len(drawn)
+
+
+def one_of_each(drawn: list[Picture]) -> list[Picture]:
+    """Pictures by functions of their own; the others differ in their case."""
+    return list({picture.function: picture for picture in drawn}.values())
+
+
+@pytest.mark.parametrize("choose", [one_of_each, pytest.param(list, marks=pytest.mark.long)], ids=["some", "all"])
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_figures_can_be_drawn(chapter: str, choose: Callable[[list[Picture]], list[Picture]], tmp_path: Path) -> None:
+    results = reproduction(chapter).results
+    drawn = choose(pictures(results)[chapter])
+    assert drawn
+    for picture in drawn:
+        figure = picture.draw(results)
+        assert all(axes.has_data() or axes.texts for axes in figure.axes), picture.stem
+        save(figure, tmp_path / f"{picture.stem}.png")
+        assert (tmp_path / f"{picture.stem}.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_every_result_figure_of_the_thesis_is_drawn() -> None:
@@ -134,6 +162,7 @@ def test_html_escapes_text_colours_verdicts_and_embeds_pictures(tmp_path: Path) 
         html(markdown + "\n![a](picture.png)\n", tmp_path / "elsewhere")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_earlier_results_are_replaced_as_a_whole(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     reproduce(folder, [motion(BASELINE)])
@@ -143,6 +172,7 @@ def test_earlier_results_are_replaced_as_a_whole(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["results"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_failure_midway_keeps_earlier_results_or_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +225,7 @@ def test_a_folder_that_cannot_be_written_is_refused_first(
         assert (folder / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_progress_counts_up_to_the_total(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     reproduce(tmp_path / "results", [motion(BASELINE)], progress=lambda done, total, what: told.append((done, total)))

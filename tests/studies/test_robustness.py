@@ -265,7 +265,7 @@ def test_another_study_is_refused_and_named(begun: dict, monkeypatch: pytest.Mon
         patched.setitem(bryson_weights.__kwdefaults__, "carrier", 0.02)
         refused(r"for LQR\.carrier it has 0\.01, now it is 0\.02")
     with monkeypatch.context() as patched:
-        patched.setattr(study, "_version", lambda name: "9" if name == "scipy" else "")
+        patched.setattr(study, "versions", lambda *names: {**dict.fromkeys(names, ""), "scipy": "9"})
         refused(r"for libraries\.")
     with monkeypatch.context() as patched:
         patched.setattr(study, "code_digest", lambda: "another")

@@ -220,8 +220,100 @@ def test_a_damaged_store_is_named(tmp_path: Path) -> None:
         refused(opened(path), "Record 2 of the store .* damaged")
 
 
+def test_a_store_that_would_compute_its_records_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "store"
+    filled(path)
+    endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS record FROM n"
+    with sqlite3.connect(path) as raw:
+        raw.execute("DROP TABLE record")
+        raw.execute(f"CREATE VIEW record AS {endless}")
+    raw.close()
+    refused(opened(path), "no store of a map")
+
+
+@pytest.mark.parametrize("identity", ["{torn", "3", "[1]", "[" * 100_000, None])
+def test_a_damaged_identity_is_named(identity: str | None, tmp_path: Path) -> None:
+    path = tmp_path / "store"
+    filled(path)
+    with sqlite3.connect(path) as raw:
+        raw.execute("UPDATE study SET identity = ?", (identity,))
+    raw.close()
+    refused(opened(path), "identity in the store .* is damaged")
+
+
+def test_a_table_whose_text_is_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "store"
+    filled(path)
+    path.write_bytes(path.read_bytes().replace(b"CREATE TABLE study", b"CREATE \xffABLE study"))
+    refused(opened(path), "store")
+
+
+def test_a_pipe_is_no_store(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "store")
+    refused(opened(tmp_path / "store"), "pipe or a device")
+
+
 def test_what_version_0_1_0_kept_is_not_ignored_in_silence(tmp_path: Path) -> None:
     (tmp_path / OLD_FILE).write_text("{}\n")
     refused(opened(tmp_path / FILE), r"version 0\.1\.0.*delete that file")
     filled(tmp_path / "of_a_name_of_its_own")
     filled(tmp_path / "new" / "folder" / FILE)
+
+
+# ------------------------------------------------------------------------------------------------- links, modes, places
+
+
+def test_records_that_are_put_together_are_there_together(tmp_path: Path) -> None:
+    with opened(tmp_path / "store") as store:
+        store.put(piece(0), piece(1))
+        with pytest.raises(TypeError):
+            store.put(piece(2), Piece(3, object()))  # type: ignore[arg-type]
+        store.put()
+        store.put(piece(4))
+    with opened(tmp_path / "store") as again:
+        assert list(again.records.values()) == [piece(0), piece(1), piece(4)]
+
+
+def test_a_store_behind_a_link_is_written_where_it_is(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    real, link, folder = tmp_path / "disk" / "real", tmp_path / "store", tmp_path / "folder"
+    link.symlink_to(real)
+    folder.symlink_to(tmp_path / "disk")
+    filled(link)
+    assert link.is_symlink()
+    assert [path.name for path in (tmp_path / "disk").iterdir()] == ["real"]
+    for path in (real, link, folder / "real"):
+        with opened(path) as store:
+            assert len(store.records) == 3
+            for other in (real, link, folder / "real"):
+                refused(opened(other), "in use by another run")
+            # a kill now leaves its journal beside the file, where the next run looks for it
+            store.put(piece(0))
+            assert {place.name for place in (tmp_path / "disk").iterdir()} == {"real", "real-journal"}
+        real.unlink()
+        filled(real)
+    link.unlink()
+    link.symlink_to(tmp_path / "nowhere" / "real")
+    refused(opened(link), "there is no folder .*nowhere")
+
+
+def test_the_mode_of_a_store_stays_and_a_new_one_heeds_the_mask(tmp_path: Path) -> None:
+    mask = os.umask(0o027)
+    try:
+        filled(tmp_path / "new")
+    finally:
+        os.umask(mask)
+    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o640
+    (tmp_path / "new").chmod(0o604)
+    filled(tmp_path / "new")
+    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o604
+
+
+def test_a_read_only_store_is_refused_and_stays_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "store"
+    before = filled(path)
+    path.chmod(0o444)
+    refused(opened(path), "store: it is read-only")
+    assert path.read_bytes() == before
+    path.chmod(0o644)
+    filled(path)

@@ -50,6 +50,25 @@ def test_arc_length_is_met_on_wild_curves(seed, count, closed):
     np.testing.assert_allclose(chord[gentle], short, rtol=1e-5)
 
 
+@pytest.mark.parametrize("narrow", [0.1, 0.02, 0.005])
+def test_arc_length_is_met_next_to_a_cusp(narrow):
+    """There the speed |r'| falls to ``narrow`` of what it is elsewhere, and a Newton step leaves its panel."""
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, narrow]])
+    path = through_points(points)
+    knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    spline = CubicSpline(knots, points, bc_type="natural")
+    slope = spline.derivative()
+    p = path.length * np.array([0.1, 0.4, 0.49, 0.499, 0.5, 0.501, 0.51, 0.6, 0.9])
+    x, tangent, _ = path.evaluate(p)
+    np.testing.assert_allclose(np.linalg.norm(tangent, axis=1), 1.0, rtol=1e-12)
+    fine = np.linspace(0.0, knots[-1], 400_001)
+    speed = np.linalg.norm(slope(fine), axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(fine))])
+    # the trapezoid's own error is of the order of the square of its step of 5e-6, over the sharpness of the turn
+    np.testing.assert_allclose(x, spline(np.interp(p, arc, fine)), atol=2e-7)
+    assert path.length == pytest.approx(arc[-1], rel=1e-8)
+
+
 def test_points_of_a_circle_give_nearly_a_circle_with_a_smooth_seam():
     """Periodic cubic splines converge with the fourth power of the spacing; 64 points leave about 1e-6."""
     angle = np.arange(64) * 2 * np.pi / 64

@@ -17,10 +17,12 @@ from redundancy_pin.studies.feasibility import (
     FeasibilityMap,
     MapProblem,
     Verdict,
+    axis_label,
+    draw,
     spaced,
+    tiles,
     write_map,
 )
-from redundancy_pin.studies.feasibility.picture import axis_label, draw, tiles
 from redundancy_pin.visualisation.figures.feasibility_map import Tile, border_of, plot_feasibility
 
 pytest.importorskip("matplotlib")

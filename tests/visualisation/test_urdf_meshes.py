@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,11 @@ from written import J, urdf_of, write_robot
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
+from redundancy_pin.errors import ModelFileError
+from redundancy_pin.planners.robot_record import load_recorded, robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.view import show
+from redundancy_pin.visualisation.viewer import solids
 from redundancy_pin.visualisation.viewer.scene import Scene
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Solid, corners_of, find_mesh
 
@@ -170,6 +174,16 @@ def test_a_capsule_is_a_cylinder_and_two_spheres(tmp_path: Path) -> None:
     assert {solid.color for solid in (rod, low, high)} == {"#ff0000"}
 
 
+def test_a_shape_that_urdfdom_does_not_know_changes_no_mass(tmp_path: Path) -> None:
+    shape = '<geometry><capsule radius="0.05" length="0.4"/></geometry>'
+    urdf = urdf_of(JOINTS).replace('<link name="left_1">', f'<link name="left_1"><collision>{shape}</collision>')
+    robot = rp.load_robot(write_robot(tmp_path, urdf, DECLARATION))
+    assert robot.model.inertias[1] == robot_with(tmp_path, []).model.inertias[1]
+    broken = urdf.replace("<geometry>", '<origin xyz="1 2"/><geometry>')
+    with pytest.raises(ModelFileError, match=r"Link \[left_1\]"):
+        rp.load_robot(write_robot(tmp_path, broken, DECLARATION))
+
+
 def test_files_that_cannot_be_read_are_named_once_and_bars_stand_in(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -236,6 +250,49 @@ def test_where_a_mesh_is_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     (tmp_path / "share" / "installed" / "a.stl").touch()
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     assert find_mesh("package://installed/a.stl", "") == tmp_path / "share" / "installed" / "a.stl"
+
+
+OWN = ("own.stl", "file://{robot}/own.stl", "../meshes/package.stl", "package://mine/meshes/package.stl")
+ELSEWHERE = ("{elsewhere}/secret.stl", "file://{elsewhere}/secret.stl", "../../../elsewhere/secret.stl", "link.stl",
+             "package://elsewhere/secret.stl")  # fmt: skip
+
+
+@pytest.mark.parametrize("filename", [*OWN, *ELSEWHERE])
+def test_a_robot_that_a_file_names_is_drawn_with_its_own_meshes_only(
+    tmp_path: Path, filename: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Else the page of a stranger's plan, which goes to others, would hold any mesh of its reader's disk."""
+    places = {name: tmp_path / name for name in ("plans", "plans/mine", "plans/mine/robot", "plans/mine/meshes",
+                                                 "elsewhere")}  # fmt: skip
+    for place in places.values():
+        place.mkdir()
+    robot, elsewhere = places["plans/mine/robot"], places["elsewhere"]
+    (places["plans/mine"] / "package.xml").write_text("<package/>")
+    for file in (robot / "own.stl", places["plans/mine/meshes"] / "package.stl", elsewhere / "secret.stl"):
+        wedge().export(file)
+    (robot / "link.stl").symlink_to(elsewhere / "secret.stl")
+    name = filename.format(robot=robot, elsewhere=elsewhere)
+    made = robot_with(robot, [visual(f'<mesh filename="{name}"/>')])
+    assert len(shapes_on(scene_of(made), "left_base")) == 1
+    record = replace(robot_record(made), folder=str(places["plans"]))
+    assert len(shapes_on(scene_of(load_recorded(record, made.source)), "left_base")) == 1  # its user vouches for it
+    assert not caplog.records
+    drawn = shapes_on(scene_of(load_recorded(record)), "left_base")
+    assert len(drawn) == (filename in OWN)
+    assert ("outside the folder of its robot" in caplog.text) is (filename in ELSEWHERE)
+
+
+@pytest.mark.parametrize("name", ["large.stl", "scene.gltf"])
+def test_meshes_of_strangers_are_small_and_name_no_files(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(solids, "_LARGEST_MESH", 1000)
+    wedge().export(tmp_path / "wedge.stl")
+    (tmp_path / name).write_bytes((tmp_path / "wedge.stl").read_bytes() + bytes(1000 if name == "large.stl" else 0))
+    made = robot_with(tmp_path, [visual(f'<mesh filename="{file}"/>') for file in (name, "wedge.stl")])
+    scene = scene_of(load_recorded(replace(robot_record(made), folder=str(tmp_path))))
+    assert len(shapes_on(scene, "left_base")) == 1
+    assert f"{name} is" in caplog.text
 
 
 def test_snapshots_draw_the_outline_of_a_mesh(tmp_path: Path) -> None:

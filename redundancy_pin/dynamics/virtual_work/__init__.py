@@ -1,5 +1,216 @@
 """Inverse dynamics of the 2-RPR and the 3-RRR, derived by hand from the principle of virtual work."""
 
-from redundancy_pin.dynamics.virtual_work.backend import VirtualWork, VirtualWorkAlongMotion
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, read_only
+from redundancy_pin.dynamics.base import (
+    CarrierDerivatives,
+    Dynamics,
+    OnUnreachable,
+    ReducedDynamics,
+    require_choice,
+    require_matching_carriers,
+)
+from redundancy_pin.dynamics.virtual_work.mechanism import base_wrench, energy
+from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
+from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
+from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
+from redundancy_pin.robot import Robot
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
+
+Mechanism = TwoRprMechanism | ThreeRrrMechanism
+"""A mechanism in one working mode: ``legs`` solves the inverse displacement at (N, n) coordinates (gap, margin and
+Jacobian of each leg; NaN passes through), ``along`` returns the dynamics along a motion through them. Arrays are
+leg-major, (legs, N). Carrier i rides on leg i and acts on no other leg."""
+
+
+class VirtualWork(Dynamics):
+    """Hand-coded dynamics of the 2-RPR and the 3-RRR by the principle of virtual work.
+
+    It knows the robot by its parameters alone: neither the URDF nor Pinocchio takes part, so that it can judge the
+    backend that rests on them.
+
+    Args:
+        robot: a robot with a closed form ("2rpr" or "3rrr").
+
+    Raises:
+        UnsupportedRobotError: the robot declares no closed form, or one that is not known here.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._mechanism = _mechanism_of(robot)
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self._robot
+
+    def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> VirtualWorkAlongMotion:
+        """Solve the kinematics of a platform motion once, for many carrier motions.
+
+        The closed form keeps the robot's working mode by construction, so no ``WorkingModeError`` can arise; a
+        motion up to the edge of its mode meets the type I singularity there.
+
+        Raises:
+            InputError: the motion does not have the robot's coordinates, or a wrong ``unreachable``.
+            UnreachablePoseError: a leg does not reach (unless marked).
+            SingularPoseError: a leg is at a type I singularity (unless marked).
+        """
+        require_choice(unreachable)
+        require_sampled(motion)
+        rows = len(self._mechanism.angular_rows)
+        if motion.is_pose or motion.xd.shape[1] != rows:
+            raise InputError(
+                f"{self._robot.name} moves in {rows} platform coordinates; the motion has x of shape {motion.x.shape}.",
+                remedy=f"Pass x, xd and xdd of shape (N, {rows}).",
+                robot=self._robot.name,
+                axes=self._robot.platform.axes if self._robot.platform else self._robot.independent_joints,
+                poses=False,
+                given=motion.xd.shape[1],
+                given_poses=motion.is_pose,
+            )
+        legs = self._mechanism.legs(motion.x)
+        gap = legs.gap.max(axis=0)
+        bad_leg = (legs.gap > CLOSURE_TOLERANCE) | (legs.margin <= self._mechanism.least_margin)
+        reachable: BoolArray = np.logical_not(bad_leg.any(axis=0))
+        if not reachable.all():
+            if unreachable == "raise":
+                _refuse(legs, int(reachable.argmin()), self._robot, self._mechanism.least_margin)
+            # NaN in, NaN out: the samples to blank take part in the arithmetic, and in no warning.
+            legs = self._mechanism.legs(np.where(reachable[:, None], motion.x, np.nan))
+        return VirtualWorkAlongMotion(self._robot, self._mechanism, motion, legs, gap, reachable)
+
+
+class VirtualWorkAlongMotion(Frozen):
+    """Closed-form dynamics along one platform motion; obtained from ``VirtualWork.along``.
+
+    Rows of samples that are not reachable are NaN in every result. A carrier motion that does not fit the robot or the
+    platform motion raises ``InputError``.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        mechanism: Mechanism,
+        motion: PlatformMotion,
+        legs: Any,
+        gap: Array,
+        reachable: BoolArray,
+    ) -> None:
+        self._robot = robot
+        self._motion = motion
+        self._reachable = read_only(reachable)
+        self._all_reachable = bool(reachable.all())
+        self._gap = read_only(gap)
+        self._dynamics = mechanism.along(legs, motion.x, motion.xd, motion.xdd)
+        self._W = read_only(legs.jacobian.transpose(0, 2, 1))
+        length = robot.characteristic_length
+        self._row_scale = read_only(np.where(mechanism.angular_rows, length, 1.0))
+        self._column_scale = read_only(np.where(mechanism.angular_columns, length, 1.0))
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self._robot
+
+    @property
+    def motion(self) -> PlatformMotion:
+        """The platform motion."""
+        return self._motion
+
+    def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
+        """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
+        f, force = self._dynamics.efforts(*self._leg_major(carriers))
+        return ReducedDynamics(
+            t=self._motion.t,
+            f=self._result(np.ascontiguousarray(f.T)),
+            W=self._W,
+            carrier_force=self._result(np.ascontiguousarray(force[: self._robot.k].T)),
+            reachable=self._reachable,
+            gap=self._gap,
+            row_scale=self._row_scale,
+            column_scale=self._column_scale,
+        )
+
+    def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
+        """Return the exact derivatives of f and carrier forces by s, ṡ, s̈."""
+        k = self._robot.k
+        by_f, by_force = self._dynamics.effort_derivatives(*self._leg_major(carriers))
+        f = (self._result(np.moveaxis(part[:, :k], 2, 0).copy()) for part in by_f)
+        force = (self._result(part[:k].T[:, :, None] * np.eye(k)) for part in by_force)
+        return CarrierDerivatives(*f, *force)
+
+    def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
+        """Return (N, 6) the wrench of the robot on its base: weight less the rate of momentum.
+
+        Shaking force, N, and moment about the world origin, N·m, world axes. Gravity out of the plane enters here,
+        and here alone.
+        """
+        return self._result(base_wrench(self._dynamics.bodies(*self._leg_major(carriers)), self._robot.gravity))
+
+    def energy(self, carriers: CarrierMotion | None = None) -> Array:
+        """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
+        return self._result(energy(self._dynamics.bodies(*self._leg_major(carriers)), self._robot.gravity))
+
+    def _leg_major(self, carriers: CarrierMotion | None) -> tuple[Array, Array, Array]:
+        """Return s, ṡ, s̈ as (legs, N); zero where the robot has no carriers."""
+        samples = len(self._motion)
+        if carriers is not None:
+            require_matching_carriers(self._robot, carriers, samples)
+        if carriers is None or self._robot.k == 0:
+            zero = np.zeros((self._robot.m, samples))
+            return zero, zero, zero
+        s, sd, sdd = (np.ascontiguousarray(part.T) for part in (carriers.s, carriers.sd, carriers.sdd))
+        return s, sd, sdd
+
+    def _result(self, array: Array) -> Array:
+        if not self._all_reachable:
+            array[~self._reachable] = np.nan
+        return read_only(array)
+
+
+def _mechanism_of(robot: Robot) -> Mechanism:
+    kinds: dict[tuple[str | None, int], type[Mechanism]] = {
+        ("2rpr", 2): TwoRprMechanism,
+        ("3rrr", 3): ThreeRrrMechanism,
+    }
+    kind = kinds.get((robot.closed_form, len(robot.working_mode)))
+    if kind is not None:
+        return kind(robot.parameters, tuple(float(component) for component in robot.gravity), robot.working_mode)
+    declared = f"{robot.closed_form!r} and {len(robot.working_mode)} legs" if robot.closed_form else "neither"
+    raise UnsupportedRobotError(
+        f"Virtual work is written out for the 2-RPR (closed form '2rpr', two legs) and the 3-RRR ('3rrr', three legs); "
+        f"{robot.name} declares {declared}.",
+        remedy="Use RneaDynamics, which covers every robot.",
+        robot=robot.name,
+        closed_form=robot.closed_form,
+    )
+
+
+def _refuse(legs: TwoRprLegs | ThreeRrrLegs, sample: int, robot: Robot, least_margin: float) -> None:
+    gap, margin = legs.gap[:, sample], legs.margin[:, sample]
+    if gap.max() > CLOSURE_TOLERANCE:
+        leg = int(gap.argmax())
+        raise UnreachablePoseError(
+            f"{robot.name} does not reach sample {sample}: leg {leg + 1} misses the platform by {gap[leg]:.3g} m.",
+            remedy='Move the motion into the workspace, or pass unreachable="mark".',
+            sample=sample,
+            leg=leg,
+            gap=float(gap[leg]),
+        )
+    leg = int(margin.argmin())
+    raise SingularPoseError(
+        f"{robot.name} is at a type I singularity at sample {sample}: the rate of leg {leg + 1} is not determined "
+        f"(margin {margin[leg]:.3g}, at least {least_margin:.3g} is needed).",
+        remedy='Keep the motion away from the edge of the working mode, or pass unreachable="mark".',
+        sample=sample,
+        leg=leg,
+        margin=float(margin[leg]),
+    )

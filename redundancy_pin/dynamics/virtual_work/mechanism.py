@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,58 +60,6 @@ def signs(mode: Sequence[int], legs: int) -> Array:
     return np.array(mode, dtype=float)[:, None]
 
 
-class Legs(Protocol):
-    """The inverse displacement at sampled poses: enough to sort out bad poses before any rate is computed."""
-
-    @property
-    def gap(self) -> Array:
-        """(legs, N) what each leg lacks to close, m."""
-
-    @property
-    def margin(self) -> Array:
-        """(legs, N) distance of each leg from its type I singularity."""
-
-    @property
-    def jacobian(self) -> Array:
-        """(N, m, n) J with q̇_a = J ẋ."""
-
-
-class MechanismAlongMotion(Protocol):
-    """The dynamics of a mechanism along a motion of its platform, for any motion of its carriers, (legs, N) each."""
-
-    def efforts(self, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
-        """Return f, (n, N), and the carrier forces, (legs, N)."""
-
-    def effort_derivatives(self, s: Array, sd: Array, sdd: Array) -> tuple[Partials, Partials]:
-        """Return the derivatives of f, (n, legs, N), and of each carrier's force, (legs, N), by the carrier of the leg.
-
-        Carrier i rides on leg i and acts on no other leg.
-        """
-
-    def bodies(self, s: Array, sd: Array, sdd: Array) -> Iterable[PlanarBodies]:
-        """Return every body with its motion."""
-
-
-class Mechanism(Protocol):
-    """A mechanism with closed-form kinematics, in one working mode.
-
-    Attributes:
-        angular_rows: (n,) whether each platform coordinate is an angle.
-        angular_columns: (m,) whether each main actuator is revolute.
-        least_margin: margin of a leg at or below which a pose counts as singular (type I).
-    """
-
-    angular_rows: tuple[bool, ...]
-    angular_columns: tuple[bool, ...]
-    least_margin: float
-
-    def legs(self, x: Array) -> Any:
-        """Solve the inverse displacement at platform coordinates (N, n); returns ``Legs``. NaN passes through."""
-
-    def along(self, legs: Any, x: Array, xd: Array, xdd: Array) -> MechanismAlongMotion:
-        """Return the dynamics along a motion (N, n) through poses whose legs are solved."""
-
-
 def planar(x: Array, y: Array) -> ComplexArray:
     """Return vectors of the plane as x + iy."""
     return np.asarray(x + 1j * y, dtype=np.complex128)
@@ -160,13 +108,6 @@ class LinkFrames:
         """Return bodies that turn with the links, their centre of mass at ζ = (along) + i (across) the link.
 
         With u̇ = iω u: z = z_O + ζ u, v = v_O + (ζ̇ + iω ζ) u, a = a_O + (ζ̈ + 2iω ζ̇ + (iω̇ - ω²) ζ) u.
-
-        Args:
-            mass: of each body, kg.
-            inertia: of each about its centre of mass, kg·m².
-            zeta: ζ, (legs, N) or a number, m.
-            rate: ζ̇, m/s.
-            second_rate: ζ̈, m/s².
         """
         turn, u = 1j * self.spin, self.u
         curl = 1j * self.spin_rate - self.spin**2
@@ -182,16 +123,9 @@ class LinkFrames:
 
 
 def base_wrench(bodies: Iterable[PlanarBodies], gravity: Array) -> Array:
-    """Return the wrench of the bodies on the base: their weight less the rate of their momentum.
+    """Return (N, 6) force and moment of the bodies on the base: their weight less the rate of their momentum.
 
     The bodies stay in z = 0, so gravity along z enters the force along z and the moments about x and y only.
-
-    Args:
-        bodies: every body with mass.
-        gravity: (3,) acceleration of gravity in the base frame, m/s².
-
-    Returns:
-        (N, 6) force, N, and moment about the world origin, N·m, in world axes.
     """
     rows: Array | float = 0.0
     for body in bodies:
@@ -204,12 +138,7 @@ def base_wrench(bodies: Iterable[PlanarBodies], gravity: Array) -> Array:
 
 
 def energy(bodies: Iterable[PlanarBodies], gravity: Array) -> Array:
-    """Return (N,) kinetic plus potential energy, J; the potential energy -m g·r is zero at the world origin.
-
-    Args:
-        bodies: every body with mass.
-        gravity: (3,) acceleration of gravity in the base frame, m/s².
-    """
+    """Return (N,) kinetic plus potential energy, J; the potential energy -m g·r is zero at the world origin."""
     total: Array | float = 0.0
     for body in bodies:
         kinetic = 0.5 * body.mass * np.abs(body.velocity) ** 2 + 0.5 * body.inertia * body.spin**2

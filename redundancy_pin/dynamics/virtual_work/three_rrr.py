@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, checked, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, checked, read_only
 from redundancy_pin.dynamics.virtual_work.mechanism import (
     Lengths,
     LinkFrames,
@@ -81,7 +81,7 @@ class ThreeRrrGeometry(Lengths):
 
 
 @dataclass(frozen=True, eq=False)
-class ThreeRrrLegs:
+class ThreeRrrLegs(Frozen):
     """The legs of the 3-RRR at sampled platform poses, in one working mode; each array is (3, N).
 
     Attributes:

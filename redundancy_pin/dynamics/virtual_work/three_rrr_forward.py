@@ -22,7 +22,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, checked, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, checked, read_only
 from redundancy_pin.dynamics.virtual_work.three_rrr import CORNER_ANGLES, ThreeRrrGeometry
 from redundancy_pin.errors import SingularPoseError
 
@@ -45,7 +45,7 @@ bounces along the slack direction; the second phase leaves that alone and closes
 
 
 @dataclass(frozen=True, eq=False)
-class ThreeRrrAssembly:
+class ThreeRrrAssembly(Frozen):
     """One assembly mode of the 3-RRR.
 
     Attributes:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, checked, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, checked, read_only
 from redundancy_pin.dynamics.virtual_work.mechanism import (
     Lengths,
     LinkFrames,
@@ -54,7 +54,7 @@ class TwoRprGeometry(Lengths):
 
 
 @dataclass(frozen=True, eq=False)
-class TwoRprLegs:
+class TwoRprLegs(Frozen):
     """The legs of the 2-RPR at sampled positions of the end-effector, in one working mode.
 
     Attributes:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.arrays import Array, BoolArray, IntArray, require_few
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_return import (
+    POINTS,
     CarrierState,
-    braked_speeds,
-    braking_times,
     no_return,
     return_polynomial,
     shortest_return,
 )
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, optimise
-from redundancy_pin.planners.stepwise.settings import Settings
+from redundancy_pin.planners.stepwise.settings import AccelerationBox, Settings
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
@@ -30,18 +30,15 @@ PARKED, OPTIMISE, RETURN, BRAKE = range(4)
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """The carriers at J + 1 instants.
+    """The carriers at J + 1 instants, those that ``brake`` adds after the motion included.
 
-    Attributes:
-        t: (J + 1,) instants, s.
-        s, sd, sdd: (J + 1, k) their motion; while they are optimised or braked ṡ and s̈ are the backward differences
-            of s and ṡ, on a return the derivatives of its polynomial.
-        phase: (J + 1,) index into ``PHASES``: what the step that ends there was.
-        stretches: first step and result of each run of the optimiser.
-        returns: start and end of each return, s; the end is that of its polynomial.
-        between: for each return, times densely along it, s, and the motion there: its extremes lie between the steps.
-        parts: positions as a function of time, one after the other, up to ``brake_from``.
-        brake_from: instant from which the carriers are only braked; the motion is not filled in after it.
+    ``t`` (J + 1,) instants, s; ``s``, ``sd``, ``sdd`` (J + 1, k) their motion; while they are optimised or braked ṡ and
+    s̈ are the backward differences of s and ṡ, on a return the derivatives of its polynomial; ``phase`` (J + 1,) index
+    into ``PHASES``: what the step that ends there was; ``stretches``: first step and result of each run of the
+    optimiser; ``returns``: start and end of each return, s; the end is that of its polynomial; ``between``: for each
+    return, times densely along it, s, and the motion there: its extremes lie between the steps; ``parts``: positions as
+    a function of time, one after the other; ``brake_from``: instant from which the carriers are only braked; ``brake``
+    fills in the motion after it; ``braking``: when they are braked, s; NaN where no carrier moved.
     """
 
     t: Array
@@ -54,10 +51,16 @@ class Course:
     between: list[tuple[Array, CarrierMotion]] = field(default_factory=list)
     parts: list[PiecewisePolynomial] = field(default_factory=list)
     brake_from: int = -1
+    braking: tuple[float, float] = (math.nan, math.nan)
 
 
 def run_course(
-    robot: Robot, settings: Settings, problems: StepProblems, active: BoolArray, at_rest: BoolArray
+    robot: Robot,
+    settings: Settings,
+    box: AccelerationBox,
+    problems: StepProblems,
+    active: BoolArray,
+    at_rest: BoolArray,
 ) -> Course:
     """Plan the carriers from the first instant to the last, but for the braking.
 
@@ -75,11 +78,12 @@ def run_course(
         steps = slice(first + 1, last + 1)
         if active[first]:
             state = CarrierState(float(t[first]), s[first], sd[first], sdd[first])
-            stretch = optimise(problems, int(first), int(last), state, settings.box)
+            stretch = optimise(problems, int(first), int(last), state, box)
             s[steps], sd[steps], sdd[steps] = stretch.s, stretch.sd, stretch.sdd
             course.phase[steps] = OPTIMISE
             course.stretches.append((int(first), stretch))
-            course.parts.append(_steps(course, int(first), int(last)))
+            here = slice(first, last + 1)
+            course.parts.append(PiecewisePolynomial.constant_acceleration(t[here], s[here], sd[here], sdd[here]))
         elif first == 0:
             s[steps] = settings.start
             course.parts.append(PiecewisePolynomial.constant(settings.start, t[0], t[last]))
@@ -107,32 +111,25 @@ def _follow_return(robot: Robot, settings: Settings, course: Course, first: int,
     course.parts.append(followed)
     if followed.end < course.t[last]:
         course.parts.append(PiecewisePolynomial.constant(settings.datum, followed.end, course.t[last]))
-    dense = np.linspace(followed.start, followed.end, _DENSE)
+    dense = np.linspace(followed.start, followed.end, POINTS)
     course.between.append((dense, carriers_at(back, dense)))
 
 
-def _steps(course: Course, first: int, last: int) -> PiecewisePolynomial:
-    """Return the positions in the steps between two instants, each with the s̈ of its end."""
-    here = slice(first, last + 1)
-    return PiecewisePolynomial.constant_acceleration(course.t[here], course.s[here], course.sd[here], course.sdd[here])
-
-
-_DENSE = 2001
-"""Points along a return at which its limits are judged: a peak of a polynomial of degree seven is missed by 1e-6."""
+_MOST_ADDED = 1_000_000  # steps after the motion
 
 
 def _return_duration(robot: Robot, settings: Settings, state: CarrierState, end: float) -> float:
     if settings.return_time != "shortest":
         return settings.return_time
-    limited = replace(robot, carrier_limits=settings.box.limits)
+    limited = replace(robot, carrier_limits=settings.limits.of_carriers)
 
     def no_force(times: Array, *_: Array) -> Array:
         return np.zeros((len(times), robot.k))
 
-    duration, use = shortest_return(limited, no_force, state, settings.datum, end - state.t)
+    duration, _, nearest = shortest_return(limited, no_force, state, settings.datum, end - state.t)
     if duration is None:
         remedy = "Use a larger lam, higher limits, or a return_time and accept a plan that violates limits."
-        raise no_return(use, state.t, end - state.t, remedy)
+        raise no_return(nearest, state.t, end - state.t, remedy)
     return duration
 
 
@@ -143,82 +140,85 @@ _ON_TRACK = 1e-9
 """Excess over a track end, as a fraction of the track, that is rounding."""
 
 
-@dataclass(frozen=True, eq=False)
-class Braking:
-    """The end of a course.
-
-    Attributes:
-        t: (E,) instants added after the motion, s; none where the carriers rest by its end.
-        s, sd, sdd: (B, k) motion at the instants after ``Course.brake_from``, the added ones included.
-        phase: (B,) index into ``PHASES``.
-        position: positions as a function of time from the first of them on; none where nothing is left of the motion.
-        start, end: s; NaN where no carrier moved.
-    """
-
-    t: Array
-    s: Array
-    sd: Array
-    sdd: Array
-    phase: IntArray
-    position: tuple[PiecewisePolynomial, ...]
-    start: float
-    end: float
-
-
-def brake(settings: Settings, course: Course, step: float, platform_rests: bool) -> Braking:
-    """Brake the carriers from ``course.brake_from`` until all are at rest.
+def brake(settings: Settings, box: AccelerationBox, course: Course, step: float, platform_rests: bool) -> Course:
+    """Brake the carriers from ``course.brake_from`` until all are at rest, and return the whole course.
 
     Each is braked by a constant deceleration within ``brake_time``, sooner where its track is too short for that.
-
-    ``step``: length of the steps added after the motion, s; ``platform_rests``: whether the platform rests at the end
-    of the motion.
+    ``step``: length of the steps added after the motion, s; ``platform_rests``: at the end of the motion.
     """
-    first = course.brake_from
+    kept, first = course.brake_from + 1, course.brake_from
     s, sd = course.s[first], np.where(np.abs(course.sd[first]) > AT_REST, course.sd[first], 0.0)
     start, last = float(course.t[first]), float(course.t[-1])
-    stopping = _stopping_times(settings, s, sd, last - start)
+    stopping = _stopping_times(settings, box, s, sd, last - start)
     longest = float(stopping.max())
-    _require_time(settings, course, stopping, last - start, platform_rests)
+    _require_time(settings, box, course, stopping, last - start, platform_rests)
     added = max(0, int(np.ceil((longest - (last - start)) / step - 1e-9))) if settings.stop == "after" else 0
-    extra: Array = last + step * np.arange(1, added + 1, dtype=float)
-    times = np.concatenate([course.t[first:], extra])
+    require_few(added, _MOST_ADDED, "Braking adds {} steps", "Shorten brake_time.", name="brake_time")
+    t = np.append(course.t, last + step * np.arange(1, added + 1, dtype=float))
+    times = t[first:]
     h = np.diff(times)[:, None]
     speeds = braked_speeds(sd, stopping, times[1:] - start)
     path = s + np.cumsum(h * speeds, axis=0)
     before = np.vstack([sd, speeds])[:-1]
-    _require_on_track(settings, times, path, sd)
-    moving = np.abs(before).max(axis=1, initial=0.0) > 0.0
-    none = longest == 0.0
+    _require_on_track(box, times, path, sd)
     deceleration = (speeds - before) / h
-    at = [np.vstack(pair) for pair in ((s[None], path), (sd[None], speeds), (np.zeros((1, len(sd))), deceleration))]
-    return Braking(
-        extra,
-        path,
-        speeds,
-        deceleration,
-        np.where(moving, BRAKE, PARKED).astype(np.intp),
-        (PiecewisePolynomial.constant_acceleration(times, *at),) if len(times) > 1 else (),
-        float("nan") if none else start,
-        float("nan") if none else start + longest,
+    moving = np.abs(before).max(axis=1, initial=0.0) > 0.0
+    braked = PiecewisePolynomial.constant_acceleration(
+        times, np.vstack([s, path]), np.vstack([sd, speeds]), np.vstack([np.zeros_like(sd), deceleration])
+    )
+    return replace(
+        course,
+        t=t,
+        s=np.vstack([course.s[:kept], path]),
+        sd=np.vstack([course.sd[:kept], speeds]),
+        sdd=np.vstack([course.sdd[:kept], deceleration]),
+        phase=np.append(course.phase[:kept], np.where(moving, BRAKE, PARKED)),
+        parts=[*course.parts, *([braked] if len(times) > 1 else [])],
+        braking=(start, start + longest) if longest > 0.0 else course.braking,
     )
 
 
-def _stopping_times(settings: Settings, s: Array, sd: Array, left: float) -> Array:
-    limits = settings.box.limits
+def braked_speeds(speed: Array, braking_time: Array, elapsed: Array) -> Array:
+    """Return (J, k) the speeds of carriers that are braked by constant decelerations.
+
+    ``speed`` (k,) speed at the start, m/s, either sign; ``braking_time`` (k,) time until rest, s; zero for a carrier at
+    rest; ``elapsed`` (J,) time since the start at the end of each step, s.
+    """
+    duration = np.where(braking_time > 0.0, braking_time, 1.0)
+    left: Array = speed * np.clip(1.0 - elapsed[:, None] / duration, 0.0, None)
+    left[:, braking_time <= 0.0] = 0.0
+    return left
+
+
+def braking_times(speed: Array, room: Array, deceleration: Array, wanted: float) -> Array:
+    """Return (k,) the time, s, each carrier takes to stop: as wanted, sooner where the track asks for it.
+
+    Never below |v|/a, even where the ``room`` (k,) to the end of the track, m, is too short for it.
+    """
+    size = np.abs(speed)
+    moving = size > 0.0
+    by_track = np.where(moving, 2.0 * room / np.where(moving, size, 1.0), np.inf)
+    return np.where(moving, np.maximum(np.minimum(wanted, by_track), size / deceleration), 0.0)
+
+
+def _stopping_times(settings: Settings, box: AccelerationBox, s: Array, sd: Array, left: float) -> Array:
+    limits = box.limits
     room = [(b.upper - x) if v > 0.0 else (x - b.lower) for b, x, v in zip(limits, s, sd, strict=True)]
     deceleration = np.array([limit.acceleration for limit in limits])
     wanted = settings.brake_time if settings.stop == "after" else min(settings.brake_time, left)
     return braking_times(sd, np.maximum(room, 0.0), deceleration, wanted)
 
 
-def _require_time(settings: Settings, course: Course, stopping: Array, left: float, platform_rests: bool) -> None:
+def _require_time(
+    settings: Settings, box: AccelerationBox, course: Course, stopping: Array, left: float, platform_rests: bool
+) -> None:
     j = int(np.argmax(stopping))
     if stopping[j] == 0.0 or (settings.stop == "after" and platform_rests):
         return
     late = float(stopping[j] - left)
     if late <= _ON_TRACK * stopping[j]:
         return
-    carrier, end = settings.box.carriers[j], float(course.t[-1])
+    carrier, end = box.carriers[j], float(course.t[-1])
     why = (
         "and the platform moves on, so it cannot be held while they stop"
         if settings.stop == "after"
@@ -232,13 +232,13 @@ def _require_time(settings: Settings, course: Course, stopping: Array, left: flo
     raise InfeasiblePlanError(message, remedy=remedy, constraint="rest", carrier=carrier, time=end, amount=late)
 
 
-def _require_on_track(settings: Settings, times: Array, path: Array, sd: Array) -> None:
-    for j, limit in enumerate(settings.box.limits):
+def _require_on_track(box: AccelerationBox, times: Array, path: Array, sd: Array) -> None:
+    for j, limit in enumerate(box.limits):
         beyond = np.maximum(path[:, j] - limit.upper, limit.lower - path[:, j])
         if not len(beyond) or beyond.max() <= _ON_TRACK * (limit.upper - limit.lower):
             continue
         worst = int(np.argmax(beyond))
-        carrier = settings.box.carriers[j]
+        carrier = box.carriers[j]
         raise InfeasiblePlanError(
             f"{carrier} cannot be stopped: braked by {limit.acceleration:g} m/s² from {sd[j]:.6g} m/s at "
             f"t = {times[0]:.6g} s it is {beyond[worst]:.3g} m beyond the end of its track at "

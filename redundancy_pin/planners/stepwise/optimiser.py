@@ -159,14 +159,9 @@ class StepProblems:
 
     J steps; step j ends at instant j + 1.
 
-    Attributes:
-        t: (J + 1,) instants, s.
-        h: (J,) lengths of the steps, s.
-        maps: (J, m (k + 1), 1 + 5 k) from φ to [J r], row by row.
-        C: (J, m, k) curvatures.
-        slope: (J,) size of J.
-        curvature: (J,) size of C.
-        tolerance: of the gradient, divided by the slope, N or N·m.
+    ``t`` (J + 1,) instants, s; ``h`` (J,) lengths of the steps, s; ``maps`` (J, m (k + 1), 1 + 5 k) from φ to [J r],
+    row by row; ``C`` (J, m, k) curvatures; ``slope`` (J,) size of J; ``curvature`` (J,) size of C; ``tolerance``: of
+    the gradient, divided by the slope, N or N·m.
     """
 
     t: Array
@@ -224,13 +219,9 @@ def step_problems(model: EffortModel, target: Array, at: IntArray) -> StepProble
 class Stretch:
     """Consecutive steps of the optimiser.
 
-    Attributes:
-        s: (P, k) positions at the end of each step, m.
-        sd: (P, k) speeds there, m/s.
-        sdd: (P, k) accelerations, m/s².
-        lower: (P, k) smallest accelerations the limits allow.
-        upper: (P, k) largest.
-        iterations: (P,) iterations of each step.
+    ``s`` (P, k) positions at the end of each step, m; ``sd`` (P, k) speeds there, m/s; ``sdd`` (P, k) accelerations,
+    m/s²; ``lower`` (P, k) smallest accelerations the limits allow; ``upper`` (P, k) largest; ``iterations`` (P,)
+    iterations of each step.
     """
 
     s: Array

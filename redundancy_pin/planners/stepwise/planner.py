@@ -12,11 +12,11 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.carrier_model import effort_model, is_dynamics, target_effort
+from redundancy_pin.planners.carrier_model import effort_model, is_dynamics, require_carriers, target_effort
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics, require_motion
-from redundancy_pin.planners.stepwise.course import OPTIMISE, PHASES, RETURN, Braking, Course, brake, run_course
+from redundancy_pin.planners.stepwise.course import OPTIMISE, PHASES, RETURN, Course, brake, run_course
 from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, definiteness, optimality, step_problems
 from redundancy_pin.planners.stepwise.settings import AccelerationBox, Active, Stop, checked_settings
 from redundancy_pin.trajectory.functions_of_time import (
@@ -44,6 +44,7 @@ class SampledOnDemand(Protocol):
         """Return samples ``dt`` seconds apart, with both sides of each jump of the acceleration."""
 
 
+@np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_stepwise(
     dynamics: Dynamics,
     motion: PlatformMotion | SampledOnDemand,
@@ -127,6 +128,7 @@ def plan_stepwise(
     require_dynamics(dynamics)
     require_motion(motion, "sample")
     robot = dynamics.robot
+    require_carriers(robot)
     trajectory = motion
     if not isinstance(motion, PlatformMotion):
         motion = motion.sample(dt=dt)
@@ -136,9 +138,10 @@ def plan_stepwise(
             remedy=f"Sample it more finely: at least {_FEWEST_SAMPLES} samples.",
             samples=len(motion),
         )
+    if len(motion) < 2:
+        raise InputError("The motion has a single instant.", remedy="Pass a motion of at least two instants.")
     settings = checked_settings(
         robot,
-        motion,
         grouped("limits", limits, Limits, track=track, speed=speed, acceleration=acceleration),
         lam=lam,
         active=active,
@@ -158,13 +161,14 @@ def plan_stepwise(
     problems = step_problems(model, target, at)
     moving, accelerating = _moving(motion, problems)
     decides = accelerating[at[1:]] if active == "accelerating" else np.ones(len(at) - 1, dtype=bool)
-    course = run_course(robot, settings, problems, decides, ~moving[at[1:]])
-    ending = brake(settings, course, float(np.median(problems.h)), not moving[-1])
-    carriers, phase = _samples(motion, course, ending)
-    prolonged = _prolonged(motion, ending.t)
-    if len(ending.t):
-        along = dynamics.along(prolonged)
-    report = diagnostics(problems, course, ending, settings.box)
+    box = settings.box(float(motion.t[-1]))
+    course = run_course(robot, settings, box, problems, decides, ~moving[at[1:]])
+    course = brake(settings, box, course, float(np.median(problems.h)), not moving[-1])
+    carriers, phase = _samples(motion, course, len(problems.t))
+    added = course.t[len(problems.t) :]
+    if len(added):
+        along = dynamics.along(_prolonged(motion, added))
+    report = diagnostics(problems, course, box)
     aimed_at = None
     if baseline is not None and reference is not None:
         aimed_at = repr(baseline.robot) if is_dynamics(baseline) else "efforts"
@@ -177,25 +181,26 @@ def plan_stepwise(
         phases=PHASES,
         parameters={**settings.parameters, "baseline": aimed_at},
         diagnostics=report,
-        carrier_limits=settings.box.limits,
-        between=course.between,
-        functions=_functions(trajectory, motion, course, ending),
+        carrier_limits=box.limits,
+        extremes=course.between,
+        functions=_functions(trajectory, motion, course),
+        dynamics=dynamics,
     )
     if settings.between:
         report["between_samples"] = between_samples(dynamics, plan, settings.between)
     peaks = {name: plan.tau[plan.phase == i] for i, name in enumerate(PHASES) if (plan.phase == i).any()}
     report["peak_effort"] = {name: tuple(np.abs(tau).max(axis=0).tolist()) for name, tau in peaks.items()}
-    return replace(plan, diagnostics=report)
+    return replace(plan, diagnostics={**plan.diagnostics, **report})
 
 
 def _functions(
-    trajectory: PlatformMotion | SampledOnDemand, motion: PlatformMotion, course: Course, ending: Braking
+    trajectory: PlatformMotion | SampledOnDemand, motion: PlatformMotion, course: Course
 ) -> PlanFunctions | None:
     """Return what the plan is between its samples; None for poses of which there are samples only."""
     if motion.is_pose and not is_timed(trajectory):
         return None
     platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
-    position = PiecewisePolynomial.joined([*course.parts, *ending.position]).made_continuous()
+    position = PiecewisePolynomial.joined(course.parts).made_continuous()
     return PlanFunctions(platform.prolonged_until(position.end), position)
 
 
@@ -209,30 +214,26 @@ def _moving(motion: PlatformMotion, problems: StepProblems) -> tuple[BoolArray, 
     return speed > ACCELERATING * size, acceleration > ACCELERATING * largest
 
 
-def _samples(motion: PlatformMotion, course: Course, ending: Braking) -> tuple[CarrierMotion, IntArray]:
-    """Return the carriers at the samples of the plan: those of the motion, two-sided ones included, and those added."""
-    cut = course.brake_from + 1
-    s, sd, sdd = (
-        np.vstack([part[:cut], rest])
-        for part, rest in ((course.s, ending.s), (course.sd, ending.sd), (course.sdd, ending.sdd))
-    )
-    phase = np.concatenate([course.phase[:cut], ending.phase])
-    if len(phase) > 1:
-        phase[0] = phase[1]
+def _samples(motion: PlatformMotion, course: Course, planned: int) -> tuple[CarrierMotion, IntArray]:
+    """Return the carriers at the samples of the plan: those of the motion, two-sided ones included, and those added.
+
+    ``planned``: number of instants of the course that are samples of the motion.
+    """
+    phase = np.append(course.phase[1:2], course.phase[1:])
     follows = np.minimum(np.arange(len(phase)) + 1, len(phase) - 1)
-    after = np.where((phase[follows] == RETURN)[:, None], sdd, sdd[follows])
-    instant = np.cumsum(~motion.jumps) - 1
-    added = np.arange(len(course.t), len(course.t) + len(ending.t))
-    which = np.concatenate([instant, added])
-    second = np.concatenate([motion.jumps, np.zeros(len(added), dtype=bool)])
-    acceleration: Array = np.where(second[:, None], after[which], sdd[which])
-    return CarrierMotion(s[which], sd[which], acceleration), np.where(second, phase[follows][which], phase[which])
+    after = np.where((phase[follows] == RETURN)[:, None], course.sdd, course.sdd[follows])
+    added = np.arange(planned, len(course.t))
+    which = np.concatenate([np.cumsum(~motion.jumps) - 1, added])
+    second = np.pad(motion.jumps, (0, len(added)))
+    acceleration: Array = np.where(second[:, None], after[which], course.sdd[which])
+    return (
+        CarrierMotion(course.s[which], course.sd[which], acceleration),
+        np.where(second, phase[follows][which], phase[which]),
+    )
 
 
 def _prolonged(motion: PlatformMotion, added: Array) -> PlatformMotion:
     """Return the motion with the platform held at its end for the added times."""
-    if not len(added):
-        return motion
     x = np.concatenate([motion.x, np.repeat(motion.x[-1:], len(added), axis=0)])
     xd, xdd = (np.pad(part, ((0, len(added)), (0, 0))) for part in (motion.xd, motion.xdd))
     return PlatformMotion(np.append(motion.t, added), x, xd, xdd)
@@ -242,7 +243,7 @@ _MET = 1e-9
 """Relative distance from a bound that counts as met; the solver puts what is bound exactly on it."""
 
 
-def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits: AccelerationBox) -> dict[str, object]:
+def diagnostics(problems: StepProblems, course: Course, box: AccelerationBox) -> dict[str, object]:
     """Return what the planner found, as plain data.
 
     Keys: ``steps`` and ``optimised_steps``; ``iterations`` (sum) and ``most_iterations``; ``largest_gradient``, the
@@ -258,15 +259,15 @@ def diagnostics(problems: StepProblems, course: Course, ending: Braking, limits:
         gradients.append(optimality(residual, jacobian, stretch.lower, stretch.upper, stretch.sdd))
         curvatures.append(definiteness(residual, jacobian, problems.C[first : first + len(residual)]))
     return {
-        "steps": len(problems.h) + len(ending.t),
+        "steps": len(course.t) - 1,
         "optimised_steps": int(sum(len(count) for count in counts)),
         "iterations": int(sum(int(count.sum()) for count in counts)),
         "most_iterations": int(max((int(count.max()) for count in counts), default=0)),
         "largest_gradient": float(max((part.max() for part in gradients), default=0.0)),
         "least_curvature": float(min((part.min() for part in curvatures), default=np.inf)),
-        "bounds": tuple(_bounds_met(course, limits)),
+        "bounds": tuple(_bounds_met(course, box)),
         "returns": tuple(course.returns),
-        "braking": (ending.start, ending.end),
+        "braking": course.braking,
     }
 
 

@@ -1,20 +1,25 @@
-"""The options of the stepwise planner, checked, and the box that limits leave for accelerations in one step."""
+"""The options of the stepwise planner, and the box that limits leave for accelerations in one step.
+
+In one step of length h a carrier takes a new speed v' and moves by h v' (backward differences, Parsa 2014, eqs. 4.3
+and 4.4). Say it has the distance g to the end of its track in front of it and can be braked by at most a. It may take
+the speed v' if what is left after the step suffices to stop: h v' + v'²/(2a) ≤ g. Braking by a keeps this true: with
+v' = max(v − a h, 0) the step is at most (v² − v'²)/(2a). So a carrier that starts inside the set never leaves its
+track, whatever the lengths of the steps.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal, get_args
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property, partial
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, positive
 from redundancy_pin.errors import InfeasiblePlanError, InputError
-from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.planners.carrier_return import stoppable_speed
-from redundancy_pin.planners.limits import Limits, ResolvedLimits
+from redundancy_pin.planners.limits import Limits, ResolvedLimits, fraction, one_of, return_duration, whole
 from redundancy_pin.robot import CarrierLimits, Robot
 
 _EMPTY = 1e-9
@@ -22,27 +27,39 @@ _EMPTY = 1e-9
 exactly leaves a rounding error."""
 
 
+def stoppable_speed(gap: float, step: float, deceleration: float) -> float:
+    """Return the largest speed, m/s, from which a carrier can still be stopped before the end of its track.
+
+    It is the root of h v + v²/(2a) = gap, or 0 where the gap, m, is not positive; h is the step, s, and a the largest
+    deceleration, m/s², infinite if there is no limit.
+    """
+    if gap <= 0.0:
+        return 0.0
+    if not math.isfinite(deceleration) or not math.isfinite(gap):
+        return gap / step
+    slowed = deceleration * step
+    # the rationalised root: the plain one cancels where the gap is small
+    return 2.0 * deceleration * gap / (slowed + math.sqrt(slowed * slowed + 2.0 * deceleration * gap))
+
+
 @dataclass(frozen=True)
 class AccelerationBox:
     """What the carriers must keep to at every step.
 
-    Attributes:
-        carriers: (k,) names.
-        limits: (k,) track, speed, acceleration and force of each; the planner keeps to the first three.
-        anticipate: whether a carrier is kept able to stop before the end of its track.
-        rest_at: time by which all must be at rest, s; infinite for none.
+    ``carriers`` (k,) names; ``limits`` (k,) track, speed, acceleration and force of each; the planner keeps to the
+    first three; ``anticipate``: whether a carrier is kept able to stop before the end of its track; ``rest_at``: time
+    by which all must be at rest, s; infinite for none.
     """
 
     carriers: tuple[str, ...]
     limits: tuple[CarrierLimits, ...]
     anticipate: bool
     rest_at: float
-    _bounds: tuple[tuple[float, float, float, float], ...] = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        # plain tuples: the box is asked for at every step
-        bounds = tuple((limit.lower, limit.upper, limit.speed, limit.acceleration) for limit in self.limits)
-        object.__setattr__(self, "_bounds", bounds)
+    @cached_property
+    def _bounds(self) -> tuple[tuple[float, float, float, float], ...]:
+        """Plain tuples: they are read at every step."""
+        return tuple((limit.lower, limit.upper, limit.speed, limit.acceleration) for limit in self.limits)
 
     def box(self, t: float, step: float, s: Sequence[float], sd: Sequence[float]) -> tuple[list[float], list[float]]:
         """Return the smallest and largest s̈ of each carrier in a step (Parsa 2014, eqs. 4.2 to 4.4).
@@ -115,17 +132,14 @@ Stop = Literal["after", "within"]
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """Checked options of ``plan_stepwise``; see there.
-
-    ``limits``: of the carriers; ``box``: what they leave in a step.
-    """
+    """Checked options of ``plan_stepwise``; see there. Numbers and names a plan has among its parameters."""
 
     limits: ResolvedLimits
-    box: AccelerationBox
     lam: float
     active: Active
     start: Array
     datum: Array
+    anticipate: bool
     return_time: float | Literal["shortest"]
     stop: Stop
     brake_time: float
@@ -135,59 +149,22 @@ class Settings:
     @property
     def parameters(self) -> dict[str, object]:
         """The settings as plain data, for the plan."""
-        return {
-            "lam": self.lam,
-            "active": self.active,
-            "start": tuple(self.start.tolist()),
-            "datum": tuple(self.datum.tolist()),
-            **self.limits.parameters(),
-            "anticipate": self.box.anticipate,
-            "return_time": self.return_time,
-            "stop": self.stop,
-            "brake_time": self.brake_time,
-            "least_margin": self.least_margin,
-            "between": self.between,
-        }
+        own = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
+        own |= {name: tuple(own[name].tolist()) for name in ("start", "datum")}
+        return {**own, **self.limits.parameters()}
+
+    def box(self, end: float) -> AccelerationBox:
+        """Return what the carriers must keep to in a motion that ends at a time, s."""
+        limits = self.limits
+        return AccelerationBox(
+            limits.names, limits.of_carriers, self.anticipate, end if self.stop == "within" else math.inf
+        )
 
 
-def checked_settings(
-    robot: Robot,
-    motion: PlatformMotion,
-    limits: Limits,
-    *,
-    lam: float,
-    active: Active,
-    start: ArrayLike,
-    datum: ArrayLike,
-    return_time: float | Literal["shortest"],
-    stop: Stop,
-    brake_time: float,
-    anticipate: bool,
-    least_margin: float,
-    between: int,
-) -> Settings:
-    """Return the settings of ``plan_stepwise`` after checking every one."""
-    try:
-        fraction = float(lam)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"lam is {lam!r}, expected a number.", name="lam") from error
-    if not 0.0 <= fraction <= 1.0:
-        raise InputError(f"lam is {fraction:g}, expected a number in [0, 1].", name="lam", value=fraction)
-    choices: list[tuple[str, object, tuple[str, ...]]] = [("active", active, get_args(Active))]
-    choices.append(("stop", stop, get_args(Stop)))
-    if isinstance(return_time, str):
-        choices.append(("return_time", return_time, ("shortest",)))
-    for name, value, allowed in choices:
-        if value not in allowed:
-            raise InputError(
-                f"{name} is {value!r}.", remedy=f"Use one of {', '.join(allowed)}.", name=name, value=value
-            )
-    if len(motion) < 2 or not motion.t[-1] > motion.t[0]:
-        raise InputError("The motion has a single instant.", remedy="Pass a motion of at least two instants.")
-    if isinstance(between, bool) or not isinstance(between, int) or between < 0:
-        raise InputError(f"between is {between}, expected 0 or a positive whole number.", name="between")
-    if not isinstance(anticipate, bool):
-        raise InputError(f"anticipate is {anticipate!r}, expected True or False.", name="anticipate")
+def checked_settings(robot: Robot, limits: Limits, **options: Any) -> Settings:
+    """Return the settings of ``plan_stepwise`` after checking every one; ``options`` are the fields but ``limits``."""
+    for name, allowed in (("active", get_args(Active)), ("stop", get_args(Stop)), ("anticipate", (True, False))):
+        one_of(options[name], name, allowed)
     for name in ("jerk", "carrier_force", "effort"):
         if getattr(limits, name) is not None:
             raise InputError(
@@ -196,22 +173,18 @@ def checked_settings(
                 name=name,
             )
     resolved = limits.resolved(robot)
-    if stop == "within" and np.isinf(resolved.acceleration).any():
+    if options["stop"] == "within" and np.isinf(resolved.acceleration).any():
         raise InputError(
             'stop="within" needs acceleration limits: without them nothing says when to brake.',
             remedy='Declare or pass acceleration limits, or use stop="after".',
         )
-    rest_at = float(motion.t[-1]) if stop == "within" else math.inf
-    return Settings(
-        limits=resolved,
-        box=AccelerationBox(robot.carriers, resolved.of_carriers, anticipate, rest_at),
-        lam=fraction,
-        active=active,
-        start=resolved.on_track(start, "start"),
-        datum=resolved.on_track(datum, "datum"),
-        return_time=return_time if isinstance(return_time, str) else positive(return_time, "return_time", "s"),
-        stop=stop,
-        brake_time=positive(brake_time, "brake_time", "s"),
-        least_margin=positive(least_margin, "least_margin", ""),
-        between=between,
-    )
+    checks: dict[str, Callable[[Any, str], object]] = {
+        "lam": fraction,
+        "between": partial(whole, least=0, most=1000),
+        "start": resolved.on_track,
+        "datum": resolved.on_track,
+        "return_time": return_duration,
+        "brake_time": partial(positive, unit="s"),
+        "least_margin": partial(positive, unit=""),
+    }
+    return Settings(resolved, **{**options, **{name: check(options[name], name) for name, check in checks.items()}})

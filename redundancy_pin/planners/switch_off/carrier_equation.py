@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array, Frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
@@ -39,7 +39,7 @@ _NARROW = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class RampDown:
+class RampDown(Frozen):
     """The main efforts on their way to zero, and zero after it.
 
     ``polynomial``: quintic with values (m,), N or N·m (Parsa 2014, eq. 3.4); ``parked_at_entry`` (m,) what they would
@@ -133,11 +133,9 @@ class CarrierEquation:
 
     Of more carriers than coordinates the s̈ of least norm is taken.
 
-    Attributes:
-        model: the carrier model over time.
-        effort: the prescribed main efforts.
-        row_scale: (n,) the characteristic length for moments, 1 for forces.
-        size: largest f along the crossing, N, which defects are compared with.
+    ``model``: the carrier model over time; ``effort``: the prescribed main efforts; ``row_scale`` (n,) the
+    characteristic length for moments, 1 for forces; ``size``: largest f along the crossing, N, which defects are
+    compared with.
     """
 
     model: TimedModel

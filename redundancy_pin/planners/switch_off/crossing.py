@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import null_directions, spectrum_of
@@ -40,17 +40,14 @@ ACTUATED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class LostDirection:
+class LostDirection(Frozen):
     """An instant at which the accelerations of the carriers have no effect in one direction.
 
-    Attributes:
-        t: time, s.
-        direction: (n,) unit vector u, scaled coordinates, with uᵀ F = 0.
-        parked: uᵀ(f − W τ_ref) with the carriers at rest at s = 0, N.
-        by_motion: largest coefficient of uᵀ f by s, s², ṡ or s ṡ of a carrier; where it is zero the carriers cannot
-            change what is left, whatever they do.
-        by_main: whether the main actuators, were they on, would have an effect along u. They have on the 2-RPR, whose
-            legs push where its carriers cannot; not where carriers and actuators act through the same joints.
+    ``t``: time, s; ``direction`` (n,) unit vector u, scaled coordinates, with uᵀ F = 0; ``parked``: uᵀ(f − W τ_ref)
+    with the carriers at rest at s = 0, N; ``by_motion``: largest coefficient of uᵀ f by s, s², ṡ or s ṡ of a carrier;
+    where it is zero the carriers cannot change what is left, whatever they do; ``by_main``: whether the main actuators,
+    were they on, would have an effect along u. They have on the 2-RPR, whose legs push where its carriers cannot; not
+    where carriers and actuators act through the same joints.
     """
 
     t: float
@@ -136,16 +133,13 @@ def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Crossing:
+class Crossing(Frozen):
     """Carriers and efforts from the start of a ramp-down to the switch-on.
 
-    Attributes:
-        window: when the actuators are off.
-        ramp: the main efforts.
-        position: positions of the carriers (k,) as a function of time.
-        lost: instants at which the carriers cannot act in some direction.
-        samples: times (N,) and carriers there in backward differences, which the position lags behind; None where the
-            rates are those of the position.
+    ``window``: when the actuators are off; ``ramp``: the main efforts; ``position``: positions of the carriers (k,) as
+    a function of time; ``lost``: instants at which the carriers cannot act in some direction; ``samples``: times (N,)
+    and carriers there in backward differences, which the position lags behind; None where the rates are those of the
+    position.
     """
 
     window: Interval

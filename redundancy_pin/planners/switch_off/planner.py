@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, positive
+from redundancy_pin.arrays import Array, positive, require_few
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
+from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel
+from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel, require_carriers
 from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.limits import Limits, one_of, return_duration
 from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics, require_motion
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross, cross_stepwise
 from redundancy_pin.singularities.roots import Interval
@@ -27,6 +27,8 @@ from redundancy_pin.trajectory.functions_of_time import (
     carriers_at,
     continuous_motion,
 )
+
+MOST_SAMPLES = 1_000_000  # of a plan: each takes kilobytes on its course through the dynamics
 
 PHASES = ("parked", "ramp_down", "off", "return")
 
@@ -88,8 +90,9 @@ def assemble_plan(
         diagnostics={},
         prescribed=prescribed,
         functions=PlanFunctions(source, position.made_continuous(), none),
+        dynamics=dynamics,
     )
-    return replace(plan, diagnostics=_diagnostics(dynamics, plan, legs, actuation, settings))
+    return replace(plan, diagnostics={**plan.diagnostics, **_diagnostics(dynamics, plan, legs, actuation, settings)})
 
 
 def _position(source: ContinuousMotion, legs: list[Leg], settings: Settings) -> PiecewisePolynomial:
@@ -178,6 +181,7 @@ def _window(
 Scheme = Literal["integration", "backward_differences"]
 
 
+@np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_switch_off(
     dynamics: Dynamics,
     motion: PlatformMotion | TimedTrajectory,
@@ -228,6 +232,8 @@ def plan_switch_off(
     require_motion(motion, "duration", "breaks", "sample_at")
     settings = _settings(dynamics, threshold, measure, ramp_down, return_time, datum, dt, scheme)
     source = continuous_motion(motion)
+    samples = (source.end - source.start) / settings.dt
+    require_few(samples, MOST_SAMPLES, f"dt = {settings.dt:g} s makes {{}} samples", "Use a larger dt.", dt=settings.dt)
     actuation = Actuation.along(dynamics, source)
     windows = actuation.windows(measure, settings.threshold)
     legs: list[Leg] = []
@@ -260,17 +266,13 @@ def _settings(
         )
         remedy = f"Switching off needs at least {robot.n} carriers."
         raise UnsupportedRobotError(message, remedy=remedy, carriers=robot.k, coordinates=robot.n)
-    if not isinstance(scheme, str) or scheme not in ("integration", "backward_differences"):
-        raise InputError(
-            f"scheme is {scheme!r}.", remedy="Pass 'integration' or 'backward_differences'.", scheme=scheme
-        )
-    if isinstance(return_time, str) and return_time != "shortest":
-        raise InputError(f"return_time is {return_time!r}.", remedy="Pass a duration in seconds or 'shortest'.")
+    require_carriers(robot)
+    one_of(scheme, "scheme", get_args(Scheme))
     return Settings(
         threshold=positive(threshold, "threshold", ""),
         measure=measure,
         ramp_down=positive(ramp_down, "ramp_down", "s"),
-        return_time=return_time if isinstance(return_time, str) else positive(return_time, "return_time", "s"),
+        return_time=return_duration(return_time, "return_time"),
         datum=Limits().resolved(robot).on_track(datum, "datum"),
         dt=positive(dt, "dt", "s"),
         scheme=scheme,
@@ -300,12 +302,12 @@ def _leg(
         def force(t: Array, s: Array, sd: Array, sdd: Array) -> Array:
             return model.at(t).carrier_force(s, sd, sdd)
 
-        duration, use = shortest_return(dynamics.robot, force, state, settings.datum, room)
+        duration, _, nearest = shortest_return(dynamics.robot, force, state, settings.datum, room)
         if duration is None:
             if later:
                 return None
             remedy = "Raise the threshold (a shorter window moves the carriers less), lengthen the tracks, or pass a "
-            raise no_return(use, state.t, room, remedy + "return_time and accept a plan that violates limits.")
+            raise no_return(nearest, state.t, room, remedy + "return_time and accept a plan that violates limits.")
     else:
         duration = float(settings.return_time)
     if duration > room:

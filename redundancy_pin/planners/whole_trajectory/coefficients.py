@@ -56,10 +56,8 @@ class Task:
 class SingularNode:
     """A node on a type II singularity; r directions are lost.
 
-    Attributes:
-        index: its number among the nodes.
-        lost: (r, n) rows u with u W = 0.
-        rate: time derivatives of the coefficients of W, f and the carrier forces, one sample.
+    ``index``: its number among the nodes; ``lost`` (r, n) rows u with u W = 0; ``rate``: time derivatives of the
+    coefficients of W, f and the carrier forces, one sample.
     """
 
     index: int
@@ -71,15 +69,10 @@ class SingularNode:
 class Problem:
     """The numbers of the programme; M nodes, n coordinates, m main actuators, k carriers.
 
-    Attributes:
-        grid: the nodes.
-        model: coefficients of W, f and the carrier forces at the nodes; on curved tracks ``f_terms`` has two more
-            terms, ṡ² and s s̈, in the end.
-        singular: the nodes on type II singularities.
-        actuated_rate: (M, m) rates of the main actuators.
-        target: (M, m) efforts that the objective "tracking" aims at.
-        settings: limits, ends and objective.
-        scales: sizes.
+    ``grid``: the nodes; ``model``: coefficients of W, f and the carrier forces at the nodes; on curved tracks
+    ``f_terms`` has two more terms, ṡ² and s s̈, in the end; ``singular``: the nodes on type II singularities;
+    ``actuated_rate`` (M, m) rates of the main actuators; ``target`` (M, m) efforts that the objective "tracking" aims
+    at; ``settings``: limits, ends and objective; ``scales``: sizes.
     """
 
     grid: Grid

@@ -7,11 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only
+from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only, require_few
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion
+
+MOST_NODES = 100_000  # unknowns and rows of the programme are a few dozen times as many
 
 LEAST_STEPS = 2
 """Steps between two events; fewer would tie the carriers' jerk to the distance of the events."""
@@ -25,11 +27,9 @@ that is harmless elsewhere makes efforts between the nodes that the nodes do not
 class Grid:
     """Nodes in time.
 
-    Attributes:
-        t: (M,) times, s; a time at which the reference acceleration jumps occurs twice.
-        singular: (q,) indices of the nodes on type II singularities.
-        smooth: (M,) nodes across which the jerk of the carriers is continuous: the singular ones, and the middles of
-            steps in which the efforts would otherwise differ from those at both ends.
+    ``t`` (M,) times, s; a time at which the reference acceleration jumps occurs twice; ``singular`` (q,) indices of the
+    nodes on type II singularities; ``smooth`` (M,) nodes across which the jerk of the carriers is continuous: the
+    singular ones, and the middles of steps in which the efforts would otherwise differ from those at both ends.
     """
 
     t: Array
@@ -52,6 +52,9 @@ def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
 
     ``singular``: times on a type II singularity, s; ``dt``: largest step, s.
     """
+    require_few(
+        (source.end - source.start) / dt, MOST_NODES, f"dt = {dt:g} s makes {{}} nodes", "Use a larger dt.", dt=dt
+    )
     least = 1e-9 * (source.end - source.start)
     # one that rounding keeps from a jump is on it, or the jump would have no node of its own
     inside = [t for t in singular if source.start <= t <= source.end]

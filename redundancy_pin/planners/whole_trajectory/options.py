@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, frozen, positive
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError
-from redundancy_pin.planners.limits import Limits, ResolvedLimits, as_text, broadcast_to
+from redundancy_pin.errors import InputError, RedundancyPinError
+from redundancy_pin.planners.carrier_model import require_carriers
+from redundancy_pin.planners.limits import Limits, ResolvedLimits, as_text, broadcast_to, fraction, one_of, whole
 from redundancy_pin.robot import Robot
 
 
@@ -38,13 +39,9 @@ def casadi() -> Any:
 class Scales:
     """Sizes that variables, equations and objectives are divided by.
 
-    Attributes:
-        s, sd, sdd: (k,) of the carriers' motion, m, m/s, m/s².
-        tau: of the main efforts, N or N·m.
-        row: (n,) of the rows of W τ = f, N or N·m.
-        force: (k,) of the carriers' forces, N.
-        power: of the main actuators, W.
-        duration: of the motion, s.
+    ``s``, ``sd``, ``sdd`` (k,) of the carriers' motion, m, m/s, m/s²; ``tau``: of the main efforts, N or N·m; ``row``
+    (n,) of the rows of W τ = f, N or N·m; ``force`` (k,) of the carriers' forces, N; ``power``: of the main actuators,
+    W; ``duration``: of the motion, s.
     """
 
     s: Array
@@ -60,11 +57,9 @@ class Scales:
 class Quantities(ABC):
     """What formulas may use: matrices with a row a node, in units, as expressions of the programme or as numbers.
 
-    Attributes:
-        s, sd, sdd: (M, k) motion of the carriers, m, m/s, m/s².
-        force: (M, k) forces of the carriers' actuators, N; the programme has them only where something needs them.
-        tau, tau_target, actuated_rate: (M, m) main efforts, those that "tracking" aims at, and rates of the actuators.
-        scales: sizes of all of them.
+    ``s``, ``sd``, ``sdd`` (M, k) motion of the carriers, m, m/s, m/s²; ``force`` (M, k) forces of the carriers'
+    actuators, N; the programme has them only where something needs them; ``tau``, ``tau_target``, ``actuated_rate`` (M,
+    m) main efforts, those that "tracking" aims at, and rates of the actuators; ``scales``: sizes of all of them.
     """
 
     s: Any
@@ -145,6 +140,9 @@ End = Literal["free", "rest", "datum", "periodic"]
 LIMITS = ("speed", "acceleration", "carrier_force", "jerk", "effort")
 """Limits by one number a carrier or actuator, in the order in which plans have them."""
 
+# Each start is solved, and each refinement doubles nodes: more of them would never end
+MOST_STARTS, MOST_REFINEMENTS = 1000, 30
+
 Progress = Callable[[str], None]
 """Takes one line of text."""
 
@@ -215,14 +213,10 @@ class Settings:
             "lam": self.lam,
             "track": [tuple(ends) for ends in self.limits.track.tolist()],
             **{name: getattr(self.limits, name).tolist() for name in LIMITS},
-            "start": self.start.tolist(),
-            "start_speed": self.start_speed.tolist(),
+            **{name: getattr(self, name).tolist() for name in ("start", "start_speed", "datum")},
+            **{name: getattr(self.solver, name) for name in ("starts", "seconds")},
             "end": self.end,
-            "datum": self.datum.tolist(),
-            "dt": self.mesh.dt,
-            "starts": self.solver.starts,
-            "seconds": self.solver.seconds,
-            "refinements": self.mesh.refinements,
+            **asdict(self.mesh),
         }
 
 
@@ -239,15 +233,9 @@ def checked_settings(
     datum: ArrayLike = 0.0,
 ) -> Settings:
     """Return the settings after checking every option."""
-    if robot.k == 0:
-        raise UnsupportedRobotError(
-            f"{robot.name} has no carriers to plan for.", remedy="Load it with carriers, or declare some."
-        )
-    if end not in get_args(End):
-        raise InputError(f"end is {end!r}.", remedy=f"Use one of {', '.join(get_args(End))}.", end=end)
-    weights, lam = _weights(objective.weights), objective.lam
-    if not (isinstance(lam, (int, float)) and 0.0 <= lam <= 1.0):
-        raise InputError(f"lam is {lam}, expected a number in [0, 1].", lam=lam)
+    require_carriers(robot)
+    one_of(end, "end", get_args(End))
+    weights, lam = _weights(objective.weights), fraction(objective.lam, "lam")
     if "tracking" in weights and lam > 0.0 and objective.baseline is None:
         raise InputError(
             f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
@@ -260,23 +248,18 @@ def checked_settings(
         raise InputError(f"start_speed is {as_text(start_speed)!r}, expected finite numbers.", name="start_speed")
     return Settings(
         objective=weights,
-        lam=float(lam),
+        lam=lam,
         baseline=objective.baseline,
         limits=resolved,
         start=park if start is None else resolved.on_track(start, "start"),
         start_speed=frozen(speeds),
         end=end,
         datum=park,
-        mesh=Mesh(positive(mesh.dt, "dt", "s"), _whole(mesh.refinements, "refinements", 0)),
-        solver=Solver(_whole(solver.starts, "starts", 1), positive(solver.seconds, "seconds", "s"), solver.progress),
+        mesh=Mesh(positive(mesh.dt, "dt", "s"), whole(mesh.refinements, "refinements", 0, MOST_REFINEMENTS)),
+        solver=Solver(
+            whole(solver.starts, "starts", 1, MOST_STARTS), positive(solver.seconds, "seconds", "s"), solver.progress
+        ),
     )
-
-
-def _whole(value: object, name: str, least: int) -> int:
-    number = isinstance(value, (int, float, np.integer)) and math.isfinite(value)
-    if not number or int(value) != value or value < least:  # type: ignore[call-overload, operator]
-        raise InputError(f"{name} is {value}, expected a whole number from {least} up.", name=name, value=value)
-    return int(value)  # type: ignore[call-overload, no-any-return]
 
 
 def _weights(objective: str | Mapping[str, float]) -> dict[str, float]:

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, read_only
+from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.dense_check import SMALL, DenseCheck, dense_check, peaks_between
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import LimitEvent, Limits, grouped, limits_broken
-from redundancy_pin.planners.plan import Plan, PlanStatus, finish_plan
+from redundancy_pin.planners.limits import LimitEvent, Limits, grouped
+from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task, read_coefficients
-from redundancy_pin.planners.whole_trajectory.infeasibility import relax
 from redundancy_pin.planners.whole_trajectory.mesh import (
     Grid,
     grid_of,
@@ -35,6 +34,7 @@ from redundancy_pin.planners.whole_trajectory.multistart import (
     first_guess,
     fit_and_solve,
     multistart,
+    relax,
 )
 from redundancy_pin.planners.whole_trajectory.options import End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME, solve
@@ -42,18 +42,8 @@ from redundancy_pin.planners.whole_trajectory.transcription import objective_val
 from redundancy_pin.trajectory.functions_of_time import (
     PiecewisePolynomial,
     TimedTrajectory,
-    carriers_at,
     continuous_motion,
 )
-
-FINER = 20
-"""Points in a step."""
-
-CLOSE = (1e-3, 1e-2)
-"""Further points beside singular nodes, as fractions of the step."""
-
-ALLOWED = 1.05
-"""Largest effort between the nodes over the largest at the nodes that is accepted."""
 
 MARKED = 1.02
 """Ratio from which a step gets a middle node once any exceeds what is accepted."""
@@ -62,95 +52,31 @@ BESIDE = 4
 """Steps on both sides of such a step that get one as well: the next plan would have its kink just beside the refined
 steps, and the grid would follow it one step at a time."""
 
-SMALL = 1e-3
-"""Efforts below this fraction of the size of the efforts count as zero here."""
 
+def check_between_nodes(
+    task: Task, problem: Problem, functions: PlanFunctions, tau: Array
+) -> tuple[DenseCheck, tuple[LimitEvent, ...], BoolArray]:
+    """Look between the nodes; return what is needed there, the limits exceeded, and (M − 1,) the steps to refine.
 
-@dataclass(frozen=True, eq=False)
-class DenseCheck:
-    """Efforts τ = W⁻¹ f of the planned motion between the nodes, and carrier forces, by the backend.
-
-    Attributes:
-        peak: largest |τ| between the nodes, N or N·m.
-        time: where, s.
-        peak_at_nodes: largest |τ| at the nodes.
-        ratio: of both, or of the effort of an actuator and its limit where that is lower than the peak at the nodes;
-            efforts that are nothing beside those of the parked robot count as equal.
-        points: number of points.
-        exceeding: (M − 1,) steps in which the efforts exceed those at the nodes, or carrier forces their limits, by
-            what is worth a middle node, and those beside them.
-        broken: limits of main efforts and carrier forces that are exceeded between the nodes by more than is accepted.
+    ``functions``: the planned motion; ``tau`` (M, m) planned efforts at the nodes, N or N·m.
     """
-
-    peak: float
-    time: float
-    peak_at_nodes: float
-    ratio: float
-    points: int
-    exceeding: BoolArray
-    broken: tuple[LimitEvent, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether efforts and forces between the nodes are accepted."""
-        return self.ratio <= ALLOWED and not self.broken
-
-    @property
-    def summary(self) -> dict[str, object]:
-        """The check as plain data."""
-        return {
-            "finer": FINER,
-            "points": self.points,
-            "peak_effort": self.peak,
-            "time_of_peak": self.time,
-            "peak_effort_at_nodes": self.peak_at_nodes,
-            "ratio": self.ratio,
-            "passed": self.passed,
-        }
-
-
-def dense_check(task: Task, problem: Problem, position: PiecewisePolynomial, tau: Array) -> DenseCheck:
-    """Evaluate the backend on a grid finer than the nodes, and right beside the singular ones.
-
-    ``position``: of the planned carriers, m; ``tau`` (M, m) planned efforts at the nodes, N or N·m.
-    """
-    grid, settings, robot = problem.grid, task.settings, task.dynamics.robot
-    left = np.flatnonzero(grid.h > 0.0)
-    inside = grid.t[left, None] + grid.h[left, None] * np.arange(1, FINER) / FINER
-    steps = [(i, i + side) for i in grid.singular for side in (-1, 0) if 0 <= i + side < len(grid.h)]
-    beside = [grid.t[i] + (1.0 if j == i else -1.0) * fraction * grid.h[j] for i, j in steps for fraction in CLOSE]
-    # nodes were judged already; between them no acceleration jumps, so every time may stand once
-    times = np.setdiff1d(np.concatenate([inside.ravel(), beside]), grid.t)
-    reduced = task.dynamics.along(task.source.sample_at(times)).reduce(carriers_at(position, times))
-    # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
-    planned = PlanFunctions(task.source, position, preferred=PiecewisePolynomial.linear(grid.t, tau))
-    efforts, forces = planned.efforts(reduced), np.asarray(reduced.carrier_force)
-    effort_limit, force_limit = settings.limits.effort, settings.limits.carrier_force
-    size, at_nodes = np.where(np.isfinite(efforts), np.abs(efforts), np.inf), float(np.abs(tau).max())
-    # an actuator with a limit below the peak of the others is judged by its limit
-    relative = (size / np.maximum(np.minimum(at_nodes, effort_limit), SMALL * problem.scales.tau)).max(axis=1)
-    marked = (relative > MARKED) | (np.abs(forces) > MARKED * force_limit).any(axis=1)
-    exceeding = np.zeros(len(grid.h), dtype=bool)
-    exceeding[np.searchsorted(grid.t, times[marked], side="right") - 1] = True
-    worst = int(size.max(axis=1).argmax())
-    return DenseCheck(
-        peak=float(size[worst].max()),
-        time=float(times[worst]),
-        peak_at_nodes=at_nodes,
-        ratio=max(float(relative.max()), 1.0),
-        points=len(times),
-        exceeding=widened(exceeding, BESIDE),
-        broken=limits_broken("effort", robot.actuated, times, efforts, effort_limit, ALLOWED)
-        + limits_broken("force", robot.carriers, times, forces, force_limit, ALLOWED),
+    grid, limits = problem.grid, task.settings.limits
+    peaks = peaks_between(
+        task.dynamics, functions, float(grid.t[0]), float(grid.t[-1]), np.unique(grid.t[grid.singular])
     )
+    check, broken, excess = dense_check(
+        peaks, task.dynamics.robot, tau, SMALL * problem.scales.tau, limits.effort, limits.carrier_force
+    )
+    marked = 0.5 * (peaks.left + peaks.right)[excess > MARKED]
+    exceeding = np.zeros(len(grid.h), dtype=bool)
+    exceeding[np.searchsorted(grid.t, marked, side="right") - 1] = True
+    return check, broken, widened(exceeding, BESIDE)
 
 
 PHASES = ("optimised",)
 
-ROUNDING = 1e-6
-"""Relative excess of an effort at a node over its limit that counts as rounding."""
 
-
+@np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
 def plan_whole_trajectory(
     dynamics: Dynamics,
     motion: PlatformMotion | TimedTrajectory,
@@ -241,6 +167,7 @@ def plan_whole_trajectory(
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
     began = time.perf_counter()
+    require_dynamics(dynamics)
     if isinstance(objective, Objective):
         goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline)
     else:
@@ -271,18 +198,24 @@ def plan_whole_trajectory(
     nodes = grid_of(task.source, singular_instants(dynamics, task.source), settings.mesh.dt)
     nodes = with_middles(nodes, near_singular(dynamics, task.source, nodes))
     position: PiecewisePolynomial | None = None
-    checks: list[DenseCheck] = []
+    ratios: list[float] = []
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
         result = _solve(task, nodes, position)
         problem, solution = result.best.problem, result.best.solution
-        position = solution.position(problem)
-        check = dense_check(task, problem, position, solution.tau(problem))
-        checks.append(check)
-        report(f"peak effort {check.peak_at_nodes:.4g} at the nodes, {check.peak:.4g} between them")
-        if check.passed or len(checks) > settings.mesh.refinements or not solution.optimal:
-            return _plan(task, result, checks, time.perf_counter() - began)
-        nodes = with_middles(nodes, check.exceeding)
+        position, tau = solution.position(problem), solution.tau(problem)
+        # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
+        preferred = PiecewisePolynomial.linear(nodes.t, tau)
+        functions = PlanFunctions(task.source, position.made_continuous(), preferred=preferred)
+        check, broken, exceeding = check_between_nodes(task, problem, functions, tau)
+        ratios.append(check.ratio)
+        report(f"peak effort {np.abs(tau).max():.4g} at the nodes, {check.peak.max():.4g} between them")
+        if (check.passed and not broken) or len(ratios) > settings.mesh.refinements or not solution.optimal:
+            break
+        nodes = with_middles(nodes, exceeding)
+    plan = _plan(task, result, functions, (check, broken))
+    timing = {"dense_ratios": ratios, "seconds": time.perf_counter() - began}
+    return replace(plan, diagnostics={**plan.diagnostics, **timing})
 
 
 def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:
@@ -321,7 +254,9 @@ def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multist
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(task: Task, result: Multistart, checks: list[DenseCheck], seconds: float) -> Plan:
+def _plan(
+    task: Task, result: Multistart, functions: PlanFunctions, between: tuple[DenseCheck, tuple[LimitEvent, ...]]
+) -> Plan:
     """Let the backend judge the solution at the nodes, and report.
 
     At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
@@ -332,7 +267,8 @@ def _plan(task: Task, result: Multistart, checks: list[DenseCheck], seconds: flo
     prescribed = solution.tau(problem)
     if robot.m <= robot.n:
         prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
-    plan = finish_plan(
+
+    return finish_plan(
         task.dynamics.along(task.source.sample_at(nodes.t)),
         problem.carriers(solution.values),
         planner="whole_trajectory",
@@ -354,29 +290,13 @@ def _plan(task: Task, result: Multistart, checks: list[DenseCheck], seconds: flo
             "singular_instants": np.unique(nodes.t[nodes.singular]).tolist(),
             "singular_nodes": nodes.singular.tolist(),
             "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
-            "dense_check": checks[-1].summary,
-            "dense_ratios": [check.ratio for check in checks],
             "solver_seconds": solution.seconds,
-            "seconds": seconds,
         },
         prescribed=prescribed,
         carrier_limits=settings.limits.of_carriers,
-        functions=PlanFunctions(
-            task.source,
-            solution.position(problem).made_continuous(),
-            preferred=PiecewisePolynomial.linear(nodes.t, solution.tau(problem)),
-        ),
+        effort_limit=settings.limits.effort,
+        functions=functions,
+        between=between,
+        singular=nodes.singular,
+        optimal=solution.optimal,
     )
-    sample_status = np.array(plan.sample_status)
-    at = nodes.singular
-    # the efforts there are finite and known to be the limits from both sides, however well W τ = f looks at one instant
-    sample_status[at] = np.where(
-        sample_status[at] == SampleStatus.REGULAR, SampleStatus.SINGULAR_CONSISTENT, sample_status[at]
-    )
-    at_nodes = limits_broken("effort", robot.actuated, plan.t, plan.tau, settings.limits.effort, 1.0 + ROUNDING)
-    broken = sorted((*plan.limits.violated, *at_nodes, *checks[-1].broken), key=lambda event: event.start)
-    status = plan.status
-    if status is PlanStatus.WITHIN_LIMITS and (broken or not solution.optimal):
-        status = PlanStatus.VIOLATES_LIMITS if broken else PlanStatus.STOPPED_EARLY
-    limits = replace(plan.limits, violated=tuple(broken))
-    return replace(plan, sample_status=read_only(sample_status), status=status, limits=limits)

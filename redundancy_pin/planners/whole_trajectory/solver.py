@@ -47,16 +47,10 @@ PERIOD = 0.5
 class Solution:
     """What the solver ended with.
 
-    Attributes:
-        values: the variables by name, scaled.
-        optimal: whether the conditions of a minimum hold.
-        feasible: whether every constraint holds.
-        message: the solver's own word for how it ended.
-        cost: the scaled objective.
-        violation: largest violation of a scaled constraint.
-        iterations: number of iterations.
-        seconds: time taken.
-        point: x and the multipliers of its bounds and of the rows, to begin from with more rows.
+    ``values``: the variables by name, scaled; ``optimal``: whether the conditions of a minimum hold; ``feasible``:
+    whether every constraint holds; ``message``: the solver's own word for how it ended; ``cost``: the scaled objective;
+    ``violation``: largest violation of a scaled constraint; ``iterations``: number of iterations; ``seconds``: time
+    taken; ``point``: x and the multipliers of its bounds and of the rows, to begin from with more rows.
     """
 
     values: dict[str, Array]
@@ -244,12 +238,10 @@ LAST_STEPS, LAST_STEPS_OF_MANY = 2, 4
 class Strategies:
     """Options of the solver for a problem, by what it is to do.
 
-    Attributes:
-        first: what to try in turn, before the problem is built with every row.
-        more_rows: to go on from the solution of a programme with fewer rows.
-        refined: to go on, with refined steps, from a point that is near an optimum and no further.
-        later: what to try in turn with every row, where the first ones did not end at an optimum.
-        last_steps: the exact steps that end on a flat optimum; None where the optimum is sharp.
+    ``first``: what to try in turn, before the problem is built with every row; ``more_rows``: to go on from the
+    solution of a programme with fewer rows; ``refined``: to go on, with refined steps, from a point that is near an
+    optimum and no further; ``later``: what to try in turn with every row, where the first ones did not end at an
+    optimum; ``last_steps``: the exact steps that end on a flat optimum; None where the optimum is sharp.
     """
 
     first: tuple[Options, ...]

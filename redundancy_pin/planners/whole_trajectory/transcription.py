@@ -43,10 +43,8 @@ SHARED = 8
 class NLP:
     """minimise f(x) subject to l ≤ x ≤ u and b ≤ g(x) ≤ c, put together block by block.
 
-    Attributes:
-        blocks: the variables by name, matrices.
-        cost: the expression f, to be added to.
-        derivatives: gradient, Jacobian and Hessian as options of a solver, once one has made them.
+    ``blocks``: the variables by name, matrices; ``cost``: the expression f, to be added to; ``derivatives``: gradient,
+    Jacobian and Hessian as options of a solver, once one has made them.
     """
 
     def __init__(self) -> None:
@@ -78,7 +76,7 @@ class NLP:
         """The finished programme, as the solver wants it."""
         ca = casadi()
         x = ca.vertcat(*(ca.vec(block) for block in self.blocks.values()))
-        return {"x": x, "f": self.cost, "g": ca.vertcat(*self._rows)}
+        return {"x": x, "f": self.cost, "g": ca.densify(ca.vertcat(*self._rows))}
 
     def keep_derivatives(self, solver: Any) -> None:
         """Keep the derivatives that a solver has made of the programme: the next one need not make them again."""

@@ -220,12 +220,13 @@ class Amplifiers:
         self._shapes = (tau_limit.shape, force_limit.shape)
         self._saturates = bool(np.isfinite(tau_limit).any() or np.isfinite(force_limit).any())
 
-    def command(self, t: float, state: State) -> Command:
-        """Return the efforts that act.
+    def command(self, state: State) -> Command:
+        """Return the efforts that act at a state.
 
         Raises:
             InputError: the controller returns something else than a tuple of (m,) and (k,) finite numbers.
         """
+        t = state.t
         answer = self._controller.effort(t, state)
         try:
             tau, force = (np.array(part, dtype=float) for part in answer)
@@ -257,6 +258,13 @@ def limit(values: ArrayLike | None, count: int, name: str) -> Array:
             f"{name} is {values!r}.", remedy=f"Pass one positive number, or {count}, or None for no limit."
         )
     return np.broadcast_to(given, (count,))
+
+
+def one_of(name: str, value: str, *known: str) -> None:
+    """Refuse a value that is not one of those known."""
+    if value not in known:
+        choices = '" or "'.join(known)
+        raise InputError(f"{name} is {value!r}.", remedy=f'Pass "{choices}".')
 
 
 def positive(name: str, value: float, least: float = 0.0) -> float:

@@ -6,7 +6,6 @@ Riccati equation backwards along it, and the feedback u = u_d(t) − K(t) δz.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve, expm, solve_continuous_are, solve_discrete_are
 
-from redundancy_pin.arrays import Array, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, IntArray, frozen, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
@@ -48,7 +47,7 @@ CONTINUOUS_STEP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class LqrWeights:
+class LqrWeights(Frozen):
     """Cost rates of the regulator: ∫ δzᵀ Q δz + δuᵀ R δu dt.
 
     Attributes:
@@ -95,7 +94,7 @@ def bryson_weights(
 
 
 @dataclass(frozen=True, eq=False)
-class Riccati:
+class Riccati(Frozen):
     """Solution of a finite-horizon Riccati equation.
 
     Attributes:
@@ -110,19 +109,9 @@ class Riccati:
 
 
 def discrete_riccati(transition: Array, input: Array, Q: Array, R: Array, final: Array) -> Riccati:
-    """Minimise ξ_Nᵀ P_N ξ_N + Σ ξ_iᵀ Q ξ_i + u_iᵀ R u_i along ξ_{i+1} = Φ_i ξ_i + Γ_i u_i.
+    """Minimise ξ_Nᵀ P_N ξ_N + Σ ξ_iᵀ Q ξ_i + u_iᵀ R u_i along ξ_{i+1} = Φ_i ξ_i + Γ_i u_i, i < N.
 
     Joseph's form (Φ − ΓK)ᵀ P (Φ − ΓK) + Q + Kᵀ R K keeps P symmetric and positive whatever the rounding of K.
-
-    Args:
-        transition: (N, e, e) Φ.
-        input: (N, e, p) Γ.
-        Q: (e, e) symmetric, positive semidefinite.
-        R: (p, p) symmetric, positive definite.
-        final: (e, e) P_N.
-
-    Raises:
-        InputError: R is not positive definite, or P loses its sign.
     """
     count, size, inputs = input.shape
     P, K = np.empty((count + 1, size, size)), np.empty((count, inputs, size))
@@ -141,20 +130,8 @@ def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, final: Array, ste
     """Solve −Ṗ = AᵀP + PA − P B R⁻¹ Bᵀ P + Q backwards, exactly for A and B constant in each interval.
 
     With the Hamiltonian H = [[A, −B R⁻¹ Bᵀ], [−Q, −Aᵀ]] and [X; Y] = exp(−H h) [I; P(t + h)], P(t) = Y X⁻¹.
-
-    Args:
-        A: (N, e, e) in each interval.
-        B: (N, e, p) in each interval.
-        Q: (e, e) cost rate of the state.
-        R: (p, p) cost rate of the input.
-        final: (e, e) P at the end.
-        step: (N,) lengths of the intervals, s.
-
-    Returns:
-        P at the N + 1 ends; K (N + 1, p, e) at the same ends, with the B of the interval before (after, at the start).
-
-    Raises:
-        InputError: R is not positive definite, or P loses its sign.
+    ``step`` (N,) are the lengths h of the intervals, s; K is at the N + 1 ends like P, with the B of the interval
+    before (after, at the start).
     """
     count, size, _ = B.shape
     factor = _factor(R)
@@ -199,16 +176,8 @@ def _least_eigenvalue(P: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearModel:
-    """d(δz)/dt = A(t) δz + B(t) δu along a reference, linear between its nodes.
-
-    δz = (δx, δs, δẋ, δṡ), δu = (δτ, δF); see ``simulation.derivatives``.
-
-    Attributes:
-        t: (T,) nodes, s.
-        A: (T, 2d, 2d).
-        B: (T, 2d, m + k).
-    """
+class LinearModel(Frozen):
+    """d(δz)/dt = A(t) δz + B(t) δu (``simulation.derivatives``), linear between nodes ``t`` (T,), s."""
 
     t: Array
     A: Array
@@ -216,10 +185,15 @@ class LinearModel:
 
     def at(self, times: Array) -> tuple[Array, Array]:
         """Return A (N, 2d, 2d) and B (N, 2d, m + k) at times (N,); outside the nodes those at the ends."""
-        inside = np.clip(times, self.t[0], self.t[-1])
-        i = np.clip(np.searchsorted(self.t, inside, side="right") - 1, 0, len(self.t) - 2)
-        share = ((inside - self.t[i]) / (self.t[i + 1] - self.t[i]))[:, None, None]
+        i, share = _between(self.t, times)
+        share = share[:, None, None]
         return (1.0 - share) * self.A[i] + share * self.A[i + 1], (1.0 - share) * self.B[i] + share * self.B[i + 1]
+
+
+def _between(nodes: Array, times: Array | float) -> tuple[IntArray, Array]:
+    """Return at which node (N,) the intervals of times (N,) begin, and the share of each that is over, 0 … 1."""
+    i = np.clip(np.searchsorted(nodes, times, side="right") - 1, 0, len(nodes) - 2)
+    return i, np.clip((times - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0)
 
 
 def linear_model(reference: MotionReference, step: float) -> LinearModel:
@@ -233,13 +207,10 @@ def linear_model(reference: MotionReference, step: float) -> LinearModel:
 
 
 @dataclass(frozen=True, eq=False)
-class SampledModel:
+class SampledModel(Frozen):
     """ξ_{i+1} = Φ_i ξ_i + Γ_i δu_i with ξ = (δz, δu of the sample before); the latter acts until the delay is over.
 
-    Attributes:
-        t: (N + 1,) sampling instants, s.
-        transition: (N, e, e) Φ, e = 2d + m + k, or 2d without delay.
-        input: (N, e, m + k) Γ.
+    ``t`` (N + 1,) sampling instants, s; without delay ξ is δz.
     """
 
     t: Array
@@ -342,8 +313,6 @@ class TimeVaryingLqr(Tracking):
             self.t, self.riccati, self.holds_end = _continuous(self.model, self.weights)
         else:
             self.t, self.riccati, self.holds_end = _sampled(self.model, self.weights, sampling)
-        self._times: list[float] = self.t.tolist()
-        self._tolerance = 0.0 if sampling is None else 1e-6 * sampling.period
         nothing = np.zeros(robot.m + robot.k)
         # time of the last answer of a digital controller, its δu, and the δu that acted then: δu of the sample before
         self._memory: tuple[float, Array, Array] = (np.inf, nothing, nothing)
@@ -351,13 +320,12 @@ class TimeVaryingLqr(Tracking):
     def gain(self, t: float) -> Array:
         """Return K (m + k, e) at time t: linear between nodes, or that of the sampling instant at or before t."""
         K = self.riccati.K
-        i = bisect_right(self._times, t + self._tolerance) - 1
-        if self.sampling is not None:
+        if self.sampling is not None:  # a reading at an instant may come a rounding before it
+            i = int(np.searchsorted(self.t, t + 1e-6 * self.sampling.period, side="right")) - 1
             gain: Array = K[min(max(i, 0), len(K) - 1)]
             return gain
-        i = min(max(i, 0), len(K) - 2)
-        share = min(max((t - self.t[i]) / (self.t[i + 1] - self.t[i]), 0.0), 1.0)
-        between: Array = (1.0 - share) * K[i] + share * K[i + 1]
+        j, share = _between(self.t, t)
+        between: Array = (1.0 - share) * K[j] + share * K[j + 1]
         return between
 
     def effort(self, t: float, state: State) -> Command:

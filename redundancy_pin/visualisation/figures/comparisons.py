@@ -11,13 +11,12 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.figures.curves import Curves, carrier_panels, curves_of_plan
+from redundancy_pin.visualisation.figures.plots import Curves, carrier_panels, curves_of_plan
 from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, legend_below, log_scale
 from redundancy_pin.visualisation.figures.time_panels import (
     Background,
     Curve,
     Panel,
-    fitted_range,
     plot_panel_grid,
     plot_time_panels,
     series,
@@ -45,14 +44,9 @@ def plot_efforts(
 
     Inside near-singular windows efforts are not drawn: they grow as (missing force)/margin, without bound. What stays
     finite is drawn in the panel below, the norm of the efforts (as forces) times the margin; at a singular instant it
-    is the force that no actuator can carry.
+    is the force that no actuator can carry, ``missing_force``, N, scaled.
 
-    Args:
-        drawn: efforts of the first backend.
-        check: (N, m) efforts of the second one, N or N·m.
-        backends: names of the two.
-        scale: (m,) lengths, m, that turn the efforts into forces (1 for prismatic actuators).
-        missing_force: that no actuator effort balances at each singular instant, N, scaled.
+    ``check`` (N, m) are the efforts of the second backend; ``scale`` (m,), m, turns efforts into forces.
     """
     names = [f"carrier {i + 1}" for i in range(drawn.carrier_force.shape[1])]
     panels = [_both(drawn, check, backends)]
@@ -100,22 +94,6 @@ def _difference(drawn: Curves, check: Array, scale: Array) -> Panel:
     curve = Curve("largest nearby", drawn.t[starts], largest, style={"color": "#444444", "linewidth": 1.0})
     within = (_ROUNDING / 3.0, 1e-9)
     return Panel("difference of\nbackends [–]", (curve,), ((1e-10, "tolerance"),), log=True, within=within, height=0.7)
-
-
-def plot_comparison(title: str, names: tuple[str, ...], unit: str, cases: Mapping[str, tuple[Array, Array]]) -> Figure:
-    """Draw the efforts of each case over time, (N,) and (N, m) by label, one panel an actuator, with their peaks."""
-
-    def curve(i: int, stroke: int, label: str) -> Curve:
-        t, tau = cases[label]
-        peak = float(np.nanmax(np.abs(tau[:, i]), initial=0.0))
-        return Curve(f"{label}: peak {peak:.3g} {unit}", t, tau[:, i], stroke)
-
-    panels = [
-        Panel(f"{name} [{unit}]", tuple(curve(i, stroke, label) for stroke, label in enumerate(cases)))
-        for i, name in enumerate(names)
-    ]
-    within = fitted_range([curve for panel in panels for curve in panel.curves])
-    return plot_time_panels(title, [replace(panel, within=within) for panel in panels])
 
 
 def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, instants: Sequence[float] = ()) -> Figure:
@@ -173,10 +151,7 @@ def plot_bars(
 def plot_speed_border(title: str, attempts: Sequence[tuple[str, Array, Array]]) -> Figure:
     """Draw effort over speed, logarithmic, with crosses on the lower edge where there is no plan.
 
-    Args:
-        title: of the figure.
-        attempts: a curve each: its label, (P, 2) speed, m/s, ascending, and largest effort, N, of those with a plan,
-            and (Q,) speeds without one, m/s.
+    An attempt is a label, (P, 2) speeds, m/s, ascending, and largest efforts, N, with a plan, (Q,) speeds without one.
     """
     with figure(7.0, 4.6, title) as drawn:
         axes = drawn.subplots()
@@ -196,19 +171,12 @@ _LETTERS = 42  # of a line of a panel's title
 
 @dataclass(frozen=True, eq=False)
 class TradeCurve:
-    """One motion.
+    """Acceleration against effort along one motion."""
 
-    Attributes:
-        title: of its panel.
-        unit: of the effort.
-        points: (P, 2) root mean squares of acceleration, m/s², and effort, along the curve.
-        marks: the same of other plans, by name.
-    """
-
-    title: str
-    unit: str
-    points: Array
-    marks: Mapping[str, tuple[float, float]]
+    title: str  # of its panel
+    unit: str  # of the effort
+    points: Array  # (P, 2) root mean squares of acceleration, m/s², and effort, along the curve
+    marks: Mapping[str, tuple[float, float]]  # the same of other plans, by name
 
 
 def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:

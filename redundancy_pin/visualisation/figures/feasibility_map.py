@@ -33,22 +33,15 @@ _LARGEST, _SMALLEST = 9.0, 4.5  # size of the letters, points: as the tiles allo
 
 @dataclass(frozen=True)
 class Tile:
-    """A rectangle of the map around one cell.
-
-    Attributes:
-        x0, x1, y0, y1: its edges.
-        kind: what is known of it.
-        value: peak effort, for the colour; None without a plan.
-        mark: letter of the limit that is in the way; empty where none is.
-    """
+    """A rectangle of the map around one cell."""
 
     x0: float
     x1: float
     y0: float
     y1: float
     kind: Kind
-    value: float | None = None
-    mark: str = ""
+    value: float | None = None  # peak effort, for the colour; None without a plan
+    mark: str = ""  # letter of the limit that is in the way
 
     @property
     def possible(self) -> bool:
@@ -73,15 +66,8 @@ def plot_feasibility(
     carry the letter of the limit in the way, failed ones are dotted with a question mark. A thick line is the border
     between possible and infeasible, a dashed one that of the other planner (only with two of them).
 
-    Args:
-        title: of the figure.
-        panels: the tiles of each planner, by the title of its panel.
-        x: label of the axis, with its unit.
-        y: the same.
-        value: label of the colours.
-        marks: what each letter stands for.
-        x_scale: of the axis.
-        y_scale: the same.
+    ``panels`` are by their titles; ``x``, ``y`` and ``value`` label the axes and the colours; ``marks`` says what each
+    letter stands for.
     """
     borders = [border_of(tiles) for tiles in panels.values()]
     with figure(1.4 + 4.3 * len(panels), 5.4, title) as drawn:
@@ -91,7 +77,9 @@ def plot_feasibility(
         norm = _norm([tile.value for tiles in panels.values() for tile in tiles if tile.possible])
         for i, ((name, tiles), on) in enumerate(zip(panels.items(), axes, strict=True)):
             on.set(title=name, xlabel=x, xscale=x_scale, yscale=y_scale)
-            _fit(on, tiles)
+            on.set_xlim(min(tile.x0 for tile in tiles), max(tile.x1 for tile in tiles))
+            on.set_ylim(min(tile.y0 for tile in tiles), max(tile.y1 for tile in tiles))
+            on.grid(False)
             _draw_tiles(on, tiles, norm)
             if len(panels) == 2:
                 _draw_border(on, borders[1 - i], own=False)
@@ -116,19 +104,19 @@ def border_of(tiles: Sequence[Tile]) -> Array:
     other = [tile for tile in tiles if tile.kind == "infeasible"]
     if not (one and other):
         return np.empty((0, 2, 2))
-    ax0, ax1, ay0, ay1 = (np.array([getattr(tile, name) for tile in one])[:, None] for name in ("x0", "x1", "y0", "y1"))
-    bx0, bx1, by0, by1 = (np.array([getattr(tile, name) for tile in other])[None] for name in ("x0", "x1", "y0", "y1"))
-    left, right = np.maximum(ax0, bx0), np.minimum(ax1, bx1)
-    low, high = np.maximum(ay0, by0), np.minimum(ay1, by1)
-    segments = []
-    for first, second in ((ax1, bx0), (ax0, bx1)):
-        i, j = np.nonzero((first == second) & (low < high))
-        x = np.broadcast_to(first, low.shape)[i, j]
-        segments.append(np.stack([np.stack([x, low[i, j]], -1), np.stack([x, high[i, j]], -1)], 1))
-    for first, second in ((ay1, by0), (ay0, by1)):
-        i, j = np.nonzero((first == second) & (left < right))
-        y = np.broadcast_to(first, left.shape)[i, j]
-        segments.append(np.stack([np.stack([left[i, j], y], -1), np.stack([right[i, j], y], -1)], 1))
+    ax0, ax1, ay0, ay1 = (np.array([getattr(tile, name) for tile in one]) for name in ("x0", "x1", "y0", "y1"))
+    bx0, bx1, by0, by1 = (np.array([getattr(tile, name) for tile in other]) for name in ("x0", "x1", "y0", "y1"))
+    along_y, along_x = (ay0, ay1, by0, by1), (ax0, ax1, bx0, bx1)
+    segments = [np.empty((0, 2, 2))]
+    for edge, beside, (a0, a1, b0, b1), axis in (
+        (ax1, bx0, along_y, 0), (ax0, bx1, along_y, 0), (ay1, by0, along_x, 1), (ay0, by1, along_x, 1)
+    ):  # fmt: skip
+        for place in np.intersect1d(edge, beside):  # all tiles with all others would be too many
+            i, j = np.flatnonzero(edge == place), np.flatnonzero(beside == place)
+            low, high = np.maximum(a0[i, None], b0[None, j]), np.minimum(a1[i, None], b1[None, j])
+            shared = low < high
+            ends = [np.stack([np.full(shared.sum(), place), end[shared]], axis=-1) for end in (low, high)]
+            segments.append(np.stack(ends, axis=1)[..., :: -1 if axis else 1])
     return np.concatenate(segments)
 
 
@@ -142,12 +130,6 @@ def _norm(values: Sequence[float | None]) -> Normalize | None:
     if most > _DECADES * least:
         return LogNorm(least, most)
     return Normalize(0.0, most)
-
-
-def _fit(axes: Axes, tiles: Sequence[Tile]) -> None:
-    axes.set_xlim(min(tile.x0 for tile in tiles), max(tile.x1 for tile in tiles))
-    axes.set_ylim(min(tile.y0 for tile in tiles), max(tile.y1 for tile in tiles))
-    axes.grid(False)
 
 
 def _draw_tiles(axes: Axes, tiles: Sequence[Tile], norm: Normalize | None) -> None:

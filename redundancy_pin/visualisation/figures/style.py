@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from redundancy_pin.errors import OutputError, RedundancyPinError
+from redundancy_pin.io.files import refusing, replacing_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import LayoutEngine
 
 
+_LAYOUT_DIGITS = 9  # of a fraction of the page
 _FINER = 1.6  # pixels of the picture per pixel of the page: lettering stays sharp on dense screens
 
 
@@ -40,6 +43,25 @@ def _page_class() -> type[Figure]:
             return buffer.getvalue(), {"width": round(self.dpi * self.get_size_inches()[0])}
 
     return Page
+
+
+def _layout() -> LayoutEngine:
+    """Return matplotlib's constrained layout, made repeatable.
+
+    Its solver visits objects in the order of their addresses, and its last digits, which names in an SVG are made of,
+    differ from run to run.
+    """
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+    from matplotlib.transforms import Bbox
+
+    class Repeatable(ConstrainedLayoutEngine):
+        def execute(self, fig: Any) -> Any:
+            result = super().execute(fig)
+            for axes in fig.axes:  # as the engine itself does; set_position would take them out of the layout
+                axes._set_position(Bbox(axes.get_position(original=True).get_points().round(_LAYOUT_DIGITS)))
+            return result
+
+    return Repeatable()
 
 
 @dataclass(frozen=True)
@@ -118,7 +140,7 @@ def figure(width: float, height: float, title: str = "") -> Iterator[Figure]:
     """Give an empty figure, inches, in the common style; no window and no global state. Long titles are broken."""
     require_matplotlib()
     with _styled():
-        page = _page_class()(figsize=(width, height), layout="constrained")
+        page = _page_class()(figsize=(width, height), layout=_layout())
         if title:
             page.suptitle(textwrap.fill(title, int(_TITLE_LETTERS * width)))
         yield page
@@ -145,21 +167,18 @@ def require_matplotlib() -> None:
 
 
 def save(drawn: Figure, *paths: str | Path) -> None:
-    """Write a figure to files; the suffix decides on the format. The same figure gives the same bytes.
+    """Write a figure to files, each whole or not at all; the suffix decides on the format.
+
+    The same figure gives the same bytes.
 
     Raises:
         OutputError: a suffix that is no picture format, or a file that cannot be written.
     """
-    for path in (Path(path) for path in paths):
+    for path in paths:
         kind = picture_format(path)
         stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-        try:
-            with _styled():
-                drawn.savefig(path, format=kind, metadata=stamp)
-        except OSError as error:
-            raise OutputError(
-                f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
-            ) from error
+        with replacing_file(path) as temporary, refusing(path), _styled():
+            drawn.savefig(temporary, format=kind, metadata=stamp)
 
 
 def picture_format(path: str | Path) -> str:

@@ -51,74 +51,46 @@ _BOX: dict[str, Any] = {"facecolor": "#FFFFFF", "edgecolor": "none", "alpha": 0.
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One curve.
+    """One curve."""
 
-    Attributes:
-        label: in the legend; empty leaves it out.
-        t: (N,) time, s.
-        value: (N,) what is drawn; not drawn where it is not finite.
-        stroke: which of the common strokes.
-        reference: whether it is what others are compared with: thin and grey.
-        carrier: whether it is one of the carriers', which have strokes of their own.
-        fitted: (N,) samples to which the axis is fitted, others may leave the picture; None: all.
-        style: keywords of matplotlib's ``plot`` for what is to look different.
-    """
-
-    label: str
-    t: Array
-    value: Array
-    stroke: int = 0
-    reference: bool = False
-    carrier: bool = False
-    fitted: BoolArray | None = None
-    style: Mapping[str, Any] = field(default_factory=dict)
+    label: str  # in the legend; empty leaves it out
+    t: Array  # (N,) time, s
+    value: Array  # (N,) what is drawn; not drawn where it is not finite
+    stroke: int = 0  # which of the common strokes
+    reference: bool = False  # whether others are compared with it: thin and grey
+    carrier: bool = False  # whether it is one of the carriers', which have strokes of their own
+    fitted: BoolArray | None = None  # (N,) samples to which the axis is fitted, others may leave the picture; None: all
+    style: Mapping[str, Any] = field(default_factory=dict)  # keywords of matplotlib's ``plot``, before all others
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
     """Curves that share an axis.
 
-    Attributes:
-        label: of the axis, with its unit.
-        curves: what is drawn.
-        levels: horizontal lines, by what the legend says of them.
-        limits: smallest and largest admissible value (2,) of all curves or (c, 2) of each, drawn and hatched beyond
-            where the curves come near to them, else written in the corner; infinite where there is none; may be empty.
-        log: whether the axis is logarithmic; of condition numbers, from 1 to 1000, unless ``within`` says otherwise.
-        height: relative.
-        within: ends of the axis; fitted to curves and limits when left out.
-        marks: points (t, value) with a text beside them, such as where a limit is exceeded most.
-        title: above the panel.
-        legend: whether it has one; else its curves are named under the figure, unless another panel names them.
-        shared: whether panels beside it have the same scale.
+    ``limits`` are the smallest and largest admissible value, (2,) of all curves or (c, 2) of each, infinite where there
+    is none: drawn, and hatched beyond, where the curves come near to them, else written in the corner.
     """
 
-    label: str
+    label: str  # of the axis, with its unit
     curves: tuple[Curve, ...]
-    levels: tuple[tuple[float, str], ...] = ()
+    levels: tuple[tuple[float, str], ...] = ()  # horizontal lines, with what the legend says of them
     limits: ArrayLike = ()
-    log: bool = False
-    height: float = 1.0
-    within: tuple[float, float] | None = None
-    marks: tuple[tuple[float, float, str], ...] = ()
+    log: bool = False  # whether the axis is logarithmic; of condition numbers, from 1 to 1000, without ``within``
+    height: float = 1.0  # relative
+    within: tuple[float, float] | None = None  # ends of the axis; None: fitted to curves and limits
+    marks: tuple[tuple[float, float, str], ...] = ()  # (t, value, text), such as where a limit is exceeded most
     title: str = ""
-    legend: bool = True
-    shared: bool = False
+    legend: bool = True  # without one, its curves are named under the figure, unless another panel names them
+    shared: bool = False  # whether panels beside it have the same scale
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What all panels of a figure have behind their curves.
+    """What all panels of a figure have behind their curves."""
 
-    Attributes:
-        plan: whose phases are shaded; none where left out.
-        instants: singular instants, s, drawn as dotted lines.
-        windows: near-singular stretches, shaded.
-    """
-
-    plan: Plan | None = None
-    instants: Sequence[float] = ()
-    windows: Windows = ()
+    plan: Plan | None = None  # whose phases are shaded
+    instants: Sequence[float] = ()  # singular instants, s, drawn as dotted lines
+    windows: Windows = ()  # near-singular stretches, shaded
 
     def draw(self, axes: Axes) -> None:
         """Draw it behind a panel."""
@@ -269,21 +241,16 @@ def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
     def in_reach(limits: Array) -> Array:  # NaN where a limit is so far that it would flatten the curves
         return np.where(np.abs(extent) >= _VISIBLE_FRACTION * np.abs(limits), limits, np.nan)
 
-    edges = np.concatenate([in_reach(_pairs(other.limits)).ravel() for other in alike])
+    edges = in_reach(np.concatenate([np.ravel(other.limits) for other in alike]).reshape(-1, 2)).ravel()
     ends = fitted_range(curves, edges[np.isfinite(edges)].tolist())
     axes.set_ylim(ends)
-    limits = _pairs(panel.limits)
+    limits = np.reshape(panel.limits, (-1, 2))
     shown = in_reach(limits)
     _draw_limits(axes, shown, ends)
     if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and np.isfinite(limits[0]).any():
         low, high = limits[0]
         text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
         axes.text(0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#444444")
-
-
-def _pairs(limits: ArrayLike) -> Array:
-    """Return limits as (c, 2)."""
-    return np.reshape(np.asarray(limits, dtype=float), (-1, 2))
 
 
 def _draw_limits(axes: Axes, shown: Array, ends: tuple[float, float]) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Mesh, Role, Shape, Solid, shapes_of_urdf
 
@@ -198,9 +199,8 @@ def _carriers(robot: Robot, size: float, clothed: set[int]) -> list[Solid]:
     solids = []
     for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True):
         body = int(robot.model.getJointId(name))
-        track, *shapes = _sliding(robot, body, limits, size) if slides(robot.model, body) else _turning(
-            robot, body, limits, size
-        )  # fmt: skip
+        drawn = _sliding if slides(robot.model, body) else _turning
+        track, *shapes = drawn(robot, body, limits, size)
         solids += [track, *([] if body in clothed else shapes)]
     return solids
 
@@ -277,11 +277,9 @@ def joint_axis(model: pin.Model, index: int) -> Array:
     """Return (3,) the unit axis of a joint of one freedom in its own frame."""
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL).reshape(6, model.nv)
-    column = jacobian[:, model.joints[index].idx_v]
-    part = column[3:] if np.abs(column[3:]).max() > 0.0 else column[:3]
-    axis: Array = part / np.linalg.norm(part)
-    return axis
+    linear, angular = np.split(motion_subspace(model, data, index)[:, 0], 2)
+    axis: Array = angular if angular.any() else linear
+    return axis / np.linalg.norm(axis)
 
 
 def slides(model: pin.Model, index: int) -> bool:
@@ -291,11 +289,8 @@ def slides(model: pin.Model, index: int) -> bool:
 
 def place(rotation: Array | None = None, translation: Array | None = None) -> Array:
     """Return a homogeneous placement (4, 4)."""
-    placement = np.eye(4)
-    if rotation is not None:
-        placement[:3, :3] = rotation
-    if translation is not None:
-        placement[:3, 3] = translation
+    turn, shift = np.eye(3) if rotation is None else rotation, np.zeros(3) if translation is None else translation
+    placement: Array = pin.SE3(turn, shift).homogeneous
     return placement
 
 

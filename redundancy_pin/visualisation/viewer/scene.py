@@ -40,54 +40,31 @@ _BEYOND = 1.5  # efforts next to a singularity grow without bound; their arrows 
 
 @dataclass(frozen=True, eq=False)
 class Arrow:
-    """The effort of one actuator over the frames: straight for a force, an arc for a torque.
+    """The effort of one actuator over the frames: straight for a force, an arc for a torque."""
 
-    Attributes:
-        name: of the joint.
-        body: index of the joint; the arrow starts at its origin and turns with it.
-        axis: (3,) unit axis of the joint in its own frame; positive efforts point along it.
-        turning: whether it is a torque.
-        group: whose effort it is.
-        length: (F,) with its sign, m; the radius of an arc. Zero where no finite effort exists.
-    """
-
-    name: str
-    body: int
-    axis: Array
-    turning: bool
+    name: str  # of the joint
+    body: int  # index of the joint; the arrow starts at its origin and turns with it
+    axis: Array  # (3,) unit axis of the joint in its own frame; positive efforts point along it
+    turning: bool  # whether it is a torque
     group: Group
-    length: Array
+    length: Array  # (F,) with its sign, m; the radius of an arc. Zero where no finite effort exists
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A robot in motion. F frames, N points of the path, J joints of the tree with the base as number 0.
-
-    Attributes:
-        title: one line.
-        names: (J,) names of the joints, the base first.
-        t: (F,) time of each frame, s, from zero.
-        placement: (F, J, 4, 4) placement of each joint's frame in the world, m.
-        solids: base and platform, links, joints, tracks, carriers.
-        arrows: efforts.
-        margin: (F,) distance to type II, scaled; NaN where unknown.
-        path: (N, 3) places of the traced point, world, m.
-        path_margin: (N,) margin along it.
-        size: the size of the machine, m: parts that have no size of their own are drawn in proportion to it.
-        captions: what the arrows' lengths stand for, a line each.
-    """
+    """A robot in motion. F frames, N points of the path, J joints of the tree with the base as number 0."""
 
     title: str
-    names: tuple[str, ...]
-    t: Array
-    placement: Array
-    solids: tuple[Solid, ...]
-    arrows: tuple[Arrow, ...]
-    margin: Array
-    path: Array
-    path_margin: Array
-    size: float
-    captions: tuple[str, ...]
+    names: tuple[str, ...]  # (J,) of the joints, the base first
+    t: Array  # (F,) time of each frame, s, from zero
+    placement: Array  # (F, J, 4, 4) placement of each joint's frame in the world, m
+    solids: tuple[Solid, ...]  # base and platform, links, joints, tracks, carriers
+    arrows: tuple[Arrow, ...]  # efforts
+    margin: Array  # (F,) distance to type II, scaled; NaN where unknown
+    path: Array  # (N, 3) places of the traced point, world, m
+    path_margin: Array  # (N,) margin along it
+    size: float  # of the machine, m: parts that have no size of their own are drawn in proportion to it
+    captions: tuple[str, ...]  # what the arrows' lengths stand for, a line each
 
     @property
     def duration(self) -> float:
@@ -106,21 +83,14 @@ def make_scene(
     title: str = "",
     force_scale: float = 1.0,
 ) -> Scene:
-    """Return the moving picture of a motion.
+    """Return the moving picture of a motion of N samples, with its margin (N,) to type II, scaled.
 
-    Args:
-        robot: the robot.
-        motion: N samples of the platform motion.
-        carriers: N samples of the carrier motion.
-        margin: (N,) distance to type II, scaled.
-        tau: (N, m) main efforts, N or N·m; NaN where there are none. None: no arrows.
-        carrier_force: (N, k) forces of the carriers' actuators, N. None: no arrows.
-        title: one line.
-        force_scale: how much longer than usual arrows are drawn. Usually the largest force met away from
-            singularities has an arrow of 0.4 sizes of the machine, the largest torque an arc of radius 0.16.
+    Efforts ``tau`` (N, m), NaN where there are none, and ``carrier_force`` (N, k), N or N·m, become arrows;
+    ``force_scale`` is how much longer than usual: usually the largest force met away from singularities has an arrow of
+    0.4 sizes of the machine, the largest torque an arc of radius 0.16.
 
     Raises:
-        InputError: a scale that is not a positive number, or samples that do not fit together.
+        InputError: a scale that is not a positive number, or samples that do not fit.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``lift``.
     """
     if not (np.isfinite(force_scale) and force_scale > 0.0):
@@ -131,7 +101,7 @@ def make_scene(
             remedy="Sample it at the times of the platform motion.",
         )
     q = lift(robot, motion).q.copy()
-    q[:, robot.carrier_position] = carriers.s
+    q[:, robot.carrier_position] = carriers.s  # the lift does not move them: no closure contains a carrier
     frames, points = frame_samples(motion.t), path_samples(margin)
     efforts: list[tuple[str, Group, Array]] = []
     if tau is not None:

@@ -15,7 +15,9 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.xacro_engine import is_within, own_folders
 
 Role = Literal["base", "link", "track", "carrier", "actuated", "passive", "closure", "platform"]
 """What a part is to the mechanism; it decides on the colour."""
@@ -49,6 +51,8 @@ ROLE_NAMES: Mapping[Role, str] = {
 
 MESH_OPACITY = 0.5  # of meshes: joints, closures and carriers are inside them
 _ARC_STEP = 0.05  # of the points along an arc, rad
+_LARGEST_MESH = 50 << 20  # bytes, of a robot that nobody vouches for
+_CLOSED_FORMATS = (".stl", ".obj", ".dae", ".ply")  # others, such as glTF, name further files for their vertices
 _WARNED = 3  # of the meshes that cannot be read, how many the warning names
 _SCHEMES = ("package://", "model://")
 _LOG = logging.getLogger(__name__)
@@ -56,30 +60,21 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A shape fixed to a body.
+    """A shape fixed to a body. A cylinder has its axis along z; a plate is a prism over a polygon.
 
-    Attributes:
-        name: unique within the body.
-        body: index of the joint that moves it; 0 is the base.
-        placement: (4, 4) homogeneous placement in the frame of that joint, m.
-        shape: what it is; a cylinder has its axis along z, a plate is a prism over a polygon.
-        size: sides (3) of a box, radius and length of a cylinder, radius of a sphere, m; radius and thickness of an
-            arc, m, and where it starts and ends, rad about z from x; empty for a mesh and a plate.
-        role: what it is to the mechanism.
-        color: ``#rrggbb``.
-        mesh: of a mesh and a plate, in the frame of ``placement``; None for other shapes.
-        opacity: less than 1 where other things are to be seen through it.
+    Its ``size``, m: sides (3) of a box, radius and length of a cylinder, radius of a sphere; radius and thickness of an
+    arc and where it starts and ends, rad about z from x; empty for a mesh and a plate.
     """
 
-    name: str
-    body: int
-    placement: Array
+    name: str  # unique within the body
+    body: int  # index of the joint that moves it; 0 is the base
+    placement: Array  # (4, 4) homogeneous placement in the frame of that joint, m
     shape: Shape
     size: tuple[float, ...]
     role: Role
-    color: str
-    mesh: Mesh | None = None
-    opacity: float = 1.0
+    color: str  # ``#rrggbb``
+    mesh: Mesh | None = None  # of a mesh and a plate, in the frame of ``placement``
+    opacity: float = 1.0  # less than 1 where other things are to be seen through it
 
 
 def corners_of(solid: Solid) -> Array:
@@ -111,7 +106,7 @@ def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
     import coal
 
     loader = coal.CachedMeshLoader()
-    urdf, unreadable = _with_readable_meshes(robot.urdf, robot.urdf_folder, loader)
+    urdf, unreadable = _with_readable_meshes(robot, loader)
     if unreadable:
         rest = f"; and {len(unreadable) - _WARNED} more" if len(unreadable) > _WARNED else ""
         _LOG.warning(
@@ -135,12 +130,13 @@ def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
         if shape == "mesh":  # a file that many links share is copied out of coal once
             key = (str(item.meshPath), tuple(float(factor) for factor in item.meshScale))
             if key not in meshes:
-                meshes[key] = _triangles(item.geometry)
+                faces = [[item.geometry.tri_indices(i)[k] for k in range(3)] for i in range(item.geometry.num_tris)]
+                vertices = np.array(item.geometry.vertices(), dtype=float)
+                meshes[key] = vertices, np.array(faces, dtype=np.intp).reshape(-1, 3)
             mesh = meshes[key]
-        solids.append(
-            Solid(str(item.name), body, item.placement.homogeneous.copy(), shape, size, role, color, mesh,
-                  MESH_OPACITY if mesh is not None else 1.0)
-        )  # fmt: skip
+        opacity = 1.0 if mesh is None else MESH_OPACITY
+        placement = item.placement.homogeneous.copy()
+        solids.append(Solid(str(item.name), body, placement, shape, size, role, color, mesh, opacity))
     return tuple(solids)
 
 
@@ -154,13 +150,13 @@ def find_mesh(filename: str, folder: str) -> Path | None:
         if filename.startswith(scheme):
             name, _, rest = filename.removeprefix(scheme).partition("/")
             candidates = (root / rest for root in _package_roots(name, folder))
-            return next((file for file in candidates if file.is_file()), None)
+            return next((file for file in candidates if is_file(file)), None)
     path = Path(filename.removeprefix("file://"))
     if not path.is_absolute():
         if not folder:
             return None
         path = Path(folder) / path
-    return path if path.is_file() else None
+    return path if is_file(path) else None
 
 
 def _package_roots(name: str, folder: str) -> Iterator[Path]:
@@ -175,20 +171,20 @@ def _package_roots(name: str, folder: str) -> Iterator[Path]:
             yield Path(prefix) / "share" / name
 
 
-def _with_readable_meshes(urdf: str, folder: str, loader: Any) -> tuple[str, tuple[str, ...]]:
+def _with_readable_meshes(robot: Robot, loader: Any) -> tuple[str, tuple[str, ...]]:
     """Return a URDF for drawing only, and what is wrong with the meshes that were left out of it.
 
     Mesh files have their absolute paths, visuals with meshes that cannot be read are gone, and so is all collision
     geometry. A capsule, which Pinocchio's reader does not know, is a cylinder and two spheres.
     """
-    root = ElementTree.fromstring(urdf)
+    root = ElementTree.fromstring(robot.urdf)
     unreadable: list[str] = []
     for link in root.iter("link"):
         for collision in link.findall("collision"):
             link.remove(collision)
         for visual in link.findall("visual"):
             mesh, capsule = visual.find("geometry/mesh"), visual.find("geometry/capsule")
-            problem = _resolve(mesh, folder, loader) if mesh is not None else ""
+            problem = _resolve(mesh, robot, loader) if mesh is not None else ""
             if problem:
                 unreadable.append(problem)
             if problem or capsule is not None:
@@ -198,12 +194,17 @@ def _with_readable_meshes(urdf: str, folder: str, loader: Any) -> tuple[str, tup
     return ElementTree.tostring(root, encoding="unicode"), tuple(dict.fromkeys(unreadable))
 
 
-def _resolve(mesh: ElementTree.Element, folder: str, loader: Any) -> str:
+def _resolve(mesh: ElementTree.Element, robot: Robot, loader: Any) -> str:
     """Give a mesh its absolute path; return what is wrong with it, if anything."""
     filename = mesh.get("filename", "")
-    file = find_mesh(filename, folder)
+    file = find_mesh(filename, robot.urdf_folder)
     if file is None:
         return f"{filename} is not found"
+    if robot.own_meshes_only:
+        if not is_within(file, own_folders(Path(robot.urdf_folder) / "urdf")):
+            return f"{filename} is outside the folder of its robot, which a file names (pass source= if you trust it)"
+        if file.suffix.lower() not in _CLOSED_FORMATS or file.stat().st_size > _LARGEST_MESH:
+            return f"{filename} is larger than {_LARGEST_MESH >> 20} MB, or none of {', '.join(_CLOSED_FORMATS)}"
     try:
         scale = np.array([float(part) for part in mesh.get("scale", "1 1 1").split()])
         loader.load(str(file), scale)
@@ -228,12 +229,6 @@ def _parts_of_capsule(visual: ElementTree.Element, capsule: ElementTree.Element)
         ElementTree.SubElement(ElementTree.SubElement(part, "geometry"), shape, size)
         part.extend(visual.findall("material"))
         yield part
-
-
-def _triangles(geometry: Any) -> Mesh:
-    """Return the triangles of a mesh of coal, scaled as the URDF says."""
-    faces = [tuple(geometry.tri_indices(i)[k] for k in range(3)) for i in range(geometry.num_tris)]
-    return np.array(geometry.vertices(), dtype=float), np.array(faces, dtype=np.intp).reshape(-1, 3)
 
 
 def _primitive(geometry: Any) -> tuple[Shape, tuple[float, ...]]:

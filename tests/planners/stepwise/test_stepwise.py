@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear, minimize
 
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot
-from redundancy_pin.kinematics.modes import all_working_modes
+from redundancy_pin.kinematics.coordinates import all_working_modes
+from redundancy_pin.planners.dense_check import ALLOWED
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.stepwise.planner import plan_stepwise
 from redundancy_pin.trajectory import reference
@@ -35,6 +36,9 @@ TORQUE_FREE = 3e-8
 
 LIMIT = 1e-9
 """Relative excess over a limit that is rounding."""
+
+BETWEEN = 1e-2
+"""Relative, of the largest effort inside the steps, which is sampled here."""
 
 
 @functools.cache
@@ -121,7 +125,7 @@ def test_each_step_is_the_true_minimum(lam, radius):
     require_true_minimum(plan, dynamics_of(), motion, limits, lam * baseline, steps_of(plan)[::4])
 
 
-@examples(12)
+@examples(5)
 @given(
     lam=st.floats(0.0, 1.0),
     mode=st.sampled_from(MODES),
@@ -137,13 +141,26 @@ def test_random_plans_are_minimal_within_limits_and_end_at_rest(lam, mode, mass,
     plan = plan_stepwise(dynamics, motion, lam=lam, baseline=baseline)
     limits = dynamics.robot.carrier_limits
     require_limits(plan, limits)
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    # between single samples, the step into a jump of ẍ has the efforts of the jump, which no sample need show
+    ratio = largest_inside_steps(plan, RneaDynamics(dynamics.robot)) / np.abs(plan.tau).max()
+    assert plan.status in (PlanStatus.WITHIN_LIMITS, PlanStatus.UNRESOLVED)
+    assert plan.between.ratio >= ratio * (1.0 - BETWEEN)
+    assert plan.status is PlanStatus.UNRESOLVED or ratio <= ALLOWED * (1.0 + BETWEEN)
+    assert plan.status is PlanStatus.WITHIN_LIMITS or ratio > ALLOWED * (1.0 - BETWEEN)
     assert (plan.carriers.sd[-1] == 0.0).all()
     assert plan.diagnostics["largest_gradient"] < 1e-6
     assert plan.diagnostics["least_curvature"] > 0.0
     narrowed = {event["carrier"] for event in plan.diagnostics["bounds"] if event["bound"] == "stop"}
     if not narrowed:
         require_true_minimum(plan, dynamics, motion, limits, lam * baseline, steps_of(plan)[7::40])
+
+
+def largest_inside_steps(plan, dynamics):
+    """The largest effort at times inside the steps, their ends almost included."""
+    inside = np.concatenate([[1e-6, 1.0 - 1e-6], np.linspace(0.05, 0.95, 19)])
+    t = np.unique(plan.t)
+    times = np.unique(t[:-1, None] + np.diff(t)[:, None] * inside)
+    return np.abs(plan.efforts_at(times, dynamics)).max()
 
 
 def require_limits(plan, limits):
@@ -230,10 +247,12 @@ def test_lower_limits_bind_more_and_higher_ones_cure():
         plan_stepwise(dynamics_of((1, -1, 1)), motion, acceleration=a, speed=v)
         for a, v in ((3.0, 0.3), (None, None), (12.0, 1.2))
     )
-    assert tight.peak_effort.max() > own.peak_effort.max() > wide.peak_effort.max()
+    # the samples show one side of each jump only: what is optimised for them, and not what is needed between them
+    peaks = [plan.peak_effort_at_samples.max() for plan in (tight, own, wide)]
+    assert peaks == sorted(peaks, reverse=True)
     assert {event["bound"] for event in wide.diagnostics["bounds"]} == set()
     assert own.parameters["acceleration"] == (7.0, 7.0, 7.0)
-    assert tight.status is PlanStatus.WITHIN_LIMITS  # judged by the limits it was given
+    assert not tight.limits.violated  # judged by the limits it was given
 
 
 def test_the_thesis_corner_in_its_mode():
@@ -241,4 +260,7 @@ def test_the_thesis_corner_in_its_mode():
     plan = plan_stepwise(dynamics_of(), corner(0.005))
     bounds = {(event["carrier"], event["bound"]) for event in plan.diagnostics["bounds"]}
     assert bounds == {("carrier_2", "speed"), ("carrier_2", "acceleration")}
-    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert not plan.limits.violated
+    assert plan.status is PlanStatus.UNRESOLVED  # single samples
+    both = plan_stepwise(dynamics_of(), reference.corner(), dt=0.005)
+    assert both.status is PlanStatus.WITHIN_LIMITS

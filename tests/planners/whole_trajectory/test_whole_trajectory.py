@@ -76,8 +76,8 @@ def require_sound(dynamics, trajectory, plan):
         ("effort", 0.5, {}, 0.21),
         ("peak", 0.5, {}, 0.11),
         ("effort", 0.75, {}, 0.5),
-        ("peak", 0.75, {}, 0.25),
-        ("effort", 0.5, {"end_effector_mass": 0.5, "cylinder_mass": 0.3}, 3.0),
+        pytest.param("peak", 0.75, {}, 0.25, marks=pytest.mark.long),
+        pytest.param("effort", 0.5, {"end_effector_mass": 0.5, "cylinder_mass": 0.3}, 3.0, marks=pytest.mark.long),
     ],
 )
 def test_circle(objective, speed, arguments, most):
@@ -127,7 +127,10 @@ def test_efforts_at_singular_instants_are_the_limits_from_both_sides(case):
             np.testing.assert_allclose(beside, plan.tau[i], atol=1e-3 * max(1.0, np.abs(plan.tau).max()))
 
 
-@pytest.mark.parametrize(("case", "objective"), [("circle", "effort"), ("heavy", "peak"), ("corner", "peak")])
+@pytest.mark.parametrize(
+    ("case", "objective"),
+    [("circle", "effort"), ("corner", "peak"), pytest.param("heavy", "peak", marks=pytest.mark.long)],
+)
 def test_both_backends_give_the_same_plan(case, objective):
     """The optimum of "peak" is flat: plans differ by 1e-4 to 1e-2 if the solver is content too early."""
     if case == "corner":
@@ -289,17 +292,18 @@ def test_infeasible_says_how_much_would_suffice():
     assert effort["unit"] == "N"
     assert f"the effort of {effort['carrier']}, from 0.05 to {effort['limit']:.6g} N " in caught.value.message
     assert effort["carrier"] in dynamics.robot.actuated
-    least = plan_whole_trajectory(dynamics, circle(), objective="peak", dt=0.03, refinements=0).peak_effort.max()
+    least = plan_whole_trajectory(dynamics, circle(), objective="peak", dt=0.03, refinements=0)
+    least = least.peak_effort_at_samples.max()
     assert effort["limit"] == pytest.approx(least, rel=1e-3)
     enough = plan_whole_trajectory(dynamics, circle(), effort=1.001 * least, dt=0.03, refinements=0)
     assert enough.diagnostics["optimal"]
-    assert enough.peak_effort.max() <= 1.001 * least * (1.0 + 1e-6)
+    assert enough.peak_effort_at_samples.max() <= 1.001 * least * (1.0 + 1e-6)
     # steps of 30 ms, not refined: between the nodes the limit is far exceeded, and the plan says so
     assert enough.status is PlanStatus.VIOLATES_LIMITS
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
 
 
-@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("sense", [1.0, pytest.param(-1.0, marks=pytest.mark.long)])
 def test_infeasible_track_names_the_carrier(sense):
     """A start with a speed that no acceleration stops before the end of the track: v² / 2a is needed."""
     speed, room = 2.0, 0.1

@@ -67,8 +67,14 @@ def short_line():
 TRAJECTORIES = {"line": short_line(), "circle": reference.circle(0.5, 0.2, 0.05)}
 
 
-@pytest.mark.parametrize("objective", ["effort", "peak"])
-@pytest.mark.parametrize("name", ["line", "circle"])
+@pytest.mark.parametrize(
+    ("name", "objective"),
+    [
+        ("line", "peak"),
+        ("circle", "effort"),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (("line", "effort"), ("circle", "peak"))),
+    ],
+)
 def test_optimum_is_that_of_the_full_model(robot, name, objective):
     trajectory = TRAJECTORIES[name]
     plan = plan_of(robot, trajectory, objective, refinements=0)

@@ -47,7 +47,8 @@ def test_a_start_on_a_limit_has_a_plan(settings, near):
     """It is on the track, so it is allowed; the plan is that of a start just inside."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle(0.5, 0.2, 0.05)
     on, inside = (plan_whole_trajectory(dynamics, trajectory, dt=0.03, refinements=0, **s) for s in (settings, near))
-    assert on.status is PlanStatus.WITHIN_LIMITS
+    assert on.diagnostics["optimal"]  # on nodes so few it may be unresolved between them
+    assert not on.limits.violated
     assert on.diagnostics["objective"]["effort"] == pytest.approx(inside.diagnostics["objective"]["effort"], rel=1e-2)
 
 

@@ -36,8 +36,18 @@ def compare(dynamics, machine, trajectory, objective, limits, dt, **settings):
     return plan
 
 
-@pytest.mark.parametrize("objective", ["effort", "peak"])
-@pytest.mark.parametrize("masses", [{}, HEAVY], ids=["massless", "with masses"])
+long = pytest.mark.long
+
+
+@pytest.mark.parametrize(
+    ("objective", "masses"),
+    [
+        pytest.param("effort", {}, id="effort-massless"),
+        pytest.param("peak", HEAVY, id="peak-with masses"),
+        pytest.param("peak", {}, id="peak-massless", marks=long),
+        pytest.param("effort", HEAVY, id="effort-with masses", marks=long),
+    ],
+)
 def test_circle(objective, masses):
     dynamics = VirtualWork(zoo.robot_of("2rpr", **masses))
     trajectory = reference.circle(0.5, 0.2, 0.05)
@@ -46,14 +56,21 @@ def test_circle(objective, masses):
     assert len(plan.diagnostics["singular_nodes"]) == 2
 
 
-@pytest.mark.parametrize("objective", ["effort", "peak"])
-@pytest.mark.parametrize("radius", [0.025, 0.013])
+@pytest.mark.parametrize(
+    ("objective", "radius"),
+    [
+        ("effort", 0.013),
+        ("peak", 0.025),
+        pytest.param("effort", 0.025, marks=long),
+        pytest.param("peak", 0.013, marks=long),
+    ],
+)
 def test_corner(objective, radius):
     dynamics = VirtualWork(zoo.robot_of("3rrr"))
     compare(dynamics, symbolic_mechanisms.three_rrr(), reference.corner(radius), objective, OF_THREE_RRR, 0.03)
 
 
-@pytest.mark.parametrize("objective", ["effort", "peak"])
+@pytest.mark.parametrize("objective", ["effort", pytest.param("peak", marks=long)])
 def test_five_bar_through_type_two(objective):
     dynamics = RneaDynamics(zoo.robot_of("five_bar"))
     trajectory = straight((0.25, 0.6), (0.32, 0.3), 0.3)
@@ -136,7 +153,7 @@ def random_case(seed, steps):
     pytest.fail("infeasible however wide the limits")
 
 
-@pytest.mark.parametrize("seed", range(9))
+@pytest.mark.parametrize("seed", [pytest.param(seed, marks=() if seed in (1, 2, 3) else long) for seed in range(9)])
 def test_random_machines(seed):
     random_case(seed, 30)
 

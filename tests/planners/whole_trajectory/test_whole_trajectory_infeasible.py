@@ -56,7 +56,7 @@ def random_problem(seed):
     if seed % 8 < 6:
         settings = {"dt": trajectory.duration / STEPS, "refinements": 0, "seconds": SECONDS}
         least = plan_whole_trajectory(dynamics, trajectory, objective="peak", **settings_of(limits), **settings)
-        limits["effort"] = float(rng.uniform(0.7, 0.9)) * float(least.peak_effort.max())
+        limits["effort"] = float(rng.uniform(0.7, 0.9)) * float(least.peak_effort_at_samples.max())
     return dynamics, trajectory, limits
 
 
@@ -84,7 +84,9 @@ def relaxed(dynamics, limits, details, factor):
     return found
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=() if seed in (1, 4, 5, 6) else pytest.mark.long) for seed in range(16)]
+)
 def test_what_is_said_to_suffice_suffices_and_less_does_not(seed):
     dynamics, trajectory, limits = random_problem(seed)
     settings = {"dt": trajectory.duration / STEPS, "refinements": 0, "seconds": SECONDS}

@@ -1,5 +1,8 @@
 """Options in groups or flat, nodes, and an objective of one's own."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import zoo
@@ -114,3 +117,14 @@ def test_nodes_have_every_event_and_are_integrated_exactly(trajectory):
     assert np.isin(plan.diagnostics["singular_nodes"], smooth).all()
     jerk = np.diff(plan.carriers.sdd, axis=0) / np.where(h > 0.0, h, np.inf)[:, None]
     np.testing.assert_allclose(jerk[smooth - 1], jerk[smooth], atol=1e-6 * np.abs(jerk).max())
+
+
+def test_every_objective_is_named_where_a_user_looks_for_it():
+    """In the planner's documentation and in the problem file of the documentation: all of them, and no others."""
+    problem = (Path(__file__).parents[3] / "docs/problem.yaml").read_text()
+    (listed,) = re.findall(
+        r"objective \(a word, or weights: \{.*?\}; (.*?)\)", re.sub(r"\n#\s*", " ", problem), re.DOTALL
+    )
+    assert set(listed.split(", ")) == set(OBJECTIVES)
+    text = plan_whole_trajectory.__doc__.partition("objective: ")[2].partition("lam: ")[0]
+    assert set(re.findall(r'"(\w+)"\s+(?:∫|max)', text)) == set(OBJECTIVES)

@@ -133,6 +133,7 @@ def test_iterations_do_not_grow_with_the_nodes():
     assert many <= 1.35 * few
 
 
+@pytest.mark.long
 def test_long_plans_are_the_same_from_both_backends():
     """At 1000 nodes the tolerance alone leaves efforts 2e-2 apart: the last steps have to be taken, and exactly."""
     ours, theirs = (square_plan(1000, backend) for backend in (VirtualWork, RneaDynamics))
@@ -163,6 +164,7 @@ def test_flat_optima_are_finished_whatever_led_to_them(monkeypatch):
     np.testing.assert_allclose(usual.tau, other.tau, atol=BOTH_BACKENDS * np.abs(other.tau).max())
 
 
+@pytest.mark.long
 def test_a_first_strategy_that_wanders_is_given_up(monkeypatch):
     """On this line of the five-bar it nearly always does, and once, let for 80 iterations, ended a third worse."""
     path = Line((0.36395008276923135, 0.3972365808628847), (0.16252613968460775, 0.6383251732788081))

@@ -226,17 +226,15 @@ def test_correcting_efforts_are_those_of_the_backend():
     """a (W̃ᵀ M̃ W̃)_ii / |W̃_i|³ with M and W of the inverse dynamics, in lengths."""
     motion = corner()
     robot, middles = motion.robot, 0.5 * (motion.edges[:-1] + motion.edges[1:])
-    dynamics, rows, found = rp.RneaDynamics(robot), row_scale(robot), []
+    rows, found = row_scale(robot), []
     assert not np.allclose(rows, 1.0)
-    for t in middles.tolist():
-        point = motion.at(t)
-        still = np.zeros((4, 3))
-        motions = PlatformMotion(
-            np.arange(4.0), np.tile(point.x, (4, 1)), still, np.concatenate([np.eye(3), np.zeros((1, 3))])
-        )
-        reduced = dynamics.reduce(motions, CarrierMotion(np.tile(point.s, (4, 1)), still, still))
-        mass = (reduced.f[:3] - reduced.f[3]).T / rows[:, None] / rows
-        W = reduced.W[0] / rows[:, None]
+    # four accelerations at each point: three of one, and none
+    points = [motion.at(t) for t in np.repeat(middles, 4).tolist()]
+    still, steps = np.zeros((len(points), 3)), np.tile(np.eye(4, 3), (len(middles), 1))
+    motions = PlatformMotion(np.arange(len(points), dtype=float), [point.x for point in points], still, steps)
+    reduced = rp.RneaDynamics(robot).reduce(motions, CarrierMotion([point.s for point in points], still, still))
+    for f, W in zip(reduced.f.reshape(-1, 4, 3), reduced.W[::4] / rows[:, None], strict=True):
+        mass = (f[:3] - f[3]).T / rows[:, None] / rows
         found.append(np.diag(W.T @ mass @ W) / np.linalg.norm(W, axis=0) ** 3)
     expected = 0.9 * np.median(found, axis=0)
     assert computed_torque.correcting_efforts(motion, 0.9) == pytest.approx(expected, rel=1e-8)

@@ -1,0 +1,67 @@
+"""``redundancy-pin check``: a saved plan judged anew by the dynamics of its robot."""
+
+from __future__ import annotations
+
+import click
+
+from redundancy_pin.cli.errors import FAILED_CHECK
+from redundancy_pin.cli.options import backend_option, json_option, trust_option
+from redundancy_pin.cli.output import console, number, print_json, table_of
+from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES
+from redundancy_pin.planners.check import check_plan
+from redundancy_pin.planners.plan import load_plan, load_robot_of
+from redundancy_pin.studies.case import BACKENDS, RNEA
+
+
+@click.command()
+@click.argument("path", metavar="NPZ")
+@click.option(
+    "--robot", "source", metavar="NAME|PATH", help="The plan's robot, where it is neither shipped nor in its folder."
+)
+@backend_option(RNEA, "What judges the plan.")
+@trust_option
+@json_option
+def check(path: str, source: str | None, backend: str, trust: bool, as_json: bool) -> int:
+    r"""Judge a saved plan anew.
+
+    Its motion goes through the dynamics of its robot again: W τ = f at the samples, limits, efforts between the
+    samples, and the status that follows, against what the plan says. Exit codes: 0 the plan is what it says, and within
+    its limits; 1 it is not what it says (a line on stderr for each deviation); 2 no plan, or a file that was changed
+    since it was saved; 3 and 4 it is what it says, and `plan` ends with that code.
+
+    \b
+    Example:
+      redundancy-pin check plan.npz --backend virtual-work
+    """
+    plan = load_plan(path)
+    result = check_plan(plan, BACKENDS[backend](load_robot_of(plan, source, trust=trust)))
+    if as_json:
+        print_json(
+            {
+                "plan": path,
+                "backend": backend,
+                "passed": result.passed,
+                "status": result.status.value,
+                "saved_status": plan.status.value,
+                "imbalance": result.imbalance,
+                "peak_effort": result.peak_effort,
+                "limits": {"violated": [vars(event) for event in result.violated]},
+                "deviations": [vars(deviation) for deviation in result.deviations],
+                "wider_limits": list(result.wider_limits),
+            }
+        )
+    else:
+        unit = plan.robot.effort_unit(*plan.robot.actuated)
+        rows = [
+            ("is what it says", "yes" if result.passed else "NO"),
+            ("status", result.status.value.replace("_", " ")),
+            ("largest imbalance of W τ = f", number(result.imbalance)),
+            (f"peak main effort [{unit}]", ", ".join(number(float(value)) for value in result.peak_effort)),
+            ("limits broken", str(len(result.violated)) if result.violated else "none"),
+            *(("deviation", deviation.message) for deviation in result.deviations),
+            *(("wider limit", note) for note in result.wider_limits),
+        ]
+        console().print(table_of(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {backend}", (), rows))
+    for deviation in result.deviations:
+        click.echo(f"error: {deviation.message}", err=True)
+    return EXIT_CODES.get(result.status, BREAKS_LIMITS) if result.passed else FAILED_CHECK

@@ -1,0 +1,95 @@
+"""Reading files that nobody vouches for: what is no file, too large, or no text is refused before it is read."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+from redundancy_pin.errors import RedundancyPinError, shortened
+
+
+def opened(path: str | Path, error: type[RedundancyPinError], what: str = "") -> BinaryIO:
+    """Open an ordinary file for reading.
+
+    Args:
+        path: the file; ``~`` is the user's folder.
+        error: raised where it cannot be opened.
+        what: what it is, before its path in messages: "The problem ".
+
+    Raises:
+        RedundancyPinError: of the given kind: missing, unreadable, a name no file can have, a folder, or a pipe or
+            device, which may never end.
+    """
+    try:
+        place = Path(path).expanduser()
+        # before it is opened: opening a pipe waits for its writer, opening a device may do something
+        _require_ordinary(os.stat(place).st_mode)
+        # and without waiting, for it may have become a pipe since
+        handle = os.open(place, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        try:
+            _require_ordinary(os.fstat(handle).st_mode)
+        except ValueError:
+            os.close(handle)
+            raise
+    except FileNotFoundError as fault:
+        raise _unreadable(path, error, what, "it does not exist") from fault
+    except OSError as fault:
+        raise _unreadable(path, error, what, fault.strerror or str(fault)) from fault
+    except (ValueError, RuntimeError) as fault:  # a NUL in the name, or ~ of a user there is not
+        raise _unreadable(path, error, what, str(fault)) from fault
+    return os.fdopen(handle, "rb")
+
+
+def read_bytes(path: str | Path, error: type[RedundancyPinError], what: str = "", *, largest: int) -> bytes:
+    """Return the content of an ordinary file of at most ``largest`` bytes; errors as ``opened``, and too large."""
+    with opened(path, error, what) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        try:
+            # files that the kernel makes up have no size: one byte more than is allowed tells
+            content = b"" if size > largest else stream.read(largest + 1)
+        except OSError as fault:
+            raise _unreadable(path, error, what, fault.strerror or str(fault)) from fault
+    if max(size, len(content)) > largest:
+        raise error(
+            f"{what}{path} is too large: {max(size, len(content))} bytes, of which at most {largest} are read.",
+            remedy="Shorten the file, or name another.",
+            path=str(path),
+            size=size,
+        )
+    return content
+
+
+def read_text(path: str | Path, error: type[RedundancyPinError], what: str = "", *, largest: int) -> str:
+    """Return the content of a UTF-8 text file, with or without a byte order mark; errors as ``read_bytes``."""
+    content = read_bytes(path, error, what, largest=largest)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as fault:
+        line = content.count(b"\n", 0, fault.start) + 1
+        raise error(
+            f"{what}{path}, line {line}: it is not text in UTF-8 ({content[fault.start]:#04x}: {fault.reason}).",
+            remedy="Save the file as UTF-8.",
+            path=str(path),
+            line=line,
+        ) from fault
+
+
+def is_file(path: Path) -> bool:
+    """Return whether a path leads to an ordinary file; no name whatever makes it fail."""
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)
+    except (OSError, ValueError):  # a name that is too long, or holds a NUL
+        return False
+
+
+def _unreadable(path: str | Path, error: type[RedundancyPinError], what: str, reason: str) -> RedundancyPinError:
+    return error(f"{what}{shortened(str(path))} cannot be read: {reason}.", remedy="Check the path.", path=str(path))
+
+
+def _require_ordinary(mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise ValueError("it is a folder")
+    if not stat.S_ISREG(mode):
+        raise ValueError("it is a pipe or a device, not a file")

@@ -1,0 +1,598 @@
+"""What a machine can do: two of its parameters swept over a grid, and the border between possible and impossible.
+
+    from redundancy_pin.studies.feasibility import MapProblem, feasibility_map, spaced, write_map
+
+    problem = MapProblem("2rpr", spaced("speed", 0.2, 2.0, 10), spaced("stroke", 0.1, 1.2, 12), "circle")
+    result = feasibility_map(problem, "store.sqlite", refine=2)  # run again after an interruption: it goes on
+    print(result.border("whole-trajectory"))
+    write_map(result, "map-2rpr")
+
+Cells are computed by joblib; within ``joblib.parallel_config(backend=...)`` by the backend named there, such as a
+cluster.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from enum import Enum
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from redundancy_pin.arrays import require_few
+from redundancy_pin.errors import (
+    InfeasiblePlanError,
+    InputError,
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+    WorkingModeError,
+)
+from redundancy_pin.io.files import write_text
+from redundancy_pin.kinematics.coordinates import require_matching
+from redundancy_pin.planners.dense_check import ALLOWED
+from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.robot_record import robot_record
+from redundancy_pin.robot import Robot
+from redundancy_pin.studies.map_problem import (
+    LIMITS,
+    OTHER,
+    PRESETS,
+    STEPWISE,
+    SWITCH_OFF,
+    WHOLE,
+    Axis,
+    MapProblem,
+    Preset,
+    parse_axis,
+    spaced,
+)
+from redundancy_pin.studies.store import Progress, Store, make_folder
+from redundancy_pin.studies.table import csv_text, json_data
+from redundancy_pin.visualisation.figures.feasibility_map import Tile, plot_feasibility
+from redundancy_pin.visualisation.figures.style import save
+from redundancy_pin.workers import require_jobs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "LIMITS",
+    "OTHER",
+    "PRESETS",
+    "STEPWISE",
+    "SWITCH_OFF",
+    "WHOLE",
+    "Axis",
+    "Cell",
+    "Crossing",
+    "FeasibilityMap",
+    "MapProblem",
+    "Preset",
+    "Verdict",
+    "compute",
+    "feasibility_map",
+    "parse_axis",
+    "spaced",
+    "write_map",
+]
+
+Direction = Literal["x", "y"]
+
+MOST_CELLS, MOST_REFINE = 1_000_000, 30
+
+BINDS = 0.999
+"""A limit is said to bind where this fraction of it is used: an interior-point solution stays a little inside."""
+
+ROUNDING = 1e-6
+"""Relative excess of an effort over its limit that counts as rounding."""
+
+UNDECIDED = ("", "seconds", "balance")
+"""What an error of a planner names as its constraint where it shows of no limit that it is in the way."""
+
+Key = tuple[str, float, float]
+"""Planner, value on the x axis, value on the y axis."""
+
+
+class Verdict(Enum):
+    """What is known of a cell. Infeasible and failed are never the same thing."""
+
+    FEASIBLE = "feasible"
+    """There is a plan that keeps every limit, and the planner finished."""
+    STOPPED_EARLY = "stopped_early"
+    """There is a plan that keeps every limit, but the optimiser stopped before it had an optimum."""
+    INFEASIBLE = "infeasible"
+    """The planner says that no plan keeps every limit, or its plan breaks one."""
+    FAILED = "failed"
+    """Nothing is known: the time ran out, the solver gave up, or something went wrong."""
+
+
+_RANK = (Verdict.FEASIBLE, Verdict.STOPPED_EARLY, Verdict.FAILED, Verdict.INFEASIBLE)
+"""Which of several answers stands: a plan before none; while one of them failed, it is not shown that there is none."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a planner says of one cell.
+
+    Attributes:
+        planner: its name on the command line.
+        x, y: values of the two parameters.
+        verdict: what is known.
+        limits: feasible: the limits that bind, at least to 0.1 %; infeasible: those in the way, the worst first.
+            "track", "speed", "acceleration", "jerk", "force" of a carrier, "effort" of a main actuator, "end" of the
+            motion, "workspace", and whatever else a planner names.
+        carrier: infeasible: which carrier or actuator exceeds the first of them most.
+        time: when, s.
+        amount: by how much, in its unit.
+        peak_effort: largest |τ| of any main actuator, between the samples included where the planner looks there, N or
+            N·m; None without a plan.
+        dense_ratio: largest effort between the samples over the largest at the samples; None where it is not known.
+        seconds: time taken.
+        status: status of the plan; empty without one.
+        message: why there is none, or what limits it breaks.
+        settings: parameters of the planner in the attempt that decided.
+    """
+
+    planner: str
+    x: float
+    y: float
+    verdict: Verdict
+    limits: tuple[str, ...] = ()
+    carrier: str | None = None
+    time: float | None = None
+    amount: float | None = None
+    peak_effort: float | None = None
+    dense_ratio: float | None = None
+    seconds: float = 0.0
+    status: str = ""
+    message: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> Key:
+        """What tells it from the others of a map."""
+        return self.planner, self.x, self.y
+
+    @property
+    def possible(self) -> bool | None:
+        """Whether the machine can do it; None where nothing is known."""
+        if self.verdict is Verdict.FAILED:
+            return None
+        return self.verdict is not Verdict.INFEASIBLE
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, for JSON; None for NaN and infinity."""
+        return dict(json_data(asdict(self)))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Cell:
+        """Return a cell from its plain data; KeyError, TypeError or ValueError where it is none."""
+        return cls(**{**data, "verdict": Verdict(data["verdict"]), "limits": tuple(data["limits"])})
+
+
+def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
+    """Return what a planner says of one cell: its first plan that keeps every limit, or the answer that says most.
+
+    Whatever goes wrong is in the cell: a sweep does not stop for one.
+    """
+    began = time.perf_counter()
+    answers: list[Cell] = []
+    for settings in problem.attempts(planner):
+        cell = Cell(planner, x, y, Verdict.FEASIBLE, settings=settings)
+        try:
+            plan = problem.case(planner, x, y, settings).plan(problem.backend)
+            answers.append(judge(cell, plan, problem.at(x, y)[2]))
+        except Exception as error:
+            answers.append(judge_error(cell, error))
+        if answers[-1].verdict is Verdict.FEASIBLE:
+            break
+    best = min(answers, key=lambda answer: _RANK.index(answer.verdict))
+    return replace(best, seconds=round(time.perf_counter() - began, 4))
+
+
+def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
+    """Return a cell with what a plan says of it.
+
+    A plan that breaks a limit of the carriers, exceeds the limit of the main efforts (``limits``, by name of
+    ``LIMITS``), or needs unbounded ones is none.
+    """
+    effort, peak = limits.get("max_effort"), float(plan.peak_effort_at_samples.max(initial=0.0))
+    ratio = None if plan.between is None else plan.between.ratio
+    cell = replace(cell, dense_ratio=ratio, status=plan.status.value)
+    if plan.status is PlanStatus.UNBOUNDED_EFFORT:
+        return replace(cell, verdict=Verdict.INFEASIBLE, limits=("effort",), message="No finite main efforts exist.")
+    between = float(plan.peak_effort.max(initial=0.0))
+    cell = replace(cell, peak_effort=between)
+    broken = _broken(plan, peak, effort)
+    if broken:
+        _, _, carrier, worst, amount = broken[0]
+        names = tuple(dict.fromkeys(name for _, name, *_ in broken))
+        shown = "; ".join(f"{name} of {whose} by {by:.4g} at {t:.4g} s" for _, name, whose, t, by in broken[:4])
+        return replace(cell, verdict=Verdict.INFEASIBLE, limits=names, carrier=carrier, time=worst, amount=amount,
+                       message=f"The plan breaks limits: {shown}.")  # fmt: skip
+    if effort is not None and between > ALLOWED * effort:
+        message = f"Between the nodes the efforts reach {between:.4g}: not resolved."
+        return replace(cell, verdict=Verdict.FAILED, message=message)
+    cell = replace(cell, limits=_binding(plan, peak, effort, limits.get("max_jerk")))
+    if plan.status is PlanStatus.STOPPED_EARLY:
+        message = f"The solver says {plan.diagnostics.get('solver')}."
+        return replace(cell, verdict=Verdict.STOPPED_EARLY, message=message)
+    return cell
+
+
+def judge_error(cell: Cell, error: Exception) -> Cell:
+    """Return a cell with what an error of the planner says of it.
+
+    Poses out of reach, type I singularities and changes of the working mode are limits of the machine. Errors that name
+    no constraint, or one that only says that the planner gave up, leave the cell unknown.
+    """
+    cell = replace(cell, message=f"{type(error).__name__}: {' '.join(str(error).split())}")
+    if isinstance(error, (UnreachablePoseError, SingularPoseError, WorkingModeError)):
+        return replace(cell, verdict=Verdict.INFEASIBLE, limits=("workspace",))
+    details: Mapping[str, Any] = error.details if isinstance(error, InfeasiblePlanError) else {}
+    constraint = str(details.get("constraint", ""))
+    if constraint in UNDECIDED:
+        return replace(cell, verdict=Verdict.FAILED)
+    relaxed = [str(entry["constraint"]) for entry in details["relaxations"]] if details.get("together") else ()
+    when, amount, carrier = details.get("time", details.get("t")), details.get("amount"), details.get("carrier")
+    return replace(
+        cell,
+        verdict=Verdict.INFEASIBLE,
+        limits=tuple(dict.fromkeys(relaxed or (constraint,))),
+        carrier=None if carrier is None else str(carrier),
+        time=None if when is None else float(when),
+        amount=None if amount is None else float(amount),
+    )
+
+
+def _broken(plan: Plan, peak: float, effort: float | None) -> list[tuple[float, str, str, float, float]]:
+    """Return relative excess, quantity, whose, when and amount of every limit that is broken, the worst first."""
+    broken = [
+        (event.amount / max(abs(event.limit), 1e-12), event.quantity, event.carrier, event.worst, event.amount)
+        for event in plan.limits.violated
+        if event.quantity != "effort"  # judged below; between the nodes it says that the plan is not resolved
+    ]
+    if effort is not None and peak > effort * (1.0 + ROUNDING):
+        i, j = np.unravel_index(int(np.nanargmax(np.abs(plan.tau))), plan.tau.shape)
+        broken.append(
+            ((peak - effort) / effort, "effort", plan.robot.actuated[int(j)], float(plan.t[i]), peak - effort)
+        )
+    return sorted(broken, reverse=True)
+
+
+def _binding(plan: Plan, peak: float, effort: float | None, jerk: float | None) -> tuple[str, ...]:
+    """Return the limits of which a plan uses all but a thousandth, the one most used first."""
+    s = plan.carriers
+    lower, upper, speed, acceleration, force = (
+        np.array([getattr(limit, name) for limit in plan.limits.judged_by])
+        for name in ("lower", "upper", "speed", "acceleration", "force")
+    )
+    use = {
+        "track": np.abs(s.s - 0.5 * (lower + upper)) / (0.5 * (upper - lower)),
+        "speed": np.abs(s.sd) / speed,
+        "acceleration": np.abs(s.sdd) / acceleration,
+        "force": np.abs(plan.carrier_force) / force,
+        "effort": np.array([peak / effort if effort else 0.0]),
+    }
+    if jerk:
+        h = np.diff(plan.t)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):  # two-sided samples have no step between them
+            use["jerk"] = np.where(h > 0.0, np.abs(np.diff(s.sdd, axis=0)) / (h * jerk), 0.0)
+    most = {name: float(np.max(np.where(np.isfinite(part), part, 0.0), initial=0.0)) for name, part in use.items()}
+    return tuple(name for name in sorted(most, key=lambda name: -most[name]) if most[name] >= BINDS)
+
+
+# --- the map ---
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Two neighbouring cells of one line of a map between which the verdict changes.
+
+    ``line`` is the value of the other parameter, common to both; ``low`` and ``high`` are values of this one.
+    """
+
+    line: float
+    low: float
+    high: float
+    possible: Literal["low", "high"]
+
+
+@dataclass(frozen=True, eq=False)
+class FeasibilityMap:
+    """A computed map.
+
+    Attributes:
+        problem: what it is of.
+        cells: those of the grid and those that refine the border, by planner and place.
+        along: the axis along which the border is given, and was refined if at all.
+    """
+
+    problem: MapProblem
+    cells: tuple[Cell, ...]
+    along: Direction = "x"
+
+    @property
+    def axes(self) -> tuple[Axis, Axis]:
+        """The axis of the border, and the other one."""
+        return (self.problem.x, self.problem.y) if self.along == "x" else (self.problem.y, self.problem.x)
+
+    def of(self, planner: str) -> tuple[Cell, ...]:
+        """Return the cells of one planner."""
+        return tuple(cell for cell in self.cells if cell.planner == planner)
+
+    def cell(self, planner: str, x: float, y: float) -> Cell:
+        """Return one cell; KeyError if there is none."""
+        return {cell.key: cell for cell in self.cells}[planner, x, y]
+
+    def place(self, cell: Cell) -> tuple[float, float]:
+        """Return where a cell is on the axis of the border and on the other one."""
+        return (cell.x, cell.y) if self.along == "x" else (cell.y, cell.x)
+
+    def lines(self, planner: str) -> dict[float, list[Cell]]:
+        """Return the cells of a planner in lines along the axis of the border, in order, by the other parameter."""
+        cells = sorted(self.of(planner), key=lambda cell: self.place(cell)[::-1])
+        return {line: list(group) for line, group in groupby(cells, key=lambda cell: self.place(cell)[1])}
+
+    def border(self, planner: str) -> tuple[Crossing, ...]:
+        """Return where, along the axis of the border, a planner can do one cell and not the next.
+
+        Cells of which nothing is known have no border: between one that is possible and one that failed there is none.
+        """
+        return tuple(
+            Crossing(line, self.place(low)[0], self.place(high)[0], "low" if low.possible else "high")
+            for line, cells in self.lines(planner).items()
+            for low, high in pairwise(cells)
+            if {low.possible, high.possible} == {True, False}
+        )
+
+    def counts(self, planner: str) -> dict[str, int]:
+        """Return how many cells have each verdict."""
+        counted = Counter(cell.verdict for cell in self.of(planner))
+        return {verdict.value: counted[verdict] for verdict in Verdict}
+
+    def in_the_way(self, planner: str) -> dict[str, int]:
+        """Return for how many infeasible cells each limit is the first in the way."""
+        first = Counter(cell.limits[0] for cell in self.of(planner) if cell.verdict is Verdict.INFEASIBLE)
+        return dict(first.most_common())
+
+    def csv(self) -> str:
+        """Return all cells as a CSV table, numbers to the last bit; what is not known is ``nan`` or empty."""
+        columns: dict[str, list[Any]] = {
+            "planner": [cell.planner for cell in self.cells],
+            self.problem.x.name: [cell.x for cell in self.cells],
+            self.problem.y.name: [cell.y for cell in self.cells],
+            "verdict": [cell.verdict.value for cell in self.cells],
+            "limits": [" ".join(cell.limits) for cell in self.cells],
+        }
+        for name in ("peak_effort", "dense_ratio", "seconds"):
+            values = [getattr(cell, name) for cell in self.cells]
+            columns[name] = [float("nan") if value is None else value for value in values]
+        return csv_text({name: np.array(values) for name, values in columns.items()})
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain data, for JSON."""
+        problem = self.problem
+        return {
+            "problem": problem.identity(),
+            "x": vars(problem.x),
+            "y": vars(problem.y),
+            "along": self.along,
+            "planners": {
+                planner: {
+                    "counts": self.counts(planner),
+                    "in_the_way": self.in_the_way(planner),
+                    "border": [vars(crossing) for crossing in self.border(planner)],
+                    "seconds": sum(cell.seconds for cell in self.of(planner)),
+                }
+                for planner in problem.planners
+            },
+            "cells": [cell.as_dict() for cell in self.cells],
+        }
+
+
+def feasibility_map(
+    problem: MapProblem,
+    journal: str | Path | None = None,
+    *,
+    jobs: int | None = -1,
+    refine: int = 0,
+    along: Direction = "x",
+    progress: Progress | None = None,
+) -> FeasibilityMap:
+    """Compute a map, taking over the cells that a store already has.
+
+    Cells are independent, and are computed by ``joblib.Parallel``: by default in processes on this machine, each with
+    one thread. Within ``joblib.parallel_config`` they go to the backend named there, such as a cluster.
+
+    Args:
+        problem: what the map is of.
+        journal: file of the store of finished cells, made if it is missing; None keeps them in memory alone.
+        jobs: number of processes, -1 for all cores; None for what ``joblib.parallel_config`` says.
+        refine: how often the border is bisected between neighbouring cells of the grid.
+        along: the axis along which it is bisected.
+        progress: called whenever a cell is finished.
+
+    Raises:
+        InputError: an axis that is no parameter of the robot, the trajectory or the limits; a parameter that a planner
+            does not take; or a robot or trajectory that cannot be made at any corner of the map.
+        OutputError: as ``Store.open``, for a store of another problem or robot.
+        RedundancyPinError: the robot does not load, or a worker process dies.
+    """
+    robot = _check(problem, jobs=jobs, refine=refine, along=along)
+    # the fingerprint says least to a user, and changes along with others: last
+    identity = {**problem.identity(), "machine": fingerprint(robot)}
+    wanted = [(planner, x, y) for x in problem.x.values for y in problem.y.values for planner in problem.planners]
+
+    def computed() -> FeasibilityMap:
+        ordered = sorted(wanted, key=lambda key: (problem.planners.index(key[0]), *key[1:]))
+        return FeasibilityMap(problem, tuple(store.records[key] for key in ordered), along)
+
+    with Store.open(journal, "feasibility map", identity, Cell.from_dict) as store:
+        for level in range(int(refine) + 1):
+            if level:
+                wanted += _bisected(computed())
+            what = f"border {level} of {refine}" if level else "grid"
+            store.complete(compute, {key: (problem, *key) for key in wanted}, jobs, progress, what)
+        return computed()
+
+
+def _check(problem: MapProblem, *, jobs: int | None, refine: int, along: Direction) -> Robot:
+    """Check everything that can be checked before the first cell, and return the robot; see ``feasibility_map``."""
+    if along not in ("x", "y"):
+        raise InputError(f"along is {along!r}.", remedy='Pass "x" or "y".')
+    if int(refine) != refine or not 0 <= refine <= MOST_REFINE:
+        raise InputError(f"refine is {refine}.", remedy=f"Pass a whole number from zero to {MOST_REFINE}.")
+    if jobs is not None:
+        require_jobs(jobs)
+    cells = len(problem.x.values) * len(problem.y.values) * len(problem.planners)
+    require_few(cells, MOST_CELLS, "The map has {} cells", "Give its axes fewer values.")
+    problem.require_names()
+    errors: list[RedundancyPinError] = []
+    # one corner may be out of the domain of the motion, and its cells fail; not all of them
+    for x in (problem.x.values[0], problem.x.values[-1]):
+        for y in (problem.y.values[0], problem.y.values[-1]):
+            try:
+                case = problem.case(problem.planners[0], x, y, {})
+                robot, start = case.dynamics(problem.backend).robot, case.trajectory().sample_at([0.0])
+            except RedundancyPinError as error:
+                errors.append(error)
+            else:
+                require_matching(robot, start)
+                return problem.loaded
+    raise errors[0]
+
+
+def fingerprint(robot: Robot) -> str:
+    """Return a hash of what a robot is, so that cells of a file that has changed since are not taken over."""
+    numbers = [
+        *(value for body in list(robot.model.inertias)[1:] for value in body.toDynamicParameters()),
+        *robot.q_reference,
+        *(value for limit in robot.carrier_limits for value in vars(limit).values()),
+    ]
+    # what is zero but for rounding may round either way
+    texts = [f"{0.0 if abs(value) < 1e-12 else value:.9g}" for value in map(float, numbers)]
+    return hashlib.sha256(json.dumps(texts).encode()).hexdigest()[:16]
+
+
+def _bisected(result: FeasibilityMap) -> list[Key]:
+    """Return the cells half way between neighbours of which one is possible and the other is not."""
+    keys: list[Key] = []
+    for planner in result.problem.planners:
+        for crossing in result.border(planner):
+            middle, line = result.axes[0].middle(crossing.low, crossing.high), crossing.line
+            if crossing.low < middle < crossing.high:
+                keys.append((planner, middle, line) if result.along == "x" else (planner, line, middle))
+    return keys
+
+
+# --- in files, and as a picture ---
+
+LETTERS: Mapping[str, tuple[str, str]] = {
+    "track": ("T", "track"),
+    "speed": ("V", "carrier speed"),
+    "acceleration": ("A", "carrier acceleration"),
+    "jerk": ("J", "carrier jerk"),
+    "force": ("F", "carrier force"),
+    "effort": ("E", "main effort"),
+    "end": ("D", "state at the end"),
+    "workspace": ("W", "workspace"),
+    "margin": ("S", "singularity"),
+    "singular_pose": ("S", "singularity"),
+}
+"""Letters of the limits in the picture, and what they stand for."""
+
+_OTHER = ("X", "other (see the table)")
+
+_UNITS: Mapping[str, str] = {
+    "speed": "m/s", "time": "s", "alpha": "rad", "acceleration": "m/s²", "jerk": "m/s³", "force": "N", "mass": "kg",
+    "inertia": "kg·m²",
+}  # fmt: skip
+"""Units by the last word of a name; what is not listed is a length."""
+
+
+def write_map(found: FeasibilityMap, folder: str | Path, *, pictures: bool = True) -> tuple[Path, ...]:
+    """Write a map into a folder: all cells as CSV and JSON, the picture as SVG and PNG; each whole or not at all.
+
+    The folder is made if it is missing; other files in it are left alone. OutputError where a file cannot be written,
+    RedundancyPinError for pictures without matplotlib.
+    """
+    place = make_folder(folder)
+    drawn = [draw(found)] if pictures else []  # what may fail comes before the first file
+    write_text(place / "map.csv", found.csv())
+    write_text(place / "map.json", json.dumps(found.as_dict(), indent=1, allow_nan=False) + "\n")
+    files = [place / "map.csv", place / "map.json"]
+    for figure in drawn:
+        for name in ("map.svg", "map.png"):
+            save(figure, place / name)
+            files.append(place / name)
+    return tuple(files)
+
+
+def draw(result: FeasibilityMap) -> Figure:
+    """Draw a map, one panel a planner."""
+    problem = result.problem
+    effort = effort_unit(problem)
+    fixed = {**problem.options, **problem.settings, **problem.limits}
+    numbers = {name: value for name, value in fixed.items() if type(value) in (int, float)}
+    rest = ", ".join(f"{name.replace('_', ' ')} {value:g} {_unit(name, effort)}" for name, value in numbers.items())
+    return plot_feasibility(
+        f"{problem.robot}, {problem.trajectory}{f' ({rest})' if rest else ''}: what the machine can do",
+        {_panel_title(problem, planner): tiles(result, planner) for planner in problem.planners},
+        x=axis_label(problem.x.name, effort),
+        y=axis_label(problem.y.name, effort),
+        value=f"peak main effort [{effort}]",
+        marks=dict([*LETTERS.values(), _OTHER]),
+        x_scale=problem.x.scale,
+        y_scale=problem.y.scale,
+    )
+
+
+def tiles(result: FeasibilityMap, planner: str) -> tuple[Tile, ...]:
+    """Return a tile around each cell of a planner: lines along the axis of the border meet half way between cells."""
+    along, across = result.axes
+    lines = result.lines(planner)
+    made = []
+    for cells, sides in zip(lines.values(), pairwise(across.edges(list(lines))), strict=True):
+        for cell, ends in zip(cells, pairwise(along.edges([result.place(cell)[0] for cell in cells])), strict=True):
+            x, y = (ends, sides) if result.along == "x" else (sides, ends)
+            letter = LETTERS.get(cell.limits[0], _OTHER)[0] if cell.verdict is Verdict.INFEASIBLE else ""
+            made.append(Tile(*x, *y, cell.verdict.value, cell.peak_effort, letter))
+    return tuple(made)
+
+
+def axis_label(name: str, effort: str) -> str:
+    """Return what to write on an axis: the parameter and its unit, given that of the main efforts."""
+    known = {"stroke": "stroke of the carriers", "speed": "speed of the platform"}
+    limits = {key: f"limit: {meaning.split(',')[0]}" for key, meaning in LIMITS.items()}
+    return f"{({**limits, **known}).get(name, name.replace('_', ' '))} [{_unit(name, effort)}]"
+
+
+def effort_unit(problem: MapProblem) -> str:
+    """Return the unit of the main efforts."""
+    robot = robot_record(problem.loaded)
+    return robot.effort_unit(*robot.actuated)
+
+
+def _unit(name: str, effort: str) -> str:
+    return effort if name == "max_effort" else _UNITS.get(name.rpartition("_")[2], "m")
+
+
+def _panel_title(problem: MapProblem, planner: str) -> str:
+    """Return the planner and what it minimises, or the values of its parameter that are tried."""
+    name = planner.replace("-", " ")
+    if planner == WHOLE:
+        objective = problem.parameters.get(WHOLE, {}).get("objective", "effort")
+        words = objective if isinstance(objective, str) else ", ".join(f"{w:g} {n}" for n, w in objective.items())
+        return f"{name}: least {words}"
+    key, symbol = ("threshold", "threshold") if planner == SWITCH_OFF else ("lam", "λ")
+    values = sorted({settings[key] for settings in problem.attempts(planner)})
+    return f"{name}: {symbol} {', '.join(f'{value:g}' for value in values)}"

@@ -1,0 +1,98 @@
+"""Faults around a command: outputs that are full, closed or without letters, interrupts, too many of something."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import refused
+
+import redundancy_pin
+
+FULL = Path("/dev/full")
+TOP = Path(redundancy_pin.__file__).parents[1]
+
+
+def started(folder: Path, *arguments: str, path: str = "", **how: object) -> subprocess.CompletedProcess[bytes]:
+    """Run the command as a user does: by a script of its name, in a process of its own."""
+    script = folder / "redundancy-pin"
+    script.write_text("import sys\nfrom redundancy_pin.cli import main\nsys.exit(main())\n", encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": f"{path}{os.pathsep}{TOP}", **how.pop("env", {})}  # type: ignore[dict-item]
+    settings = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **how}
+    command = [sys.executable, str(script), *arguments]
+    return subprocess.run(command, cwd=folder, env=environment, timeout=120, check=False, **settings)  # type: ignore[call-overload, no-any-return]
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
+def test_a_full_disk_behind_stdout(tmp_path: Path) -> None:
+    with FULL.open("wb") as full:
+        done = started(tmp_path, "info", stdout=full)
+    assert done.returncode == 2
+    assert done.stderr == b"error: Cannot write the output: No space left on device.\n"
+
+
+def test_a_terminal_without_greek_letters(tmp_path: Path) -> None:
+    done = started(tmp_path, "info", "--robot", "2rpr", env={"PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == b""
+    assert b"gravity [m/s\\xb2]" in done.stdout
+
+
+def test_outputs_that_were_closed_before_the_start(tmp_path: Path) -> None:
+    def close() -> None:
+        os.close(1)
+        os.close(2)
+
+    assert started(tmp_path, "infos", stdout=None, stderr=None, preexec_fn=close).returncode == 2
+
+
+def test_an_interrupt_while_importing(tmp_path: Path) -> None:
+    # what the package imports first among the slow ones interrupts it
+    slow = tmp_path / "slow"
+    slow.mkdir()
+    text = f"import os, signal, time\nos.kill(os.getpid(), {int(signal.SIGINT)})\ntime.sleep(60)\n"
+    (slow / "pinocchio.py").write_text(text, encoding="utf-8")
+    done = started(tmp_path, "info", path=str(slow))
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"error: interrupted.\n")
+
+
+def test_a_program_that_imports_the_package_keeps_its_interrupts() -> None:
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+WHOLE = ("plan", "whole-trajectory", "--robot", "2rpr", "--trajectory", "line")
+OFF = ("plan", "switch-off", "--robot", "2rpr", "--trajectory", "line")
+STEPWISE = ("plan", "stepwise", "--robot", "3rrr", "--trajectory", "corner")
+TOO_MANY: tuple[tuple[str, ...], ...] = (
+    (*WHOLE, "--starts", "100000"),
+    (*WHOLE, "--refinements", "1000000000"),
+    (*WHOLE, "--dt", "1e-9"),
+    (*WHOLE, "--speed", "1e-9"),
+    (*OFF, "--dt", "1e-9"),
+    (*OFF, "--dt", "1e-300"),
+    (*STEPWISE, "--step", "1e-9"),
+    (*STEPWISE, "--between", "1000000000"),
+    (*STEPWISE, "--speed", "1e-12"),
+    ("validate", "--robot", "2rpr", "--samples", "1000000000000"),
+    ("validate", "--robot", "2rpr", "--jobs", "99999"),
+    ("map", "--robot", "2rpr", "--jobs", "99999"),
+    ("map", "--robot", "2rpr", "--refine", "1000000000"),
+    ("map", "--robot", "2rpr", "--x", "speed=0.1:1:1000000000"),
+    ("map", "--robot", "2rpr", "--x", "speed=0.1:1:5000", "--y", "stroke=0.1:1:5000"),
+    ("study", "--draws", "1000000000"),
+    ("study", "--jobs", "99999"),
+)
+
+
+@pytest.mark.parametrize("arguments", TOO_MANY, ids=" ".join)
+def test_too_many_of_something_are_refused_at_once(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert re.search(r"[aA]t most \d+|from \w+ to \d+|1 to \d+", refused(*arguments))
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,190 @@
+"""The lift: q, v, a along platform motions, judged by finite differences, Pinocchio and denser samples."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import zoo
+from examples import examples
+from hypothesis import given
+from hypothesis import strategies as st
+
+from redundancy_pin import PlatformMotion
+from redundancy_pin.arrays import CLOSURE_TOLERANCE
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.assembly import configuration_difference
+from redundancy_pin.kinematics.coordinates import working_modes
+from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.robot import Robot
+
+STEP = 1e-5
+VELOCITY = 2e-8  # central differences: STEP² times third derivatives of 10², and the closure tolerance over STEP
+ACCELERATION = 1e-6  # the same on v, whose third derivatives reach 10⁴
+
+
+@examples(20)
+@given(name=st.sampled_from(zoo.SHIPPED), seed=st.integers(0, 2**16))
+def test_velocity_and_acceleration_are_derivatives(name: str, seed: int) -> None:
+    robot = zoo.robot_of(name)
+    motion = zoo.smooth_motion(robot, seed)
+    t = np.linspace(0.0, 1.0, 6)
+    tree, after, before = (lift(robot, motion.at(t + shift)) for shift in (0.0, STEP, -STEP))
+    rate = configuration_difference(robot.model, before.q, after.q) / (2 * STEP)
+    np.testing.assert_allclose(tree.v, rate, atol=VELOCITY)
+    np.testing.assert_allclose(tree.a, (after.v - before.v) / (2 * STEP), atol=ACCELERATION)
+
+
+def pinocchio_gap(robot: Robot, q: np.ndarray) -> float:
+    """Return the largest distance of the frames of a point or pin closure, by Pinocchio (all shipped ones are such)."""
+    data = robot.model.createData()
+    worst = 0.0
+    for configuration in q:
+        pin.framesForwardKinematics(robot.model, data, configuration)
+        for closure in robot.closures:
+            a, b = (data.oMf[robot.model.getFrameId(name)].translation for name in (closure.frame_a, closure.frame_b))
+            worst = max(worst, float(np.abs(a - b).max()))
+    return worst
+
+
+def test_a_dense_motion_stays_closed(shipped: Robot) -> None:
+    tree = lift(shipped, zoo.smooth_motion(shipped, 5).at(np.linspace(0.0, 3.0, 1500)))
+    assert tree.reachable.all()
+    assert tree.gap.max() < CLOSURE_TOLERANCE
+    assert pinocchio_gap(shipped, tree.q[::10]) < CLOSURE_TOLERANCE
+
+
+def test_the_platform_is_where_the_motion_says(shipped: Robot) -> None:
+    if shipped.platform is None:
+        pytest.skip("no platform")
+    motion = zoo.smooth_motion(shipped, 6).at(np.linspace(0.0, 1.0, 9))
+    tree = lift(shipped, motion)
+    data, frame = shipped.model.createData(), shipped.model.getFrameId(shipped.platform.frame)
+    for k in range(len(motion)):
+        pin.forwardKinematics(shipped.model, data, tree.q[k], tree.v[k], tree.a[k])
+        placement = pin.updateFramePlacement(shipped.model, data, frame)
+        world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        twist = pin.getFrameVelocity(shipped.model, data, frame, world).vector
+        rate = pin.getFrameClassicalAcceleration(shipped.model, data, frame, world).vector
+        if motion.is_pose:
+            np.testing.assert_allclose(placement.homogeneous, motion.x[k], atol=CLOSURE_TOLERANCE)
+            rows = np.arange(6)
+        else:
+            np.testing.assert_allclose(placement.translation[:2], motion.x[k, :2], atol=CLOSURE_TOLERANCE)
+            rows = np.array([0, 1, 5])[: shipped.n]
+        np.testing.assert_allclose(twist[rows], motion.xd[k], atol=1e-10)
+        np.testing.assert_allclose(rate[rows], motion.xdd[k], atol=1e-9)
+
+
+def test_sparse_samples_give_the_configurations_of_dense_ones(shipped: Robot) -> None:
+    """Ten samples over a large motion: the way between them is followed all the same."""
+    motion = zoo.smooth_motion(shipped, 8, scale=2.0)
+    dense = lift(shipped, motion.at(np.linspace(0.0, 3.0, 901)))
+    sparse = lift(shipped, motion.at(np.linspace(0.0, 3.0, 10)))
+    assert np.abs(np.diff(sparse.q, axis=0)).max() > 0.05
+    np.testing.assert_allclose(sparse.q, dense.q[::100], atol=1e-9)
+    np.testing.assert_allclose(sparse.a, dense.a[::100], rtol=1e-8, atol=1e-7)
+
+
+def test_w_is_the_actuated_part_of_gamma(shipped: Robot) -> None:
+    tree = lift(shipped, zoo.smooth_motion(shipped, 9).at(np.linspace(0.0, 1.0, 5)))
+    rates = np.einsum("nim,ni->nm", tree.W, tree.motion.xd)
+    np.testing.assert_allclose(rates, tree.v[:, shipped.actuated_velocity], atol=1e-13)
+    assert np.all(tree.v[:, shipped.carrier_velocity] == 0.0)
+    assert np.all(tree.a[:, shipped.carrier_velocity] == 0.0)
+
+
+def test_columns_of_w_come_in_the_order_of_the_declaration() -> None:
+    """Parsa 2014, eq. 2.4: the rows of the 2-RPR's J = Wᵀ are the directions of leg 1, then of leg 2."""
+    robot = zoo.robot_of("2rpr")
+    assert robot.actuated == ("slide_1", "slide_2")
+    tree = lift(robot, zoo.smooth_motion(robot, 9).at(np.linspace(0.0, 1.0, 5)))
+    for leg, hinge in enumerate(([0.0, 0.0], [0.5, 0.0])):
+        away = tree.motion.x - hinge
+        np.testing.assert_allclose(tree.W[:, :, leg], away / np.linalg.norm(away, axis=1)[:, None], atol=1e-12)
+
+
+@examples(10)
+@given(
+    mode=st.sampled_from(list(itertools.product((1, -1), repeat=3))),
+    radius=st.floats(0.15, 0.35),
+    proximal=st.floats(0.8, 1.2),
+    distal=st.floats(0.8, 1.2),
+)
+def test_every_working_mode_of_the_3rrr_is_the_one_asked_for(
+    mode: tuple[int, ...], radius: float, proximal: float, distal: float
+) -> None:
+    from redundancy_pin import load_robot
+
+    robot = load_robot(
+        "3rrr", working_mode=mode, platform_radius=radius, proximal_length=proximal, distal_length=distal
+    )
+    motion = zoo.smooth_motion(robot, 1, scale=0.7).at(np.linspace(0.0, 1.0, 30))
+    tree = lift(robot, motion)
+    np.testing.assert_array_equal(working_modes(robot, tree.q), np.tile(mode, (30, 1)))
+    # Parsa 2014, eq. 2.22: θ = γ + ψ in mode +1, θ = γ − ψ in mode −1
+    hinges = [np.zeros(2), np.array([np.sqrt(3), 0.0]), np.array([np.sqrt(3) / 2, 1.5])]
+    for leg, hinge in enumerate(hinges):
+        phi = motion.x[:, 2] + (np.pi / 6, 5 * np.pi / 6, -np.pi / 2)[leg]
+        away = motion.x[:, :2] - radius * np.stack([np.cos(phi), np.sin(phi)], axis=1) - hinge
+        rho = np.linalg.norm(away, axis=1)
+        psi = np.arccos((proximal**2 + rho**2 - distal**2) / (2 * proximal * rho))
+        theta = np.arctan2(away[:, 1], away[:, 0]) + mode[leg] * psi
+        column = robot.model.joints[robot.model.getJointId(f"base_{leg + 1}")].idx_q
+        np.testing.assert_allclose(np.sin(tree.q[:, column] - theta), 0.0, atol=1e-9)
+        np.testing.assert_allclose(np.cos(tree.q[:, column] - theta), 1.0, atol=1e-9)
+
+
+def test_a_single_sample_equals_the_same_sample_of_a_motion(shipped: Robot) -> None:
+    motion = zoo.smooth_motion(shipped, 10).at(np.linspace(0.0, 1.0, 50))
+    whole, alone = lift(shipped, motion), lift(shipped, motion[20:21])
+    wrapped = configuration_difference(shipped.model, whole.q[20:21], alone.q)
+    np.testing.assert_allclose(np.sin(wrapped), 0.0, atol=1e-9)
+    np.testing.assert_allclose(alone.a[0], whole.a[20], rtol=1e-8, atol=1e-8)
+
+
+def test_two_sided_samples_differ_in_acceleration_only(shipped: Robot) -> None:
+    motion = zoo.smooth_motion(shipped, 12).at(np.linspace(0.0, 1.0, 9))
+    order = np.array([0, 1, 2, 3, 4, 4, 5, 6, 7, 8])
+    jumped = motion.xdd[order].copy()
+    jumped[5] += 1.0
+    tree = lift(shipped, PlatformMotion(motion.t[order], motion.x[order], motion.xd[order], jumped))
+    np.testing.assert_allclose(tree.q[4], tree.q[5], atol=1e-12)
+    np.testing.assert_allclose(tree.v[4], tree.v[5], atol=1e-10)
+    jump = np.einsum("vi,i->v", tree.gamma[4], np.ones(shipped.n))
+    np.testing.assert_allclose(tree.a[5] - tree.a[4], jump, atol=1e-8)
+
+
+def test_uneven_sampling_gives_the_same_configurations(shipped: Robot) -> None:
+    """Clusters of samples nanoseconds apart beside wide gaps: anchors are laid by distance, not by sample."""
+    motion = zoo.smooth_motion(shipped, 13)
+    base = np.linspace(0.0, 2.0, 7)
+    clustered = np.sort(np.concatenate([base, base + 1e-9, base + 2e-9]))
+    uneven, even = lift(shipped, motion.at(clustered)), lift(shipped, motion.at(base))
+    np.testing.assert_allclose(uneven.q[::3], even.q, atol=1e-9)
+
+
+def test_ten_thousand_samples_are_lifted_in_one_go(shipped: Robot) -> None:
+    motion = zoo.smooth_motion(shipped, 14)
+    long = lift(shipped, motion.at(np.linspace(0.0, 5.0, 10_001)))
+    short = lift(shipped, motion.at(np.linspace(0.0, 5.0, 101)))
+    np.testing.assert_allclose(long.q[::100], short.q, atol=1e-9)
+
+
+def test_results_are_read_only(shipped: Robot) -> None:
+    tree = lift(shipped, zoo.smooth_motion(shipped, 15).at(np.linspace(0.0, 0.1, 3)))
+    for name, value in vars(tree).items():
+        if isinstance(value, np.ndarray):
+            assert not value.flags.writeable, name
+    assert isinstance(tree, TreeMotion)
+
+
+@pytest.mark.parametrize("name", zoo.SHIPPED)
+def test_a_motion_in_other_coordinates_is_refused(name: str) -> None:
+    robot = zoo.robot_of(name)
+    wrong = PlatformMotion([0.0], np.zeros((1, robot.n + 1)), np.zeros((1, robot.n + 1)), np.zeros((1, robot.n + 1)))
+    with pytest.raises(InputError, match=f"{robot.name} moves in {robot.n} coordinates") as caught:
+        lift(robot, wrong)
+    assert f"xd, xdd as (N, {robot.n})" in caught.value.remedy

@@ -1,0 +1,175 @@
+"""Poses where the closures themselves lose rank: the branch goes on with its tangent, and nothing jumps silently."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from folding import folding_four_bar, joint, rocker_angle, rocker_motion
+
+from redundancy_pin.dynamics.distribution import SampleStatus, distribute
+from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
+from redundancy_pin.errors import SingularPoseError, UnreachablePoseError
+from redundancy_pin.kinematics.coordinates import mode_indicator
+from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.singularities.classify import classify_motion
+
+POSITION = 1e-12
+RATE = 1e-9
+"""What Newton's rounding leaves next to the pose, and the eighth-order differences of the closed form."""
+ACCELERATION = 1e-7
+
+PARALLELOGRAM = (0.3, 0.2, 0.3, 0.2)
+LINKAGES = {
+    "folding": ((0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5)),
+    "parallelogram": (PARALLELOGRAM, (1.0, 1.0, 2.0)),
+    "antiparallelogram": (PARALLELOGRAM, (1.0, -2.5, -2.0)),
+    "equal sides": ((0.3, 0.3, 0.3, 0.3), (1.0, 1.0, 2.0)),
+    "kite": ((0.3, 0.2, 0.2, 0.3), (1.0, 2.0, 2.0)),
+}
+SAMPLES = {
+    "one at the pose": np.linspace(-1.0, 1.0, 101),
+    "back, one at the pose": np.linspace(1.0, -1.0, 101),
+    "one beside it": np.linspace(-1.0, 1.0, 101) + 3e-7,
+    "one a little further": np.linspace(-1.0, 1.0, 101) + 2e-4,
+    "coarse": np.linspace(-1.0, 1.0, 10) + 0.033,
+    "dense": np.linspace(-2e-2, 2e-2, 401),
+    "from the pose on": np.linspace(0.0, 1.0, 51),
+    "at the pose alone": np.zeros(1),
+}
+RATE_OF_CRANK, SECOND_RATE = 2.0, 0.7
+
+
+def turning(crank: np.ndarray) -> PlatformMotion:
+    size = (len(crank), 1)
+    t = np.arange(len(crank)) * 0.01
+    return PlatformMotion(t, crank[:, None], np.full(size, RATE_OF_CRANK), np.full(size, SECOND_RATE))
+
+
+@pytest.mark.parametrize("mark", [False, True])
+@pytest.mark.parametrize("modes", [False, True])
+@pytest.mark.parametrize("samples", SAMPLES)
+@pytest.mark.parametrize("linkage", LINKAGES)
+def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
+    linkage: str, samples: str, modes: bool, mark: bool, tmp_path: Path
+) -> None:
+    lengths, guess = LINKAGES[linkage]
+    offsets = SAMPLES[samples]
+    # behind the pose a declared mode is on the other branch: start on the side where the reference is
+    if modes and offsets[0] > 0.0:
+        guess = (guess[0] + 4.0, guess[1] + 3.0, guess[2])
+    robot = folding_four_bar(tmp_path, lengths, guess, modes=modes)
+    motion = turning(np.pi + offsets)
+    tree = lift(robot, motion, mark_unreachable=mark)
+    angle, rate, second = rocker_motion(robot, lengths, motion.x[:, 0], motion.xd[:, 0], motion.xdd[:, 0])
+    rocker = joint(robot, "rocker")
+    assert tree.reachable.all()
+    assert tree.gap.max() < 1e-14
+    assert np.abs(np.sin((tree.q[:, rocker] - angle) / 2.0)).max() < POSITION
+    assert np.abs(tree.v[:, rocker] - rate).max() < RATE
+    assert np.abs(tree.a[:, rocker] - second).max() < ACCELERATION
+    np.testing.assert_allclose(tree.v, np.einsum("nvi,ni->nv", tree.gamma, motion.xd), atol=RATE)
+
+
+def test_two_turns_of_a_parallelogram_leave_its_sides_parallel(tmp_path: Path) -> None:
+    robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
+    motion = turning(np.linspace(1.0, 1.0 + 4.0 * np.pi, 3001))
+    tree = lift(robot, motion)
+    crank, rocker = joint(robot, "crank"), joint(robot, "rocker")
+    assert np.abs(np.sin((tree.q[:, rocker] - tree.q[:, crank]) / 2.0)).max() < POSITION
+    assert np.abs(tree.v[:, rocker] - RATE_OF_CRANK).max() < RATE
+    assert np.abs(tree.a[:, rocker] - SECOND_RATE).max() < ACCELERATION
+
+
+@pytest.mark.parametrize("samples", [10, 51, 501])
+@pytest.mark.parametrize("excess", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
+def test_branches_that_all_but_touch_are_not_taken_for_one_another(samples: int, excess: float, tmp_path: Path) -> None:
+    """Longer by so little, the linkage comes within its root of the flat pose and turns back: no tangent crosses."""
+    (g, a, b, c), guess = LINKAGES["folding"]
+    lengths = (g, a, b, c + excess)
+    robot = folding_four_bar(tmp_path, lengths, guess)
+    side = np.sign(np.sin(robot.q_reference[joint(robot, "coupler")]))
+    motion = turning(np.linspace(np.pi - 1.0, np.pi + 1.0, samples))
+    tree = lift(robot, motion)
+    assert (np.sign(np.sin(tree.q[:, joint(robot, "coupler")])) == side).all()
+    home = np.array([robot.q_reference[joint(robot, "crank")]])
+    sign = min(
+        (1, -1),
+        key=lambda s: abs(np.sin(rocker_angle(lengths, s)(home)[0] - robot.q_reference[joint(robot, "rocker")])),
+    )
+    # at the tightest turn Newton knows the angle to rounding over the root of the excess
+    error = np.sin((tree.q[:, joint(robot, "rocker")] - rocker_angle(lengths, sign)(motion.x[:, 0])) / 2.0)
+    assert np.abs(error).max() < 1e-15 / np.sqrt(excess) * 10.0 + 1e-12
+
+
+def test_the_branch_may_lead_into_another_working_mode(tmp_path: Path) -> None:
+    """Behind the flat pose the smooth branch has the coupler on its other side; the mode of before has a kink there."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"], modes=True)
+    tree = lift(robot, turning(np.pi + SAMPLES["coarse"]))
+    side = np.sign(mode_indicator(robot, tree.q)[:, 0])
+    assert (side == np.where(tree.motion.x[:, 0] < np.pi, side[0], -side[0])).all()
+
+
+def test_a_linkage_that_ends_flat_is_refused_there(tmp_path: Path) -> None:
+    """A stretched leg is no crossing of branches: the crank stops, and rates are infinite."""
+    lengths = (0.4, 0.3, 0.2, 0.25)
+    robot = folding_four_bar(tmp_path, lengths, (1.0, 2.0, 1.5))
+    limit = np.arccos((0.4**2 + 0.3**2 - 0.45**2) / (2 * 0.4 * 0.3))
+    with pytest.raises((SingularPoseError, UnreachablePoseError)):
+        lift(robot, turning(np.linspace(1.0, limit, 51)))
+    with pytest.raises(UnreachablePoseError):
+        lift(robot, turning(np.linspace(1.0, limit + 0.1, 51)))
+
+
+def test_efforts_are_continuous_through_the_flat_pose(tmp_path: Path) -> None:
+    """The power of the crank is the rate of the energy, at the pose and beside it."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
+    dynamics = RneaDynamics(robot)
+    step = 1e-3
+    offsets = step * np.arange(-4, 5)
+    # crank angle π + 2 (t − 1): the differences around each sample span the pose
+    for t in (1.0, 1.0 + 1e-7, 1.0 + 1e-4, 0.998, 1.3):
+        times = t + offsets
+        size = (len(times), 1)
+        motion = PlatformMotion(
+            times, np.pi + RATE_OF_CRANK * (times - 1.0)[:, None], np.full(size, RATE_OF_CRANK), np.zeros(size)
+        )
+        along = dynamics.along(motion)
+        weights = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280]) / step
+        efforts = distribute(along.reduce())
+        assert efforts.status[4] == SampleStatus.REGULAR
+        assert efforts.tau[4, 0] * RATE_OF_CRANK == pytest.approx(along.energy() @ weights, abs=1e-8)
+
+
+def test_reactions_are_not_made_up_where_the_closures_determine_none(tmp_path: Path) -> None:
+    """Flat, the linkage can be prestressed: closure forces are undetermined, and least squares would hide it."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"])
+    along = RneaDynamics(robot).along(turning(np.pi + np.linspace(-0.5, 0.5, 5)))
+    reactions = joint_reactions(along, distribute(along.reduce()).tau)
+    assert np.isnan(reactions.closure_force).any(axis=1).tolist() == [False, False, True, False, False]
+    assert np.isnan(reactions.joint_wrench).any(axis=(1, 2)).tolist() == [False, False, True, False, False]
+    # the tangent of the other branch is a virtual motion too there, and nothing balances the forces along it
+    assert (reactions.residual < 1e-9).tolist() == [True, True, False, True, True]
+
+
+def test_the_flat_pose_is_classified_as_the_rank_loss_it_is(tmp_path: Path) -> None:
+    robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
+    tree = lift(robot, turning(np.pi + np.linspace(-0.5, 0.5, 5)))
+    assert classify_motion(tree, tolerance=1e-7).type_i.tolist() == [False, False, True, False, False]
+
+
+def test_a_motion_that_stays_on_the_pose_has_the_rates_of_its_branch(tmp_path: Path) -> None:
+    robot = folding_four_bar(tmp_path, *LINKAGES["parallelogram"])
+    tree = lift(robot, turning(np.full(4, np.pi)))
+    assert np.abs(tree.v[:, joint(robot, "rocker")] - RATE_OF_CRANK).max() < RATE
+    assert np.abs(tree.a[:, joint(robot, "rocker")] - SECOND_RATE).max() < ACCELERATION
+
+
+def test_a_crank_beyond_half_a_turn_starts_in_its_mode(tmp_path: Path) -> None:
+    """Multistart keeps the turn of the joint that the motion prescribes."""
+    robot = folding_four_bar(tmp_path, *LINKAGES["folding"], modes=True)
+    tree = lift(robot, turning(np.linspace(4.1, 4.2, 5)))
+    np.testing.assert_allclose(tree.q[:, joint(robot, "crank")], tree.motion.x[:, 0], atol=POSITION)
+    assert (mode_indicator(robot, tree.q) > 0.0).all()

@@ -1,0 +1,218 @@
+"""Plans judged anew, edited ones, and what masses of zero and numpy's errors do to planners."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError, PlanFileError, UnsupportedRobotError
+from redundancy_pin.planners.limits import LimitEvent
+from redundancy_pin.planners.plan import Plan, PlanStatus, _merged
+from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.trajectory import reference
+
+
+def other(plan: Plan) -> rp.RneaDynamics | rp.VirtualWork:
+    """Return the backend that the plan was not made by."""
+    kind = rp.RneaDynamics if plan.backend == "VirtualWork" else rp.VirtualWork
+    return kind(rp.load_robot_of(plan))
+
+
+@pytest.fixture(scope="module")
+def whole() -> Plan:
+    return rp.plan_whole_trajectory(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), dt=0.03)
+
+
+PLANS: dict[str, Callable[[], Plan]] = {
+    "stepwise": lambda: rp.plan_stepwise(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(), dt=0.01),
+    "single samples": lambda: rp.plan_stepwise(
+        rp.RneaDynamics(rp.load_robot("3rrr")), reference.corner().sample(dt=0.01, two_sided=False)
+    ),
+    "returns": lambda: rp.plan_stepwise(
+        rp.VirtualWork(rp.load_robot("3rrr")), reference.square(), dt=0.02, active="accelerating", return_time=0.6
+    ),
+    "switch off": lambda: rp.plan_switch_off(rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), dt=0.01),
+    "differences": lambda: rp.plan_switch_off(
+        rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), dt=5e-3, scheme="backward_differences"
+    ),
+    "through singularities": lambda: rp.plan_whole_trajectory(
+        rp.RneaDynamics(rp.load_robot("2rpr")), reference.circle(), dt=0.05, objective="peak", jerk=500.0
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_plan_is_what_it_says_to_the_other_backend_before_and_after_a_file(name: str, tmp_path: Path) -> None:
+    plan = PLANS[name]()
+    plan.save(tmp_path / "plan.npz")
+    for one in (plan, rp.load_plan(tmp_path / "plan.npz")):
+        result = rp.check_plan(one, other(one))
+        assert result.deviations == ()
+        assert result.passed
+        assert result.status is one.status
+        np.testing.assert_allclose(result.peak_effort, one.peak_effort, rtol=1e-3)
+        assert result.imbalance < 1e-6
+
+
+def scaled(field: str, factor: float) -> Callable[[Plan], Plan]:
+    def edit(plan: Plan) -> Plan:
+        values = np.array(getattr(plan, field))
+        values[20:25] *= factor
+        return replace(plan, **{field: values})
+
+    return edit
+
+
+def moved(part: str, by: float) -> Callable[[Plan], Plan]:
+    def edit(plan: Plan) -> Plan:
+        values = np.array(getattr(plan.carriers, part))
+        values[30] += by
+        return replace(plan, carriers=replace(plan.carriers, **{part: values}))
+
+    return edit
+
+
+def with_limits(plan: Plan) -> Plan:
+    tight = tuple(replace(limit, speed=0.01) for limit in plan.limits.judged_by)
+    return replace(plan, limits=replace(plan.limits, judged_by=tight))
+
+
+EDITS: dict[str, tuple[Callable[[Plan], Plan], set[str]]] = {
+    "efforts": (scaled("tau", 7.0), {"main efforts"}),
+    "efforts a little": (scaled("tau", 1.0 + 1e-4), {"main efforts"}),
+    "no efforts": (scaled("tau", np.nan), {"main efforts"}),
+    "forces": (scaled("carrier_force", 0.5), {"forces of the carriers"}),
+    "rates": (scaled("actuated_rate", -1.0), {"rates of the main actuators"}),
+    "margins": (scaled("margin", 2.0), {"margin"}),
+    "places": (moved("s", 1e-3), {"main efforts", "forces of the carriers", "carrier motion s"}),
+    "accelerations": (moved("sdd", 1.0), {"main efforts", "forces of the carriers", "carrier motion sdd"}),
+    "limits": (with_limits, {"limits", "status"}),
+    "status": (lambda plan: replace(plan, status=PlanStatus.VIOLATES_LIMITS), {"status"}),
+    "peak": (
+        lambda plan: replace(plan, between=replace(plan.between, peak=0.5 * plan.between.peak)),
+        {"peak effort"},
+    ),
+    "jerk": (lambda plan: replace(plan, parameters={**plan.parameters, "jerk": [0.1] * 3}), {"limits", "status"}),
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_an_edited_plan_is_not_what_it_says(name: str, whole: Plan) -> None:
+    edit, expected = EDITS[name]
+    result = rp.check_plan(edit(whole), other(whole))
+    assert not result.passed
+    # a wrong acceleration also needs other efforts than the peak
+    assert expected <= {deviation.quantity for deviation in result.deviations} <= expected | {"peak effort"}
+    for deviation in result.deviations:
+        assert deviation.message.endswith(".")
+        assert np.isnan(deviation.time) or whole.t[0] <= deviation.time <= whole.t[-1]
+
+
+def test_the_dynamics_of_another_robot_are_refused(whole: Plan) -> None:
+    with pytest.raises(InputError, match="for another robot"):
+        rp.check_plan(whole, rp.VirtualWork(rp.load_robot("3rrr", platform_mass=2.0)))
+    with pytest.raises(InputError, match="for the dynamics"):
+        rp.check_plan(whole, rp.load_robot("3rrr"))
+
+
+@pytest.mark.parametrize("factor", [7.0, np.nan])
+def test_a_file_that_was_edited_is_refused(factor: float, whole: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.npz"
+    whole.save(path)
+    with np.load(path) as archive:
+        held = dict(archive)
+    np.savez_compressed(path, **{**held, "tau": factor * held["tau"]})
+    with pytest.raises(PlanFileError, match="digest" if factor == 7.0 else "no finite efforts"):
+        rp.load_plan(path)
+    # not even a word of the metadata
+    content = json.loads(str(held["metadata"]))
+    content["record"]["planner"] = "someone"
+    np.savez_compressed(path, **{**held, "metadata": np.array(json.dumps(content))})
+    with pytest.raises(PlanFileError, match="digest"):
+        rp.load_plan(path)
+    # nor the digest itself: only version 1 of the format had none
+    content = {key: value for key, value in json.loads(str(held["metadata"])).items() if key != "digest"}
+    np.savez_compressed(path, **{**held, "metadata": np.array(json.dumps(content))})
+    with pytest.raises(PlanFileError, match="digest"):
+        rp.load_plan(path)
+    np.savez(path, **held)  # packed in another way it is the same plan
+    np.testing.assert_array_equal(rp.load_plan(path).tau, whole.tau)
+
+
+PLANNERS = {
+    "stepwise": lambda dynamics, motion: rp.plan_stepwise(dynamics, motion, dt=0.02),
+    "switch off": lambda dynamics, motion: rp.plan_switch_off(dynamics, motion, dt=0.02),
+    "differences": lambda dynamics, motion: rp.plan_switch_off(
+        dynamics, motion, dt=0.01, scheme="backward_differences", return_time="shortest"
+    ),
+    "whole": lambda dynamics, motion: rp.plan_whole_trajectory(dynamics, motion, dt=0.05),
+    "peak": lambda dynamics, motion: rp.plan_whole_trajectory(dynamics, motion, dt=0.05, objective="peak", end="free"),
+}
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.VirtualWork])
+def test_carriers_without_mass_are_one_clear_error(name: str, backend: type) -> None:
+    for robot, motion in (("3rrr", reference.corner()), ("2rpr", reference.circle())):
+        massless = backend(rp.load_robot(robot, carrier_mass=0.0))
+        with pytest.raises(UnsupportedRobotError, match="no mass") as caught:
+            PLANNERS[name](massless, motion)
+        assert caught.value.details["carriers"] == massless.robot.carriers
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_planners_work_where_numpy_raises_its_errors(name: str) -> None:
+    motion, robot = (reference.corner(), "3rrr") if name == "stepwise" else (reference.line(speed=0.2), "2rpr")
+    dynamics = rp.VirtualWork(rp.load_robot(robot))
+    usual = PLANNERS[name](dynamics, motion)
+    with np.errstate(all="raise"):
+        plan = PLANNERS[name](dynamics, motion)
+        result = rp.check_plan(plan, dynamics)
+    assert result.passed
+    np.testing.assert_array_equal(plan.tau, usual.tau)
+
+
+def test_limits_of_a_robot_are_no_part_of_the_check_but_those_the_plan_was_judged_by() -> None:
+    robot = zoo.robot_of("3rrr")
+    wide = tuple(CarrierLimits(-np.inf, np.inf, np.inf, np.inf, np.inf) for _ in robot.carriers)
+    plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), dt=0.02, speed=np.inf, acceleration=np.inf)
+    assert plan.limits.judged_by[0].speed == wide[0].speed
+    assert rp.check_plan(plan, rp.RneaDynamics(robot)).passed
+
+
+def test_limits_wider_than_the_robots_are_noted() -> None:
+    robot = zoo.robot_of("3rrr")
+    plan = rp.plan_stepwise(rp.VirtualWork(robot), reference.corner(), dt=0.02)
+    assert rp.check_plan(plan, rp.RneaDynamics(robot)).wider_limits == ()
+    wide = tuple(replace(limit, lower=-9.0, upper=9.0) for limit in plan.limits.judged_by)
+    result = rp.check_plan(replace(plan, limits=replace(plan.limits, judged_by=wide)), rp.RneaDynamics(robot))
+    assert result.passed
+    assert len(result.wider_limits) == robot.k
+    assert result.wider_limits[0].startswith(f"{robot.carriers[0]}: judged by a track of -9 to 9, ")
+
+
+def test_an_effort_exceeded_at_samples_and_between_them_is_one_broken_limit(whole: Plan) -> None:
+    tight = [0.5 * float(peak) for peak in whole.peak_effort]
+    result = rp.check_plan(replace(whole, parameters={**whole.parameters, "effort": tight}), other(whole))
+    efforts = [event for event in result.violated if event.quantity == "effort"]
+    assert sorted(event.carrier for event in efforts) == sorted(whole.robot.actuated)
+    for event in efforts:
+        j = whole.robot.actuated.index(event.carrier)
+        assert event.amount == pytest.approx(tight[j], rel=1e-3)
+
+
+def test_an_effort_exceeded_with_either_sign_is_one_broken_limit() -> None:
+    at_samples = LimitEvent("motor", "effort", 0.1, 0.2, 0.1, -6.0, -5.0, 1.0)
+    between = LimitEvent("motor", "effort", 0.7, 0.8, 0.7, 7.0, 5.0, 2.0)
+    another = replace(between, carrier="other motor")
+    assert _merged((at_samples,), (between, another)) == (between, another)
+    assert _merged((replace(at_samples, amount=3.0),), (between,)) == (replace(at_samples, amount=3.0),)
+    speeds = tuple(replace(event, quantity="speed") for event in (at_samples, between))
+    assert _merged(speeds[:1], speeds[1:]) == speeds

@@ -1,0 +1,402 @@
+"""Plans in files: nothing lost, nothing executed, and every way a file can be wrong is said in one line."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+import zoo
+from examples import examples
+from hypothesis import HealthCheck, given
+from random_plans import PLAIN, difference, plans
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError, OutputError, PlanFileError
+from redundancy_pin.io.archive import decode, encode
+from redundancy_pin.planners.plan import (
+    PLAN_VERSION,
+    Plan,
+    PlanStatus,
+    finish_plan,
+    load_plan,
+    load_robot_of,
+)
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.urdf import models_root
+
+# the folder of a test is used anew by every example: each writes its own file whole
+EXAMPLES = examples(30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def _plan_of(robot: Robot, **changes: Any) -> Plan:
+    """Return a short real plan: parked carriers along a smooth motion."""
+    motion = zoo.smooth_motion(robot).at(np.linspace(0.0, 0.3, 7))
+    along = rp.RneaDynamics(robot).along(motion)
+    plan = finish_plan(
+        along,
+        rp.CarrierMotion.parked(len(motion), robot.k),
+        planner="parked",
+        phase=np.zeros(len(motion), dtype=np.intp),
+        phases=("parked",),
+        parameters={"threshold": 5.0, "return_time": "shortest", "window": (0.1, np.inf)},
+        diagnostics={"switch": np.array([0.1, np.nan]), "count": np.int64(3)},
+    )
+    return replace(plan, **changes)
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return _plan_of(zoo.robot_of("3rrr", carrier_mass=2.0, working_mode=(1, -1, 1), gravity=(0.0, -9.81, 0.0)))
+
+
+@pytest.fixture
+def saved(plan: Plan, tmp_path: Path) -> Path:
+    path = tmp_path / "plan.npz"
+    plan.save(path)
+    return path
+
+
+# ---------------------------------------------------------------------------------------------- nothing is lost
+
+
+@EXAMPLES
+@given(plan=plans())
+def test_a_plan_comes_back_bit_by_bit(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.npz"
+    plan.save(path)
+    assert difference(plan, load_plan(path)) == ""
+
+
+@EXAMPLES
+@given(value=PLAIN)
+def test_plain_data_come_back_through_json(value: Any) -> None:
+    arrays: dict[str, Any] = {}
+    text = json.dumps(encode({"top": value}, arrays), allow_nan=False)
+    assert difference({"top": value}, decode(json.loads(text), arrays)) == ""
+
+
+def test_what_comes_back_is_read_only_and_the_file_is_closed(saved: Path) -> None:
+    plan = rp.load_plan(saved)
+    saved.unlink()
+    for array in (plan.t, plan.tau, plan.phase, plan.sample_status, plan.condition, plan.diagnostics["switch"]):
+        assert not array.flags.writeable  # type: ignore[attr-defined]
+    assert plan.peak_effort.shape == (3,)
+
+
+def test_numpy_scalars_become_numbers_of_python(saved: Path) -> None:
+    count = load_plan(saved).diagnostics["count"]
+    assert type(count) is int
+    assert count == 3
+
+
+def test_the_same_plan_gives_the_same_bytes(plan: Plan, tmp_path: Path) -> None:
+    first, second = tmp_path / "a.npz", tmp_path / "b.npz"
+    plan.save(first)
+    load_plan(first).save(second)
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_the_file_can_be_read_without_this_package(plan: Plan, saved: Path) -> None:
+    with np.load(saved, allow_pickle=False) as archive:
+        content = json.loads(str(archive["metadata"]))
+        np.testing.assert_array_equal(archive["motion.x"], plan.motion.x)
+        np.testing.assert_array_equal(archive["tau"], plan.tau)
+    assert content["format"] == "redundancy_pin plan"
+    assert content["format_version"] == PLAN_VERSION
+    assert content["record"]["robot"]["name"] == "3rrr"
+    assert content["record"]["parameters"]["return_time"] == "shortest"
+
+
+def test_the_name_is_kept_as_given(plan: Plan, tmp_path: Path) -> None:
+    plan.save(tmp_path / "my.plan")
+    assert [path.name for path in tmp_path.iterdir()] == ["my.plan"]
+    assert load_plan(tmp_path / "my.plan").planner == "parked"
+
+
+# ------------------------------------------------------------------------------------------------- bad output
+
+
+@pytest.mark.parametrize("target", ["nowhere/plan.npz", "."])
+def test_unwritable_places_are_refused(target: str, plan: Plan, tmp_path: Path) -> None:
+    with pytest.raises(OutputError):
+        plan.save(tmp_path / target)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_the_old_plan(saved: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = saved.read_bytes()
+
+    def full(stream: Any, **arrays: Any) -> None:
+        stream.write(b"PK\x03\x04 half a file")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(OutputError, match="No space left"):
+        plan.save(saved)
+    assert saved.read_bytes() == before
+    assert list(saved.parent.iterdir()) == [saved]
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        (object(), r"diagnostics\['bad'\] is a object"),
+        ({"deep": [1, {2, 3}]}, r"diagnostics\['bad'\]\['deep'\]\[1\] is a set"),
+        (np.array([object()]), "array of object"),
+        (PlanStatus.WITHIN_LIMITS, "PlanStatus"),
+    ],
+)
+def test_what_a_file_cannot_hold_is_named_and_nothing_is_written(
+    value: object, says: str, plan: Plan, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=says):
+        replace(plan, diagnostics={"bad": value}).save(tmp_path / "plan.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
+# -------------------------------------------------------------------------------------------------- bad files
+
+
+def _refused(path: Path, says: str) -> None:
+    with pytest.raises(PlanFileError, match=says) as caught:
+        load_plan(path)
+    assert str(path) in caught.value.message
+    assert caught.value.remedy
+    assert "\n" not in str(caught.value)
+
+
+def _rewrite(
+    path: Path,
+    content: Callable[[dict[str, Any]], Any] | None = None,
+    arrays: Callable[[dict[str, Any]], Any] | None = None,
+) -> None:
+    """Change the metadata and the arrays of a saved plan, as someone with numpy would."""
+    with np.load(path) as archive:
+        held = dict(archive)
+    metadata = json.loads(str(held.pop("metadata")))
+    if content:
+        content(metadata)
+    if arrays:
+        arrays(held)
+    np.savez_compressed(path, metadata=np.array(json.dumps(metadata)), **held)
+
+
+def test_missing_files_and_folders(tmp_path: Path) -> None:
+    _refused(tmp_path / "nowhere.npz", "does not exist")
+    _refused(tmp_path, "is a folder")
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"t,x0,x1\n0,1,2\n", b"\x93NUMPY\x01\x00"])
+def test_foreign_files(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "plan.npz"
+    path.write_bytes(content)
+    _refused(path, f"not an npz archive .{len(content)} bytes")
+
+
+def test_truncated_anywhere(saved: Path) -> None:
+    whole = saved.read_bytes()
+    for length in [5, 100, *range(200, len(whole), len(whole) // 40), len(whole) - 1]:
+        saved.write_bytes(whole[:length])
+        _refused(saved, f"damaged: its {length} bytes")
+
+
+def test_a_flipped_bit_is_noticed_or_harmless(plan: Plan, saved: Path) -> None:
+    """A byte of the zip directory that nobody reads may change; no changed byte may change a plan."""
+    whole = bytearray(saved.read_bytes())
+    noticed = 0
+    rng = np.random.default_rng(3)
+    for place in rng.choice(len(whole), 150, replace=False):
+        whole[place] ^= 0x10
+        saved.write_bytes(whole)
+        try:
+            assert difference(plan.tau, load_plan(saved).tau) == ""
+        except PlanFileError:
+            noticed += 1
+        whole[place] ^= 0x10
+    assert noticed > 100
+
+
+def test_another_archive_of_numpy(tmp_path: Path) -> None:
+    path = tmp_path / "plan.npz"
+    np.savez(path, a=np.ones(3), b=np.ones(2))
+    _refused(path, "without metadata .it holds a, b")
+
+
+def test_a_zip_file_of_something_else(tmp_path: Path) -> None:
+    path = tmp_path / "plan.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("readme.txt", "hello")
+    _refused(path, r"damaged|without metadata")
+
+
+def test_pickles_are_not_opened(tmp_path: Path) -> None:
+    path, trap = tmp_path / "plan.npz", tmp_path / "trap"
+    np.savez(path, metadata=np.array([_Trap(trap)], dtype=object))
+    _refused(path, "damaged")
+    assert not trap.exists()
+
+
+class _Trap:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.path,)
+
+
+def test_another_format_and_newer_ones(saved: Path) -> None:
+    original = saved.read_bytes()
+    _rewrite(saved, lambda content: content.update(format="someone's plan"))
+    _refused(saved, "someone's plan")
+    saved.write_bytes(original)
+    _rewrite(saved, lambda content: content.update(format_version=PLAN_VERSION + 1, package_version="7.0"))
+    _refused(saved, rf"version {PLAN_VERSION + 1}, written by redundancy_pin 7\.0; .* up to version {PLAN_VERSION}")
+    for version in (0, "1", None, True):
+        saved.write_bytes(original)
+        _rewrite(saved, lambda content, version=version: content.update(format_version=version))
+        _refused(saved, f"format version is {version!r}")
+
+
+def _record(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]:
+    return lambda path: _rewrite(path, lambda content: change(content["record"]))
+
+
+def _array(name: str, change: Callable[[Any], Any]) -> Callable[[Path], None]:
+    return lambda path: _rewrite(path, arrays=lambda held: held.update({name: change(held[name])}))
+
+
+TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
+    "a sample less": (_array("tau", lambda a: a[:-1]), r"tau has shape \(6, 3\).*\(7, 3\)"),
+    "an actuator less": (_array("tau", lambda a: a[:, :-1]), r"tau has shape \(7, 2\)"),
+    "carriers of another motion": (_array("carriers.s", lambda a: a[1:]), "sd has shape"),
+    "carrier force flat": (_array("carrier_force", np.ravel), r"carrier_force has shape \(21,\)"),
+    "time backwards": (_array("motion.t", lambda a: a[::-1]), "Time does not increase"),
+    "position not finite": (_array("motion.x", lambda a: a * np.nan), "x has 21 value"),
+    "single precision": (_array("margin", lambda a: a.astype(np.float32)), "margin is an array of float32"),
+    "status as floats": (_array("sample_status", lambda a: a.astype(float)), "sample_status is an array of float64"),
+    "phase that has no name": (_array("phase", lambda a: a + 1), "phase holds 1"),
+    "status that has no name": (_array("sample_status", lambda a: a - 1), "sample_status holds -1"),
+    "an array missing": (lambda path: _rewrite(path, arrays=lambda held: held.pop("tau")), "tau"),
+    "a field missing": (_record(lambda r: r.pop("margin")), "'margin' is missing"),
+    "a field of the robot missing": (_record(lambda r: r["robot"].pop("source")), "'source' is missing"),
+    "an actuator renamed away": (_record(lambda r: r["robot"].update(actuated={"$tuple": ["a"]})), "tau has shape"),
+    "limits of one carrier": (
+        _record(lambda r: r["robot"]["carrier_limits"]["$tuple"].pop()),
+        "limits of 2 carriers, but 3",
+    ),
+    "judged by limits of two": (
+        _record(lambda r: r["limits"]["judged_by"]["$tuple"].pop()),
+        "limits of 2 carriers, but 3",
+    ),
+    "an unknown status": (_record(lambda r: r.update(status="splendid")), "splendid"),
+    "an array that is a number": (_record(lambda r: r.update(tau=3)), "tau is an int"),
+    "a motion that is text": (_record(lambda r: r.update(motion="fast")), "fields"),
+    "an unknown mark": (_record(lambda r: r.update(parameters={"$code": "1"})), "unknown mark"),
+    "a list for the record": (
+        lambda path: _rewrite(path, lambda content: content.update(record=[1])),
+        "no record",
+    ),
+    "no record": (lambda path: _rewrite(path, lambda content: content.pop("record")), "record"),
+}
+
+
+@pytest.mark.parametrize("case", TAMPERED)
+def test_tampered_files(case: str, saved: Path) -> None:
+    tamper, says = TAMPERED[case]
+    tamper(saved)
+    _refused(saved, says)
+
+
+@pytest.mark.parametrize("text", ["no json", "[1, 2]", ""])
+def test_metadata_that_are_no_object(text: str, saved: Path) -> None:
+    np.savez(saved, metadata=np.array(text))
+    _refused(saved, "metadata")
+
+
+# ------------------------------------------------------------------------------------------ the robot of a plan
+
+
+def test_the_robot_comes_back_with_arguments_gravity_and_mode(saved: Path) -> None:
+    robot = load_robot_of(load_plan(saved))
+    assert robot.parameters["carrier_mass"] == 2.0
+    np.testing.assert_array_equal(robot.gravity, [0.0, -9.81, 0.0])
+    assert robot.working_mode == (1, -1, 1)
+
+
+def test_every_shipped_robot_comes_back(shipped: Robot, tmp_path: Path) -> None:
+    path = tmp_path / "plan.npz"
+    plan = _plan_of(shipped)
+    plan.save(path)
+    loaded = load_plan(path)
+    assert difference(plan.motion, loaded.motion) == ""
+    robot = load_robot_of(loaded)
+    again = _plan_of(robot)
+    # the same computation on the robot loaded again
+    np.testing.assert_array_equal(again.tau, loaded.tau)
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A user's robot: a copy of the 2-RPR under the name of the 3-RRR, so that the name alone would mislead."""
+    folder = tmp_path / "own"
+    folder.mkdir()
+    source = models_root() / "2rpr"
+    data = yaml.safe_load((source / "robot.yaml").read_text(encoding="utf-8"))
+    (folder / data["urdf"]).write_text((source / data["urdf"]).read_text(encoding="utf-8"), encoding="utf-8")
+    data["name"] = "3rrr"
+    (folder / "robot.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    return folder
+
+
+def test_a_users_robot_is_found_by_its_path(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(own.parent)
+    plan = _plan_of(rp.load_robot("own", carrier_mass=1.5))
+    monkeypatch.chdir(own)
+    assert load_robot_of(plan).actuated == ("slide_1", "slide_2")
+    moved = own.rename(tmp_path / "elsewhere")
+    with pytest.raises(PlanFileError, match=r"robot\.yaml.*source="):
+        load_robot_of(plan)
+    assert load_robot_of(plan, moved).parameters["carrier_mass"] == 1.5
+
+
+def _edit(folder: Path, suffix: str, old: str, new: str) -> None:
+    path = next(folder.glob(f"*{suffix}"))
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def test_a_robot_that_has_changed_is_refused(own: Path) -> None:
+    plan = _plan_of(rp.load_robot(own))
+    _edit(own, ".xacro", 'name="base_distance"', 'name="base_width"')
+    with pytest.raises(PlanFileError, match="base_distance"):
+        load_robot_of(plan)
+    _edit(own, ".xacro", 'name="base_width"', 'name="base_distance"')
+    record = plan.robot
+    body = list(record.bodies[1])
+    body[0] *= 1.0 + 1e-6
+    heavier = replace(plan, robot=replace(record, bodies=(record.bodies[0], tuple(body), *record.bodies[2:])))
+    with pytest.raises(PlanFileError, match="mass properties differ by 1e-06"):
+        load_robot_of(heavier)
+    shifted = replace(plan, robot=replace(record, q_reference=tuple(q + 1e-3 for q in record.q_reference)))
+    with pytest.raises(PlanFileError, match="reference configuration"):
+        load_robot_of(shifted)
+    other = replace(plan, robot=replace(record, carriers=("carrier_1", "load")))
+    with pytest.raises(PlanFileError, match=r"carriers were .*'load'"):
+        load_robot_of(other)
+
+
+def test_a_robot_without_a_source(plan: Plan) -> None:
+    nowhere = replace(plan, robot=replace(plan.robot, source=""))
+    with pytest.raises(PlanFileError, match="source="):
+        load_robot_of(nowhere)
+    assert load_robot_of(nowhere, "3rrr").name == "3rrr"

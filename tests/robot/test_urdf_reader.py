@@ -1,0 +1,485 @@
+"""URDFs: each mistake that urdfdom would pass over is one error with file, line and link; models are what files say."""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+import yourdfpy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from redundancy_pin import VirtualWork, load_robot
+from redundancy_pin.errors import DeclarationError, ModelFileError, RedundancyPinError
+from redundancy_pin.robot import build
+from redundancy_pin.robot.declaration import CLOSED_FORMS
+from redundancy_pin.robot.urdf import models_root, render, shipped_robots
+from redundancy_pin.robot.urdf_tree import DEEPEST_CHAIN, MOST_FREEDOMS, MOST_LINKS, read_tree, require_same
+from redundancy_pin.robot.xml_files import MOST_BYTES
+
+INERTIAL = """<inertial><origin xyz="0.25 0 0"/><mass value="1.0"/>
+    <inertia ixx="0" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>"""
+LIMIT = '<limit lower="-9" upper="9" velocity="9" effort="9"/>'
+
+
+def body(name: str, parent: str, joint: str, kind: str = "revolute", x: float = 0.0, axis: str = "0 0 1") -> str:
+    return f"""
+  <link name="{name}">{INERTIAL}</link>
+  <joint name="{joint}" type="{kind}"><parent link="{parent}"/><child link="{name}"/>
+    <origin xyz="{x} 0 0"/><axis xyz="{axis}"/>{LIMIT}</joint>"""
+
+
+FIVE_BAR = (
+    '<?xml version="1.0"?>\n<robot name="bar">\n  <link name="base"/>'
+    + body("l1", "base", "a1")
+    + body("l2", "l1", "b1", x=0.5)
+    + body("tip1", "l2", "m1", "fixed", 0.5)
+    + body("r1", "base", "a2", x=0.5)
+    + body("r2", "r1", "b2", x=0.5)
+    + body("tip2", "r2", "m2", "fixed", 0.5)
+    + body("bob", "l2", "slider", "prismatic", axis="1 0 0")
+    + "\n</robot>\n"
+)
+DECLARATION: dict[str, Any] = {
+    "urdf": "bar.urdf",
+    "closures": [{"frames": ["tip1", "tip2"], "axes": ["x", "y"]}],
+    "actuated": ["a1", "a2"],
+    "carriers": [{"joint": "slider", "position": [-0.2, 0.4]}],
+    "independent": {"platform": "tip1", "axes": ["x", "y"]},
+    "reference": {"platform": [0.25, 0.7], "guess": {"a1": 2.0, "b1": -1.0, "a2": 1.0, "b2": 1.0}},
+}
+
+
+def write(folder: Path, tree: str, **changes: object) -> Path:
+    (folder / "bar.urdf").write_text(tree, encoding="utf-8")
+    (folder / "robot.yaml").write_text(yaml.safe_dump({**DECLARATION, **changes}, allow_unicode=True))
+    return folder / "robot.yaml"
+
+
+def once(old: str, new: str) -> Callable[[str], str]:
+    """Return a change of a text at the first place of ``old``, which has to be there."""
+
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, 1)
+
+    return change
+
+
+def appended(text: str) -> Callable[[str], str]:
+    return once("</robot>", f"{text}</robot>")
+
+
+ORIGIN, MASS, AXIS = '<origin xyz="0.25 0 0"/>', '<mass value="1.0"/>', '<axis xyz="1 0 0"/>'
+
+FAULTS: dict[str, tuple[Callable[[str], str], str]] = {
+    # what urdfdom drops with a line on stderr: the link becomes massless
+    **{
+        f"inertial origin {text!r}": (
+            once(ORIGIN, f'<origin xyz="{text}"/>'),
+            r"The link 'l1' of bar\.urdf has an origin with xyz .*three finite numbers \(line 4\)",
+        )
+        for text in (
+            "0.5, 0, 0",
+            "1 2 3 4",
+            "1 2",
+            "",
+            "nan 0 0",
+            "inf 0 0",
+            "0x10 0 0",
+            "1e999 0 0",
+            "1e101 0 0",
+            "1_0 0 0",
+            "a b c",
+        )
+    },
+    **{
+        f"inertial rpy {text!r}": (
+            once(ORIGIN, f'<origin xyz="0 0 0" rpy="{text}"/>'),
+            r"The link 'l1' of bar\.urdf has an origin with rpy .*three finite numbers \(line 4\)",
+        )
+        for text in ("0 0", "0,0,0", "nan 0 0", "0 0 90deg")
+    },
+    "no mass": (once(MASS, ""), r"'l1' of bar\.urdf has no mass \(line 4\)"),
+    "mass without value": (once(MASS, "<mass/>"), r"'l1' of bar\.urdf has the mass None"),
+    "mass of another name": (once(MASS, '<mass val="1"/>'), r"attribute 'val' .*Did you mean 'value'"),
+    "mass with a comma": (once(MASS, '<mass value="1,5"/>'), r"has the mass '1,5', which is not a finite number"),
+    "a mass beyond all bounds": (once(MASS, '<mass value="1e308"/>'), r"has the mass '1e308', which is not a finite"),
+    "an encoding that it is not in": (
+        once('version="1.0"', 'version="1.0" encoding="UTF-16"'),
+        r"line 1: it says that it is written in 'utf-16'",
+    ),
+    "letters of another encoding": (
+        lambda text: text.replace('version="1.0"', 'version="1.0" encoding="latin-1"').replace('"b1"', '"ü"'),
+        r"line 1: it says that it is written in 'latin-1'",
+    ),
+    "negative mass": (once(MASS, '<mass value="-1"/>'), r"negative mass, -1 kg"),
+    "no inertia": (
+        lambda text: text.replace("<inertia ", "<x:y ", 1).replace("<robot", '<robot xmlns:x="x"'),
+        "no iner",
+    ),
+    "inertia incomplete": (once(' ixy="0"', ""), r"has the ixy None, which is not a finite number \(line 5\)"),
+    "inertia of no body": (once('izz="0.02"', 'izz="5"'), "principal moments of inertia .* that no body can have"),
+    "two inertials": (once(INERTIAL, INERTIAL * 2), r"has <inertial> 2 times"),
+    "two origins": (once(ORIGIN, ORIGIN * 2), r"has <origin> 2 times \(line 4\)"),
+    "misspelt inertial": (
+        lambda text: text.replace("<inertial>", "<intertial>", 1).replace("</inertial>", "</intertial>", 1),
+        r"element <intertial> \(line 4\)\. Did you mean 'inertial'",
+    ),
+    "capital letters": (lambda text: text.replace("<limit ", "<Limit ", 1), r"element <Limit>.*Did you mean 'limit'"),
+    "plural": (once("<limit ", "<limits "), r"The joint 'a1' .* element <limits> .*Did you mean 'limit'"),
+    "misspelt xyz": (once(ORIGIN, '<origin xzy="1 0 0"/>'), r"attribute 'xzy' .*Did you mean 'xyz'"),
+    "quaternion": (once(ORIGIN, '<origin xyz="0 0 0" quat_xyzw="0 0 0 1"/>'), r"quat_xyzw .*Write the rotation as rpy"),
+    # joints
+    "axis of length zero": (once(AXIS, '<axis xyz="0 0 0"/>'), r"'slider' .* axis of length zero \(line 31\)"),
+    "axis with commas": (once(AXIS, '<axis xyz="1,0,0"/>'), r"'slider' of bar\.urdf has the axis '1,0,0'"),
+    "axis without numbers": (once(AXIS, "<axis/>"), r"'slider' of bar\.urdf has the axis ''"),
+    "joint origin": (once('<origin xyz="0.5 0 0"/>', '<origin xyz="0.5 0"/>'), r"'b1' .* origin with xyz '0.5 0'"),
+    "no limit": (once(LIMIT, ""), r"'a1' of bar\.urdf is revolute and has no <limit> \(line 6\)"),
+    "limit without effort": (once(' effort="9"', ""), r"'a1' of bar\.urdf has the effort limit None"),
+    "limit that is text": (once('upper="9"', 'upper="nine"'), r"'a1' of bar\.urdf has the upper limit 'nine'"),
+    "kind of joint": (once('"revolute"', '"revolut"'), r"'a1' .* type 'revolut' .*Did you mean 'revolute'"),
+    "no kind of joint": (once(' type="revolute"', ""), r"'a1' of bar\.urdf has the type ''"),
+    "mimic": (once("<axis", '<mimic joint="b1"/><axis'), r"The joint 'a1' of bar\.urdf mimics another"),
+    "planar about x": (
+        appended('<link name="p"/><joint name="z" type="planar"><parent link="l1"/><child link="p"/></joint>'),
+        r"The joint 'z' of bar\.urdf is planar about another axis than z",
+    ),
+    "no parent": (once('<parent link="base"/>', ""), r"The joint 'a1' of bar\.urdf has no parent"),
+    "unknown parent": (
+        once('<parent link="l1"/>', '<parent link="l11"/>'),
+        r"The joint 'b1' .* parent 'l11', which is no link .*Did you mean 'l1'",
+    ),
+    "unknown child": (once('<child link="l1"/>', '<child link="nowhere"/>'), r"child 'nowhere', which is no link"),
+    # trees
+    "two links of a name": (
+        once('link name="l2"', 'link name="l1"'),
+        r"two links 'l1', the first in line 4 \(bar.*8\)",
+    ),
+    "two joints of a name": (once('joint name="b1"', 'joint name="a1"'), r"two joints 'a1', the first in line 6"),
+    "two roots": (appended('<link name="other"/>'), r"no tree: 'base', 'other' are carried by no joint"),
+    "two parents": (
+        appended('<joint name="z" type="fixed"><parent link="l1"/><child link="r2"/></joint>'),
+        r"'r2' is the child of two joints, 'b2' and 'z' .*Cut the loop",
+    ),
+    "a circle": (
+        once('<parent link="base"/>', '<parent link="l2"/>'),
+        r"The links 'l1', 'l2', 'tip1', 'bob' carry one another in a circle",
+    ),
+    "no links": (lambda text: '<robot name="bar"/>', "The robot has no links"),
+    "another top element": (lambda text: "<sdf/>", r"The top element of bar\.urdf is <sdf>, not <robot>"),
+    # names
+    "a link without a name": (once('link name="base"', "link"), "A link has the name None"),
+    "an empty name": (once('link name="base"', 'link name=""'), "A link has the name ''"),
+    "a name of two lines": (once('"b1"', '"b&#10;1"'), r"A joint has the name 'b\\n1'"),
+    "a name with a blank at its end": (once('"b1"', '"b1 "'), "A joint has the name 'b1 '"),
+    "a name that is too long": (once('"b1"', f'"{"b" * 300}"'), "a name of 300 characters"),
+    "the name of the world": (once('"b1"', '"universe"'), "'universe', which Pinocchio gives to the world"),
+    # what only urdfdom looks at
+    "size of a box": (
+        once("<inertial>", '<visual><geometry><box size="1 2"/></geometry></visual><inertial>'),
+        r"Pinocchio cannot read .*expected while parsing vector \[1 2\].*visual element for Link \[l1\].* line 4",
+    ),
+    "no geometry": (
+        once("<inertial>", "<collision><geometry/></collision><inertial>"),
+        r"collision element for Link \[l1\]\. Correct the element in line 4",
+    ),
+    "damping": (once("<axis", '<dynamics damping="x"/><axis'), r"damping value \(x\) .*joint \[a1\].* in line 6"),
+    "a robot without a name": (once(' name="bar"', ""), "No name given for the robot"),
+    "a version to come": (once('name="bar"', 'name="bar" version="7.0"'), "Invalid 'version' specified"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_mistake_is_one_error_that_names_it(tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    change, message = FAULTS[name]
+    with pytest.raises(ModelFileError, match=message) as caught:
+        load_robot(write(tmp_path, change(FIVE_BAR)))
+    assert caught.value.remedy
+    assert caught.value.details["path"] == str(tmp_path / "bar.urdf")
+    assert capfd.readouterr() == ("", "")  # nothing is only on the error stream
+
+
+def test_what_the_specification_leaves_out_has_its_default(tmp_path: Path) -> None:
+    text = FIVE_BAR.replace(ORIGIN, "", 1).replace(AXIS, "", 1)
+    robot = load_robot(write(tmp_path, text))
+    assert robot.model.inertias[1].mass == 1.0
+    np.testing.assert_array_equal(robot.model.inertias[1].lever, 0.0)
+    turned = FIVE_BAR.replace(AXIS, '<axis xyz="0 3 4"/>')
+    slider = load_robot(write(tmp_path, turned)).model
+    joint = slider.joints[slider.getJointId("slider")]
+    data = joint.createData()
+    joint.calc(data, pin.neutral(slider), np.zeros(slider.nv))
+    np.testing.assert_allclose(np.ravel(data.S), [0, 0.6, 0.8, 0, 0, 0], atol=1e-15)
+
+
+def test_names_may_be_of_any_language(tmp_path: Path) -> None:
+    text = FIVE_BAR.replace('"a1"', '"関節 ü [1]"')
+    guess = {"関節 ü [1]": 2.0, "b1": -1.0, "a2": 1.0, "b2": 1.0}
+    changes = {"actuated": ["関節 ü [1]", "a2"], "reference": {"platform": [0.25, 0.7], "guess": guess}}
+    assert load_robot(write(tmp_path, text, **changes)).actuated == ("関節 ü [1]", "a2")
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "a/" * 3000 + "b.urdf", "\0", "", ".", "..", "/dev/zero", "bar.urdf/x"])
+def test_a_urdf_that_is_no_file(tmp_path: Path, name: str) -> None:
+    with pytest.raises(RedundancyPinError) as caught:
+        load_robot(write(tmp_path, FIVE_BAR, urdf=name))
+    assert isinstance(caught.value, (ModelFileError, DeclarationError))
+    assert len(str(caught.value)) < 8000
+    if len(name) > 2:
+        with pytest.raises(ModelFileError):
+            load_robot(f"{tmp_path}/{name}")
+
+
+# ---- sizes --------------------
+
+
+def _chain(count: int, kind: str = "fixed") -> Callable[[str], str]:
+    links = [f'<link name="c{i}"/>' for i in range(count)]
+    joints = [
+        f'<joint name="k{i}" type="{kind}"><parent link="{f"c{i - 1}" if i else "base"}"/><child link="c{i}"/>'
+        f"{LIMIT}</joint>"
+        for i in range(count)
+    ]
+    return appended("".join(links + joints))
+
+
+def _star(count: int, kind: str) -> Callable[[str], str]:
+    return appended(
+        "".join(
+            f'<link name="c{i}"/><joint name="k{i}" type="{kind}"><parent link="base"/><child link="c{i}"/>{LIMIT}'
+            "</joint>"
+            for i in range(count)
+        )
+    )
+
+
+SIZES: dict[str, tuple[Callable[[str], str], str]] = {
+    "a comment of 50 MB": (appended(f"<!--{'x' * 50_000_000}-->"), "is too large"),
+    "a chain of 30,000 links": (_chain(30_000), "too large"),
+    "a chain of 12,000 links": (_chain(12_000), "elements"),
+    "a chain of 2,500 links": (_chain(2500), f"more than the {MOST_LINKS}"),
+    "a chain of 1,900 links": (_chain(1900), f"More than {DEEPEST_CHAIN} links follow"),
+    "a chain one link too long": (_chain(DEEPEST_CHAIN + 1), f"More than {DEEPEST_CHAIN} links follow"),
+    "joints of too many freedoms": (_star(MOST_FREEDOMS, "revolute"), f"more than the {MOST_FREEDOMS} of a model"),
+    "elements in elements": (appended("<a>" * 30_000 + "</a>" * 30_000), "levels of elements"),
+    "elements": (appended("<a/>" * 400_000), "elements"),
+    "attributes": (appended("<a " + " ".join(f'a{i}=""' for i in range(130_000)) + "/>"), "attributes of one element"),
+    "billion laughs": (
+        once("<robot", '<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;">]>\n<robot'),
+        "document type",
+    ),
+    "an entity from a file": (
+        once("<robot", '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]>\n<robot'),
+        "document type",
+    ),
+    "attributes by default": (
+        once("<robot", '<!DOCTYPE robot [<!ATTLIST link name CDATA "x">]>\n<robot'),
+        "document type",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_files_of_any_size_are_refused_at_once(tmp_path: Path, name: str) -> None:
+    change, message = SIZES[name]
+    path = write(tmp_path, change(FIVE_BAR))
+    start, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ModelFileError, match=message):
+        load_robot(path)
+    assert time.process_time() - start < 2.0
+    unit = 1 if sys.platform == "darwin" else 1024
+    assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * unit < 500e6
+
+
+def test_large_robots_within_the_limits_load(tmp_path: Path) -> None:
+    robot = load_robot(write(tmp_path, _chain(DEEPEST_CHAIN - 5)(FIVE_BAR)))
+    assert robot.model.nframes > 2 * DEEPEST_CHAIN
+    comment = appended(f"<!--{'x' * (MOST_BYTES - 10_000)}-->")
+    assert load_robot(write(tmp_path, comment(FIVE_BAR))).n == 2
+
+
+# ---- the model is what the file says --------------------
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_the_reader_agrees_with_another(name: str, tmp_path: Path) -> None:
+    path = next((models_root() / name).glob("*.xacro"))
+    urdf, _ = render(path, {})
+    tree = read_tree(urdf, path)
+    (tmp_path / "r.urdf").write_text(urdf)
+    other = yourdfpy.URDF.load(str(tmp_path / "r.urdf"), load_meshes=False, build_scene_graph=False).robot
+    assert {link.name for link in other.links} == set(tree.links)
+    for link in other.links:
+        if link.inertial is not None:
+            own = tree.links[link.name]
+            assert own.mass == link.inertial.mass
+            origin = np.eye(4) if link.inertial.origin is None else link.inertial.origin
+            np.testing.assert_allclose(own.centre, origin[:3, 3], atol=1e-15)
+            turned = origin[:3, :3] @ link.inertial.inertia @ origin[:3, :3].T
+            np.testing.assert_allclose(own.inertia, turned, rtol=1e-12, atol=1e-18)
+    joints = {joint.name: joint for joint in other.joints}
+    assert set(joints) == {joint.name for joint in tree.joints}
+    for own_joint in tree.joints:
+        joint = joints[own_joint.name]
+        assert (own_joint.kind, own_joint.parent, own_joint.child) == (joint.type, joint.parent, joint.child)
+        np.testing.assert_allclose(own_joint.placement, np.eye(4) if joint.origin is None else joint.origin, atol=1e-15)
+        if own_joint.kind != "fixed":
+            np.testing.assert_allclose(own_joint.axis, joint.axis / np.linalg.norm(joint.axis), atol=1e-15)
+            assert own_joint.limits["upper"] == joint.limit.upper
+
+
+def _numbers(row: list[float]) -> str:
+    return " ".join(repr(value) for value in row)
+
+
+TRIPLE = st.lists(st.floats(-3, 3, allow_subnormal=False), min_size=3, max_size=3)
+JOINT = st.tuples(
+    st.integers(0, 10**6),
+    st.sampled_from(["fixed", "revolute", "continuous", "prismatic", "floating"]),
+    TRIPLE,
+    TRIPLE,
+    TRIPLE.filter(lambda axis: np.linalg.norm(axis) > 1e-3),
+    st.floats(0, 50),
+    TRIPLE,
+)
+
+
+@settings(deadline=None)
+@given(st.lists(JOINT, min_size=1, max_size=8))
+def test_random_trees_are_read_as_by_pinocchio(joints: list[Any]) -> None:
+    links = ['<link name="l0"/>']
+    for index, (parent, kind, xyz, rpy, axis, mass, centre) in enumerate(joints):
+        links.append(
+            f'<link name="l{index + 1}"><inertial><origin xyz="{_numbers(centre)}" rpy="{_numbers(rpy)}"/>'
+            f'<mass value="{mass!r}"/><inertia ixx="1" iyy="1.5" izz="2" ixy="0.1" ixz="0.2" iyz="0"/></inertial>'
+            f'</link><joint name="j{index}" type="{kind}"><parent link="l{parent % (index + 1)}"/>'
+            f'<child link="l{index + 1}"/>'
+            f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/><axis xyz="{_numbers(axis)}"/>'
+            f'<limit lower="-{mass!r}" upper="2" effort="{mass!r}" velocity="3"/></joint>'
+        )
+    urdf = f'<robot name="r">{"".join(links)}</robot>'
+    path = Path("r.urdf")
+    require_same(read_tree(urdf, path), pin.buildModelFromXML(urdf), path)
+
+
+def _first(model: pin.Model) -> Any:
+    return model.inertias[1]
+
+
+def _moved(model: pin.Model) -> None:
+    model.jointPlacements[2] = model.jointPlacements[2] * pin.SE3(np.eye(3), np.array([1e-6, 0.0, 0.0]))
+
+
+def _heavier(model: pin.Model) -> None:
+    model.inertias[1] = pin.Inertia(_first(model).mass * (1 + 1e-6), _first(model).lever, _first(model).inertia)
+
+
+def _shifted(model: pin.Model) -> None:
+    model.inertias[1] = pin.Inertia(_first(model).mass, _first(model).lever + 1e-6, _first(model).inertia)
+
+
+def _stiffer(model: pin.Model) -> None:
+    model.inertias[1] = pin.Inertia(_first(model).mass, _first(model).lever, _first(model).inertia + 1e-6 * np.eye(3))
+
+
+def _frame(model: pin.Model) -> None:
+    model.frames[model.getFrameId("tip1", pin.FrameType.BODY)].placement = pin.SE3.Identity()
+
+
+def _lower(model: pin.Model) -> None:
+    model.lowerPositionLimit = model.lowerPositionLimit + 1e-6
+
+
+def _upper(model: pin.Model) -> None:
+    model.upperPositionLimit = model.upperPositionLimit + 1e-6
+
+
+def _effort(model: pin.Model) -> None:
+    model.upperEffortLimit = model.upperEffortLimit * 2
+
+
+def _velocity(model: pin.Model) -> None:
+    model.upperVelocityLimit = model.upperVelocityLimit * 2
+
+
+DIFFERENCES = {
+    "the placement of the joint": _moved,
+    "the mass of the body that 'a1' carries": _heavier,
+    "mass times centre of mass of the body that 'a1' carries": _shifted,
+    "the inertia of the body that 'a1' carries": _stiffer,
+    "the placement of the link 'tip1'": _frame,
+    "the lower limit of the joint": _lower,
+    "the upper limit of the joint": _upper,
+    "the effort limit of the joint": _effort,
+    "the velocity limit of the joint": _velocity,
+}
+
+
+@pytest.mark.parametrize("what", DIFFERENCES)
+def test_a_model_that_differs_from_its_file_is_refused(what: str) -> None:
+    path, model = Path("bar.urdf"), pin.buildModelFromXML(FIVE_BAR)
+    tree = read_tree(FIVE_BAR, path)
+    require_same(tree, model, path)
+    DIFFERENCES[what](model)
+    with pytest.raises(ModelFileError, match=f"does not read bar.urdf as it stands: {what}"):
+        require_same(tree, model, path)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (once(AXIS, '<axis xyz="0 1 0"/>'), "the axis of the joint 'slider'"),
+        (once(AXIS, '<axis xyz="-1 0 0"/>'), "the axis of the joint 'slider'"),
+        (once('"prismatic"', '"revolute"'), "the axis of the joint 'slider'"),
+        (once('"prismatic"', '"floating"'), "the number of freedoms of the joint 'slider'"),
+        (once('"prismatic"', '"fixed"'), "the list of moving joints"),
+        (once('<parent link="l2"/><child link="bob"/>', '<parent link="l1"/><child link="bob"/>'), "the parent of the"),
+    ],
+)
+def test_a_model_of_another_file_is_refused(change: Callable[[str], str], what: str) -> None:
+    path = Path("bar.urdf")
+    with pytest.raises(ModelFileError, match=what):
+        require_same(read_tree(FIVE_BAR, path), pin.buildModelFromXML(change(FIVE_BAR)), path)
+
+
+def test_what_others_write_to_the_error_stream_gets_there(capfd: pytest.CaptureFixture[str]) -> None:
+    with build._complaints_of_urdfdom() as complaints:
+        sys.stderr.write("from another thread\n")
+        sys.stderr.flush()
+        pin.buildModelFromXML(once(ORIGIN, '<origin xyz="a b c"/>')(FIVE_BAR))
+    assert len(complaints) == 2
+    assert "Could not parse inertial element for Link [l1]" in complaints[1]
+    assert capfd.readouterr().err == "from another thread\n"
+
+
+# ---- closed forms --------------------
+
+
+@pytest.mark.parametrize("form", ["2rpr", "3rrr"])
+def test_a_closed_form_needs_its_arguments(tmp_path: Path, form: str) -> None:
+    with pytest.raises(DeclarationError, match=rf"`closed_form: {form}` needs the xacro argument .* is missing"):
+        load_robot(write(tmp_path, FIVE_BAR, closed_form=form))
+
+
+@pytest.mark.parametrize("form", ["2rpr", "3rrr"])
+def test_the_arguments_of_a_closed_form_are_those_it_reads(form: str) -> None:
+    read: set[str] = set()
+
+    class Watched(dict[str, Any]):
+        def __getitem__(self, name: str) -> Any:
+            read.add(name)
+            return super().__getitem__(name)
+
+    robot = load_robot(form)
+    object.__setattr__(robot, "parameters", Watched(robot.parameters))
+    VirtualWork(robot)
+    assert read == set(CLOSED_FORMS[form])

@@ -1,0 +1,330 @@
+"""Mutants: a sign, a comparison or a factor changed at a random place of a copy of the package; do its tests notice?
+
+As a program it prints each mutant and what became of it: ``python tests/support/mutants.py [count] [first]``.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "redundancy_pin"
+
+ROOMS: dict[str, tuple[str, ...]] = {
+    "dynamics/virtual_work": (
+        "tests/dynamics/test_virtual_work.py",
+        "tests/dynamics/test_virtual_work_oracle.py",
+        "tests/dynamics",
+        "tests/crosscheck",
+    ),
+    "dynamics": ("tests/dynamics", "tests/crosscheck", "tests/simulation/controllers"),
+    "kinematics": ("tests/kinematics/test_lift.py", "tests/kinematics", "tests/dynamics", "tests/singularities"),
+    "trajectory": ("tests/trajectory",),
+    "robot": ("tests/test_loading.py", "tests/test_models.py", "tests/robot", "tests/kinematics", "tests/planners"),
+    "planners/stepwise": ("tests/planners/stepwise/test_stepwise.py", "tests/planners"),
+    "planners/switch_off": ("tests/planners/switch_off/test_switch_off.py", "tests/planners"),
+    "planners/whole_trajectory": (
+        "tests/planners/whole_trajectory/test_whole_trajectory_optimum.py",
+        "tests/planners/whole_trajectory/test_whole_trajectory_edges.py",
+        "tests/planners/whole_trajectory",
+        "tests/planners",
+    ),
+    "planners": ("tests/planners/test_plan_quantities.py", "tests/planners", "tests/cli", "tests/compatibility"),
+}
+"""Where mutants are made, and the tests that judge them: files first, with those named like what was changed."""
+
+INTERFACES = "tests/compatibility/test_interfaces.py"
+"""Defaults of public functions."""
+
+PATIENCE = 900
+"""s on the clock after which a mutant counts as noticed: it hangs."""
+
+FACTORS = (1e-2, 1e2)
+"""Constants between these are changed; smaller ones are tolerances, larger ones bounds that hardly anything meets."""
+
+LIBRARIES = (
+    "numpy", "scipy.integrate", "scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.spatial.transform",
+    "pinocchio", "yaml", "pydantic", "click", "rich.table", "jinja2", "xacro",
+    "xacrodoc", "casadi",
+)  # fmt: skip
+"""What the package and its tests import: once, before the forks. (Not hypothesis: pytest wants to see it imported.)"""
+
+EQUIVALENT: dict[tuple[str, str, str], str] = {
+    ("dynamics/distribution.py", "return read_only(cost / cost.max())", "/"): "weights count relative to each other",
+    (
+        "planners/switch_off/carrier_equation.py",
+        "elif after < narrow:",
+        "<",
+    ): "the stretch on the other side does as well",
+    (
+        "trajectory/waypoints.py",
+        "u = low + (high - low) * target / (self._arc_at_edges[panel + 1] - self._arc_at_edges[panel])",
+        "+*/",
+    ): "a first guess of Newton steps that bisection keeps in their bracket",
+}
+"""Path, line and operators of changes that change no result, and why: they are not drawn."""
+
+SWAPPED: dict[type[ast.AST], tuple[str, str]] = {
+    ast.Add: ("+", "-"),
+    ast.Sub: ("-", "+"),
+    ast.Mult: ("*", "/"),
+    ast.Div: ("/", "*"),
+    ast.Lt: ("<", ">"),
+    ast.Gt: (">", "<"),
+    ast.LtE: ("<=", ">="),
+    ast.GtE: (">=", "<="),
+    ast.Eq: ("==", "!="),
+    ast.NotEq: ("!=", "=="),
+}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A change of a file of the package, from ``start`` to ``end`` in bytes."""
+
+    path: str
+    line: int
+    start: int
+    end: int
+    old: str
+    new: str
+
+    @property
+    def text(self) -> str:
+        """The line that it changes."""
+        return (PACKAGE / self.path).read_text(encoding="utf-8").splitlines()[self.line - 1].strip()
+
+    def __str__(self) -> str:
+        """Return where it is and what it changes."""
+        return f"{self.path}:{self.line}: {self.old} becomes {self.new} in: {self.text}"
+
+    @property
+    def room(self) -> str:
+        """The innermost room that it is in."""
+        return max((room for room in ROOMS if self.path.startswith(room + "/")), key=len)
+
+
+def _changeable(node: ast.AST) -> Iterator[ast.AST]:
+    """Give the nodes below one whose change a run could notice: no annotations, messages, texts, defaults of types."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.Raise, ast.Assert, ast.JoinedStr)):
+            continue
+        if isinstance(child, ast.FunctionDef) and child.name == "__repr__":
+            continue
+        if isinstance(child, ast.AnnAssign):
+            if child.value is not None and not isinstance(node, ast.Module):
+                yield child.value
+                yield from _changeable(child.value)
+            continue
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test):
+            continue
+        # named constants of a module are choices (steps tried, safeguards, tolerances), not formulas
+        if isinstance(node, ast.Module) and isinstance(child, ast.Assign):
+            continue
+        if isinstance(child, ast.arg) or child is getattr(node, "returns", None):
+            continue
+        # numbers of a subscript are places, not factors
+        if isinstance(child, ast.Subscript):
+            yield child.value
+            yield from _changeable(child.value)
+            continue
+        yield child
+        yield from _changeable(child)
+
+
+@functools.cache
+def mutants() -> tuple[Mutant, ...]:
+    """Return every mutant of the rooms, in order."""
+    paths = {path for room in ROOMS for path in (PACKAGE / room).rglob("*.py")}
+    return tuple(mutant for path in sorted(paths) for mutant in _of_file(path))
+
+
+def _of_file(path: Path) -> Iterator[Mutant]:
+    data, name = path.read_bytes(), path.relative_to(PACKAGE).as_posix()
+    starts = [0]
+    for line in data.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+
+    def ends(node: Any) -> tuple[int, int]:
+        return starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
+
+    for node in _changeable(ast.parse(data)):
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            start, _ = ends(node)
+            yield Mutant(name, node.lineno, start, start + 1, "-", " ")
+        elif isinstance(node, ast.Constant) and isinstance(node.value, float):
+            if FACTORS[0] <= node.value <= FACTORS[1]:
+                start, end = ends(node)
+                yield Mutant(name, node.lineno, start, end, data[start:end].decode(), repr(2.0 * node.value))
+        else:
+            left, kind, right = _operation(node)
+            old, new = SWAPPED.get(type(kind), ("", ""))
+            # between the operands there are an operator, blanks and parentheses
+            where = data.find(old.encode(), ends(left)[1], ends(right)[0]) if old else -1
+            if where >= 0:
+                yield Mutant(name, data[:where].count(b"\n") + 1, where, where + len(old), old, new)
+
+
+def _operation(node: ast.AST) -> tuple[Any, Any, Any]:
+    """Return left operand, operator and right operand of numbers; the operator is None where there are none."""
+    if isinstance(node, ast.Compare) and len(node.ops) == 1:
+        return node.left, node.ops[0], node.comparators[0]
+    if isinstance(node, ast.BinOp):
+        texts = isinstance(node.left, ast.Constant) and not isinstance(node.left.value, (int, float))
+        if not texts and not isinstance(node.left, (ast.List, ast.Tuple)):
+            return node.left, node.op, node.right
+    return None, None, None
+
+
+def chosen(number: int) -> Mutant:
+    """Return a random mutant: each room as often as it has places, the same for the same number."""
+    dice = random.Random(f"mutant/{number}")
+    while True:
+        mutant = dice.choice(mutants())
+        alike = (operators for path, text, operators in EQUIVALENT if (path, text) == (mutant.path, mutant.text))
+        if not any(mutant.old in operators for operators in alike):
+            return mutant
+
+
+def tests_of(mutant: Mutant) -> list[list[str]]:
+    """Return what is run, in turn: tests named like the file, then those of the room."""
+    stem = Path(mutant.path).stem.rstrip("s")
+    near = sorted((ROOT / "tests").rglob(f"test_*{stem}*.py")) if len(stem) > 3 else []
+    near = [path for path in near if not {"studies", "engines", "fuzz"} & set(path.parts)]
+    names = [path.relative_to(ROOT).as_posix() for path in near]
+    names = [*(test for test in ROOMS[mutant.room] if test.endswith(".py")), *names]
+    rest = [
+        *(test for test in ROOMS[mutant.room] if not test.endswith(".py")),
+        INTERFACES,
+        *(f"--ignore={name}" for name in names),
+    ]
+    return [names, rest] if names else [rest]
+
+
+def tree(folder: Path) -> Path:
+    """Copy what tests of the rooms need, so that one copy serves several mutants in turn."""
+    for name in ("redundancy_pin", "tests", "models", "benchmarks", "pyproject.toml", "docs", "README.md"):
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+        elif source.exists():
+            shutil.copy(source, folder / name)
+    return folder
+
+
+def noticed(mutant: Mutant, folder: Path) -> str:
+    """Return which test notices a mutant in a copy of the tree; nothing if none does."""
+    path = folder / "redundancy_pin" / mutant.path
+    right = path.read_bytes()
+    if right[mutant.start : mutant.end].decode() != mutant.old:
+        raise ValueError(f"{mutant.path} of the copy is another file")
+    path.write_bytes(right[: mutant.start] + mutant.new.encode() + right[mutant.end :])
+    try:
+        for tests in tests_of(mutant):
+            by = _failing(tests, folder)
+            if by:
+                return by
+    finally:
+        path.write_bytes(right)
+    return ""
+
+
+class _First:
+    """Notes down the first test that fails, or the file that cannot be collected."""
+
+    def __init__(self, answer: int) -> None:
+        self.answer = answer
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        if report.failed:
+            os.write(self.answer, report.nodeid.encode() + b"\n")
+
+    def pytest_collectreport(self, report: Any) -> None:
+        if report.failed:
+            os.write(self.answer, b"import of " + report.nodeid.encode() + b"\n")
+
+
+def _failing(tests: list[str], folder: Path) -> str:
+    """Run tests in a forked process until one fails, and return its name."""
+    with tempfile.TemporaryFile() as answer:
+        child = os.fork()
+        if child == 0:
+            _in_child(tests, folder, answer.fileno())
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        answer.seek(0)
+        first = answer.read().decode().partition("\n")[0]
+    if code == -signal.SIGALRM:
+        return f"no end after {PATIENCE} s"
+    if code not in (0, 1, 2, 5) or (code in (1, 2) and not first):  # 5: nothing to run; a crash counts as noticed
+        if code >= 0:
+            raise RuntimeError(f"pytest ended with {code} on {tests}: {first or 'no test failed'}")
+        return f"crash by signal {-code}"
+    return first
+
+
+def _in_child(tests: list[str], folder: Path, answer: int) -> NoReturn:
+    code: int = 99
+    try:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(PATIENCE)
+        os.chdir(folder)
+        # nothing of the run that this one is part of: its workers, options and multiples of examples
+        for key in [key for key in os.environ if key.startswith(("PYTEST", "EXAMPLES", "SHARE", "PYTHONPATH"))]:
+            del os.environ[key]
+        os.environ["PYTHONPATH"] = str(folder)
+        ours = {"", str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "benchmarks")}
+        sys.path[:] = [str(folder), *(entry for entry in sys.path if entry not in ours)]
+        sys.dont_write_bytecode = True
+        null = os.open(os.devnull, os.O_RDWR)
+        for stream in (0, 1, 2):
+            os.dup2(null, stream)
+        arguments = ["-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-p", "no:randomly"]
+        code = int(pytest.main([*arguments, *tests], plugins=[_First(answer)]))
+    except BaseException as error:
+        os.write(answer, f"{type(error).__name__}: {error}\n".encode())
+    finally:
+        os._exit(code)
+
+
+def main() -> None:
+    """Make and judge as many mutants as the first argument says, from the number that is the second.
+
+    ``none`` in place of a number changes nothing: a place with quick tests is judged as it is.
+    """
+    count, first = (*sys.argv[1:], *("10", "0")[len(sys.argv) - 1 :])
+    for library in LIBRARIES:
+        importlib.import_module(library)
+    if "redundancy_pin" in sys.modules:
+        raise SystemExit("The package is loaded already: its copies would not be.")
+    if first == "none":
+        quick = next(mutant for mutant in mutants() if mutant.path == "trajectory/csv_file.py")
+        drawn = [(first, replace(quick, new=quick.old))] * int(count)
+    else:
+        drawn = [(str(number), chosen(number)) for number in range(int(first), int(first) + int(count))]
+    survived = 0
+    with tempfile.TemporaryDirectory(prefix="mutants-") as name:
+        folder = tree(Path(name))
+        for number, mutant in drawn:
+            by = noticed(mutant, folder)
+            survived += not by
+            sys.stdout.write(f"{number}: {'killed by ' + by if by else 'SURVIVED'}: {mutant}\n")
+            sys.stdout.flush()
+    sys.stdout.write(f"{len(drawn) - survived} of {len(drawn)} killed\n")
+
+
+if __name__ == "__main__":
+    main()

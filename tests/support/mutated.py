@@ -1,0 +1,695 @@
+"""Files that are almost right: the shipped ones, and what the package writes, with one to three things wrong.
+
+Every generator takes dice (``random.Random``) and returns the files of a folder by name; the same dice, the same files.
+"""
+
+from __future__ import annotations
+
+import copy
+import datetime
+import functools
+import io
+import json
+import random
+import tempfile
+import warnings
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.planners.plan import Plan, finish_plan
+from redundancy_pin.robot.urdf import models_root, render
+
+Files = Mapping[str, bytes]
+Dice = random.Random
+
+HUGE = "9" * 5000
+NUMBERS = (
+    "", " ", "nan", "-nan", "inf", "-inf", "0", "-0", "-1", "1e400", "1e-400", "1e308", "1e-308", HUGE, "2**1000000",
+    "9**9**9", "0x10", "1_000", "٣", "½", "1e", "1,5", "0.5, 0, 0", "1 2", "1 2 3 4", "0 0 0", "nan 0 0", "1 0",
+    "1 0 0 junk", "true", "None", "[]", "1\n2", "\x1b[31m", "%s", "{0}", "100000", "1e18", "-2", "1.5", "1e-9",
+    "9223372036854775808", "١ ٢ ٣", "0.1.2", "--1", "+1", "1d0", "1f", "infinity 0 0", "1e5 1e5 1e5", "0 0 1e-12",
+)  # fmt: skip
+EXPRESSIONS = (
+    "9**9**9", "2**1000000", "(lambda: 1)()", "(lambda f: f(f))(lambda f: f(f))", "().__class__.__bases__",
+    "base_distance.__class__", "__import__('os').system('true')", "[x for x in range(10**9)]", "'a' * 10**10",
+    "[0] * 10**10", "1/0", "sqrt(-1)", "exp(1e4)", "10**400", "1e308 * 10", "(" * 3000 + "1" + ")" * 3000,
+    "-" * 5000 + "1", "+".join(["1"] * 5000), "1 if True else", "a := 1", "open('/etc/passwd')", "globals()",
+    "eval('1')", "print(1)", "undefined_name", "{1: 2}[3]", "[1][5]", "''.join(['a'])", "'%d' % 1",
+    "'{0.__class__}'.format(1)", "f'{1}'", "1 < 2 < 3", "not", "~1.5", "1 @ 2", "1 if 0.5 else 2", "True + True",
+    "max()", "min([])", "round(1e400)", "1e400", "float('nan')", "0 * inf", "pi", "sin(1) + cos(2)",
+    "abs(-3) ** 0.5", "1 ; 2", "\\", "\x00", "é", "1 +", "${1}", "$(arg base_distance)", "factorial(10**6)",
+    "range(10**12)", "sum(range(10**9))", "pow(7, 10**9)",
+)  # fmt: skip
+VALUES: tuple[Any, ...] = (
+    None, True, False, 0, -1, 1, 2, 10**400, 1e308, float("nan"), float("inf"), -0.5, "", " ", "x", "nan", HUGE,
+    "é" * 300, "../../x", "/dev/zero", [], {}, [[]], [None], {"": ""}, {1: 2}, [1, 2, 3, 4, 5, 6, 7], ["x"],
+    {"x": {"y": {"z": []}}}, "x" * 70_000, datetime.date(2001, 12, 14), datetime.datetime(2001, 12, 14, 21, 59, 43),
+    b"bytes", (1, 2), "true", "1e-3", "[1, 2]", "*a", [[[[[[[[[[]]]]]]]]]], ["x"] * 3000, "\x1b[31m", "\x00",
+    "base_distance / 2", "__import__('os')", "9**9**9", "()", "- 1", "<<",
+)  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------------ what is right
+
+
+@functools.cache
+def declaration_of(name: str) -> str:
+    """Return the text of a shipped declaration."""
+    return (models_root() / name / "robot.yaml").read_text(encoding="utf-8")
+
+
+@functools.cache
+def xacro_of(name: str) -> str:
+    """Return the text of a shipped xacro."""
+    return (models_root() / name / f"{name}.urdf.xacro").read_text(encoding="utf-8")
+
+
+@functools.cache
+def urdf_of(name: str) -> str:
+    """Return the URDF that a shipped xacro gives by default."""
+    return render(models_root() / name / f"{name}.urdf.xacro", {})[0]
+
+
+@functools.cache
+def plain_declaration(name: str) -> str:
+    """Return a shipped declaration for the URDF without arguments: expressions become numbers."""
+    data = yaml.safe_load(declaration_of(name))
+    robot = zoo.robot_of(name)
+    for key in ("requires", "closed_form"):
+        data.pop(key, None)
+    data["urdf"] = "robot.urdf"
+    for carrier in data.get("carriers", ()):
+        carrier.pop("when", None)
+    values = dict(robot.parameters)
+
+    def number(value: Any) -> Any:
+        # the shipped expressions are arithmetic of arguments; this is a test's own evaluation of them
+        if isinstance(value, str):
+            import math
+
+            return float(eval(value, {"__builtins__": {}}, {**vars(math), **values}))
+        return value
+
+    reference = data["reference"]
+    for part in ("platform", "guess"):
+        entries = reference.get(part)
+        if isinstance(entries, list):
+            reference[part] = [number(value) for value in entries]
+        elif isinstance(entries, dict):
+            reference[part] = {key: number(value) for key, value in entries.items()}
+    for closure in data.get("closures", ()):
+        for key, value in closure.items():
+            if isinstance(value, list) and key not in ("frames", "axes"):
+                closure[key] = [number(entry) for entry in value]
+    return yaml.safe_dump(data, sort_keys=False)
+
+
+@functools.cache
+def plan_of(name: str) -> Plan:
+    """Return a short plan: parked carriers along a smooth motion."""
+    robot = rp.load_robot(name)
+    motion = zoo.smooth_motion(robot).at(np.linspace(0.0, 0.3, 7))
+    return finish_plan(
+        rp.RneaDynamics(robot).along(motion),
+        rp.CarrierMotion.parked(len(motion), robot.k),
+        planner="parked",
+        phase=np.zeros(len(motion), dtype=np.intp),
+        phases=("parked",),
+        parameters={"threshold": 5.0, "window": (0.1, np.inf)},
+        diagnostics={"switch": np.array([0.1, np.nan])},
+    )
+
+
+@functools.cache
+def stepwise_plan() -> Plan:
+    """Return a plan with functions of time."""
+    robot = rp.load_robot("3rrr")
+    return rp.plan_stepwise(rp.RneaDynamics(robot), rp.trajectory.reference.corner(radius=0.025), dt=0.05)
+
+
+@functools.cache
+def saved(plan: Callable[[], Plan]) -> bytes:
+    """Return the file of a plan."""
+    with tempfile.TemporaryDirectory() as folder:
+        plan().save(Path(folder) / "plan.npz")
+        return (Path(folder) / "plan.npz").read_bytes()
+
+
+@functools.cache
+def motion_csv(name: str) -> str:
+    """Return a motion that a shipped robot can follow, as CSV."""
+    robot = zoo.robot_of(name)
+    motion = zoo.smooth_motion(robot).at(np.linspace(0.0, 0.2, 12))
+    x = motion.x
+    if x.ndim == 3:
+        from scipy.spatial.transform import Rotation
+
+        x = np.concatenate([x[:, :3, 3], Rotation.from_matrix(x[:, :3, :3]).as_quat()], axis=1)
+    names = [
+        "t",
+        *(
+            f"{key}{i}"
+            for key, part in (("x", x), ("xd", motion.xd), ("xdd", motion.xdd))
+            for i in range(part.shape[1])
+        ),
+    ]
+    rows = np.concatenate([motion.t[:, None], x, motion.xd, motion.xdd], axis=1)
+    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows.tolist())]) + "\n"
+
+
+# ------------------------------------------------------------------------------------------------- mutations of bytes
+
+
+def spoiled_bytes(data: bytes, dice: Dice) -> bytes:
+    """Return bytes with some flipped, removed, doubled, or noise put in."""
+    spoiled = bytearray(data)
+    for _ in range(dice.choice((1, 1, 2, 8))):
+        at = dice.randrange(len(spoiled) + 1)
+        kind = dice.randrange(5)
+        if kind == 0 and at < len(spoiled):
+            spoiled[at] ^= 1 << dice.randrange(8)
+        elif kind == 1:
+            del spoiled[at : at + dice.choice((1, 4, 100))]
+        elif kind == 2:
+            spoiled[at:at] = dice.randbytes(dice.choice((1, 4, 100)))
+        elif kind == 3:
+            spoiled[at:at] = dice.choice(
+                (b"\x00", b"\xff\xfe", b"\xef\xbb\xbf", b"\r", b"\t", "\u2028".encode(), b"\x1b[2J")
+            )
+        else:
+            spoiled = spoiled[:at] if dice.random() < 0.5 else spoiled[at:]
+    return bytes(spoiled)
+
+
+def spoiled_lines(text: str, dice: Dice) -> str:
+    """Return text with a line removed, doubled, moved, indented or with another value."""
+    lines = text.splitlines()
+    for _ in range(dice.choice((1, 1, 2))):
+        at = dice.randrange(len(lines))
+        kind = dice.randrange(6)
+        if kind == 0:
+            del lines[at]
+        elif kind == 1:
+            lines.insert(dice.randrange(len(lines) + 1), lines[at])
+        elif kind == 2:
+            lines[at] = " " * dice.choice((1, 2, 7)) + lines[at]
+        elif kind == 3:
+            lines[at] = lines[at].lstrip()
+        elif kind == 4 and ":" in lines[at]:
+            lines[at] = (
+                lines[at].partition(":")[0]
+                + ": "
+                + dice.choice((*NUMBERS, *EXPRESSIONS, "&a *a", "!!python/name:os.system", "- -"))
+            )
+        else:
+            words = lines[at].split(" ")
+            words[dice.randrange(len(words))] = dice.choice(NUMBERS)
+            lines[at] = " ".join(words)
+        lines = lines or [""]
+    return "\n".join(lines) + "\n"
+
+
+def spoiled_data(data: Any, dice: Dice) -> Any:
+    """Return nested data with a node replaced, removed, renamed, doubled or swapped with another."""
+    data = copy.deepcopy(data)
+    for _ in range(dice.choice((1, 1, 2, 3))):
+        nodes = list(_nodes(data))
+        if not nodes:
+            return dice.choice(VALUES)
+        holder, key = dice.choice(nodes)
+        kind = dice.randrange(6)
+        if kind <= 2:
+            value = dice.choice(VALUES)
+            holder[key] = dice.choice(EXPRESSIONS) if isinstance(holder[key], str) and dice.random() < 0.3 else value
+        elif kind == 3:
+            del holder[key]
+        elif kind == 4 and isinstance(holder, dict):
+            holder[dice.choice(("", "x", 1, None, str(key) + "s", str(key).upper(), "<<"))] = holder.pop(key)
+        elif kind == 4:
+            holder.insert(key, holder[key])
+        else:
+            other, place = dice.choice(nodes)
+            if place in other if isinstance(other, dict) else place < len(other):
+                holder[key], other[place] = copy.deepcopy(other[place]), copy.deepcopy(holder[key])
+    return data
+
+
+def _nodes(data: Any) -> list[tuple[Any, Any]]:
+    """Return (holder, key) of everything in nested lists and dictionaries."""
+    found: list[tuple[Any, Any]] = []
+    waiting = [data]
+    while waiting:
+        holder = waiting.pop()
+        keys = list(holder) if isinstance(holder, dict) else range(len(holder)) if isinstance(holder, list) else ()
+        for key in keys:
+            found.append((holder, key))
+            waiting.append(holder[key])
+    return found
+
+
+def bomb() -> str:
+    """Return YAML whose aliases stand for 9¹¹ words."""
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
+    return "\n".join(lines) + "\n"
+
+
+def yaml_text(data: Any, dice: Dice) -> bytes:
+    """Return nested data, spoiled, as YAML."""
+    return yaml.dump(spoiled_data(data, dice), sort_keys=False).encode("utf-8", "surrogatepass")
+
+
+def _rare_yaml(text: str, dice: Dice) -> bytes:
+    return dice.choice(
+        (
+            lambda: (bomb() + text).encode(),
+            lambda: (text + "closures: [*a]\n").encode(),
+            lambda: b"# " + b"x" * 30_000_000 + b"\n" + text.encode(),
+            lambda: text.encode("utf-16"),
+            lambda: text.encode() + text.encode(),
+            lambda: b"---\n" + text.encode() + b"\n---\n" + text.encode(),
+            lambda: ("[" * 5000 + "]" * 5000).encode(),
+            lambda: ("a: " + "{a: " * 3000 + "1" + "}" * 3000).encode(),
+            lambda: b"",
+            lambda: b"robot",
+            lambda: dice.randbytes(500),
+        )
+    )()
+
+
+# ----------------------------------------------------------------------------------------------------------- generators
+
+
+def declarations(dice: Dice) -> Files:
+    """A shipped robot whose declaration is spoiled."""
+    name = dice.choice(zoo.SHIPPED)
+    text = declaration_of(name)
+    kind = dice.random()
+    if kind < 0.6:
+        spoiled = yaml_text(yaml.safe_load(text), dice)
+    elif kind < 0.85:
+        spoiled = spoiled_lines(text, dice).encode("utf-8", "surrogatepass")
+    elif kind < 0.95:
+        spoiled = spoiled_bytes(text.encode(), dice)
+    else:
+        spoiled = _rare_yaml(text, dice)
+    return {"robot.yaml": spoiled, f"{name}.urdf.xacro": xacro_of(name).encode()}
+
+
+NAMESPACE = "http://www.ros.org/wiki/xacro"
+TAGS = (
+    "link",
+    "joint",
+    "inertial",
+    "origin",
+    "mass",
+    "inertia",
+    "parent",
+    "child",
+    "axis",
+    "limit",
+    "mimic",
+    "visual",
+    "x",
+    "robot",
+)
+
+
+def spoiled_xml(text: str, dice: Dice) -> bytes:
+    """Return XML with attributes or elements replaced, removed, doubled, renamed or moved."""
+    ElementTree.register_namespace("xacro", NAMESPACE)
+    root = ElementTree.fromstring(text)
+    for _ in range(dice.choice((1, 1, 2, 3))):
+        pairs = [(parent, child) for parent in root.iter() for child in parent]
+        if not pairs:
+            break
+        parent, child = dice.choice(pairs)
+        kind = dice.randrange(9)
+        if kind <= 3 and child.attrib:
+            key = dice.choice(list(child.attrib))
+            child.set(key, "".join(c for c in dice.choice(NUMBERS) if c in "\n\t" or ord(c) >= 32))
+        elif kind == 4 and child.attrib:
+            del child.attrib[dice.choice(list(child.attrib))]
+        elif kind == 5:
+            parent.remove(child)
+        elif kind == 6:
+            parent.insert(dice.randrange(len(parent) + 1), copy.deepcopy(child))
+        elif kind == 7:
+            child.tag = dice.choice(TAGS)
+        else:
+            names = [
+                entry.get("name") or entry.get("link")
+                for entry in root.iter()
+                if entry.get("name") or entry.get("link")
+            ]
+            for key in ("name", "link", "joint"):
+                if key in child.attrib and names:
+                    child.set(key, dice.choice(names) or "")
+    return ElementTree.tostring(root, encoding="utf-8")
+
+
+def chain(links: int) -> str:
+    """Return the URDF of a chain."""
+    parts = ["<robot name='chain'><link name='l0'/>"]
+    for i in range(1, links):
+        parts.append(
+            f"<link name='l{i}'/><joint name='j{i}' type='revolute'><parent link='l{i - 1}'/><child link='l{i}'/>"
+            "<axis xyz='0 0 1'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint>"
+        )
+    return "".join(parts) + "</robot>"
+
+
+FOREIGN = '<!ENTITY f SYSTEM "file:///etc/passwd">'
+
+
+def _rare_xml(text: str, dice: Dice) -> bytes:
+    body = text[text.index("<robot") :]
+    bomb = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
+    return dice.choice(
+        (
+            lambda: f'<!DOCTYPE r [<!ENTITY a0 "x">{bomb}]>{body.replace("</robot>", "&a11;</robot>")}'.encode(),
+            lambda: f"<!DOCTYPE r [{FOREIGN}]>{body.replace('</robot>', '&f;</robot>')}".encode(),
+            lambda: (f"<!-- {'x' * 30_000_000} -->" + body).encode(),
+            lambda: chain(dice.choice((300, 3000, 30_000))).encode(),
+            lambda: ("<robot>" * 20_000 + "</robot>" * 20_000).encode(),
+            lambda: text.encode("utf-16"),
+            lambda: b'<?xml version="1.0" encoding="utf-7"?>' + body.encode(),
+            lambda: b'<?xml version="1.1"?>' + body.encode(),
+            lambda: b"<robot/>",
+            lambda: b"<sdf/>",
+            lambda: b"",
+            lambda: body.replace(
+                "revolute", dice.choice(("floating", "planar", "spherical", "screw", "continuous", "Revolute"))
+            ).encode(),
+        )
+    )()
+
+
+def urdfs(dice: Dice) -> Files:
+    """A URDF that is spoiled, with a declaration that is right."""
+    name = dice.choice(zoo.SHIPPED)
+    text = urdf_of(name)
+    kind = dice.random()
+    if kind < 0.8:
+        spoiled = spoiled_xml(text, dice)
+    elif kind < 0.95:
+        spoiled = spoiled_bytes(text.encode(), dice)
+    else:
+        spoiled = _rare_xml(text, dice)
+    return {"robot.yaml": plain_declaration(name).encode(), "robot.urdf": spoiled}
+
+
+XACRO = (
+    '<xacro:include filename="{file}"/>', '<xacro:include filename="/etc/passwd"/>',
+    '<xacro:include filename="nowhere.xacro"/>',
+    '<xacro:property name="a" value="${{b}}"/><xacro:property name="b" value="${{a}}"/><link name="${{a}}"/>',
+    '<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>',
+    '<xacro:if value="${{expression}}"><link name="x"/></xacro:if>', '<link name="$(arg nothing)"/>',
+    '<link name="$(find nowhere)"/>', '<link name="$(env HOME)"/>', '<link name="$(eval 1 + 1)"/>',
+    '<link name="$(optenv HOME /)"/>', '<link name="$(cwd)"/>', '<xacro:call macro="nothing"/>', '<xacro:nothing/>',
+    '<xacro:insert_block name="x"/>', '<xacro:arg name="base_distance" default="2"/>',
+    '<xacro:macro name="p" params="a:=${{9**9**9}}"/><xacro:p/>',
+    '<xacro:property name="big" value="${{[0] * 10**9}}"/>',
+    '<xacro:property name="y" value="${{load_yaml(\'/etc/passwd\')}}"/>',
+    '<xacro:element xacro:name="link" name="q"/>', '<xacro:attribute name="x" value="1"/>',
+    '<xacro:unless value="maybe"/>',
+)  # fmt: skip
+
+
+def xacros(dice: Dice) -> Files:
+    """A xacro that is spoiled, with its shipped declaration."""
+    name = dice.choice(zoo.SHIPPED)
+    text, file = xacro_of(name), f"{name}.urdf.xacro"
+    kind = dice.random()
+    if kind < 0.35:
+        pieces = text.split("${")
+        at = dice.randrange(1, len(pieces))
+        inside, brace, after = pieces[at].partition("}")
+        expression = (
+            dice.choice(EXPRESSIONS).replace("<", "&lt;").replace('"', "'").replace("&l", "&l").replace("\x00", "")
+        )
+        pieces[at] = (
+            (expression if dice.random() < 0.7 else inside + dice.choice(("+", "*0", "/0", "**999", "[0]", ".real")))
+            + brace
+            + after
+        )
+        spoiled = "${".join(pieces).encode()
+    elif kind < 0.6:
+        spoiled = spoiled_xml(text, dice)
+    elif kind < 0.75:
+        put = dice.choice(XACRO).format(file=file, expression=dice.choice(EXPRESSIONS[:6]))
+        spoiled = text.replace("</robot>", put + "</robot>").encode()
+    elif kind < 0.85:
+        spoiled = text.replace('default="', f'default="{dice.choice(NUMBERS[:30])}', 1).encode()
+    elif kind < 0.97:
+        spoiled = spoiled_bytes(text.encode(), dice)
+    else:
+        spoiled = _rare_xml(text, dice)
+    return {"robot.yaml": declaration_of(name).encode(), file: spoiled}
+
+
+HEADERS = (
+    "x00",
+    "x٣",
+    "x99999999999999999999",
+    "",
+    "t",
+    " t ",
+    "xd",
+    "x-1",
+    "x1.0",
+    "\x00",
+    "X0",
+    "s0",
+    "sd0",
+    "x" * 70_000,
+    "x7",
+)
+
+
+def motions(dice: Dice) -> Files:
+    """A motion as CSV that is spoiled."""
+    text = motion_csv(dice.choice(("2rpr", "3rrr", "gough", "four_bar")))
+    cells = [line.split(",") for line in text.splitlines()]
+    kind = dice.random()
+    if kind < 0.7:
+        for _ in range(dice.choice((1, 1, 2))):
+            row, column = dice.randrange(1, len(cells)), dice.randrange(len(cells[0]))
+            done = dice.randrange(10)
+            if done == 0:
+                cells[0][column] = dice.choice(HEADERS)
+            elif done <= 3:
+                cells[row][min(column, len(cells[row]) - 1)] = dice.choice(NUMBERS)
+            elif done == 4 and len(cells[row]) > 1:
+                cells[row].pop()
+            elif done == 5:
+                cells[row].append("1")
+            elif done == 6 and len(cells) > 3:
+                del cells[row]
+            elif done == 7:
+                cells.insert(dice.randrange(1, len(cells) + 1), list(cells[row]))
+            elif done == 8:
+                dice.shuffle(cells[0])
+            else:
+                cells = [[value for i, value in enumerate(line) if i != column] or [""] for line in cells]
+        spoiled = "\n".join(map(",".join, cells)).encode("utf-8", "surrogatepass")
+    elif kind < 0.93:
+        spoiled = spoiled_bytes(text.encode(), dice)
+    else:
+        spoiled = dice.choice(
+            (
+                lambda: b"",
+                lambda: text.encode("utf-16"),
+                lambda: b"\x00" * 10**6,
+                lambda: dice.randbytes(10**5),
+                lambda: b"t," + b"x" * 10**7 + b"\n1,2\n",
+                lambda: b'"' + text.encode(),
+                lambda: text.splitlines()[0].encode(),
+                lambda: b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode(),
+                lambda: text.replace(",", ";").encode(),
+            )
+        )()
+    return {"motion.csv": spoiled}
+
+
+def _members(data: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def _archive(members: Mapping[str, bytes], dice: Dice) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", dice.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return stream.getvalue()
+
+
+def _npy(array: Any) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array, allow_pickle=True)
+    return stream.getvalue()
+
+
+def spoiled_array(array: np.ndarray, dice: Dice) -> Any:
+    """Return an array with another content, shape or type."""
+    array = np.array(array)
+    kind = dice.randrange(9)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        if kind <= 2 and array.size and array.dtype.kind in "fiub":
+            array.reshape(-1)[dice.randrange(array.size)] = (
+                dice.choice((0, 1, 7, -1))
+                if array.dtype.kind != "f"
+                else dice.choice((np.nan, np.inf, -1.0, 0.0, 1e300, 7.0))
+            )
+            return array
+        if kind == 3 and array.dtype.kind in "fi":
+            return 7 * array
+        if kind == 4:
+            return (
+                array.astype(dice.choice((np.float32, np.int8, np.complex128, np.bool_, object, "S4", "U4")), copy=True)
+                if array.dtype.kind != "U"
+                else array.astype(object)
+            )
+        if kind == 5:
+            return array.reshape(-1)
+        if kind == 6:
+            return array[..., None]
+        if kind == 7:
+            return array[:0] if array.ndim else np.zeros(0)
+        return dice.choice(
+            (np.zeros(0), np.array(None, dtype=object), np.array("text"), np.zeros((2, 3, 4)), np.array(np.nan))
+        )
+
+
+def spoiled_archive(data: bytes, dice: Dice) -> bytes:
+    """Return an npz with a member or its metadata spoiled, or its bytes."""
+    kind = dice.random()
+    if kind < 0.25:
+        return spoiled_bytes(data, dice)
+    members = _members(data)
+    name = dice.choice(list(members))
+    if kind < 0.55:
+        array = np.load(io.BytesIO(members[name]), allow_pickle=False)
+        members[name] = _npy(spoiled_array(array, dice))
+    elif kind < 0.85:
+        content = json.loads(str(np.load(io.BytesIO(members["metadata.npy"]), allow_pickle=False)))
+        text = json.dumps(spoiled_data(content, dice), default=str)
+        if dice.random() < 0.15:
+            text = dice.choice(
+                (
+                    text[:-1],
+                    text + text,
+                    "[" * 10**5,
+                    '{"a":' * 10**4,
+                    "NaN",
+                    "",
+                    "\x00",
+                    text.replace(":", ": 1" + "0" * 5000, 1),
+                )
+            )
+        members["metadata.npy"] = _npy(np.array(text))
+    elif kind < 0.9:
+        del members[name]
+    elif kind < 0.95:
+        members[name] = spoiled_bytes(members[name], dice)
+    else:
+        members[name] = dice.choice(
+            (
+                _npy(np.zeros(4)).replace(b"(4,)", b"(9" + b"9" * 12 + b",)"),
+                _npy(np.zeros(4)).replace(b"<f8", b"|O8"),
+                b"\x93NUMPY" + b"\xff" * 100,
+                b"\x00" * 10**8,
+                b"",
+            )
+        )
+    return _archive(members, dice)
+
+
+def _three() -> Plan:
+    return plan_of("3rrr")
+
+
+def _gough() -> Plan:
+    return plan_of("gough")
+
+
+PLANS: tuple[Callable[[], Plan], ...] = (_three, _gough, stepwise_plan)
+
+
+def archives(dice: Dice) -> Files:
+    """A plan's file that is spoiled; ``right.npz`` is the one that is not."""
+    right = saved(dice.choice(PLANS))
+    return {"right.npz": right, "plan.npz": spoiled_archive(right, dice)}
+
+
+def texts(dice: Dice) -> Files:
+    """JSON that is spoiled."""
+    content = json.loads(str(np.load(io.BytesIO(_members(saved(stepwise_plan))["metadata.npy"]))))
+    text = json.dumps(spoiled_data(content["record"]["robot"], dice), default=str)
+    kind = dice.random()
+    if kind < 0.4:
+        return {"data.json": spoiled_bytes(text.encode(), dice)}
+    if kind < 0.6:
+        spoiled = dice.choice(
+            (
+                '{"a": 1, "a": 2}', "[" * 10**5, "[" * 10**5 + "]" * 10**5, '{"a":' * 10**4 + "1" + "}" * 10**4,
+                "1" + "0" * 10**5, "1e999999999", "NaN", "-Infinity", '"\\ud800"', '"\x00"', "", " ", "nul", "{'a': 1}",
+                "[1,]", "1 2", '{"a": 1}}', "\ufeff{}", '"' + "x" * 10**7 + '"',
+            )
+        )  # fmt: skip
+        return {"data.json": spoiled.encode("utf-8", "surrogatepass")}
+    return {"data.json": text.encode("utf-8", "surrogatepass")}
+
+
+PROBLEM = {
+    "planner": "switch-off",
+    "robot": "2rpr",
+    "set": {"carrier_mass": 2.0},
+    "mode": "++",
+    "gravity": [0, 0, 0],
+    "backend": "rnea",
+    "trajectory": {"name": "circle", "speed": 0.5},
+    "parameters": {"threshold": 7, "dt": 0.01},
+}
+CORNER = {
+    "planner": "stepwise",
+    "robot": "3rrr",
+    "mode": "+++",
+    "backend": "virtual-work",
+    "step": 0.02,
+    "trajectory": {"name": "corner", "radius": 0.02, "speed": 0.3},
+    "parameters": {"lam": 0.5},
+    "baseline": {"carriers": False},
+}
+WHOLE = {
+    "planner": "whole-trajectory",
+    "robot": "2rpr",
+    "motion": "motion.csv",
+    "parameters": {"objective": {"effort": 1.0, "peak": 0.1}, "track": [-0.1, 0.1], "dt": 0.05, "starts": 2},
+}
+
+
+def problems(dice: Dice) -> Files:
+    """A problem file that is spoiled."""
+    data = dice.choice((PROBLEM, CORNER, WHOLE))
+    kind = dice.random()
+    text = yaml.safe_dump(data, sort_keys=False)
+    if kind < 0.7:
+        spoiled = yaml_text(data, dice)
+    elif kind < 0.85:
+        spoiled = spoiled_lines(text, dice).encode("utf-8", "surrogatepass")
+    elif kind < 0.95:
+        spoiled = spoiled_bytes(text.encode(), dice)
+    else:
+        spoiled = _rare_yaml(text, dice)
+    return {"problem.yaml": spoiled, "motion.csv": motion_csv("2rpr").encode()}

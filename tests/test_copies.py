@@ -1,0 +1,145 @@
+"""Robots, motions, dynamics, results and plans are copied, pickled and sent to another process, and stay read-only."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from copies import arrays_of, digest, types_of
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Frozen
+from redundancy_pin.crosscheck import run
+from redundancy_pin.dynamics.allocation import CarrierForces, allocate
+from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry
+from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
+from redundancy_pin.planners.carrier_return import CarrierState
+from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.switch_off.carrier_equation import RampDown
+from redundancy_pin.planners.switch_off.crossing import LostDirection
+from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
+
+ELSEWHERE = {"Riccati", "LinearModel", "SampledModel", "LqrWeights", "ReferencePoint", "ConstantAppended"}
+"""Inner types of controllers and paths, whose owners are copied whole."""
+
+
+@pytest.fixture(scope="module")
+def objects() -> dict[str, Any]:
+    robot, small = rp.load_robot("3rrr"), rp.load_robot("2rpr")
+    trajectory, circle = rp.trajectory.reference.corner(radius=0.025), rp.trajectory.reference.circle(speed=0.5)
+    motion = trajectory.sample(dt=0.02)
+    carriers = rp.CarrierMotion.parked(len(motion), robot.k)
+    dynamics, manual = rp.RneaDynamics(robot), rp.VirtualWork(robot)
+    along = dynamics.along(motion)
+    reduced = along.reduce(carriers)
+    efforts = rp.distribute(reduced)
+    along.base_wrench()  # makes its pools
+    start = closed_state(robot, xd=[0.1, 0.0, 0.0])
+    three = np.ones(3)
+    poses = np.stack([np.eye(4), np.eye(4)])
+    poses[1, :3, 3] = 0.1
+    return {
+        "robot": robot,
+        "trajectory": trajectory,
+        "circle": circle,
+        "motion": motion,
+        "carriers": carriers,
+        "dynamics": dynamics,
+        "virtual work": manual,
+        "along": along,
+        "virtual work along": manual.along(motion),
+        "legs": manual._mechanism.legs(motion.x),
+        "two legs": rp.VirtualWork(small)._mechanism.legs(circle.sample(dt=0.1).x),
+        "reduced": reduced,
+        "derivatives": along.carrier_derivatives(carriers),
+        "efforts": efforts,
+        "reactions": rp.joint_reactions(along, efforts.tau, carriers),
+        "assemblies": forward_displacement(ThreeRrrGeometry(0.5, 0.1, 0.3, 0.3), [0.3, 2.0, -1.5]),
+        "allocation": allocate(
+            *(np.eye(3), np.eye(3), three, np.zeros(3)),
+            **{"effort_scale": three, "carrier_scale": three, "row_scale": three},
+            carriers=CarrierForces(three, np.eye(3), 5.0 * three),
+        ),
+        "carrier forces": CarrierForces(three, np.eye(3), three),
+        "singularities": rp.classify_motion(along.tree),
+        "crossings": rp.find_crossings(small, circle),
+        "locus": rp.singular_locus(small, resolution=20),
+        "limits": Limits(),
+        "resolved": Limits().resolved(robot),
+        "spline": rp.trajectory.SplinePath(np.array([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]])),
+        "poses": rp.trajectory.PoseTrajectory(poses[0], poses[1], rp.trajectory.RestToRest(0.1, 1.0)),
+        "ramp down": RampDown(rp.trajectory.rest_to_rest_345(0.0, 1.0, three, 0.0 * three), np.zeros(3)),
+        "lost direction": LostDirection(0.0, three, 0.0, 0.0, False),
+        "carrier state": CarrierState(0.0, *np.zeros((3, 3))),
+        "crossing plan": rp.plan_switch_off(rp.VirtualWork(small), circle, threshold=5.0),
+        "stepwise plan": rp.plan_stepwise(dynamics, trajectory, lam=0.0),
+        "state": start,
+        "forward": ForwardDynamics(robot),
+        "run": rp.simulate(robot, None, start=start, duration=0.02, stop_at=()),
+        "linearised": linearise(robot, start, three),
+        "inverse derivatives": inverse_derivatives(robot, start.q, start.v, np.zeros(robot.model.nv)),
+        "report": run(["2rpr"], samples=4),
+    }
+
+
+WAYS: dict[str, Callable[[Any], Any]] = {
+    "copied": copy.deepcopy,
+    "pickled": lambda one: pickle.loads(pickle.dumps(one)),
+    "copied shallow": copy.copy,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_copies_hold_the_same_bits_and_none_that_can_be_changed(objects: dict[str, Any], way: str) -> None:
+    for name, one in objects.items():
+        other = WAYS[way](one)
+        before, after = digest(one), digest(other)
+        for path, part, owner in arrays_of(other):
+            if isinstance(owner, Frozen):
+                bits, writeable = before[path]
+                assert bits == part.tobytes(), f"{name}{path}"
+                assert not part.flags.writeable or (writeable and way == "copied shallow"), f"{name}{path}"
+        assert {path for path in before if "chain" not in path} <= set(after) | {
+            path for path, _, owner in arrays_of(one) if not isinstance(owner, Frozen)
+        }, name
+
+
+def test_another_process_gets_the_same(objects: dict[str, Any]) -> None:
+    names = [name for name in objects if name not in ("state", "forward")]  # evaluators are made anew there
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        there = pool.map(digest, [objects[name] for name in names])
+    for name, other in zip(names, there, strict=True):
+        frozen = {path for path, _, owner in arrays_of(objects[name]) if isinstance(owner, Frozen)}
+        here = digest(objects[name])
+        assert {path: (here[path][0], False) for path in frozen} == {path: other[path] for path in frozen}, name
+
+
+def test_every_type_with_read_only_arrays_is_among_them(objects: dict[str, Any]) -> None:
+    found = {kind.__name__ for kind in types_of(objects)}
+    pending, every = [Frozen], set()
+    while pending:
+        kind = pending.pop()
+        pending += kind.__subclasses__()
+        every.add(kind.__name__)
+    assert every - found - ELSEWHERE - {"Frozen"} == set()
+
+
+def test_copies_compute_what_the_originals_do(objects: dict[str, Any]) -> None:
+    motion, carriers = objects["motion"], objects["carriers"]
+    for name in ("dynamics", "virtual work"):
+        first, second = (one.reduce(motion, carriers) for one in (objects[name], WAYS["pickled"](objects[name])))
+        assert first.f.tobytes() == second.f.tobytes()
+    along = WAYS["pickled"](objects["along"])
+    assert along.base_wrench(carriers).tobytes() == objects["along"].base_wrench(carriers).tobytes()
+    state = objects["state"]
+    force = np.ones(objects["robot"].model.nv)
+    expected = objects["forward"].acceleration(state.q, state.v, force)
+    for one in (copy.deepcopy(objects["forward"]), WAYS["pickled"](objects["forward"])):
+        assert one.acceleration(state.q, state.v, force).tobytes() == expected.tobytes()
+    assert WAYS["pickled"](state).xd.tobytes() == state.xd.tobytes()
+    assert dict(WAYS["copied"](objects["robot"]).parameters) == dict(objects["robot"].parameters)
