@@ -65,7 +65,7 @@ import ctypes, os, sys, time
 from redundancy_pin.workers import parallel
 
 def process(number):
-    os.write(1, f"{os.getpid()}\n".encode())  # in one piece: two processes write to the same pipe
+    os.write(1, f"{os.getpid()}\\n".encode())  # in one piece: two processes write to the same pipe
     if number:  # a solver that computes in C and gives no other thread a turn
         ctypes.PyDLL(None).sleep(600)
     return number
