@@ -23,7 +23,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 from xml.dom import minidom
 
-from redundancy_pin.errors import ModelFileError, RedundancyPinError
+from redundancy_pin.errors import ModelFileError, RedundancyPinError, shortened
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.robot.expressions import (
@@ -32,8 +32,8 @@ from redundancy_pin.robot.expressions import (
     Budget,
     ExpressionError,
     Function,
+    Namespace,
     evaluate,
-    simple,
 )
 from redundancy_pin.robot.xml_files import parsed_text, read_model
 
@@ -120,20 +120,16 @@ def _refusal(path: Path, error: Exception, engine: _Engine | None) -> ModelFileE
         lines = " ".join(f"{type(error).__name__}: {error}".split())
         if isinstance(error, RecursionError):
             lines = "its macros or expressions are nested too deeply, or without end"
-        message = f"xacro cannot render {path}: {_short(lines, 1000)}"
+        message = f"xacro cannot render {path}: {shortened(lines, 1000)}"
     else:
         expression, file, cause = engine.failure
         reason = f"{cause}" if isinstance(cause, (ExpressionError, NameError)) else f"{type(cause).__name__}: {cause}"
         inside = f" in {file}" if file and Path(file).resolve() != path.resolve() else ""
-        message = f"xacro cannot render {path}: {_short(expression, 200)}{inside}: {_short(reason, 500)}"
+        message = f"xacro cannot render {path}: {shortened(expression, 200)}{inside}: {shortened(reason, 500)}"
         details |= {"expression": expression, "file": file or str(path)}
         if isinstance(cause, ExpressionError):
             remedy = "Change the expression, or load the robot with trust=True (--trust) if you trust who wrote it."
     return ModelFileError(message if message.endswith(".") else f"{message}.", remedy=remedy, **details)
-
-
-def _short(text: str, most: int) -> str:
-    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def _expanded_by_xacro(path: Path, resolved: dict[str, str]) -> Any:
@@ -200,8 +196,7 @@ class _Engine:
         default = r"""\$\{.*?\}|\$\(.*?\)|(?:'[^'\n]*'|"[^"\n]*"|[^\s'"])+|"""
         module.re_macro_arg = re.compile(r"^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(" + default + r")(?:\s+|$)(.*)")
         module._global_symbols = self._symbols()
-        for name, level in (("message", logging.INFO), ("warning", logging.WARNING), ("error", logging.WARNING)):
-            setattr(module, name, functools.partial(_report, level))
+        vars(module).update(_REPORTS)
         module.print_location = lambda *_: None
         arguments._eval = self._evaluate_substitution
         arguments._eval_env = _refuse_environment
@@ -212,44 +207,34 @@ class _Engine:
         """Return the names that xacro offers to expressions."""
         module = self._xacro
 
-        def namespace(names: Mapping[str, object]) -> Any:
-            made = module.NameSpace()
-            made.update(names)
-            return made
+        def functions(**given: Callable[..., object]) -> dict[str, object]:
+            return {name: Function(name, call) for name, call in given.items()}
 
-        def report(level: int) -> Callable[..., str]:
-            return lambda run, *values, **options: _report(level, *values)
-
-        def fatal(run: object, *values: object) -> None:
+        def fatal(*values: object) -> None:
             raise ExpressionError(" ".join(map(str, values)))
 
-        own: dict[str, object] = {
-            "load_yaml": Function("load_yaml", lambda run, filename: self._load_yaml(filename)),
-            "abs_filename": Function("abs_filename", lambda run, name: module.abs_filename_spec(str(name))),
-            "dotify": simple("dotify", module.YamlDictWrapper),
-        }
-        levels = {"message": logging.INFO, "warning": logging.WARNING, "error": logging.WARNING}
-        more = {
-            "arg": Function("arg", lambda run, name: module.substitution_args_context["arg"][name]),
-            "fatal": Function("fatal", fatal),
-            "tokenize": Function("tokenize", _tokenize),
-            "print_location": Function("print_location", lambda run: ""),
-            **{name: Function(name, report(level)) for name, level in levels.items()},
-        }
+        own = functions(load_yaml=self._load_yaml, abs_filename=module.abs_filename_spec, dotify=module.YamlDictWrapper)
+        more = functions(
+            arg=lambda name: module.substitution_args_context["arg"][name],
+            fatal=fatal,
+            tokenize=_tokenize,
+            print_location=lambda: "",
+            **_REPORTS,
+        )
         direct = ("list", "dict", "map", "len", "str", "float", "int", "bool", "min", "max", "round", "sorted", "range")
         return {
             **{name: BUILTINS[name] for name in direct},
             **MATHEMATICS,
             **own,
-            "python": namespace(BUILTINS),
-            "math": namespace(MATHEMATICS),
-            "xacro": namespace({**own, **more}),
+            "python": Namespace(BUILTINS),
+            "math": Namespace(MATHEMATICS),
+            "xacro": Namespace({**own, **more}),
         }
 
     def _evaluate(self, expression: str, names: Mapping[str, Any], local: object = None) -> Any:
         module = self._xacro
         try:
-            return evaluate(expression, names, self._budget, (module.YamlDictWrapper, module.NameSpace))
+            return evaluate(expression, names, self._budget, (Namespace, module.YamlDictWrapper, module.NameSpace))
         except Exception as error:
             self._record(f"${{{expression.strip()}}}", error)
             raise
@@ -278,10 +263,10 @@ class _Engine:
         convert = self._xacro.substitution_args.convert_value
         given = {name: convert(value, "auto") for name, value in context.get("arg", {}).items()}
         functions: dict[str, object] = {
-            "arg": Function("arg", lambda run, name: convert(context["arg"][name], "auto")),
-            "find": Function("find", lambda run, name: self._package(name)),
-            "env": Function("env", lambda run, name: _refuse_environment(name)),
-            "optenv": Function("optenv", lambda run, name, default="": _default_of_environment(name, default)),
+            "arg": Function("arg", lambda name: convert(context["arg"][name], "auto")),
+            "find": Function("find", self._package),
+            "env": Function("env", _refuse_environment),
+            "optenv": Function("optenv", _default_of_environment),
             **{name: BUILTINS[name] for name in ("list", "dict", "map", "str", "float", "int")},
             **MATHEMATICS,
             "true": True,
@@ -439,8 +424,14 @@ def _unknown(version: str, what: str) -> ModelFileError:
 def _report(level: int, *values: object, **options: object) -> str:
     """Log a message of a xacro file, without what would steer a terminal."""
     text = " ".join(map(str, values))
-    _log.log(level, "%s", "".join(each if each.isprintable() else " " for each in _short(text, 1000)))
+    _log.log(level, "%s", "".join(each if each.isprintable() else " " for each in shortened(text, 1000)))
     return ""
+
+
+_REPORTS: Mapping[str, Callable[..., str]] = {
+    name: functools.partial(_report, level)
+    for name, level in {"message": logging.INFO, "warning": logging.WARNING, "error": logging.WARNING}.items()
+}
 
 
 def _refuse_environment(name: str) -> str:
@@ -461,6 +452,6 @@ def _glob(pattern: str) -> list[str]:
     return glob.glob(pattern)
 
 
-def _tokenize(run: Any, text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
-    pieces = re.split(f"[{re.escape(sep)}]", run.measured(text))
+def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
+    pieces = re.split(f"[{re.escape(sep)}]", text)
     return [piece for piece in pieces if piece] if skip_empty else pieces

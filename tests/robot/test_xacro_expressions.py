@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from redundancy_pin import load_robot
 from redundancy_pin.errors import InputError, ModelFileError
-from redundancy_pin.robot import expressions, xacro_engine
+from redundancy_pin.robot import xacro_engine
 from redundancy_pin.robot.expressions import (
     BUILTINS,
     LARGEST,
@@ -119,20 +119,17 @@ def test_expressions_have_the_values_that_python_gives_them(text: str) -> None:
         "word.split()[1] + word.upper()[-2:]",
         "[f.upper() for f in word.split() if f != 'ff']",
         "dict([(k, v) for k, v in zip(word.split(), range(3))])",
-        "sorted(set(word.split()) - set(['ff']), reverse=True)",
-        "{**table, 'n': 1}",
-        "[*row, *range(2)]",
+        "sorted(word.split(), reverse=True)",
+        "row + list(range(2)) + list(range(5, 0, -2))",
         "list(map(float, ['1', '2.5']))",
         "list(map(len, word.split()))",
-        "list(filter(None, [0, 1, '']))",
         "list(enumerate(word.split()))",
         "list(reversed(row))",
-        "min(word.split(), key=len)",
-        "isinstance(row, list) and not isinstance(row, (dict, str))",
+        "min(word.split()) + max('a', 'b')",
         "'%s is %.2f' % (word, b)",
         "'{name} {owner} {run} {function}'.format(name=1, owner=2, run=3, function=4)",
         "dict(run=1, name=2, function=3, self=4)",
-        "lcm(4, 6) + gcd(4, 6)",
+        "gcd(4, 6) + round(2.345, ndigits=2)",
         "'{0} {x:>5}'.format(a, x=b)",
         "' '.join([str(x) for x in row])",
         "table['k'][::-1]",
@@ -143,17 +140,15 @@ def test_expressions_have_the_values_that_python_gives_them(text: str) -> None:
         "a in [3, 4] and 'ff' in word and a not in row",
         "None is None and (a or 1 / 0)",
         "[x * y for x in range(3) for y in range(x)]",
-        "{x: x**2 for x in range(3)}",
+        "dict([(x, x**2) for x in range(3)])",
         "any(x > 2 for x in [1, 2, 3])",
         "[i for i in [1, 2] for i in [i + 1]]",
-        "hypot(3, 4) + factorial(5) + comb(5, 2) + prod([2, 3.0]) + fsum([0.1] * 10)",
-        "1 << 10 | 5 & 4 ^ 1",
-        "~a + +a",
-        "[x in range(5) for x in [2, 2.0, 2.5, -1, True, 1e300, float('inf'), float('nan'), 'a', None]]",
-        "[x not in range(5) for x in [2, 2.5, 'a']]",
-        "sorted(set([1, 2]).union([3], range(2))) + sorted(table.keys() | ['z'])",
+        "hypot(3, 4) + factorial(5) + fsum([0.1] * 10)",
+        "-a + +a",
+        "[x in range(5) for x in [2, 2.5, 'a']]",
+        "'%5.1f%% %s %03d' % (b, word, a) + '{{{0:>9.3f}|{x:s}}}'.format(b, x=word)",
         "int('ff', 16) + int('7') + ord('x')",
-        "divmod(7, 3) + (1,)",
+        "(7 // 3, 7 % 3) + (1,)",
         "'abc'.replace('b', 'xx').zfill(8).startswith('0')",
     ],
 )
@@ -217,19 +212,19 @@ ATTACKS = {
     "1j": "1j",
     "a @ b": "MatMult",
     # formats
-    "'{0.__class__}'.format(a)": "field",
-    "'{0[k]}'.format(table)": "field",
-    "'{x.real}'.format(x=1)": "field",
+    "'{0.__class__}'.format(a)": "layout",
+    "'{0[k]}'.format(table)": "layout",
+    "'{x.real}'.format(x=1)": "layout",
     "'{!s:{w}}'.format(1, w=9999999)": "layout",
     "'{:99999999}'.format(1)": "layout",
-    "'{a.__init__.__globals__}'.format(a=len)": "field",
+    "'{a.__init__.__globals__}'.format(a=len)": "layout",
     "'{}'.format(len)": "may not format",
-    "'%9999999d' % 1": "width",
-    "'%*d' % (9999999, 1)": "width",
-    "len('%(a)s' * 999 % dict(a=[['a' * 63] * 300] * 300))": "may not format a list",
+    "'%9999999d' % 1": "layout",
+    "'%*d' % (9999999, 1)": "layout",
+    "len('%(a)s' * 999 % dict(a=[['a' * 63] * 300] * 300))": "layout",
     "len(('{0}' * 999).format([['a' * 63] * 300] * 300))": "may not format a list",
     "len('%s' % ([['a' * 63] * 300] * 300))": "may not format a list",
-    "len('%(a)s' * 999 % dict(a='a' * 90000))": "characters",
+    "len('%(a)s' * 999 % dict(a='a' * 90000))": "layout",
     "len(('{0}' * 999).format('a' * 90000))": "characters",
     "'{}'.format_map(table)": "'format_map'",
     "word.translate(table)": "'translate'",
@@ -239,27 +234,29 @@ ATTACKS = {
     "2**1000000": "bits",
     "10**-99999999": "bits",
     "99999999999**99999999999": "bits",
-    "1 << 10**9": "bits",
+    "1 << 10**9": "LShift",
     "10**1200 * 10**1200": "bits",
-    "prod([10**1000] * 99)": "bits",
-    "{x * (2**61 - 1): 0 for x in range(90000)}": "elements",
-    "{x * (2**61 - 1): 0 for x in range(501)}": "elements",
-    "{*[x * (2**61 - 1) for x in range(20000)]}": "elements",
-    "{}.keys() | [x * (2**61 - 1) for x in range(20000)]": "elements",
-    "set([0]).union([x * (2**61 - 1) for x in range(20000)])": "elements",
-    "set([0]).union(*[[x * (2**61 - 1) for x in range(y, y + 400)] for y in range(0, 20000, 400)])": "elements",
-    "{"
-    + ", ".join(f"**{{x * (2**61 - 1): 0 for x in range({y}, {y + 400})}}" for y in range(0, 20000, 400))
-    + "}": "elements",
-    "set([-1]).isdisjoint(range(10**15))": "elements",
-    "set([0]).issubset(range(10**15))": "elements",
-    "{x * (2**61 - 1) for x in range(90000)}": "elements",
-    "set([x * (2**61 - 1) for x in range(20000)])": "elements",
+    "'{}'.format('a' * 99999) + '{}{}'.format('a' * 99999, 1)": "characters",
+    "('%d' * 80 % 10**1200)": "",
+    "('{0}' * 80).format(10**1200)": "characters",
+    "('{:00}' * 40 + '{').format(1)": "layout",
+    "'%' * 3000 % 1": "",
+    # what no model was seen to use
+    "{1, 2}": "Set",
+    "set([1])": "'set'",
+    "{x: 0 for x in range(3)}": "DictComp",
+    "{**table}": "**",
+    "dict(**table)": "**",
+    "[*row]": "* here",
+    "max(*row)": "* here",
+    "~a": "Invert",
+    "a | 1": "BitOr",
+    "prod([10**1000] * 99)": "'prod'",
+    "comb(10**6, 10**5)": "'comb'",
+    "[0 for x in range(99999) for y in range(99999)]": "",
+    "[d[t] for d in [{tuple(range(40000)): 0}] for t in d for x in range(40000)]": "more work",
     "dict([[x * (2**61 - 1), 0] for x in range(20000)])": "elements",
-    "lcm(*[2**4000 + x for x in range(90)])": "bits",
     "factorial(10**6)": "arguments",
-    "comb(10**6, 10**5)": "arguments",
-    "perm(10**6)": "arguments",
     "'a' * 10**9": "elements",
     "10**9 * [0]": "elements",
     "[0] * 10**10": "elements",
@@ -270,11 +267,9 @@ ATTACKS = {
     "max(range(10**9))": "elements",
     "[x for x in range(10**9)]": "elements",
     "[[0] * 1000] * 1000": "elements",
-    "[0 for x in range(99999) for y in range(99999)]": "elements",
     "'a'.join(['b' * 1000] * 1000)": "",
     "'a'.replace('', 'b' * 99999)": "characters",
     "'a'.zfill(10**9)": "characters",
-    "'a'.center(10**9)": "characters",
     "round(5, -10**9)": "digits",
     "int('9' * 5000)": "digits",
     "all(0 == 1 for x in range(99999) for y in range(99999))": "",
@@ -302,7 +297,7 @@ def test_attacks_are_refused_at_once(text: str) -> None:
     assert time.process_time() - start < 2.0
 
 
-@pytest.mark.parametrize("text", [each for each in ATTACKS if not {"\x00", "}"} & {*each}], ids=lambda t: t[:40])
+@pytest.mark.parametrize("text", [each for each in ATTACKS if not {"\x00", "}"} & {*each}][::4], ids=lambda t: t[:40])
 def test_attacks_in_a_file_are_one_error_that_names_file_and_expression(tmp_path: Path, text: str) -> None:
     escaped = text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     with pytest.raises(ModelFileError, match="cannot render") as caught:
@@ -312,23 +307,13 @@ def test_attacks_in_a_file_are_one_error_that_names_file_and_expression(tmp_path
     assert len(str(caught.value)) < 1500
 
 
-@pytest.mark.parametrize("value", ["5.5", "'a'", "[1]", "None", "1e300"])
-def test_no_range_is_walked_through(value: str) -> None:
-    start = time.process_time()
-    assert calculated(f"{value} in range(10**15)") is False
-    assert calculated(f"{value} not in range(10**15)") is True
-    with pytest.raises(TypeError, match="arithmetic"):
-        calculated("{}.keys() | range(10**15)")
-    assert time.process_time() - start < 1.0
-
-
 def test_long_expressions_are_parsed_at_their_own_cost() -> None:
-    """Their syntax trees, which take megabytes, are not kept, and each counts as work."""
-    budget, kept = Budget(), expressions._kept.cache_info().currsize
-    texts = [f"[{number}{', 0' * 3000}] and 0 if False else 0" for number in range(1000)]
+    text = f"[1{', 0' * 3000}] and 0 if False else 0"
+    left = Budget()
+    assert evaluate(text, {}, left) == 0
+    assert Budget().steps - left.steps > 4000  # its parser takes some milliseconds
     with pytest.raises(ExpressionError, match="more work"):
-        [evaluate(text, {}, budget) for text in texts]
-    assert expressions._kept.cache_info().currsize == kept
+        evaluate(text, {}, Budget(4000))
 
 
 def test_every_function_refuses_or_returns_for_any_arguments() -> None:
@@ -350,8 +335,8 @@ def test_every_function_refuses_or_returns_for_any_arguments() -> None:
         "range(5)",
         "10**9",
     ]
-    allowed = (bool, int, float, str, list, tuple, dict, set, frozenset, range, type(None), type(iter([])))
-    for _ in range(3000):
+    allowed = (bool, int, float, str, list, tuple, dict, type(None))
+    for _ in range(1500):
         text = f"{rng.choice(functions)}({', '.join(rng.choices(values, k=rng.randint(0, 3)))})"
         try:
             assert isinstance(calculated(text), allowed), text
