@@ -9,8 +9,8 @@ import difflib
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -116,235 +116,221 @@ def read_tree(urdf: str, path: Path) -> Tree:
             missing, there twice or misspelt; names that are; masses and inertias that no body has; links that make no
             tree; a joint that mimics another; more links or freedoms than a model may have.
     """
-    return _Reader(path).tree(parsed_text(urdf, str(path)))
+    robot = _Part(parsed_text(urdf, str(path)), path, "The robot")
+    if robot.element.tag != "robot":
+        robot.refuse(f"The top element of {path.name} is <{_short(robot.element.tag)}>, not <robot>")
+    robot.require_known_parts()
+    parts = {kind: robot.named(kind) for kind in ("link", "joint")}
+    links = {name: _link(name, part) for name, part in parts["link"].items()}
+    joints = {name: _joint(name, part, links) for name, part in parts["joint"].items()}
+    freedoms = sum(_FREEDOMS[joint.kind] for joint in joints.values())
+    if freedoms > MOST_FREEDOMS:
+        robot.refuse(f"The joints have {freedoms} freedoms, more than the {MOST_FREEDOMS} of a model")
+    lines = {(kind, name): part.element.line for kind in parts for name, part in parts[kind].items()}
+    return Tree(*_in_order(robot, links, joints, parts["joint"]), lines)
 
 
-class _Reader:
-    """Reads one file; its messages name it."""
+@dataclass(frozen=True)
+class _Part:
+    """An element, the file that it is in, and the link or joint that it belongs to: for messages and their details."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    element: Element
+    path: Path
+    owner: str
+    details: Mapping[str, str] = field(default_factory=dict)
 
-    def refuse(self, element: Element, message: str, remedy: str = "", **details: object) -> NoReturn:
-        """Refuse the file, at the line of an element."""
-        place = f"line {element.line}" + (" of what xacro makes of it" if self._path.suffix == ".xacro" else "")
-        if self._path.name not in message:
-            place = f"{self._path.name}, {place}"
+    def refuse(self, message: str, remedy: str = "", **details: object) -> NoReturn:
+        """Refuse the file, at the line of the element."""
+        line = self.element.line
+        place = f"line {line}" + (" of what xacro makes of it" if self.path.suffix == ".xacro" else "")
         raise ModelFileError(
-            f"{message} ({place}).",
+            f"{message} ({place if self.path.name in message else f'{self.path.name}, {place}'}).",
             remedy=remedy or "Correct the URDF, or the xacro arguments it is made from.",
-            path=str(self._path),
-            line=element.line,
+            path=str(self.path),
+            line=line,
+            **self.details,
             **details,
         )
 
-    def tree(self, robot: Element) -> Tree:
-        if robot.tag != "robot":
-            self.refuse(robot, f"The top element of {self._path.name} is <{_short(robot.tag)}>, not <robot>")
-        self._require_known_parts(robot, "The robot")
-        elements = {kind: list(_children(robot, kind)) for kind in ("link", "joint")}
-        if len(elements["link"]) > MOST_LINKS:
-            count = len(elements["link"])
-            self.refuse(robot, f"The robot has {count} links, more than the {MOST_LINKS} that a model may have")
-        for kind, listed in elements.items():
-            self._require_names(kind, listed)
-        links = {str(element.get("name")): self._link(element) for element in elements["link"]}
-        joints = {str(element.get("name")): self._joint(element, links) for element in elements["joint"]}
-        freedoms = sum(_FREEDOMS[joint.kind] for joint in joints.values())
-        if freedoms > MOST_FREEDOMS:
-            self.refuse(robot, f"The joints have {freedoms} freedoms, more than the {MOST_FREEDOMS} of a model")
-        return self._in_order(robot, links, elements["joint"], joints)
-
-    def _require_names(self, kind: str, elements: Sequence[Element]) -> None:
-        lines: dict[str, int] = {}
-        for element in elements:
-            name = element.get("name")
+    def named(self, kind: str) -> dict[str, _Part]:
+        """Return the links or joints of the robot by their names, which are checked."""
+        parts: dict[str, _Part] = {}
+        for element in _children(self.element, kind):
+            name = element.get("name", "")
+            part = _Part(element, self.path, f"The {kind} {name!r} of {self.path.name}", {kind: name})
+            unnamed = _Part(element, self.path, f"A {kind}")
             if not name or not name.isprintable() or name != name.strip():
-                self.refuse(element, f"A {kind} has the name {_short(repr(name))}")
+                unnamed.refuse(f"A {kind} has the name {_short(repr(element.get('name')))}")
             if len(name) > 255:
-                self.refuse(element, f"The {kind} {_short(name)!r} has a name of {len(name)} characters")
+                unnamed.refuse(f"The {kind} {_short(name)!r} has a name of {len(name)} characters")
             if kind == "joint" and name == "universe":
-                self.refuse(element, "A joint has the name 'universe', which Pinocchio gives to the world", name=name)
-            if name in lines:
-                self.refuse(element, f"There are two {kind}s {name!r}, the first in line {lines[name]}", name=name)
-            lines[name] = element.line
+                unnamed.refuse("A joint has the name 'universe', which Pinocchio gives to the world", name=name)
+            if name in parts:
+                first = parts[name].element.line
+                unnamed.refuse(f"There are two {kind}s {name!r}, the first in line {first}", name=name)
+            parts[name] = part
+        if kind == "link" and len(parts) > MOST_LINKS:
+            self.refuse(f"The robot has {len(parts)} links, more than the {MOST_LINKS} that a model may have")
+        return parts
 
-    def _link(self, element: Element) -> LinkEntry:
-        name = str(element.get("name"))
-        owner = f"The link {name!r} of {self._path.name}"
-        self._require_known_parts(element, owner)
-        inertial = self._one(element, "inertial", owner)
-        if inertial is None:
-            return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)))
-        self._require_known_parts(inertial, owner)
-        mass = self._one(inertial, "mass", owner)
-        if mass is None:
-            self.refuse(inertial, f"{owner} has no mass", link=name)
-        inertia = self._one(inertial, "inertia", owner)
-        if inertia is None:
-            self.refuse(inertial, f"{owner} has no inertia", link=name)
-        kilograms = self._number(mass, "value", f"{owner} has the mass", link=name)
-        if kilograms < 0.0:
-            self.refuse(mass, f"{owner} has a negative mass, {kilograms:g} kg", link=name)
-        matrix = np.array(
-            [
-                [
-                    self._number(inertia, key := "i" + "".join(sorted(a + b)), f"{owner} has the {key}", link=name)
-                    for b in "xyz"
-                ]
-                for a in "xyz"
-            ]
-        )
-        moments = np.linalg.eigvalsh(matrix)
-        allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max())
-        if moments[0] < -allowed or moments[2] > moments[0] + moments[1] + allowed:
-            text = np.array2string(moments, precision=4)
-            self.refuse(inertia, f"{owner} has principal moments of inertia {text} that no body can have", link=name)
-        placement = self._placement(inertial, owner, link=name)
-        turn = placement[:3, :3]
-        return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T)
+    def one(self, tag: str) -> _Part | None:
+        """Return a part of which there is at most one, its attributes known."""
+        parts = [_Part(element, self.path, self.owner, self.details) for element in _children(self.element, tag)]
+        if len(parts) > 1:
+            parts[1].refuse(f"{self.owner} has <{tag}> {len(parts)} times")
+        known = _ATTRIBUTES.get(tag, ())
+        for key in parts[0].element.attrib if parts and known else ():
+            if key not in known and (hint := did_you_mean(key.lower(), known)):
+                parts[0].refuse(f"{self.owner} has <{tag}> with the attribute {_short(key)!r}", hint.strip())
+        return parts[0] if parts else None
 
-    def _joint(self, element: Element, links: Mapping[str, LinkEntry]) -> JointEntry:
-        name, kind = str(element.get("name")), element.get("type", "")
-        owner = f"The joint {name!r} of {self._path.name}"
-        if kind not in _FREEDOMS:
-            hint = did_you_mean(kind, _FREEDOMS)
-            remedy = f"{hint}There are: {', '.join(_FREEDOMS)}."
-            self.refuse(element, f"{owner} has the type {_short(kind)!r}", remedy, joint=name)
-        self._require_known_parts(element, owner)
-        if element.find("mimic") is not None:
-            remedy = "Build the coupling as a loop, or make the joint free or fixed."
-            self.refuse(element, f"{owner} mimics another, which closed chains do not cover", remedy, joint=name)
-        ends = []
-        for role in ("parent", "child"):
-            part = self._one(element, role, owner)
-            link = "" if part is None else part.get("link", "")
-            if link not in links:
-                what = f"the {role} {_short(link)!r}, which is no link" if link else f"no {role}"
-                self.refuse(element, f"{owner} has {what}", did_you_mean(link, links), joint=name, link=link)
-            ends.append(link)
-        axis = np.array([1.0, 0.0, 0.0])  # as the specification has it
-        given = self._one(element, "axis", owner)
-        # urdfdom looks at no axis of the other kinds
-        if given is not None and kind not in ("fixed", "floating"):
-            axis = np.array(self._triple(given, "xyz", f"{owner} has the axis", joint=name))
-            length = float(np.linalg.norm(axis))
-            if not length > 0.0:
-                self.refuse(given, f"{owner} has an axis of length zero", joint=name)
-            axis = axis / length
-        if kind == "planar" and axis[2] != 1.0:
-            self.refuse(
-                element, f"{owner} is planar about another axis than z, which Pinocchio does not know", joint=name
-            )
-        limits = self._limits(element, kind, owner, name)
-        return JointEntry(name, kind, ends[0], ends[1], self._placement(element, owner, joint=name), axis, limits)
+    def required(self, tag: str) -> _Part:
+        """Return a part that has to be there."""
+        return self.one(tag) or self.refuse(f"{self.owner} has no {tag}")
 
-    def _limits(self, element: Element, kind: str, owner: str, name: str) -> Mapping[str, float]:
-        limit = self._one(element, "limit", owner)
-        if limit is None:
-            if kind in ("revolute", "prismatic"):
-                self.refuse(element, f"{owner} is {kind} and has no <limit>", joint=name)
-            return {}
-        return {
-            key: self._number(limit, key, f"{owner} has the {key} limit", sys.float_info.max, joint=name)
-            if key in limit.attrib or key in ("effort", "velocity")
-            else 0.0
-            for key in ("lower", "upper", "effort", "velocity")
-        }
+    def require_known_parts(self) -> None:
+        """Refuse what is nearly, but not quite, an element that counts: it would be passed over."""
+        known = _PARTS[self.element.tag]
+        for part in self.element:
+            # names of extensions are far from all
+            if part.tag not in known and (near := difflib.get_close_matches(part.tag.lower(), known, n=1, cutoff=0.8)):
+                place = replace(self, element=part) if isinstance(part, Element) else self
+                place.refuse(f"{self.owner} has an element <{_short(part.tag)}>", f"Did you mean {near[0]!r}?")
 
-    def _placement(self, element: Element, owner: str, **details: str) -> Array:
-        """Return the (4, 4) placement that the origin of an element gives."""
-        placement: Array = np.eye(4)
-        origin = self._one(element, "origin", owner)
-        if origin is not None:
-            if "quat_xyzw" in origin.attrib:
-                self.refuse(origin, f"{owner} has an origin with quat_xyzw", "Write the rotation as rpy.", **details)
-            if "xyz" in origin.attrib:
-                placement[:3, 3] = self._triple(origin, "xyz", f"{owner} has an origin with xyz", **details)
-            if "rpy" in origin.attrib:
-                angles = self._triple(origin, "rpy", f"{owner} has an origin with rpy", **details)
-                placement[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
-        return placement
-
-    def _triple(self, element: Element, key: str, what: str, **details: str) -> list[float]:
-        text = element.get(key, "")
-        numbers = [_as_number(part, _LARGEST) for part in text.split()]
-        if len(numbers) != 3 or None in numbers:
-            remedy = "Write three numbers with blanks between them."
-            self.refuse(element, f"{what} {_short(text)!r}, which is not three finite numbers", remedy, **details)
-        return [number for number in numbers if number is not None]
-
-    def _number(self, element: Element, key: str, what: str, most: float = _LARGEST, **details: str) -> float:
-        text = element.get(key)
+    def number(self, key: str, what: str = "", most: float = _LARGEST) -> float:
+        """Return the number of an attribute."""
+        text = self.element.get(key)
         number = _as_number((text or "").strip(), most)
         if number is None:
             shown = text if text is None else _short(text)
-            self.refuse(element, f"{what} {shown!r}, which is not a finite number", **details)
+            self.refuse(f"{self.owner} has the {what or key} {shown!r}, which is not a finite number")
         return number
 
-    def _one(self, element: Element, tag: str, owner: str) -> Element | None:
-        """Return a part of which there is at most one, its attributes known."""
-        parts = list(_children(element, tag))
-        if len(parts) > 1:
-            self.refuse(parts[1], f"{owner} has <{tag}> {len(parts)} times")
-        known = _ATTRIBUTES.get(tag, ())
-        for key in parts[0].attrib if parts and known else ():
-            if key not in known and (hint := did_you_mean(key.lower(), known)):
-                self.refuse(parts[0], f"{owner} has <{tag}> with the attribute {_short(key)!r}", hint.strip())
-        return parts[0] if parts else None
+    def triple(self, key: str, what: str) -> Array:
+        """Return the (3,) numbers of an attribute."""
+        text = self.element.get(key, "")
+        numbers = [_as_number(part, _LARGEST) for part in text.split()]
+        if len(numbers) != 3 or None in numbers:
+            remedy = "Write three numbers with blanks between them."
+            self.refuse(f"{self.owner} has {what} {_short(text)!r}, which is not three finite numbers", remedy)
+        return np.array(numbers, dtype=float)
 
-    def _require_known_parts(self, element: Element, owner: str) -> None:
-        """Refuse what is nearly, but not quite, an element that counts: it would be passed over."""
-        known = _PARTS[element.tag]
-        for part in element:
-            if part.tag not in known and (hint := _nearly(part.tag, known)):
-                line = part if isinstance(part, Element) else element
-                self.refuse(line, f"{owner} has an element <{_short(part.tag)}>", f"Did you mean {hint!r}?")
+    def placement(self) -> Array:
+        """Return the (4, 4) placement that the origin of the element gives."""
+        placement: Array = np.eye(4)
+        origin = self.one("origin")
+        given = {} if origin is None else origin.element.attrib
+        if origin is not None and "quat_xyzw" in given:
+            origin.refuse(f"{self.owner} has an origin with quat_xyzw", "Write the rotation as rpy.")
+        if origin is not None and "xyz" in given:
+            placement[:3, 3] = origin.triple("xyz", "an origin with xyz")
+        if origin is not None and "rpy" in given:
+            turn = Rotation.from_euler("xyz", origin.triple("rpy", "an origin with rpy"))
+            placement[:3, :3] = turn.as_matrix()
+        return placement
 
-    def _in_order(
-        self,
-        robot: Element,
-        links: Mapping[str, LinkEntry],
-        elements: Sequence[Element],
-        joints: Mapping[str, JointEntry],
-    ) -> Tree:
-        """Return the tree, from its root outwards."""
-        carried: dict[str, str] = {}
-        outwards: dict[str, list[JointEntry]] = {name: [] for name in links}
-        for element, joint in zip(elements, joints.values(), strict=True):
-            if joint.child in carried:
-                what = (
-                    f"The link {joint.child!r} is the child of two joints, {carried[joint.child]!r} and {joint.name!r}"
-                )
-                remedy = "Cut the loop: give the second joint a link of its own, and close it in the declaration."
-                self.refuse(element, what, remedy, link=joint.child)
-            carried[joint.child] = joint.name
-            outwards[joint.parent].append(joint)
-        roots = [name for name in links if name not in carried]
-        if len(roots) > 1:
-            names = ", ".join(map(repr, roots[:5]))
-            remedy = "Join them by joints: a robot has one link that no joint carries."
-            self.refuse(
-                robot, f"The links are no tree: {names} are carried by no joint", remedy, links=tuple(roots[:5])
-            )
-        ordered: list[JointEntry] = []
-        level, depth = roots, 0
-        while level:
-            if depth > DEEPEST_CHAIN:
-                self.refuse(robot, f"More than {DEEPEST_CHAIN} links follow on one another", "Shorten the chain.")
-            made = [joint for name in level for joint in outwards[name]]
-            ordered += made
-            level, depth = [joint.child for joint in made], depth + 1
-        if len(ordered) + 1 < len(links) or not links:
-            reached = {*roots, *(joint.child for joint in ordered)}
-            circle = [name for name in links if name not in reached]
-            if not circle:
-                self.refuse(robot, "The robot has no links")
-            names = ", ".join(map(repr, circle[:5]))
-            remedy = "Cut the circle at a joint and close it in the declaration."
-            self.refuse(robot, f"The links {names} carry one another in a circle", remedy, links=tuple(circle[:5]))
-        lines = {(part.tag, str(part.get("name"))): part.line for part in robot if isinstance(part, Element)}
-        return Tree(roots[0], links, tuple(ordered), lines)
+
+def _link(name: str, part: _Part) -> LinkEntry:
+    part.require_known_parts()
+    inertial = part.one("inertial")
+    if inertial is None:
+        return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)))
+    inertial.require_known_parts()
+    mass, inertia = inertial.required("mass"), inertial.required("inertia")
+    kilograms = mass.number("value", "mass")
+    if kilograms < 0.0:
+        mass.refuse(f"{part.owner} has a negative mass, {kilograms:g} kg")
+    matrix = np.array([[inertia.number("i" + "".join(sorted(a + b))) for b in "xyz"] for a in "xyz"])
+    moments = np.linalg.eigvalsh(matrix)
+    allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max())
+    if moments[0] < -allowed or moments[2] > moments[0] + moments[1] + allowed:
+        text = np.array2string(moments, precision=4)
+        inertia.refuse(f"{part.owner} has principal moments of inertia {text} that no body can have")
+    placement = inertial.placement()
+    turn = placement[:3, :3]
+    return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T)
+
+
+def _joint(name: str, part: _Part, links: Mapping[str, LinkEntry]) -> JointEntry:
+    kind = part.element.get("type", "")
+    if kind not in _FREEDOMS:
+        remedy = f"{did_you_mean(kind, _FREEDOMS)}There are: {', '.join(_FREEDOMS)}."
+        part.refuse(f"{part.owner} has the type {_short(kind)!r}", remedy)
+    part.require_known_parts()
+    if part.element.find("mimic") is not None:
+        remedy = "Build the coupling as a loop, or make the joint free or fixed."
+        part.refuse(f"{part.owner} mimics another, which closed chains do not cover", remedy)
+    ends = []
+    for role in ("parent", "child"):
+        end = part.one(role)
+        link = "" if end is None else end.element.get("link", "")
+        if link not in links:
+            what = f"the {role} {_short(link)!r}, which is no link" if link else f"no {role}"
+            part.refuse(f"{part.owner} has {what}", did_you_mean(link, links), link=link)
+        ends.append(link)
+    axis = np.array([1.0, 0.0, 0.0])  # as the specification has it
+    given = part.one("axis")
+    # urdfdom looks at no axis of the other kinds
+    if given is not None and kind not in ("fixed", "floating"):
+        axis = given.triple("xyz", "the axis")
+        length = float(np.linalg.norm(axis))
+        if not length > 0.0:
+            given.refuse(f"{part.owner} has an axis of length zero")
+        axis = axis / length
+    if kind == "planar" and axis[2] != 1.0:
+        part.refuse(f"{part.owner} is planar about another axis than z, which Pinocchio does not know")
+    return JointEntry(name, kind, ends[0], ends[1], part.placement(), axis, _limits(part, kind))
+
+
+def _limits(part: _Part, kind: str) -> Mapping[str, float]:
+    limit = part.one("limit")
+    if limit is None:
+        if kind in ("revolute", "prismatic"):
+            part.refuse(f"{part.owner} is {kind} and has no <limit>")
+        return {}
+    return {
+        key: limit.number(key, f"{key} limit", sys.float_info.max)
+        if key in limit.element.attrib or key in ("effort", "velocity")
+        else 0.0
+        for key in ("lower", "upper", "effort", "velocity")
+    }
+
+
+def _in_order(
+    robot: _Part, links: Mapping[str, LinkEntry], joints: Mapping[str, JointEntry], parts: Mapping[str, _Part]
+) -> tuple[str, Mapping[str, LinkEntry], tuple[JointEntry, ...]]:
+    """Return the root, the links, and the joints from the root outwards."""
+    carried: dict[str, str] = {}
+    outwards: dict[str, list[JointEntry]] = {name: [] for name in links}
+    for name, joint in joints.items():
+        if joint.child in carried:
+            what = f"The link {joint.child!r} is the child of two joints, {carried[joint.child]!r} and {name!r}"
+            remedy = "Cut the loop: give the second joint a link of its own, and close it in the declaration."
+            replace(parts[name], details={}).refuse(what, remedy, link=joint.child)
+        carried[joint.child] = name
+        outwards[joint.parent].append(joint)
+    roots = [name for name in links if name not in carried]
+    if len(roots) > 1:
+        names = ", ".join(map(repr, roots[:5]))
+        remedy = "Join them by joints: a robot has one link that no joint carries."
+        robot.refuse(f"The links are no tree: {names} are carried by no joint", remedy, links=tuple(roots[:5]))
+    ordered: list[JointEntry] = []
+    level, depth = roots, 0
+    while level:
+        if depth > DEEPEST_CHAIN:
+            robot.refuse(f"More than {DEEPEST_CHAIN} links follow on one another", "Shorten the chain.")
+        made = [joint for name in level for joint in outwards[name]]
+        ordered += made
+        level, depth = [joint.child for joint in made], depth + 1
+    reached = {*roots, *(joint.child for joint in ordered)}
+    circle = [name for name in links if name not in reached]
+    if circle:
+        names = ", ".join(map(repr, circle[:5]))
+        remedy = "Cut the circle at a joint and close it in the declaration."
+        robot.refuse(f"The links {names} carry one another in a circle", remedy, links=tuple(circle[:5]))
+    if not links:
+        robot.refuse("The robot has no links")
+    return roots[0], links, tuple(ordered)
 
 
 def require_same(tree: Tree, model: pin.Model, path: Path) -> None:
@@ -353,11 +339,29 @@ def require_same(tree: Tree, model: pin.Model, path: Path) -> None:
     Raises:
         ModelFileError: naming the joint or link and the quantity that differs.
     """
-    same = _Comparison(path)
+
+    def refuse(what: str, of_model: object, of_file: object) -> NoReturn:
+        raise ModelFileError(
+            f"Pinocchio does not read {path.name} as it stands: {what} is {of_model} in its model, "
+            f"{of_file} in the file.",
+            remedy="Write that part of the URDF in the plainest form, and report it.",
+            path=str(path),
+            what=what,
+        )
+
     names = [str(name) for name in model.names]
     moving = [joint.name for joint in tree.joints if joint.kind != "fixed"]
     if sorted(names[1:]) != sorted(moving):
-        raise same.refusal("the list of moving joints", sorted(names[1:]), sorted(moving))
+        refuse("the list of moving joints", sorted(names[1:]), sorted(moving))
+    for what, of_model, of_file, scale in _pairs(tree, model, names):
+        here, there = np.asarray(of_model, dtype=float), np.asarray(of_file, dtype=float)
+        allowed = _NOTHING + _ROUNDING * max(scale, float(np.abs(there).max(initial=0.0)))
+        if here.shape != there.shape or not bool((np.abs(here - there) <= allowed).all()):
+            refuse(what, here.tolist(), there.tolist())
+
+
+def _pairs(tree: Tree, model: pin.Model, names: list[str]) -> Iterator[tuple[str, object, object, float]]:
+    """Give what has to be equal: its name, its values in the model and in the file, the size of what it is made from."""
     # each link: the moving joint that carries it, and where it is in the frame of that joint
     places: dict[str, tuple[int, Array]] = {tree.root: (0, np.eye(4))}
     for joint in tree.joints:
@@ -365,81 +369,54 @@ def require_same(tree: Tree, model: pin.Model, path: Path) -> None:
         placement = place @ joint.placement
         places[joint.child] = (carrier, placement)
         if joint.kind != "fixed":
-            index = names.index(joint.name)
+            index, what = names.index(joint.name), f"of the joint {joint.name!r}"
             places[joint.child] = (index, np.eye(4))
-            what = f"of the joint {joint.name!r}"
-            same.require(f"the parent {what}", int(model.parents[index]), carrier)
-            same.require(f"the placement {what}", model.jointPlacements[index].homogeneous, placement)
-            _require_same_joint(same, model, model.joints[index], joint)
-    bodies: list[list[LinkEntry]] = [[] for _ in names]
-    for link, (index, place) in places.items():
-        bodies[index].append(_moved(tree.links[link], place))
-        frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-        same.require(f"the joint that carries the link {link!r}", int(frame.parentJoint), index)
-        same.require(f"the placement of the link {link!r}", frame.placement.homogeneous, place)
-    for index, links in enumerate(bodies):
+            yield f"the parent {what}", int(model.parents[index]), carrier, 0.0
+            yield f"the placement {what}", model.jointPlacements[index].homogeneous, placement, 0.0
+            for quantity, of_model, of_file in _of_joint(model, model.joints[index], joint):
+                yield f"the {quantity} {what}", of_model, of_file, 0.0
+    bodies = np.zeros((len(names), 4, 4))
+    for name, (index, place) in places.items():
+        link = tree.links[name]
+        bodies[index] += place @ _pseudo_inertia(link.mass, link.centre, link.inertia) @ place.T
+        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        yield f"the joint that carries the link {name!r}", int(frame.parentJoint), index, 0.0
+        yield f"the placement of the link {name!r}", frame.placement.homogeneous, place, 0.0
+    for index, body in enumerate(bodies):
         what = f"of the body that {names[index]!r} carries" if index else "of the base"
-        mass = math.fsum(link.mass for link in links)
-        lever = sum((link.mass * link.centre for link in links), np.zeros(3))
-        inertia = sum((_about_origin(link) for link in links), np.zeros((3, 3)))
-        built = model.inertias[index]
-        same.require(f"the mass {what}", built.mass, mass, scale=mass)
-        same.require(f"mass times centre of mass {what}", built.mass * built.lever, lever, scale=mass)
-        body = LinkEntry("", built.mass, built.lever, built.inertia)
-        scale = mass + float(np.abs(inertia).max())
-        same.require(f"the inertia {what}", _about_origin(body), inertia, scale=scale)
+        inertia = model.inertias[index]
+        built, mass = _pseudo_inertia(inertia.mass, inertia.lever, inertia.inertia), float(body[3, 3])
+        yield f"the mass {what}", built[3, 3], mass, mass
+        yield f"mass times centre of mass {what}", built[3, :3], body[3, :3], mass
+        yield f"the inertia {what}", built[:3, :3], body[:3, :3], mass + float(np.abs(body[:3, :3]).max())
 
 
-def _require_same_joint(same: _Comparison, model: pin.Model, built: pin.JointModel, joint: JointEntry) -> None:
-    what = f"of the joint {joint.name!r}"
-    same.require(f"the number of freedoms {what}", built.nv, _FREEDOMS[joint.kind])
+def _of_joint(model: pin.Model, built: pin.JointModel, joint: JointEntry) -> Iterator[tuple[str, object, object]]:
+    yield "number of freedoms", built.nv, _FREEDOMS[joint.kind]
     if built.nv != 1:
         return
     data, still = built.createData(), np.zeros(3)
     built.calc(data, pin.neutral(model), np.zeros(model.nv))
     twist = (joint.axis, still) if joint.kind == "prismatic" else (still, joint.axis)
-    same.require(f"the axis {what}", np.ravel(data.S), np.concatenate(twist))
+    yield "axis", np.ravel(data.S), np.concatenate(twist)
     if joint.limits:
-        same.require(f"the effort limit {what}", model.upperEffortLimit[built.idx_v], joint.limits["effort"])
-        same.require(f"the velocity limit {what}", model.upperVelocityLimit[built.idx_v], joint.limits["velocity"])
+        yield "effort limit", model.upperEffortLimit[built.idx_v], joint.limits["effort"]
+        yield "velocity limit", model.upperVelocityLimit[built.idx_v], joint.limits["velocity"]
     if joint.limits and joint.kind != "continuous":  # of which Pinocchio bounds cosine and sine instead
-        same.require(f"the lower limit {what}", model.lowerPositionLimit[built.idx_q], joint.limits["lower"])
-        same.require(f"the upper limit {what}", model.upperPositionLimit[built.idx_q], joint.limits["upper"])
+        yield "lower limit", model.lowerPositionLimit[built.idx_q], joint.limits["lower"]
+        yield "upper limit", model.upperPositionLimit[built.idx_q], joint.limits["upper"]
 
 
-class _Comparison:
-    """Compares what Pinocchio made of a file with what the file says."""
+def _pseudo_inertia(mass: float, centre: Array, inertia: Array) -> Array:
+    """Return the (4, 4) integral of r rᵀ dm with r = (x, y, z, 1): a placement T makes T P Tᵀ of it.
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def require(self, what: str, of_model: object, of_file: object, scale: float = 0.0) -> None:
-        """Require numbers or arrays to be equal but for rounding; ``scale``: the size of what they were made from."""
-        here, there = np.asarray(of_model, dtype=float), np.asarray(of_file, dtype=float)
-        allowed = _NOTHING + _ROUNDING * max(scale, float(np.abs(there).max(initial=0.0)))
-        if here.shape != there.shape or not bool((np.abs(here - there) <= allowed).all()):
-            raise self.refusal(what, here.tolist(), there.tolist())
-
-    def refusal(self, what: str, of_model: object, of_file: object) -> ModelFileError:
-        return ModelFileError(
-            f"Pinocchio does not read {self._path.name} as it stands: {what} is {of_model} in its model, "
-            f"{of_file} in the file.",
-            remedy="Write that part of the URDF in the plainest form, and report it.",
-            path=str(self._path),
-            what=what,
-        )
-
-
-def _moved(link: LinkEntry, place: Array) -> LinkEntry:
-    turn = place[:3, :3]
-    return LinkEntry(link.name, link.mass, place[:3, 3] + turn @ link.centre, turn @ link.inertia @ turn.T)
-
-
-def _about_origin(link: LinkEntry) -> Array:
-    """Return the (3, 3) inertia about the origin (Steiner)."""
-    c = np.asarray(link.centre)
-    moved: Array = np.asarray(link.inertia) + link.mass * (c @ c * np.eye(3) - np.outer(c, c))
-    return moved
+    ``inertia`` is about the centre of mass, in the axes of the frame; ½ tr(I) 1 - I is the integral of x xᵀ dm.
+    """
+    pseudo = np.zeros((4, 4))
+    pseudo[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia + mass * np.outer(centre, centre)
+    pseudo[:3, 3] = pseudo[3, :3] = mass * np.asarray(centre)
+    pseudo[3, 3] = mass
+    return pseudo
 
 
 def _as_number(text: str, most: float) -> float | None:
@@ -449,11 +426,6 @@ def _as_number(text: str, most: float) -> float | None:
 
 def _children(element: Element, tag: str) -> Iterator[Element]:
     return (part for part in element if part.tag == tag and isinstance(part, Element))
-
-
-def _nearly(name: str, known: Sequence[str]) -> str:
-    """Return the name that another is a misspelling of; empty for names of extensions, which are far from all."""
-    return next(iter(difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.8)), "")
 
 
 def _short(text: str) -> str:
