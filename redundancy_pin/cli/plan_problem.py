@@ -316,7 +316,8 @@ def problem(
     elif step is not None:
         raise InputError("A motion from a file has its own steps.", remedy="Leave the step out, or resample the file.")
     if baseline is not None:
-        values["baseline"] = make(baseline.load())
+        with _about(_BASELINE):
+            values["baseline"] = make(baseline.load())
     return Problem(planner, make(robot.load()), motion, values)
 
 
@@ -343,16 +344,17 @@ def read_problem(path: str | Path, *, trust: bool = False) -> Problem:
     try:
         return _problem(data, place, trust)
     except RedundancyPinError as error:
-        # errors of the robot's own files are about keys of those
-        key = str(error.details.get("key", error.details.get("name", ""))) if isinstance(error, InputError) else ""
-        # the same name may stand in several mappings
-        groups = (str(error.details[_GROUP]),) if _GROUP in error.details else ("", "parameters.", "set.", "baseline.")
-        where = file.place(next((group + key for group in groups if group + key in file.lines), groups[0] + key))
+        details = error.details if isinstance(error, InputError) else {}  # the robot's own files have keys of their own
+        key = str(next((details[word] for word in ("key", "name", "argument") if word in details), ""))
+        # the same name may stand in several mappings; a baseline has the settings of the robot beside its own
+        group = str(details.get(_GROUP, ""))
+        groups = (group, f"{group}set.", *(("", "set.") if group == _BASELINE else ()))
+        where = file.place(next((each + key for each in groups if each + key in file.lines), group + key))
         told = WORDING.reword(error)
         raise type(told)(f"{where}: {told.message}", remedy=told.remedy, **told.details) from error
 
 
-_GROUP = "group"
+_GROUP, _BASELINE = "group", "baseline."
 
 
 @contextmanager
@@ -361,7 +363,8 @@ def _about(group: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise type(error)(error.message, remedy=error.remedy, **{**error.details, _GROUP: group}) from error
+        inner = error.details.get(_GROUP, "")
+        raise type(error)(error.message, remedy=error.remedy, **{**error.details, _GROUP: f"{group}{inner}"}) from error
 
 
 def _problem(data: Mapping[str, Any], place: Path, trust: bool) -> Problem:
@@ -370,16 +373,22 @@ def _problem(data: Mapping[str, Any], place: Path, trust: bool) -> Problem:
         if key not in data:
             raise InputError(f"The problem {place.name} lacks the key {key!r}.", remedy=f"Add {key}: ....", key=key)
     planner = require_choice(data["planner"], tuple(PLANNERS), "the planner")
-    baseline = data.get("baseline")
+    robot, motion = replace(_robot(data, place.parent), trust=trust), _motion(data, place)
+    parameters = _mapping(data.get("parameters", {}), "parameters")
+    with _about("parameters."):
+        read_parameters(planner, parameters)
+    baseline = None
+    if data.get("baseline") is not None:
+        given = _mapping(data["baseline"], "baseline")
+        with _about(_BASELINE):
+            baseline = replace(_baseline(given, data, place.parent), trust=trust)
     return problem(
         planner,
-        replace(_robot(data, place.parent), trust=trust),
+        robot,
         word("backend", data.get("backend", RNEA)),
-        _motion(data, place),
-        _mapping(data.get("parameters", {}), "parameters"),
-        baseline=None
-        if baseline is None
-        else replace(_baseline(_mapping(baseline, "baseline"), data, place.parent), trust=trust),
+        motion,
+        parameters,
+        baseline=baseline,
         step=None if data.get("step") is None else number("step", data["step"]),
     )
 
@@ -405,9 +414,8 @@ def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:
     settings = _mapping(data.get("set", {}), "set")
     for name, value in settings.items():
         if not isinstance(value, (bool, int, float, str)):
-            raise InputError(
-                f"{name} in `set` is {shown(value)}.", remedy="Write a number, true, false or text.", key=name
-            )
+            remedy = "Write a number, true, false or text."
+            raise InputError(f"{name} in `set` is {shown(value)}.", remedy=remedy, key=f"set.{name}")
     source = word("robot", data["robot"])
     return RobotOptions(
         source if source in shipped_robots() or Path(source).is_absolute() else str(folder / source),

@@ -196,6 +196,7 @@ class _Reader:
                 merged = self.merge(value, event)
             else:
                 values[name] = value
+            self.lines.update({f"{key}.{name}": line for name in merged} if is_merge else {})
         self.events.get_event()
         return {**merged, **values}
 

@@ -361,7 +361,7 @@ def require_same(tree: Tree, model: pin.Model, path: Path) -> None:
 
 
 def _pairs(tree: Tree, model: pin.Model, names: list[str]) -> Iterator[tuple[str, object, object, float]]:
-    """Give what has to be equal: its name, its values in the model and in the file, the size of what it is made from."""
+    """Give what has to be equal: its name, its values in the model and in the file, the size that rounding is of."""
     # each link: the moving joint that carries it, and where it is in the frame of that joint
     places: dict[str, tuple[int, Array]] = {tree.root: (0, np.eye(4))}
     for joint in tree.joints:

@@ -112,6 +112,24 @@ def test_a_bad_value_has_its_own_line(wrong: str, group: str, tmp_path: Path) ->
     assert f"p.yaml, line {expected}: " in line
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("parameters: {brake_time: 1}\nset: {brake_time: 2}\n", 4),  # no xacro argument
+        ("set: {carrier_mass: 2}\nbaseline:\n  set:\n    carrier_mass: heavy\n", 6),
+        ("set: {carrier_mass: 2}\nbaseline:\n  set:\n    carrier_mass: [1]\n", 6),
+        ("set: {carrier_mass: 2}\nbaseline: {mode: abc}\n", 4),
+        ("set: {carrier_mass: heavy}\nbaseline: {gravity: [0, 0, -9]}\n", 3),
+        ("parameters:\n  datum: 0\n  track: [0, x]\n", 5),
+        ("set: &two\n  carrier_mass: [1]\nbaseline: {set: {<<: *two}}\n", 4),
+    ],
+)
+def test_keys_of_one_name_have_their_own_lines(text: str, expected: int, tmp_path: Path) -> None:
+    problem = tmp_path / "p.yaml"
+    problem.write_text(f"planner: stepwise\nrobot: 3rrr\n{text}trajectory: {{name: corner}}\n", encoding="utf-8")
+    assert f"p.yaml, line {expected}: " in refused("plan", "--problem", problem)
+
+
 BAD_PROBLEMS: dict[str, tuple[dict[str, Any], str]] = {
     "misspelt key": ({"planer": 1}, "Did you mean 'planner'"),
     "misspelt parameter": ({"parameters": {"lamb": 0.5}}, "Did you mean 'lam'"),
