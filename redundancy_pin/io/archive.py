@@ -35,8 +35,8 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import read_only
-from redundancy_pin.errors import InputError, OutputError, PlanFileError, RedundancyPinError, shortened, shown
-from redundancy_pin.io.files import replacing_file
+from redundancy_pin.errors import InputError, PlanFileError, RedundancyPinError, shortened, shown
+from redundancy_pin.io.files import refusing, replacing_file
 from redundancy_pin.io.json_text import read_json
 from redundancy_pin.io.reading import opened
 
@@ -58,7 +58,7 @@ def encode(record: object, arrays: Arrays) -> Any:
     Raises:
         InputError: something that is none of these, or stands inside a mapping and is not plain.
     """
-    return _encode_record(record, "", arrays)
+    return _encode(record, "", arrays, of_record=True)
 
 
 def decode(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
@@ -91,58 +91,41 @@ def _decode_marked(kind: str, content: Any, arrays: Mapping[str, NDArray[Any]]) 
     raise ValueError(f"unknown mark {shown(kind)}")
 
 
-def _encode_record(value: object, name: str, arrays: Arrays) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        prefix = f"{name}." if name else ""
-        return {
-            field.name: _encode_record(getattr(value, field.name), prefix + field.name, arrays)
-            for field in fields(value)
-        }
-    if isinstance(value, Enum) and not isinstance(value, (int, str)):
-        return _encode_value(value.value, name, arrays)
-    if isinstance(value, np.ndarray):
-        return _store(value, name, name, arrays)
-    if isinstance(value, tuple):
-        return {"$tuple": [_encode_record(entry, f"{name}.{i}", arrays) for i, entry in enumerate(value)]}
-    return _encode_value(value, name, arrays)
-
-
-def _encode_value(value: object, name: str, arrays: Arrays) -> Any:
+def _encode(value: object, name: str, arrays: Arrays, *, of_record: bool) -> Any:
+    """Return a value as JSON knows it; dataclasses and enumerations are fields of records, not parts of plain data."""
+    if of_record and is_dataclass(value) and not isinstance(value, type):
+        names = {field.name: f"{name}.{field.name}" if name else field.name for field in fields(value)}
+        return {key: _encode(getattr(value, key), full, arrays, of_record=True) for key, full in names.items()}
+    if of_record and isinstance(value, Enum) and not isinstance(value, (int, str)):
+        value = value.value
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or (isinstance(value, (bool, int, str)) and not isinstance(value, Enum)):
         return value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else {"$float": repr(float(value))}
-    if isinstance(value, np.ndarray):
-        # keys are any text: arrays are counted, not named after them
-        root = name.split("[")[0]
-        return _store(value, f"{root}.{len(arrays)}", name, arrays)
+    if isinstance(value, np.ndarray) and value.dtype.kind in _KINDS:
+        # keys of mappings are any text: arrays in them are counted, not named after them
+        key = name if of_record else f"{name.split('[')[0]}.{len(arrays)}"
+        arrays[key] = read_only(np.array(value))
+        return {"$array": key}
     if isinstance(value, tuple):
-        return {"$tuple": [_encode_value(entry, f"{name}[{i}]", arrays) for i, entry in enumerate(value)]}
+        part = "{}.{}" if of_record else "{}[{}]"
+        row = [_encode(each, part.format(name, i), arrays, of_record=of_record) for i, each in enumerate(value)]
+        return {"$tuple": row}
     if isinstance(value, list):
-        return [_encode_value(entry, f"{name}[{i}]", arrays) for i, entry in enumerate(value)]
+        return [_encode(each, f"{name}[{i}]", arrays, of_record=False) for i, each in enumerate(value)]
     if isinstance(value, Mapping):
-        encoded = [(key, _encode_value(entry, f"{name}[{key!r}]", arrays)) for key, entry in value.items()]
-        if all(type(key) is str and not key.startswith(_MARK) for key, _ in encoded):
-            return dict(encoded)
-        return {"$mapping": [[_encode_value(key, f"{name}, key", arrays), entry] for key, entry in encoded]}
+        pairs = [(key, _encode(each, f"{name}[{key!r}]", arrays, of_record=False)) for key, each in value.items()]
+        if all(type(key) is str and not key.startswith(_MARK) for key, _ in pairs):
+            return dict(pairs)
+        return {"$mapping": [[_encode(key, f"{name}, key", arrays, of_record=False), each] for key, each in pairs]}
+    what = f"n array of {value.dtype}" if isinstance(value, np.ndarray) else f" {type(value).__name__}"
     raise InputError(
-        f"{name} is a {type(value).__name__}, which a file cannot hold.",
-        remedy="Use numbers, text, lists, tuples, mappings and arrays of numbers.",
+        f"{name} is a{what}, which a file cannot hold.",
+        remedy="Use truth values, numbers, text, arrays of these, lists, tuples and mappings.",
         name=name,
     )
-
-
-def _store(array: NDArray[Any], key: str, name: str, arrays: Arrays) -> dict[str, str]:
-    if array.dtype.kind not in _KINDS:
-        raise InputError(
-            f"{name} is an array of {array.dtype}, which a file cannot hold.",
-            remedy="Use arrays of numbers, truth values or text.",
-            name=name,
-        )
-    arrays[key] = read_only(np.array(array))
-    return {"$array": key}
 
 
 _T = TypeVar("_T")
@@ -213,19 +196,14 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
         raise InputError(
             f"The record is more than a file may hold: {error}.", remedy="Keep numbers in few arrays, not in lists."
         ) from error
-    with replacing_file(path) as temporary:
-        try:
-            with temporary.open("wb") as stream:
-                np.savez_compressed(stream, allow_pickle=False, **{_METADATA: np.array(text)}, **arrays)
-                if sum(array.nbytes for array in arrays.values()) > _most_unpacked(stream.tell()) - 4 * len(text):
-                    # millions of zeros: the reader would take them for a bomb
-                    stream.seek(0)
-                    stream.truncate()
-                    np.savez(stream, allow_pickle=False, **{_METADATA: np.array(text)}, **arrays)
-        except OSError as error:
-            raise OutputError(
-                f"Cannot write {path}: {error.strerror or error}.", remedy="Choose another place.", path=str(path)
-            ) from error
+    members = {_METADATA: np.array(text), **arrays}
+    with replacing_file(path) as temporary, refusing(path), temporary.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **members)
+        if sum(array.nbytes for array in members.values()) > _most_unpacked(stream.tell()):
+            # millions of zeros: the reader would take them for a bomb
+            stream.seek(0)
+            stream.truncate()
+            np.savez(stream, allow_pickle=False, **members)
 
 
 def read_archive(path: str | Path, kind: str, version: int, word: str, make: Callable[[Mapping[str, Any]], _T]) -> _T:
@@ -357,7 +335,6 @@ def _require_sound(members: Sequence[zipfile.ZipInfo], size: int) -> None:
 
 
 def _most_unpacked(size: int) -> int:
-    """Return how many bytes a file of so many may have when it is unpacked."""
     return _UNPACKED + _RATIO * size
 
 

@@ -81,14 +81,14 @@ def require_writable(target: str | Path) -> Path:
         path = path.resolve() if path.is_symlink() else path
         mode = _mode(path)
         _require_folder(path)
-    if mode is not None and stat.S_ISDIR(mode):
-        raise OutputError(f"Cannot write {path}: it is a folder.", remedy="Give the name of a file.", path=str(path))
-    if mode is not None and not stat.S_ISREG(mode):
-        raise OutputError(f"Cannot write {path}: it is a pipe or a device.", remedy="Name a file.", path=str(path))
+    if mode is None:
+        return path
+    if not stat.S_ISREG(mode):
+        what = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+        raise _refused(path, f"it is {what}.", "Give the name of a file.")
     # for the superuser every file is writable; one without any such permission was still meant to stay as it is
-    if mode is not None and not (mode & 0o222 and os.access(path, os.W_OK)):
-        remedy = "Make it writable, or give another name."
-        raise OutputError(f"Cannot write {path}: it is read-only.", remedy=remedy, path=str(path))
+    if not (mode & 0o222 and os.access(path, os.W_OK)):
+        raise _refused(path, "it is read-only.", "Make it writable, or give another name.")
     return path
 
 
@@ -145,22 +145,16 @@ def require_replaceable(target: str | Path) -> Path:
         mode = _mode(path)
         _require_folder(path)
     if mode is not None and not stat.S_ISDIR(mode):
-        raise OutputError(f"Cannot write {path}: it is a file.", remedy="Give the name of a folder.", path=str(path))
+        raise _refused(path, "it is a file.", "Give the name of a folder.")
     if path == Path.cwd() or path in Path.cwd().parents:
+        raise _refused(path, "it is the current folder, or holds it.", "Give a folder of its own, such as `results`.")
+    if mode is not None and (foreign := sorted(_files(path) - _listed(path))):
         raise OutputError(
-            f"Cannot replace {path}: it is the current folder, or holds it.",
-            remedy="Give a folder of its own, such as `results`.",
+            f"{path} holds {len(foreign)} file(s) that are not results of an earlier run, such as {foreign[0]}.",
+            remedy="Nothing was changed: move them, or choose another folder.",
             path=str(path),
+            files=tuple(foreign),
         )
-    if mode is not None:
-        foreign = sorted(_files(path) - _listed(path))
-        if foreign:
-            raise OutputError(
-                f"{path} holds {len(foreign)} file(s) that are not results of an earlier run, such as {foreign[0]}.",
-                remedy="Nothing was changed: move them, or choose another folder.",
-                path=str(path),
-                files=tuple(foreign),
-            )
     return path
 
 
@@ -173,9 +167,11 @@ def expanded(target: str | Path) -> Path:
     try:
         return Path(target).expanduser()
     except RuntimeError as error:
-        raise OutputError(
-            f"Cannot write {shortened(str(target))}: {error}", remedy="Write the folder itself.", path=str(target)
-        ) from error
+        raise _refused(target, str(error), "Write the folder itself.") from error
+
+
+def _refused(path: str | Path, why: str, remedy: str = "Choose another place.") -> OutputError:
+    return OutputError(f"Cannot write {shortened(str(path))}: {why}", remedy=remedy, path=str(path))
 
 
 def _mode(path: Path) -> int | None:
@@ -189,13 +185,9 @@ def _mode(path: Path) -> int | None:
 def _require_folder(path: Path) -> None:
     parent = path.parent
     if not parent.is_dir():
-        raise OutputError(f"Cannot write {path}: there is no folder {parent}.", remedy="Make it first.", path=str(path))
+        raise _refused(path, f"there is no folder {parent}.", "Make it first.")
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise OutputError(
-            f"Cannot write {path}: the folder {parent} is not writable.",
-            remedy="Choose another place.",
-            path=str(path),
-        )
+        raise _refused(path, f"the folder {parent} is not writable.")
 
 
 @contextmanager
@@ -205,9 +197,7 @@ def refusing(path: str | Path, kinds: tuple[type[Exception], ...] = (OSError,)) 
         yield
     except kinds as error:
         reason = (error.strerror if isinstance(error, OSError) else "") or str(error)
-        raise OutputError(
-            f"Cannot write {shortened(str(path))}: {reason}.", remedy="Choose another place.", path=str(path)
-        ) from error
+        raise _refused(path, f"{reason}.") from error
 
 
 def _give_permissions(temporary: Path, target: Path) -> None:

@@ -143,12 +143,9 @@ def _require_closed_form(declaration: Declaration, parameters: Mapping[str, Argu
         flag, auto = name == "carriers", name == "platform_inertia" and value == "auto"
         if not auto and (value is None or isinstance(value, str) or isinstance(value, bool) is not flag):
             what = f"is {value!r}" if name in parameters else "is missing"
-            raise DeclarationError(
-                f"`closed_form: {declaration.closed_form}` needs the xacro argument {name!r}, which {what}.",
-                remedy="Leave `closed_form` out: RneaDynamics covers every robot.",
-                key="closed_form",
-                name=name,
-            )
+            message = f"`closed_form: {declaration.closed_form}` needs the xacro argument {name!r}, which {what}."
+            remedy = "Leave `closed_form` out: RneaDynamics covers every robot."
+            raise DeclarationError(message, remedy=remedy, key="closed_form", name=name)
 
 
 def _body_of(model: pin.Model, frame: str) -> int:
@@ -163,7 +160,7 @@ def _joint(model: pin.Model, name: str) -> pin.JointModel:
 def _require_name(name: str, known: Sequence[str], what: str) -> None:
     if name not in known:
         remedy = f"{did_you_mean(name, known)}It has: {', '.join(known)}."
-        raise DeclarationError(f"The URDF has no {what} {name!r}.", remedy=remedy, name=name)
+        raise _refused(name, f"The URDF has no {what} {name!r}.", remedy)
 
 
 def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.Model) -> None:
@@ -175,56 +172,43 @@ def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.M
         _require_name(name, joints, "moving joint")
     for name in driven:
         if _joint(model, name).nv != 1:
-            raise DeclarationError(
-                f"Joint {name!r} has {_joint(model, name).nv} freedoms.",
-                remedy="Actuated, carrier and independent joints must have one.",
-                name=name,
-            )
+            what = f"Joint {name!r} has {_joint(model, name).nv} freedoms."
+            raise _refused(name, what, "Actuated, carrier and independent joints must have one.")
     twice = [name for name in carriers if driven.count(name) > 1]
     if twice:
-        raise DeclarationError(
-            f"Joint {twice[0]!r} is declared in two roles.",
-            remedy="A carrier is neither a main actuator nor independent, and is listed once.",
-            name=twice[0],
-        )
+        remedy = "A carrier is neither a main actuator nor independent, and is listed once."
+        raise _refused(twice[0], f"Joint {twice[0]!r} is declared in two roles.", remedy)
     for closure in declaration.loops:
         for name in (closure.frame_a, closure.frame_b):
             _require_name(name, links, "link")
         if _body_of(model, closure.frame_a) == _body_of(model, closure.frame_b):
-            raise DeclarationError(
-                f"The closure {closure.name!r} joins two frames of one rigid body.",
-                remedy="Name frames on the two bodies that meet there.",
-                name=closure.name,
-            )
+            what = f"The closure {closure.name!r} joins two frames of one rigid body."
+            raise _refused(closure.name, what, "Name frames on the two bodies that meet there.")
     if declaration.platform:
         _require_name(declaration.platform.frame, links, "link")
     for name in carriers:
         if name in guess:
-            raise DeclarationError(
-                f"`reference.guess` sets the carrier {name!r}.",
-                remedy="Leave it out: the reference has the carriers at zero.",
-                name=name,
-            )
+            what = f"`reference.guess` sets the carrier {name!r}."
+            raise _refused(name, what, "Leave it out: the reference has the carriers at zero.")
+
+
+def _refused(name: str, what: str, remedy: str) -> DeclarationError:
+    return DeclarationError(what, remedy=remedy, name=name)
 
 
 def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
     """Return the declared limits, or those of the URDF, where a zero stands for "not known"."""
     joint = _joint(model, entry.joint)
     if joint.nq != 1:
-        raise DeclarationError(
-            f"The carrier {entry.joint!r} is a continuous joint.",
-            remedy="Give it a bounded revolute or prismatic joint.",
-            name=entry.joint,
-        )
+        what = f"The carrier {entry.joint!r} is a continuous joint."
+        raise _refused(entry.joint, what, "Give it a bounded revolute or prismatic joint.")
     lower, upper = entry.position or (
         float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit)
     )
     if not lower < upper:
-        raise DeclarationError(
-            f"The track of the carrier {entry.joint!r} runs from {lower:g} to {upper:g}.",
-            remedy="Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`.",
-            name=entry.joint,
-        )
+        what = f"The track of the carrier {entry.joint!r} runs from {lower:g} to {upper:g}."
+        remedy = "Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`."
+        raise _refused(entry.joint, what, remedy)
     speed, force = (float(limit[joint.idx_v]) for limit in (model.upperVelocityLimit, model.upperEffortLimit))
     unknown = float("inf")
     return CarrierLimits(
@@ -255,11 +239,8 @@ def _guess(model: pin.Model, positions: Mapping[str, float]) -> Array:
     for name, value in positions.items():
         joint = _joint(model, name)
         if joint.nq > 2:
-            raise DeclarationError(
-                f"`reference.guess` cannot set joint {name!r}: it has {joint.nq} coordinates.",
-                remedy="Leave it out: it starts at its neutral position.",
-                name=name,
-            )
+            what = f"`reference.guess` cannot set joint {name!r}: it has {joint.nq} coordinates."
+            raise _refused(name, what, "Leave it out: it starts at its neutral position.")
         # a continuous joint has the cosine and the sine of its angle as coordinates
         q[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
     return q
@@ -289,9 +270,6 @@ def _check_carriers_carry(robot: Robot) -> None:
         support = list(model.supports[_body_of(model, frame)])
         for carrier in robot.carriers:
             if model.getJointId(carrier) in support:
-                raise DeclarationError(
-                    f"The carrier {carrier!r} moves the frame {frame!r}, which closes a loop or is the platform.",
-                    remedy="A carrier slides beside the load path; declare this joint as actuated instead.",
-                    carrier=carrier,
-                    frame=frame,
-                )
+                what = f"The carrier {carrier!r} moves the frame {frame!r}, which closes a loop or is the platform."
+                remedy = "A carrier slides beside the load path; declare this joint as actuated instead."
+                raise DeclarationError(what, remedy=remedy, carrier=carrier, frame=frame)

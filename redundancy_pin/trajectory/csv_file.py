@@ -24,6 +24,9 @@ _QUATERNION_TOLERANCE = 1e-6
 # what is off by a quarter is no rounding, nor an integral by trapezoids over steps that are small parts of the whole
 _FEWEST_STEPS, _MISFIT, _LARGEST_STEP, _ROUNDED = 8, 0.25, 0.15, 1e-6
 
+_LARGEST = 1e100
+"""Numbers beyond it are refused as infinite: their products are."""
+
 
 def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
     """Read a platform motion from a CSV file.
@@ -111,7 +114,7 @@ def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: 
         values = np.array([row for _, row in rows], dtype=np.float64)
     except ValueError:
         values = np.array([[_number(cell) for cell in row] for _, row in rows])
-    bad = np.argwhere(~np.isfinite(values))
+    bad = np.argwhere(~(np.abs(values) <= _LARGEST))
     if len(bad):
         r, c = (int(i) for i in bad[0])
         line, cell = rows[r][0], rows[r][1][c]
