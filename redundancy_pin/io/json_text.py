@@ -69,14 +69,13 @@ def _require_sound(value: Any) -> None:
     while level:
         if depth > DEEPEST:
             raise ValueError(f"nested more than {DEEPEST} deep")
-        for part in level:
-            for text in part if isinstance(part, dict) else (part,):
-                if isinstance(text, str) and not text.isascii():
-                    text.encode()  # UnicodeEncodeError is a ValueError
         inner: list[Any] = []
         for part in level:
-            if isinstance(part, dict):
-                inner.extend(part.values())
+            if isinstance(part, str):
+                part.encode()  # UnicodeEncodeError is a ValueError
             elif isinstance(part, list):
-                inner.extend(part)
+                inner += part
+            elif isinstance(part, dict):
+                inner += part
+                inner += part.values()
         level, depth = inner, depth + 1

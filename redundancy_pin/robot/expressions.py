@@ -38,7 +38,7 @@ class ExpressionError(ValueError):
 class Budget:
     """What is left of the work that the expressions of one model may make: a step is about a microsecond."""
 
-    steps: int = 400_000
+    steps: int = 300_000
 
     def charge(self, steps: int) -> None:
         """Take steps off the budget.
