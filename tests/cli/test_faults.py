@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import signal
@@ -13,6 +14,7 @@ import pytest
 from command_line import refused
 
 import redundancy_pin
+from redundancy_pin.cli import main
 
 FULL = Path("/dev/full")
 TOP = Path(redundancy_pin.__file__).parents[1]
@@ -36,19 +38,25 @@ def test_a_full_disk_behind_stdout(tmp_path: Path) -> None:
     assert done.stderr == b"error: Cannot write the output: No space left on device.\n"
 
 
-def test_a_terminal_without_greek_letters(tmp_path: Path) -> None:
-    done = started(tmp_path, "info", "--robot", "2rpr", env={"PYTHONIOENCODING": "ascii"})
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == b""
-    assert b"gravity [m/s\\xb2]" in done.stdout
+def test_a_terminal_without_greek_letters(monkeypatch: pytest.MonkeyPatch) -> None:
+    streams = [io.TextIOWrapper(io.BytesIO(), encoding="ascii") for _ in range(2)]
+    monkeypatch.setattr(sys, "stdout", streams[0])
+    monkeypatch.setattr(sys, "stderr", streams[1])
+    with pytest.raises(SystemExit) as leaving:
+        main(["info", "--robot", "2rpr"])
+    printed, complaints = (stream.buffer.getvalue() for stream in streams)  # type: ignore[attr-defined]
+    assert leaving.value.code in (0, None)
+    assert complaints == b""
+    assert b"gravity [m/s\\xb2]" in printed
 
 
-def test_outputs_that_were_closed_before_the_start(tmp_path: Path) -> None:
-    def close() -> None:
-        os.close(1)
-        os.close(2)
-
-    assert started(tmp_path, "infos", stdout=None, stderr=None, preexec_fn=close).returncode == 2
+def test_outputs_that_were_closed_before_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python has no streams then."""
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    with pytest.raises(SystemExit) as leaving:
+        main(["infos"])
+    assert leaving.value.code == 2
 
 
 def test_an_interrupt_while_importing(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from promises import Keep
 
 from redundancy_pin.cli import main
 
-SAMPLE = 30
+SAMPLE = 20
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks, and reads /proc")
 
@@ -28,8 +28,10 @@ def test_malformed_invocations_are_refused(count: int, capsys: pytest.CaptureFix
     assert not faults, capsys.readouterr().out
 
 
-def test_a_fault_is_seen() -> None:
+def test_a_fault_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """The judge itself: a traceback, a wrong code, too many lines, time, memory, and files left behind."""
+    monkeypatch.setattr(malformed, "SECONDS", 0.5)
+    monkeypatch.setattr(malformed, "MEGABYTES", 100.0)
 
     def outcome(program: object) -> tuple[str, ...]:
         return malformed.run(malformed.Invocation(("x",), {"a": b""}), program).faults  # type: ignore[arg-type]
@@ -44,7 +46,7 @@ def test_a_fault_is_seen() -> None:
         return program
 
     def burn() -> None:
-        while time.process_time() < 2.5:
+        while time.process_time() < 0.6:
             pass
 
     assert outcome(refusing()) == ()
@@ -53,5 +55,5 @@ def test_a_fault_is_seen() -> None:
     assert outcome(refusing(lambda: os.write(2, b"error: what\n"))) == ("2 lines on stderr",)
     assert outcome(refusing(lambda: os.write(1, b"what"))) == ("output of a refused command",)
     assert outcome(refusing(lambda: os.close(os.open("b", os.O_CREAT)))) == ("files left behind",)
-    assert outcome(refusing(burn)) == ("more than 2 s",)
-    assert outcome(refusing(lambda: len(b"x" * 600 * 2**20))) == ("more than 500 MB",)
+    assert outcome(refusing(burn)) == ("more than 0.5 s",)
+    assert outcome(refusing(lambda: len(b"x" * 120 * 2**20))) == ("more than 100 MB",)

@@ -225,9 +225,9 @@ def test_a_size_that_lies_in_the_directory(tmp_path: Path) -> None:
 
 
 BOMBS = {
-    "one member of 150 MB": [("a.npy", 150_000_000)],
-    "forty members of 5 MB": [(f"{i}.npy", 5_000_000) for i in range(40)],
-    "metadata of 150 MB": [("metadata.npy", 150_000_000)],
+    "one member of 140 MB": [("a.npy", 140_000_000)],
+    "fourteen members of 10 MB": [(f"{i}.npy", 10_000_000) for i in range(14)],
+    "metadata of 140 MB": [("metadata.npy", 140_000_000)],
 }
 
 READER = """
@@ -262,7 +262,7 @@ def test_bombs_take_neither_time_nor_memory(tmp_path: Path) -> None:
         paths.append(pack(tmp_path / f"{i}.npz", *contents))
     # the most that is unpacked: no bomb, but no plan either
     paths.append(tmp_path / "large.npz")
-    np.savez_compressed(paths[-1], metadata=np.array(text()), a=np.zeros(16_000_000))
+    pack(paths[-1], ("metadata.npy", npy(np.array(text()))), ("a.npy", npy(np.zeros(16_000_000))))
     # the metadata that need most memory: as many lists as are read, in as many characters
     paths.append(pack(tmp_path / "metadata.npz", ("metadata.npy", npy(np.array(f"[{MOST}1]")))))
     done = subprocess.run([sys.executable, "-c", READER, *paths], capture_output=True, text=True, check=True)
