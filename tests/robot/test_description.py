@@ -1,7 +1,5 @@
 """Files and arguments of a robot: each mistake gets one clear error that names it."""
 
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -125,8 +123,7 @@ def test_defaults_are_evaluated_by_xacro_and_whole_numbers_stay_whole(tmp_path):
     assert 'name="leg_3"' in urdf
 
 
-def test_includes_are_found_beside_the_file_from_any_folder(tmp_path):
-    """In a process of its own: xacro remembers the last file it read."""
+def test_includes_are_found_beside_the_file_from_any_folder(tmp_path, monkeypatch):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "inner.xacro").write_text(
         """<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="inner" default="4"/>
@@ -137,19 +134,15 @@ def test_includes_are_found_beside_the_file_from_any_folder(tmp_path):
         """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
         <xacro:include filename="sub/inner.xacro"/></robot>"""
     )
-    code = (
-        "import sys; from pathlib import Path\n"
-        "from redundancy_pin.robot.urdf import render\n"
-        "from redundancy_pin.robot.urdf import known_values\n"
-        "path = Path(sys.argv[1]); print(known_values(path, {'inner': 5}))\n"
-        "print('link_5' in render(path, {'inner': 5})[0], render(path, {})[1])"
-    )
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    result = subprocess.run(
-        [sys.executable, "-c", code, str(path)], cwd=elsewhere, capture_output=True, text=True, check=True
-    )
-    assert result.stdout.splitlines() == ["{'inner': 5.0}", "True {'inner': 4.0}"]
+    monkeypatch.chdir(elsewhere)
+    render(models_root() / "four_bar" / "four_bar.urdf.xacro", {})  # xacro remembers the last file it read
+    assert known_values(path, {"inner": 5}) == {"inner": 5.0}
+    urdf, parameters = render(path, {"inner": 5})
+    assert "link_5" in urdf
+    assert parameters == {"inner": 5.0}
+    assert render(path, {})[1] == {"inner": 4.0}
     with pytest.raises(InputError, match=r"no argument 'iner'\. Did you mean 'inner'"):
         known_values(path, {"iner": 5})
 

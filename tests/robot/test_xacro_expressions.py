@@ -255,7 +255,7 @@ ATTACKS = {
     "comb(10**6, 10**5)": "'comb'",
     "[0 for x in range(99999) for y in range(99999)]": "",
     "[d[t] for d in [{tuple(range(40000)): 0}] for t in d for x in range(40000)]": "more work",
-    "dict([[x * (2**61 - 1), 0] for x in range(20000)])": "elements",
+    "dict([[x * (2**61 - 1), 0] for x in range(2000)])": "elements",
     "factorial(10**6)": "arguments",
     "'a' * 10**9": "elements",
     "10**9 * [0]": "elements",
