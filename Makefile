@@ -47,6 +47,7 @@ validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random sta
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin validate --samples $(SAMPLES) --jobs $(JOBS)
 
 long: $(STAMP) ## long lists of random cases, and every property on ten times as many examples
+	rm -f build/promises.json
 	EXAMPLES=10 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "long or property"
 
 study: $(STAMP) ## DRAWS imperfect machines through singularities, into study/ (goes on where it was interrupted)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
 from typing import Any
 
 import promises
@@ -34,6 +35,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 keep = promises.keep
 
 
+FEW_FAILED = pytest.StashKey[bool]()
+
+
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Print how often each promise was tried, where a run tried any."""
-    promises.summarise(terminalreporter)
+    terminalreporter.config.stash[FEW_FAILED] = promises.summarise(terminalreporter)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]:
+    """End with a failure where a promise, of which a few cases may fail, has failed too often."""
+    yield
+    if session.exitstatus == pytest.ExitCode.OK and not session.config.stash.get(FEW_FAILED, True):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED

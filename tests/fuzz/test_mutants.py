@@ -14,9 +14,7 @@ from promises import Keep
 
 PROGRAM = Path(__file__).resolve().parents[1] / "support" / "mutants.py"
 
-MUTANTS, BATCHES = 60, 3
-
-LEAST = 0.95
+MUTANTS, BATCHES = 60, 12
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")]
 
@@ -38,7 +36,7 @@ def test_mutants_are_noticed(batch: int, keep: Keep) -> None:
     assert killed + len(survivors) == count
     kind = "signs, comparisons and factors, judged by the fast tests of their room"
     keep("mutants", kind, {"right": killed, "wrong": len(survivors)}, dict.fromkeys(survivors, 1))
-    assert killed >= LEAST * count, survivors
+    # a few may survive: promises.LEAST judges the sum
 
 
 def test_no_change_is_not_noticed() -> None:

@@ -10,8 +10,10 @@ import functools
 import importlib
 import os
 import random
+import resource
 import shutil
 import signal
+import stat
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -51,7 +53,13 @@ INTERFACES = "tests/compatibility/test_interfaces.py"
 """Defaults of public functions."""
 
 PATIENCE = 900
-"""s on the clock after which a mutant counts as noticed: it hangs."""
+"""s of the processor after which a mutant counts as noticed: it does not end."""
+
+ASLEEP = 7200
+"""The same in s on the clock, for one that waits: however busy the machine is."""
+
+NOBODY = 65534
+"""User and group of mutants that root starts: one of root's own has replaced ``/dev/null`` by a file."""
 
 FACTORS = (1e-2, 1e2)
 """Constants between these are changed; smaller ones are tolerances, larger ones bounds that hardly anything meets."""
@@ -73,7 +81,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
     (
         "trajectory/waypoints.py",
         "u = low + (high - low) * target / (self._arc_at_edges[panel + 1] - self._arc_at_edges[panel])",
-        "+*/",
+        "+*/-",
     ): "a first guess of Newton steps that bisection keeps in their bracket",
 }
 """Path, line and operators of changes that change no result, and why: they are not drawn."""
@@ -215,6 +223,12 @@ def tests_of(mutant: Mutant) -> list[list[str]]:
     return [names, rest] if names else [rest]
 
 
+def _is_nobodys() -> bool:
+    """Return whether mutants run as nobody: root starts them, and the interpreter is where others may read it."""
+    places = (*Path(sys.prefix).resolve().parents, *Path(sys.base_prefix).resolve().parents)
+    return os.geteuid() == 0 and all(place.stat().st_mode & stat.S_IXOTH for place in places)
+
+
 def tree(folder: Path) -> Path:
     """Copy what tests of the rooms need, so that one copy serves several mutants in turn."""
     for name in ("redundancy_pin", "tests", "models", "benchmarks", "pyproject.toml", "docs", "README.md"):
@@ -223,6 +237,11 @@ def tree(folder: Path) -> Path:
             shutil.copytree(source, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
         elif source.exists():
             shutil.copy(source, folder / name)
+    for name in ("home", "temporary"):
+        (folder / name).mkdir()
+    if _is_nobodys():
+        for path in (folder, *folder.rglob("*")):
+            os.chown(path, NOBODY, NOBODY, follow_symlinks=False)
     return folder
 
 
@@ -240,6 +259,8 @@ def noticed(mutant: Mutant, folder: Path) -> str:
                 return by
     finally:
         path.write_bytes(right)
+        if not Path(os.devnull).is_char_device():
+            raise RuntimeError(f"{mutant} has replaced {os.devnull}: make the device again (mknod -m 666 ... c 1 3)")
     return ""
 
 
@@ -267,8 +288,8 @@ def _failing(tests: list[str], folder: Path) -> str:
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         answer.seek(0)
         first = answer.read().decode().partition("\n")[0]
-    if code == -signal.SIGALRM:
-        return f"no end after {PATIENCE} s"
+    if code in (-signal.SIGALRM, -signal.SIGXCPU):
+        return f"no end after {PATIENCE} s of the processor or {ASLEEP} s"
     if code not in (0, 1, 2, 5) or (code in (1, 2) and not first):  # 5: nothing to run; a crash counts as noticed
         if code >= 0:
             raise RuntimeError(f"pytest ended with {code} on {tests}: {first or 'no test failed'}")
@@ -280,12 +301,18 @@ def _in_child(tests: list[str], folder: Path, answer: int) -> NoReturn:
     code: int = 99
     try:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(PATIENCE)
+        signal.alarm(ASLEEP)
+        resource.setrlimit(resource.RLIMIT_CPU, (PATIENCE, resource.RLIM_INFINITY))
         os.chdir(folder)
+        if _is_nobodys():
+            os.setgroups([])
+            os.setgid(NOBODY)
+            os.setuid(NOBODY)
         # nothing of the run that this one is part of: its workers, options and multiples of examples
         for key in [key for key in os.environ if key.startswith(("PYTEST", "EXAMPLES", "SHARE", "PYTHONPATH"))]:
             del os.environ[key]
-        os.environ["PYTHONPATH"] = str(folder)
+        os.environ.update(PYTHONPATH=str(folder), HOME=str(folder / "home"), TMPDIR=str(folder / "temporary"))
+        tempfile.tempdir = None
         ours = {"", str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "benchmarks")}
         sys.path[:] = [str(folder), *(entry for entry in sys.path if entry not in ours)]
         sys.dont_write_bytecode = True
