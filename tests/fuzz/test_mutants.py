@@ -31,6 +31,7 @@ def _printed(*arguments: object) -> str:
 def test_mutants_are_noticed(batch: int, keep: Keep) -> None:
     count = max(1, int(SHARE * MUTANTS / BATCHES))
     printed = _printed(count, batch * count)
+    sys.stdout.write(printed)  # `pytest -rA` shows which test has killed which
     survivors = re.findall(r"^\d+: SURVIVED: (.*)$", printed, flags=re.M)
     killed = len(re.findall(r"^\d+: killed by ", printed, flags=re.M))
     assert killed + len(survivors) == count

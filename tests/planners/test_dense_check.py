@@ -15,7 +15,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError
-from redundancy_pin.planners.dense_check import ALLOWED, peaks_between
+from redundancy_pin.planners.dense_check import ALLOWED, least_effort, peaks_between
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.limits import tracks_broken
 from redundancy_pin.planners.plan import Plan, PlanStatus
@@ -37,6 +37,17 @@ def cusp(turn: float, long: float = 0.1, centre: tuple[float, ...] = (1.0, 0.55)
 
 
 # --- by hand ---
+
+
+def test_an_effort_that_counts_as_zero_is_a_fraction_of_what_f_asks_for() -> None:
+    reduced = rp.RneaDynamics(zoo.robot_of("3rrr")).reduce(
+        zoo.smooth_motion(zoo.robot_of("3rrr")).at(np.linspace(0.0, 1.0, 9))
+    )
+    least = least_effort(reduced)
+    assert 0.0 < least < 1e-2 * np.abs(rp.distribute(reduced).tau).max()
+    # a motion of a machine of grams, and one whose motors have longer levers
+    assert least_effort(replace(reduced, f=1e-3 * reduced.f)) == pytest.approx(1e-3 * least)
+    assert least_effort(replace(reduced, W=10.0 * reduced.W)) == pytest.approx(0.1 * least)
 
 
 def test_a_spike_a_thousandth_of_a_piece_wide_is_resolved() -> None:

@@ -37,8 +37,12 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "kinematics": ("tests/kinematics/test_lift.py", "tests/kinematics", "tests/dynamics", "tests/singularities"),
     "trajectory": ("tests/trajectory",),
     "robot": ("tests/test_loading.py", "tests/test_models.py", "tests/robot", "tests/kinematics", "tests/planners"),
-    "planners/stepwise": ("tests/planners/stepwise/test_stepwise.py", "tests/planners"),
-    "planners/switch_off": ("tests/planners/switch_off/test_switch_off.py", "tests/planners"),
+    "planners/stepwise": ("tests/planners/stepwise/test_stepwise.py", "tests/planners/stepwise", "tests/planners"),
+    "planners/switch_off": (
+        "tests/planners/switch_off/test_switch_off.py",
+        "tests/planners/switch_off",
+        "tests/planners",
+    ),
     "planners/whole_trajectory": (
         "tests/planners/whole_trajectory/test_whole_trajectory_optimum.py",
         "tests/planners/whole_trajectory/test_whole_trajectory_edges.py",
@@ -216,8 +220,8 @@ def tests_of(mutant: Mutant) -> list[list[str]]:
     names = [path.relative_to(ROOT).as_posix() for path in near]
     names = [*(test for test in ROOMS[mutant.room] if test.endswith(".py")), *names]
     rest = [
-        *(test for test in ROOMS[mutant.room] if not test.endswith(".py")),
         INTERFACES,
+        *(test for test in ROOMS[mutant.room] if not test.endswith(".py")),
         *(f"--ignore={name}" for name in names),
     ]
     return [names, rest] if names else [rest]

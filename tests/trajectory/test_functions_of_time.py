@@ -9,7 +9,7 @@ from numpy.polynomial import chebyshev
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion, preferred_middle
 
 EDGES = np.array([0.7, 0.75, 0.9])
 
@@ -108,3 +108,16 @@ def test_where_the_platform_begins_to_be_held_is_a_break():
     later = motion.prolonged_until(motion.end + 1.0)
     assert later.breaks[-1] == motion.end
     assert later.end == motion.end + 1.0
+
+
+def test_an_interval_is_divided_at_its_most_central_knot_that_is_not_at_an_end():
+    """Whatever the time of day: an end is a thousandth of the interval wide."""
+    left, right = 10.0, 11.0
+    for knots, at in (
+        ([10.01], 10.01),
+        ([10.99], 10.99),
+        ([10.1, 10.4, 10.7], 10.4),
+        ([9.0, 10.0, 10.0009, 10.9991, 11.0, 12.0], 10.5),
+        ([], 10.5),
+    ):
+        assert preferred_middle(left, right, np.array(knots)) == at

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 import zoo
+from scipy.interpolate import CubicSpline
 
 import redundancy_pin.planners.whole_trajectory.solver as constraint_generation
 import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import RneaDynamics, VirtualWork, plan_whole_trajectory
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import PlanStatus
+from redundancy_pin.planners.whole_trajectory import multistart
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Line
@@ -28,6 +30,33 @@ def two_optima(**settings):
         speed=4.0,
         **settings,
     )
+
+
+def test_random_first_guesses_are_swings_that_end_where_they_began(monkeypatch):
+    """Their rates are those of their positions, as far as they are not cut off at the limits."""
+    guesses, first_guess = [], multistart.first_guess
+
+    def kept(problem, warm, number):
+        guesses.append((problem, first_guess(problem, warm, number)))
+        return guesses[-1][1]
+
+    monkeypatch.setattr(multistart, "first_guess", kept)
+    circle = reference.circle(0.5, 0.2, 0.05)
+    plan_whole_trajectory(VirtualWork(zoo.robot_of("2rpr")), circle, dt=0.03, refinements=0, starts=3)
+    assert len(guesses) == 3
+    for problem, guess in guesses[1:]:
+        t, u = problem.grid.t, problem.scales
+        s, sd, sdd = guess["s"] * u.s, guess["sd"] * u.sd, guess["sdd"] * u.sdd
+        np.testing.assert_allclose(s[[0, -1]], np.tile(problem.settings.start, (2, 1)), atol=1e-12 * u.s.max())
+        assert np.ptp(s, axis=0).min() > 0.01 * u.s.max()
+        middle = 0.5 * (t[1:] + t[:-1])
+        for value, rate, scaled in ((s, sd, guess["sd"]), (sd, sdd, guess["sdd"])):
+            quotient = CubicSpline(t, value)(middle, 1)
+            inside = np.abs(scaled).max(axis=1) < 0.9
+            inside = inside[1:] & inside[:-1]
+            assert inside.any()
+            exact = CubicSpline(t, rate)(middle)[inside]
+            np.testing.assert_allclose(quotient[inside], exact, atol=0.02 * np.abs(exact).max())
 
 
 def test_the_best_of_several_optima_is_kept_and_all_are_reported():
