@@ -208,6 +208,24 @@ def test_every_mistake_is_one_error_that_names_it(tmp_path: Path, name: str, cap
     assert capfd.readouterr() == ("", "")  # nothing is only on the error stream
 
 
+@pytest.mark.parametrize(
+    ("fault", "details"),
+    [
+        ("negative mass", {"link": "l1", "line": 4}),
+        ("axis of length zero", {"joint": "slider", "line": 31}),
+        ("unknown parent", {"joint": "b1", "link": "l11"}),
+        ("two parents", {"link": "r2"}),
+    ],
+)
+def test_what_a_mistake_is_about_is_in_its_details(tmp_path: Path, fault: str, details: dict[str, object]) -> None:
+    with pytest.raises(ModelFileError) as caught:
+        load_robot(write(tmp_path, FAULTS[fault][0](FIVE_BAR)))
+    found = caught.value.details
+    assert {
+        key: found[key] for key in ("link", "joint", "line") if key in found and key in {*details, "link"}
+    } == details
+
+
 def test_what_the_specification_leaves_out_has_its_default(tmp_path: Path) -> None:
     text = FIVE_BAR.replace(ORIGIN, "", 1).replace(AXIS, "", 1)
     robot = load_robot(write(tmp_path, text))
