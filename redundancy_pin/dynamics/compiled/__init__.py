@@ -1,0 +1,572 @@
+"""The third backend: closed-chain dynamics of any declared robot as machine code, or interpreted where nothing compiles.
+
+The equations are those of ``dynamics.rnea``, written a second time and from the model alone: symbols (``symbols.py``),
+C from them and its cache (``build.py``), and a driver that closes the loops by Newton's method along a motion
+(``driver.c``; ``interpreted.py`` is the same in Python).
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation, Slerp
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, checked, read_only
+from redundancy_pin.dynamics.base import (
+    CarrierDerivatives,
+    Dynamics,
+    OnUnreachable,
+    ReducedDynamics,
+    require_choice,
+    require_matching_carriers,
+)
+from redundancy_pin.dynamics.compiled.build import Library, build, define
+from redundancy_pin.dynamics.compiled.interpreted import Interpreter
+from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
+from redundancy_pin.robot import Robot
+
+__all__ = ["CompiledDynamics", "Sample"]
+
+_CLOSED, _LOST, _SINGULAR, _OTHER_MODE = range(4)
+"""Statuses of the driver."""
+
+_STARTS = 60
+"""Random configurations from which a pose is looked for that the straight way from the reference does not reach."""
+
+_PER_THREAD = 400
+"""Samples below which a second thread costs more than it brings."""
+
+_TURN = 0.5
+"""Longest turn, rad, of a pose at a time on the way from the reference: half a turn away the direction is lost."""
+
+
+class Sample(NamedTuple):
+    """One sample of the equation of motion: W (n, m), f (n,), carrier_force (k,); see ``ReducedDynamics``."""
+
+    W: Array
+    f: Array
+    carrier_force: Array
+
+
+class CompiledDynamics(Dynamics):
+    """Closed-chain dynamics as compiled code, for any declared robot.
+
+    The code is made and compiled when the object is made (under a second for a 3-RRR) and kept on disk, in the folder
+    that ``$REDUNDANCY_PIN_CACHE`` names, or in ``~/.cache/redundancy_pin``. Without a C compiler casadi interprets it,
+    which is warned of: the same numbers, ``compiled`` false, ten to fifty times as long.
+
+    Args:
+        robot: the robot.
+        threads: threads for many samples; as many as there are processors when left out.
+        interpret: do not compile.
+
+    Attributes:
+        compiled: whether this runs machine code.
+
+    Raises:
+        RedundancyPinError: casadi is not installed.
+        UnsupportedRobotError: a joint of a type that is not covered.
+    """
+
+    def __init__(self, robot: Robot, *, threads: int | None = None, interpret: bool = False) -> None:
+        self._robot = robot
+        self._threads = threads or os.cpu_count() or 1
+        self._interpret = interpret
+        library, reason = (None, "") if interpret else build(robot)
+        if reason:
+            warnings.warn(
+                f"The dynamics of {robot.name} are interpreted, not compiled: {reason}.", RuntimeWarning, stacklevel=2
+            )
+        self._kernel: Library | Interpreter = Interpreter(define(robot)) if library is None else library
+        self.compiled = library is not None
+        self._local = threading.local()
+
+    def __reduce__(self) -> tuple[Callable[..., CompiledDynamics], tuple[Any, ...]]:
+        """Build it again, from the cache, where it is copied or sent to."""
+        return _again, (self._robot, self._threads, self._interpret)
+
+    def __repr__(self) -> str:
+        """Return the robot, and whether it is compiled."""
+        return f"CompiledDynamics({self._robot!r}, {'compiled' if self.compiled else 'interpreted'})"
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self._robot
+
+    def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> CompiledAlongMotion:
+        """Solve the kinematics of a platform motion once, for many carrier motions.
+
+        The branch is that of the reference configuration, followed in steps small enough for Newton's method to
+        contract, from the reference straight to the first sample and from sample to sample.
+
+        Raises:
+            InputError: the motion does not have the robot's coordinates.
+            UnreachablePoseError: no configuration closes the chains; carries sample and gap (unless marked).
+            SingularPoseError: a sample is a type I singularity (unless marked).
+            WorkingModeError: the motion leaves the working mode, or cannot be followed continuously.
+        """
+        require_choice(unreachable)
+        self._require_coordinates(motion)
+        return CompiledAlongMotion(self, _lifted(self, motion, mark=unreachable == "mark"))
+
+    def sample(
+        self,
+        x: ArrayLike,
+        xd: ArrayLike,
+        xdd: ArrayLike,
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        sdd: ArrayLike = (),
+    ) -> Sample:
+        """Return W (n, m), f (n,) and the carrier forces (k,) of one sample: what a control loop asks for.
+
+        Newton's method starts from the sample that this thread asked for before, and from the reference where that is
+        too far away; ``along`` and ``reduce`` follow a whole motion, check tracks, and say what is wrong.
+
+        Args:
+            x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
+            xd, xdd: (n,) rates and accelerations.
+            s, sd, sdd: (k,) carriers; parked at s = 0 when left out.
+
+        Raises:
+            InputError: wrong shapes, or values that are not finite.
+            UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
+        """
+        one = getattr(self._local, "one", None)
+        if one is None:
+            one = self._local.one = _OneSample(self)
+        return one(x, xd, xdd, s, sd, sdd)
+
+    @cached_property
+    def reference(self) -> tuple[Array, Array]:
+        """The reference configuration (nq,) and its coordinates, (n,) or the 16 of a pose."""
+        q = np.array(self._robot.q_reference)
+        x = np.empty(16 if self._is_pose else self._robot.n)
+        self._kernel.map("rp_coordinates", 1, [q[None]], [x[None]])
+        return q, x
+
+    @property
+    def _is_pose(self) -> bool:
+        return self._robot.platform is not None and self._robot.platform.is_pose
+
+    def _require_coordinates(self, motion: PlatformMotion) -> None:
+        require_sampled(motion)
+        robot = self._robot
+        if motion.is_pose != self._is_pose or motion.xd.shape[1] != robot.n:
+            form = "(N, 4, 4) poses" if self._is_pose else f"(N, {robot.n})"
+            raise InputError(
+                f"The motion has x of shape {motion.x.shape} and xd of shape {motion.xd.shape}; {robot.name} moves in "
+                f"{robot.n} coordinates.",
+                remedy=f"Pass x as {form} and xd, xdd as (N, {robot.n}).",
+                robot=robot.name,
+                axes=tuple(robot.platform.axes if robot.platform else robot.independent_joints),
+                poses=self._is_pose,
+                given=motion.xd.shape[1],
+                given_poses=motion.is_pose,
+            )
+
+
+def _again(robot: Robot, threads: int, interpret: bool) -> CompiledDynamics:
+    return CompiledDynamics(robot, threads=threads, interpret=interpret)
+
+
+class _OneSample:
+    """One sample at a time, in fixed memory; one for each thread."""
+
+    def __init__(self, dynamics: CompiledDynamics) -> None:
+        robot = dynamics.robot
+        self._dynamics, n, m, k = dynamics, robot.n, robot.m, robot.k
+        width = 16 if robot.platform is not None and robot.platform.is_pose else n
+        self._given, self._result = np.zeros(width + 2 * n + 3 * k), np.zeros(n * m + n + k + 2)
+        self._state = np.append(np.array(robot.q_reference), 0.0)
+        edges = np.cumsum([0, width, n, n, k, k, k])
+        self._parts = [self._given[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        self._pose = self._parts[0].reshape(4, 4) if width == 16 else self._parts[0]
+        self._cuts, self._shape = (n * m, n * m + n, n * m + n + k), (n, m)
+        self._evaluate = dynamics._kernel.sampler(self._state, self._given, self._result)
+
+    def __call__(self, *values: ArrayLike) -> Sample:
+        _, xd, xdd, s, sd, sdd = self._parts
+        try:
+            self._pose[...] = values[0]
+            xd[:], xdd[:] = values[1], values[2]
+            s[:], sd[:], sdd[:] = (value if np.size(value) else 0.0 for value in values[3:])
+        except (TypeError, ValueError):
+            self._refuse(values)
+        if self._evaluate() != _CLOSED:
+            self._from_reference(values)
+        result, (a, b, c) = self._result.copy(), self._cuts
+        return Sample(result[:a].reshape(self._shape), result[a:b], result[b:c])
+
+    def _from_reference(self, values: tuple[ArrayLike, ...]) -> None:
+        motion = self._refuse(values)
+        # raises, unless the sample was only too far from the one before
+        self._state[:-1] = _lifted(self._dynamics, motion, mark=False).q[0]
+        self._state[-1] = 0.0
+        if self._evaluate() != _CLOSED:
+            raise SingularPoseError(
+                "The sample is at a type I singularity: the platform velocity does not determine the joint velocities.",
+                remedy="Keep the legs away from full stretch, full fold and zero length.",
+                sample=0,
+            )
+
+    def _refuse(self, values: tuple[ArrayLike, ...]) -> PlatformMotion:
+        """Return the sample as a motion; raises where it is none."""
+        parts = [np.asarray(value, dtype=np.float64)[None] for value in values[:3]]
+        motion = PlatformMotion(np.zeros(1), *parts)
+        self._dynamics._require_coordinates(motion)
+        k = self._dynamics.robot.k
+        for value, name in zip(values[3:], ("s", "sd", "sdd"), strict=True):
+            if np.size(value):
+                checked(value, name, (k,))
+        return motion
+
+
+class _Lifted(NamedTuple):
+    """Motion of the tree; see ``kinematics.lift.TreeMotion``."""
+
+    motion: PlatformMotion
+    q: Array
+    v: Array
+    a: Array
+    gamma: Array
+    W: Array
+    gap: Array
+    margin: Array
+    reachable: BoolArray
+
+
+class CompiledAlongMotion(Frozen):
+    """Dynamics along one platform motion; obtained from ``CompiledDynamics.along``.
+
+    Rows of samples that are not reachable are NaN in every result.
+    """
+
+    def __init__(self, dynamics: CompiledDynamics, lifted: _Lifted) -> None:
+        self._dynamics = dynamics
+        self._lifted = lifted
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self._dynamics.robot
+
+    @property
+    def motion(self) -> PlatformMotion:
+        """The platform motion."""
+        return self._lifted.motion
+
+    @property
+    def gamma(self) -> Array:
+        """(N, nv, n) velocities of the tree per unit of each independent velocity."""
+        return self._lifted.gamma
+
+    def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
+        """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
+        n, k = self.robot.n, self.robot.k
+        f, force = self._mapped("rp_project", carriers, (n, k), gamma=True)
+        length, chain = self.robot.characteristic_length, self.robot
+        return ReducedDynamics(
+            t=self.motion.t,
+            f=read_only(f),
+            W=self._lifted.W,
+            carrier_force=read_only(force),
+            reachable=self._lifted.reachable,
+            gap=self._lifted.gap,
+            row_scale=_lengths(chain, length)[0],
+            column_scale=_lengths(chain, length)[1],
+        )
+
+    def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
+        """Return the exact derivatives of f and carrier forces by s, ṡ, s̈ (casadi's, of the symbols)."""
+        n, k = self.robot.n, self.robot.k
+        parts = self._mapped("rp_derivatives", carriers, (n * k,) * 3 + (k * k,) * 3, gamma=True)
+        shaped = [part.reshape(len(part), -1, k) if k else np.zeros((len(part), rows, 0))
+                  for part, rows in zip(parts, (n, n, n, k, k, k), strict=True)]  # fmt: skip
+        return CarrierDerivatives(*(read_only(part) for part in shaped))
+
+    def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
+        """Return (N, 6) force and moment of the robot on its base, about the world origin, world axes, N and N·m."""
+        (wrench,) = self._mapped("rp_base_wrench", carriers, (6,))
+        return read_only(wrench)
+
+    def energy(self, carriers: CarrierMotion | None = None) -> Array:
+        """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
+        (energy,) = self._mapped("rp_energy", carriers, (1,))
+        return read_only(energy[:, 0])
+
+    def _mapped(
+        self, name: str, carriers: CarrierMotion | None, widths: tuple[int, ...], *, gamma: bool = False
+    ) -> list[Array]:
+        samples, lifted = len(self.motion), self._lifted
+        carriers = require_matching_carriers(self.robot, carriers, samples)
+        inputs = [lifted.q, lifted.v, lifted.a, *([lifted.gamma] if gamma else [])]
+        inputs += [np.ascontiguousarray(part) for part in (carriers.s, carriers.sd, carriers.sdd)]
+        outputs = [np.empty((samples, width)) for width in widths]
+
+        def part(of: slice) -> None:
+            self._dynamics._kernel.map(name, of.stop - of.start, [a[of] for a in inputs], [a[of] for a in outputs])
+
+        _each(part, _parts(samples, self._dynamics._threads))
+        if not lifted.reachable.all():
+            for output in outputs:
+                output[~lifted.reachable] = np.nan
+        return outputs
+
+
+def _lengths(robot: Robot, length: float) -> tuple[Array, Array]:
+    turning = [not str(joint.shortname()).startswith("JointModelP") for joint in robot.model.joints]
+    index = robot.model.getJointId
+    if robot.platform is not None:
+        rows = [axis.startswith("r") for axis in robot.platform.axes]
+    else:
+        rows = [turning[index(name)] for name in robot.independent_joints]
+    columns = [turning[index(name)] for name in robot.actuated]
+    scaled = [read_only(np.where(np.array(which, dtype=bool), length, 1.0)) for which in (rows, columns)]
+    return scaled[0], scaled[1]
+
+
+# --- closing the loops along a motion ---------------------------------------------------------------------------------
+
+
+def _lifted(dynamics: CompiledDynamics, motion: PlatformMotion, *, mark: bool) -> _Lifted:
+    robot, samples = dynamics.robot, len(motion)
+    x = np.ascontiguousarray(motion.x.reshape(samples, -1))
+    nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
+    shapes = ((nq,), (nv,), (nv,), (nv, n), (n, m), (), ())
+    arrays = [np.full((samples, *shape), np.nan) for shape in shapes]
+    status = np.full(samples, _LOST, dtype=np.intc)
+    first = 0
+    start = _start(dynamics, motion, 0, mark)
+    while start is None and first + 1 < samples:  # marked: the motion begins out of reach
+        first += 1
+        start = _start(dynamics, motion, first, mark=True, thorough=first & (first - 1) == 0)
+    if start is not None:
+        _run(dynamics, motion, x, first, start, mark, arrays, status)
+    good: BoolArray = status == _CLOSED
+    if not good.all():
+        if not mark:
+            _refuse(dynamics, motion, x, arrays, status, int(np.argmin(good)))
+        missing = np.flatnonzero(~good)
+        for k in missing[np.isnan(arrays[5][missing])]:
+            arrays[5][k] = _nearest(dynamics, x[k], arrays[0], int(k))[1]
+        for array in arrays[:5]:
+            array[~good] = np.nan
+    q, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
+    return _Lifted(motion, q, v, a, gamma, W, gap, margin, read_only(good))
+
+
+def _run(
+    dynamics: CompiledDynamics,
+    motion: PlatformMotion,
+    x: Array,
+    first: int,
+    start: Array,
+    mark: bool,
+    arrays: list[Array],
+    status: IntArray,
+) -> None:
+    """Lift the samples from ``first`` on, in as many parts as there are threads; together again only if they join."""
+    kernel, samples = dynamics._kernel, len(motion)
+
+    def lift(part: slice, q: Array) -> int:
+        rest = [array[part] for array in (motion.t, x, motion.xd, motion.xdd)]
+        outputs = [array[part] for array in (*arrays, status)]
+        return kernel.call("rp_lift", part.stop - part.start, *rest, q, x[part.start], int(mark), *outputs)
+
+    parts = [slice(first + p.start, first + p.stop) for p in _parts(samples - first, dynamics._threads)]
+    if len(parts) > 1 and not mark:
+        starts = [start]
+        for part in parts[1:]:
+            q = starts[-1].copy()
+            if kernel.call("rp_follow", q, x[parts[len(starts) - 1].start], x[part.start]) != _CLOSED:
+                break
+            starts.append(q)
+        if len(starts) == len(parts):
+            _each(lambda pair: lift(*pair), list(zip(parts, starts, strict=True)))
+            if (status[first:] == _CLOSED).all() and all(_joined(kernel, arrays[0], x, part.start) for part in parts[1:]):
+                return
+        status[first:] = _LOST  # the straight way to a part led elsewhere than the motion: one after the other
+    lift(slice(first, samples), start)
+
+
+def _joined(kernel: Library | Interpreter, q: Array, x: Array, k: int) -> bool:
+    """Return whether sample k continues the branch of the one before."""
+    reached = q[k - 1].copy()
+    closed = kernel.call("rp_follow", reached, x[k - 1], x[k]) == _CLOSED
+    return closed and float(np.abs(reached - q[k]).max()) < _SAME
+
+
+_SAME = 1e-9
+"""Two configurations nearer than this (rad, m) are one, computed twice."""
+
+
+def _parts(samples: int, threads: int) -> list[slice]:
+    count = max(1, min(threads, samples // _PER_THREAD))
+    edges = np.linspace(0, samples, count + 1).round().astype(int).tolist()
+    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def _each(work: Callable[[Any], Any], items: list[Any]) -> None:
+    """Do some work for each item, in a thread each; compiled code runs beside Python."""
+    if len(items) == 1:
+        work(items[0])
+        return
+    with ThreadPoolExecutor(len(items)) as pool:
+        list(pool.map(work, items))
+
+
+def _start(
+    dynamics: CompiledDynamics, motion: PlatformMotion, sample: int, mark: bool, thorough: bool = True
+) -> Array | None:
+    """Return a configuration (nq,) closed at a sample: straight from the reference, or the nearest in the mode.
+
+    None, with ``mark``, where there is none.
+    """
+    kernel = dynamics._kernel
+    reference, home = dynamics.reference
+    x = np.ascontiguousarray(motion.x[sample].reshape(-1))
+    q, here = reference.copy(), home
+    for target in _way(home, x, motion.is_pose):
+        status = kernel.call("rp_follow", q, here, target)
+        here = target
+        if status == _LOST:
+            break
+    if status == _CLOSED:
+        return q
+    best, gap = _multistart(dynamics, x) if thorough else (None, np.nan)
+    if best is not None:
+        return best
+    if mark:
+        return None
+    return _refuse_start(dynamics, motion, sample, gap)
+
+
+def _way(home: Array, x: Array, is_pose: bool) -> list[Array]:
+    """Return coordinates on the way from one pose to another, the last one last; a pose turns a little at a time."""
+    if not is_pose:
+        return [x]
+    first, last = home.reshape(4, 4), x.reshape(4, 4)
+    rotations = Rotation.from_matrix(np.stack([first[:3, :3], last[:3, :3]]))
+    angle = (rotations[1] * rotations[0].inv()).magnitude()
+    shares = np.linspace(0.0, 1.0, int(np.ceil(angle / _TURN)) + 1)[1:] if angle > 0.0 else np.ones(1)
+    poses = np.repeat(np.eye(4)[None], len(shares), axis=0)
+    poses[:, :3, :3] = Slerp([0.0, 1.0], rotations)(shares).as_matrix()
+    poses[:, :3, 3] = first[:3, 3] + shares[:, None] * (last[:3, 3] - first[:3, 3])
+    poses[-1] = last
+    return [pose.ravel() for pose in poses]
+
+
+def _multistart(dynamics: CompiledDynamics, x: Array) -> tuple[Array | None, float]:
+    """Return the configuration nearest to the reference in the working mode, and the smallest gap that was met."""
+    import pinocchio as pin
+
+    kernel, robot = dynamics._kernel, dynamics.robot
+    reference, _ = dynamics.reference
+    random = np.random.default_rng(0)
+    best, nearest, least = None, np.inf, np.inf
+    for trial in range(_STARTS):
+        step = np.zeros(robot.model.nv)
+        if trial:
+            step = random.uniform(-np.pi, np.pi, robot.model.nv)
+        step[robot.carrier_velocity] = 0.0
+        q: Array = pin.integrate(robot.model, reference, step)
+        gap = kernel.assemble(q, x)
+        least = min(least, gap)
+        if gap < CLOSURE_TOLERANCE and kernel.call("rp_follow", q, x, x) == _CLOSED:
+            away = float(np.abs(pin.difference(robot.model, reference, q)).max())
+            if away < nearest:
+                best, nearest = q, away
+    return best, least
+
+
+def _nearest(dynamics: CompiledDynamics, x: Array, q: Array, k: int) -> tuple[Array, float]:
+    """Return where Newton's method ends at sample k from the last one that was closed, and by how much it is open."""
+    known = np.flatnonzero(~np.isnan(q[:k, 0]))
+    nearest = q[known[-1]].copy() if len(known) else dynamics.reference[0].copy()
+    return nearest, dynamics._kernel.assemble(nearest, x)
+
+
+def _is_singular(kernel: Library | Interpreter, q: Array, x: Array, size: int) -> bool:
+    """Return whether K is singular at a configuration, to the square root of rounding."""
+    residual, K, alignment = np.empty((1, size)), np.empty((1, size, size)), np.empty((1, kernel.alignments))
+    kernel.map("rp_rows", 1, [q[None], x[None]], [residual, K, alignment])
+    values = np.linalg.svd(K[0], compute_uv=False)
+    return bool(values[-1] <= _SINGULAR_RATIO * values[0])
+
+
+_SINGULAR_RATIO = 1e-5
+"""Ratio of singular values below which K counts as singular in a message: Newton reaches a double root to 1e-6."""
+
+
+# --- what is wrong ----------------------------------------------------------------------------------------------------
+
+
+def _refuse_start(dynamics: CompiledDynamics, motion: PlatformMotion, sample: int, gap: float) -> None:
+    robot, pose = dynamics.robot, f"The pose of sample {sample}, x = {np.round(motion.x[sample], 6).tolist()},"
+    if gap < CLOSURE_TOLERANCE and robot.working_modes is not None:
+        raise WorkingModeError(
+            f"{pose} closes only in other working modes than {_mode(robot)} of {robot.name}.",
+            remedy="Load the robot in that working_mode, or move the pose.",
+            sample=sample,
+        )
+    if gap < CLOSURE_TOLERANCE:
+        raise SingularPoseError(
+            f"{pose} is a type I singularity: the platform velocity does not determine the joint velocities.",
+            remedy="Keep the legs away from full stretch, full fold and zero length.",
+            sample=sample,
+        )
+    raise UnreachablePoseError(
+        f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {gap:.3g} m.",
+        remedy="Move the pose into the workspace, or load the robot in another working_mode.",
+        sample=sample,
+        gap=gap,
+    )
+
+
+def _refuse(
+    dynamics: CompiledDynamics, motion: PlatformMotion, x: Array, arrays: list[Array], status: IntArray, k: int
+) -> None:
+    when = f"sample {k} (t = {motion.t[k]:.6g} s"
+    if status[k] == _OTHER_MODE:
+        raise WorkingModeError(
+            f"The motion leaves the working mode {_mode(dynamics.robot)} at {when}).",
+            remedy="Plan a path that keeps every leg on its side, or load the robot in another working_mode.",
+            sample=k,
+        )
+    nearest, gap = _nearest(dynamics, x[k], arrays[0], k)
+    if status[k] == _LOST and gap >= CLOSURE_TOLERANCE:
+        raise UnreachablePoseError(
+            f"The pose of {when}, x = {np.round(motion.x[k], 6).tolist()}) cannot be reached: the chains stay open by "
+            f"{gap:.3g} m.",
+            remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
+            sample=k,
+            gap=gap,
+        )
+    if status[k] == _SINGULAR or _is_singular(dynamics._kernel, nearest, x[k], dynamics.robot.model.nv - dynamics.robot.k):
+        raise SingularPoseError(
+            f"At {when}) the motion meets a type I singularity: the platform velocity does not determine the joint "
+            "velocities.",
+            remedy="Keep the legs away from full stretch, full fold and zero length.",
+            sample=k,
+        )
+    raise WorkingModeError(
+        f"The motion cannot be followed continuously to {when}): the way there leaves the workspace or passes a type I "
+        "singularity (a leg at full stretch, full fold or zero length).",
+        remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
+        sample=k,
+    )
+
+
+def _mode(robot: Robot) -> str:
+    return "".join("+" if sign > 0 else "-" for sign in robot.working_mode)

@@ -1,0 +1,318 @@
+"""From a robot to machine code: C by casadi and the driver beside it, compiled once and kept on disk.
+
+A library's name is a hash of all that goes into it: the tree, closures and roles of the robot, the versions of casadi,
+Pinocchio and this package, the compiler and its flags. It is built in a folder of its own and renamed, so that two
+processes may build at once; what cannot be loaded is built again.
+
+Where there is no C compiler, or it fails, casadi interprets the same functions (``interpreted``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import importlib.metadata
+import importlib.resources
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
+from redundancy_pin.errors import shortened
+from redundancy_pin.robot import Robot
+
+LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
+"""Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
+one that is closed to within the tolerance is known no better than this."""
+
+FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-fPIC", "-shared")
+"""No -ffast-math: NaN and infinities mean something here."""
+
+PATIENCE = 120.0
+"""Seconds after which a compiler counts as hanging."""
+
+CACHE = "REDUNDANCY_PIN_CACHE"
+"""Environment variable: the folder for compiled libraries; empty for none that is kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class Definition:
+    """Functions of one robot, as casadi has them: by name the arguments and results.
+
+    Attributes:
+        chain: the expressions.
+        functions: casadi Functions; names start with ``rp_``.
+    """
+
+    chain: SymbolicChain
+    functions: Mapping[str, Any]
+
+    def shapes(self, name: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the lengths of a function's arguments and results."""
+        function = self.functions[name]
+        return (
+            tuple(function.numel_in(i) for i in range(function.n_in())),
+            tuple(function.numel_out(i) for i in range(function.n_out())),
+        )
+
+
+def define(robot: Robot) -> Definition:
+    """Write the functions of a robot. Matrices are laid out row by row, but for K, which LAPACK's way suits."""
+    ca = casadi()
+    chain = SymbolicChain(robot)
+    carriers = [ca.SX.sym(name, robot.k) for name in ("s", "sd", "sdd")]
+    columns = robot.carrier_velocity.tolist()
+    q, v, a = ca.SX(chain.q), ca.SX(chain.v), ca.SX(chain.a)
+    for whole, part, at in zip((q, v, a), carriers, (robot.carrier_position.tolist(), columns, columns), strict=True):
+        if at:
+            whole[at] = part
+    gamma = ca.SX.sym("gamma", robot.n, chain.model.nv)  # row by row in memory it is (nv, n)
+    efforts, base = chain.efforts
+    tree = [chain.q, chain.v, chain.a]
+
+    def at_carriers(*expressions: Any) -> list[Any]:
+        function = ca.Function("inner", tree, list(expressions))
+        results = function.call([q, v, a])
+        return list(results)
+
+    everything, ground, energy = at_carriers(efforts, base, chain.energy)
+    reduced = [gamma @ everything, everything[columns] if columns else ca.SX(0, 1)]
+    motion = [*tree, *carriers]
+    derivatives = [ca.vec(ca.jacobian(part, by).T) for part in reduced for by in carriers]
+    definitions: dict[str, tuple[list[Any], list[Any]]] = {
+        "rows": (
+            [chain.q, chain.x],
+            [ca.vertcat(-chain.closure_rows, chain.missing), ca.vec(chain.K), chain.alignment],
+        ),
+        "bias": ([chain.q, chain.v], [chain.bias]),
+        "moved": ([chain.q, chain.step], [chain.moved]),
+        "modes": ([chain.q], [chain.mode_indicators]),
+        "coordinates": ([chain.q], [chain.coordinates]),
+        "project": ([*tree, gamma, *carriers], reduced),
+        "derivatives": ([*tree, gamma, *carriers], derivatives),
+        "efforts": (motion, [everything]),
+        "base_wrench": (motion, [-ground]),
+        "energy": (motion, [energy]),
+    }
+    functions = {}
+    for name, (inputs, outputs) in definitions.items():
+        dense = [ca.densify(part) for part in ca.cse(outputs)]
+        functions[f"rp_{name}"] = ca.Function(f"rp_{name}", inputs, dense)
+    return Definition(chain, functions)
+
+
+def source(definition: Definition) -> str:
+    """Return the C of a robot: generated functions, sizes and tables, and the driver."""
+    ca, chain = casadi(), definition.chain
+    robot = chain.robot
+    generator = ca.CodeGenerator("kernel", {"with_header": False})
+    for function in definition.functions.values():
+        generator.add(function)
+    sizes = {
+        "NQ": chain.model.nq,
+        "NV": chain.model.nv,
+        "NP": len(chain.pose_columns),
+        "N": robot.n,
+        "M": robot.m,
+        "NK": robot.k,
+        "R": len(chain.closure_scale),
+        "NX": chain.x.numel(),
+        "LEGS": chain.mode_indicators.numel(),
+        "NALIGN": chain.alignment.numel(),
+        "TOLERANCE": CLOSURE_TOLERANCE,
+        "LEAST_MARGIN": LEAST_MARGIN,
+        "CASADI_INT": "casadi_int",
+    }
+    tables = {
+        "int COLUMNS": chain.pose_columns,
+        "int ACTUATED": robot.actuated_velocity,
+        "double WEIGHT": chain.velocity_scale[chain.pose_columns] ** 2,
+        "double ROW_WEIGHT": 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2,
+    }
+    text = [str(generator.dump())]
+    text += [f"#define {name} {value if isinstance(value, str) else repr(value)}" for name, value in sizes.items()]
+    for name, values in tables.items():
+        listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
+        text.append(f"static const {name}[] = {{{listed or '0'}}};")
+    driver = importlib.resources.files(__package__).joinpath("driver.c").read_text(encoding="utf-8")
+    return "\n".join([*text, driver])
+
+
+def key(robot: Robot, compiler: str) -> str:
+    """Return what tells one library from another: a hash of all that goes into it."""
+    model = robot.model
+    roles = [robot.closures, robot.platform, robot.independent_joints, robot.actuated, robot.carriers, robot.working_modes]
+    versions = [importlib.metadata.version(name) for name in ("casadi", "pin")]
+    here = importlib.resources.files(__package__)
+    written = [here.joinpath(name).read_text(encoding="utf-8") for name in ("symbols.py", "build.py", "driver.c")]
+    parts = [
+        model.saveToString() if hasattr(model, "saveToString") else robot.urdf,
+        robot.urdf,
+        repr(roles),
+        repr((robot.working_mode, robot.characteristic_length, robot.gravity.tolist())),
+        json.dumps(np.array(robot.q_reference).tolist()),
+        *versions,
+        *written,
+        compiler,
+        *FLAGS,
+    ]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+
+
+class Library:
+    """A compiled robot: functions called with arrays.
+
+    Args:
+        path: the shared library.
+        digest: what its name is a hash of.
+    """
+
+    compiled = True
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._library = ctypes.CDLL(str(path))
+        for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project"):
+            getattr(self._library, name)  # AttributeError where the file is another one
+        self._library.rp_assemble.restype = ctypes.c_double
+        self.alignments = ctypes.c_int.in_dll(self._library, "rp_alignments").value
+
+    def call(self, name: str, *arguments: object) -> int:
+        """Call a function of the driver with arrays and integers."""
+        return int(getattr(self._library, name)(*(_as_c(value) for value in arguments)))
+
+    def assemble(self, q: Array, x: Array) -> float:
+        """Bring q (nq), in place, to where it misses x least; return what is left."""
+        return float(self._library.rp_assemble(_as_c(q), _as_c(x)))
+
+    def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
+        """Evaluate a generated function for many samples, the first axis of all arrays; outputs are written to."""
+        pointer = ctypes.cast(getattr(self._library, name), ctypes.c_void_p)
+        packed = [_pointers(arrays) for arrays in (inputs, outputs)]
+        sizes = [
+            (ctypes.c_long * max(len(arrays), 1))(*(array[0].size if array.strides[0] else 0 for array in arrays))
+            for arrays in (inputs, outputs)
+        ]
+        self._library.rp_map(
+            pointer, ctypes.c_long(samples), len(inputs), packed[0], sizes[0], len(outputs), packed[1], sizes[1]
+        )
+
+    def sampler(self, state: Array, given: Array, result: Array) -> Callable[[], int]:
+        """Return a function that evaluates one sample from and into fixed arrays: addresses are looked up once."""
+        function = self._library.rp_sample
+        arguments = tuple(_as_c(array) for array in (state, given, result))
+
+        def sample(_held: tuple[Array, ...] = (state, given, result)) -> int:
+            status: int = function(*arguments)
+            return status
+
+        return sample
+
+
+def _as_c(value: object) -> object:
+    return ctypes.c_void_p(value.ctypes.data) if isinstance(value, np.ndarray) else value
+
+
+def _pointers(arrays: Sequence[Array]) -> Any:
+    return (ctypes.c_void_p * max(len(arrays), 1))(*(array.ctypes.data for array in arrays))
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler: its path, and what tells it from an older one of the same path."""
+
+    path: str
+    identity: str
+
+
+def find_compiler() -> Compiler | None:
+    """Return the compiler that ``$CC`` names, or the first of cc, gcc and clang; None where there is none."""
+    for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
+        path = shutil.which(name)
+        if path is not None:
+            found = os.stat(path)
+            return Compiler(path, f"{path} {found.st_size} {found.st_mtime_ns}")
+    return None
+
+
+def build(robot: Robot) -> tuple[Library | None, str]:
+    """Return the compiled robot, from disk or new; or None and the reason why there is none."""
+    compiler = find_compiler()
+    if compiler is None:
+        return None, "there is no C compiler (cc, gcc or clang; $CC names another)"
+    name = f"{key(robot, compiler.identity)}.so"
+    folder = cache_folder()
+    if folder is not None:
+        library = _loaded(folder / name)
+        if library is not None:
+            return library, ""
+    with contextlib.ExitStack() as stack:
+        try:
+            work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="redundancy_pin-", dir=folder)))
+        except OSError:  # a full disk, or one that no longer is what it was
+            try:
+                work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="redundancy_pin-")))
+            except OSError as error:
+                return None, f"there is no place to compile in: {error}"
+            folder = None
+        reason = _compile(compiler, source(define(robot)), work / name)
+        if reason:
+            return None, reason
+        if folder is not None:
+            with contextlib.suppress(OSError):
+                os.replace(work / name, folder / name)
+                library = _loaded(folder / name)
+                if library is not None:
+                    return library, ""
+        library = _loaded(work / name)  # stays in memory when its file is gone
+    return library, "" if library is not None else "what the compiler made cannot be loaded"
+
+
+def cache_folder() -> Path | None:
+    """Return the folder of compiled libraries, made where it is missing; None where none can be kept."""
+    named = os.environ.get(CACHE)
+    if named == "":
+        return None
+    try:
+        root = Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "redundancy_pin"
+        root.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except (OSError, RuntimeError):  # read-only, or no home
+        return None
+    # code is loaded from here: whoever else may write here may run code as this user
+    status = root.stat()
+    shared = hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o022)
+    return root if not shared and os.access(root, os.W_OK | os.X_OK) else None
+
+
+def _loaded(path: Path) -> Library | None:
+    try:
+        return Library(path) if path.is_file() else None
+    except (OSError, AttributeError):  # half a file, or another machine's
+        return None
+
+
+def _compile(compiler: Compiler, text: str, target: Path) -> str:
+    """Compile a library; return what went wrong, or nothing."""
+    try:
+        written = target.with_suffix(".c")
+        written.write_text(text, encoding="utf-8")
+        command = [compiler.path, *FLAGS, str(written), "-o", str(target), "-lm"]
+        run = subprocess.run(
+            command, capture_output=True, timeout=PATIENCE, check=False, stdin=subprocess.DEVNULL, text=True, errors="replace"
+        )
+    except subprocess.TimeoutExpired:
+        return f"{compiler.path} did not end within {PATIENCE:g} s"
+    except OSError as error:
+        return f"{compiler.path} cannot be used: {error}"
+    return "" if run.returncode == 0 else f"{compiler.path} failed: {shortened(run.stderr.strip() or 'no message')}"

@@ -1,0 +1,221 @@
+"""Kernels without a compiler: casadi evaluates the functions, and the driver (``driver.c``) is written in Python.
+
+Line by line it is the driver in C, whose comments say why; here only what differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray
+from redundancy_pin.dynamics.compiled.build import LEAST_MARGIN, Definition
+
+_CONTRACTION, _SETTLED, _FLOOR, _LONGEST, _SHORTEST, _ITERATIONS = 0.3, 1e-13, 1e-9, 0.5, 1e-4, 15
+_CLOSED, _LOST, _SINGULAR, _OTHER_MODE = range(4)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    q: Array
+    inverse: Array
+    sign: float
+    gap: float
+
+
+class Interpreter:
+    """A robot's functions, interpreted; the methods are those of ``build.Library``.
+
+    Args:
+        definition: the functions.
+    """
+
+    compiled = False
+
+    def __init__(self, definition: Definition) -> None:
+        chain = definition.chain
+        self._functions, self._robot = definition.functions, chain.robot
+        self.alignments = chain.alignment.numel()
+        self._n, self._r, self._columns = chain.robot.n, len(chain.closure_scale), chain.pose_columns
+        self._weights = np.outer(
+            chain.velocity_scale[self._columns] ** 2, 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2
+        )
+
+    def call(self, name: str, *arguments: Any) -> int:
+        """Call a function of the driver."""
+        driver: Callable[..., int] = {"rp_lift": self._lift, "rp_follow": self._follow_to}[name]
+        return driver(*arguments)
+
+    def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
+        """Evaluate a function for many samples."""
+        function = self._functions[name]
+        given = [
+            np.reshape(array, (function.size1_in(i), samples * function.size2_in(i)), order="F")
+            for i, array in enumerate(np.reshape(array, -1) for array in inputs)
+        ]
+        results = function.map(samples).call(given)
+        for output, result in zip(outputs, results, strict=True):
+            output.reshape(-1)[:] = np.array(result).ravel(order="F")
+
+    def _value(self, name: str, *arguments: Array) -> list[Array]:
+        return [np.array(part) for part in self._functions[name].call(list(arguments))]
+
+    def _rows(self, q: Array, x: Array) -> tuple[Array, Array, Array]:
+        residual, matrix, alignment = self._value("rp_rows", q, x)
+        size = len(residual)
+        return residual[:, 0], matrix.reshape(size, size).T, alignment[:, 0]
+
+    def _moved(self, q: Array, step: Array) -> Array:
+        whole = np.zeros(self._robot.model.nv)
+        whole[self._columns] = step
+        return self._value("rp_moved", q, whole)[0][:, 0]
+
+    def _newton(self, q: Array, x: Array, left: Array | None) -> _Pose | None:
+        last = _LONGEST / _CONTRACTION
+        for _ in range(_ITERATIONS):
+            residual, matrix, alignment = self._rows(q, x)
+            if left is not None:
+                residual[self._r :] -= left
+            sign = float(np.linalg.slogdet(matrix)[0])
+            if sign == 0.0 or not np.isfinite(matrix).all():
+                return None
+            inverse = np.linalg.inv(matrix)
+            step = inverse @ residual
+            size, gap = float(np.abs(step).max()), float(np.abs(residual).max())
+            if size <= _SETTLED or (_CONTRACTION * last < size <= _FLOOR and gap < CLOSURE_TOLERANCE):
+                return _Pose(q, inverse, sign, gap) if left is not None or (alignment > 0.0).all() else None
+            if not size <= _CONTRACTION * last:
+                return None
+            q, last = self._moved(q, step), size
+        return None
+
+    def _follow(self, pose: _Pose, x: Array) -> _Pose | None:
+        residual, done, share, sign = self._rows(pose.q, x)[0][self._r :], 0.0, 1.0, pose.sign
+        while done < 1.0:
+            ahead = 1.0 - done - share if done + share < 1.0 else 0.0
+            reached = self._newton(pose.q, x, ahead * residual if ahead > 0.0 else None)
+            if reached is not None and reached.sign == sign:
+                pose, done = reached, done + share
+                share = min(2.0 * share, 1.0 - done)
+            else:
+                share *= 0.5
+                if share < _SHORTEST:
+                    return None
+        return pose
+
+    def _follow_to(self, q: Array, home: Array, x: Array) -> int:
+        start = self._newton(q, home, None)
+        pose = None if start is None else self._follow(start, x)
+        if pose is None:
+            return _LOST
+        q[:] = pose.q
+        return _CLOSED if self._in_mode(q) else _OTHER_MODE
+
+    def _in_mode(self, q: Array) -> bool:
+        return bool((self._value("rp_modes", q)[0] > 0.0).all())
+
+    def _rates(self, pose: _Pose, xd: Array, xdd: Array) -> tuple[Array, Array, Array, Array, float]:
+        nv, r = self._robot.model.nv, self._r
+        gamma, a = np.zeros((nv, self._n)), np.zeros(nv)
+        gamma[self._columns] = pose.inverse[:, r:]
+        v = gamma @ xd
+        bias = self._value("rp_bias", pose.q, v)[0][:, 0]
+        a[self._columns] = pose.inverse @ (np.concatenate([np.zeros(r), xdd]) - bias)
+        with np.errstate(over="ignore"):
+            size = float((self._weights * pose.inverse**2).sum())
+        W = np.ascontiguousarray(gamma[self._robot.actuated_velocity].T)
+        return v, a, gamma, W, 1.0 / np.sqrt(size) if size > 0.0 else np.inf
+
+    def _lift(
+        self,
+        samples: int,
+        t: Array,
+        x: Array,
+        xd: Array,
+        xdd: Array,
+        q0: Array,
+        x0: Array,
+        mark: int,
+        q: Array,
+        v: Array,
+        a: Array,
+        gamma: Array,
+        W: Array,
+        gap: Array,
+        margin: Array,
+        status: IntArray,
+    ) -> int:
+        home = self._newton(q0, x0, None)
+        if home is None:
+            return -1
+        last, known = home, False
+        for k in range(samples):
+            pose = None
+            if known:
+                dt = t[k] - t[k - 1]
+                guess = self._moved(last.q, (dt * (v[k - 1] + 0.5 * dt * a[k - 1]))[self._columns])
+                pose = self._newton(guess, x[k], None)
+                pose = pose if pose is not None and pose.sign == last.sign else None
+            pose = pose or self._follow(last, x[k]) or (self._follow(home, x[k]) if mark else None)
+            status[k] = _LOST
+            if pose is not None:
+                q[k], gap[k] = pose.q, pose.gap
+                v[k], a[k], gamma[k], W[k], margin[k] = self._rates(pose, xd[k], xdd[k])
+                status[k] = (
+                    _SINGULAR if margin[k] < LEAST_MARGIN else _CLOSED if self._in_mode(pose.q) else _OTHER_MODE
+                )
+            known = status[k] == _CLOSED
+            if not known and not mark:
+                return k
+            last = pose if known and pose is not None else home
+        return samples
+
+    def assemble(self, q: Array, x: Array) -> float:
+        """Bring q (nq), in place, to where it misses x least; return what is left."""
+        residual, matrix, _ = self._rows(q, x)
+        damping, size = 1e-3, float(residual @ residual)
+        for _ in range(200):
+            step = np.linalg.solve(matrix.T @ matrix + damping * np.eye(len(residual)), matrix.T @ residual)
+            longest = float(np.abs(step).max(initial=0.0))
+            trial = self._moved(q, step / max(longest, 1.0))
+            new_residual, new_matrix, _ = self._rows(trial, x)
+            new_size = float(new_residual @ new_residual)
+            if new_size < size:
+                stalled = new_size > 0.999999 * size and longest < 1e-6
+                q[:], residual, matrix, size = trial, new_residual, new_matrix, new_size
+                damping = max(0.2 * damping, 1e-15)
+                if stalled or longest < 1e-14:
+                    break
+            else:
+                damping *= 8.0
+                if damping > 1e8:
+                    break
+        residual, _, alignment = self._rows(q, x)
+        turned = np.arccos(np.clip(alignment, -1.0, 1.0))[alignment <= 0.0]
+        return float(max(np.abs(residual).max(initial=0.0), turned.max(initial=0.0)))
+
+    def sampler(self, state: Array, given: Array, result: Array) -> Callable[[], int]:
+        """Return a function that evaluates one sample from and into fixed arrays."""
+        n, k, m = self._n, self._robot.k, self._robot.m
+        width = len(given) - 2 * n - 3 * k
+
+        def sample() -> int:
+            x, rest = given[:width], given[width:]
+            pose = self._newton(state[:-1].copy(), x, None)
+            if pose is None or pose.sign * state[-1] < 0.0:
+                return _LOST
+            v, a, gamma, W, margin = self._rates(pose, rest[:n], rest[n : 2 * n])
+            if margin < LEAST_MARGIN:
+                return _SINGULAR
+            if not self._in_mode(pose.q):
+                return _OTHER_MODE
+            carriers = rest[2 * n :].reshape(3, k)
+            f, force = self._value("rp_project", pose.q, v, a, gamma.T, *carriers)
+            state[:-1], state[-1] = pose.q, pose.sign
+            result[:] = np.concatenate([W.ravel(), f[:, 0], force[:, 0], [pose.gap, margin]])
+            return _CLOSED
+
+        return sample

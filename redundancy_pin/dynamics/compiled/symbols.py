@@ -1,0 +1,413 @@
+"""The closed chain written in casadi's symbols: closures, platform and Newton–Euler over a Pinocchio tree.
+
+Everything is scalar expressions (SX), so that what does not move, or is zero in a plane, costs nothing. Spatial vectors
+are in the frames of the bodies, as in Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 5:
+
+    V_i = ⁱX_p V_p + S_i v_i,   A_i = ⁱX_p A_p + S_i v̇_i + V_i × S_i v_i,   F_i = I_i A_i + V_i ×* I_i V_i + Σ F_child,
+
+and the generalised force of joint i is S_iᵀ F_i. Constraint rows are differentiated by casadi and not by hand: with
+q̇ = E(q) v, the rate of a row y(q) is ∂y/∂q E v, and its bias the rate of that at v̇ = 0.
+
+This module shares nothing with ``kinematics`` and ``dynamics.rnea``, which it is compared with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.errors import RedundancyPinError, UnsupportedRobotError
+from redundancy_pin.robot import AXES, Closure, Robot
+
+SX: TypeAlias = Any
+"""casadi.SX; casadi has no type hints."""
+
+
+def casadi() -> Any:
+    """Return the library of symbols, which is an optional one.
+
+    Raises:
+        RedundancyPinError: it is not installed.
+    """
+    try:
+        import casadi as library
+    except ImportError as error:
+        raise RedundancyPinError(
+            "Compiled dynamics need casadi, which is not installed.",
+            remedy="Install it with `pip install 'redundancy_pin[optimal]'`, or use RneaDynamics.",
+        ) from error
+    return library
+
+
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    """A joint: where its frame is in its parent's at q, its motion subspace S, and q̇ = E(q) v."""
+
+    index: int
+    parent: int
+    q: slice
+    v: slice
+    rotation: SX
+    translation: SX
+    subspace: Array
+    rate: SX
+    moved: SX
+
+
+class SymbolicChain:
+    """Expressions of one robot.
+
+    Args:
+        robot: the robot.
+
+    Attributes:
+        q, v, a: configuration (nq), velocity and acceleration (nv) of the tree, carriers included.
+        x: target coordinates: (n) numbers, or the 16 of a pose, row by row.
+        pose_columns: (p,) velocity indices without the carriers'.
+        row_scale, column_scale, velocity_scale, closure_scale: lengths that make rotations comparable with translations
+            (n,), (m,), (nv,), (r,).
+        angles: independent coordinates known up to full turns.
+
+    Raises:
+        UnsupportedRobotError: a joint of a type that is not covered.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        ca = casadi()
+        self.robot, self.model = robot, robot.model
+        self.q, self.v, self.a = (
+            ca.SX.sym(name, size) for name, size in (("q", self.model.nq), ("v", self.model.nv), ("a", self.model.nv))
+        )
+        self.is_pose = robot.platform is not None and robot.platform.is_pose
+        self.x = ca.SX.sym("x", 16 if self.is_pose else robot.n)
+        self.step = ca.SX.sym("step", self.model.nv)
+        data = self.model.createData()
+        pin.computeJointJacobians(self.model, data, pin.neutral(self.model))
+        self._joints = [self._joint(data, index) for index in range(1, self.model.njoints)]
+        self.pose_columns: IntArray = np.setdiff1d(np.arange(self.model.nv), robot.carrier_velocity)
+        self._scales()
+        self._place()
+
+    def _joint(self, data: pin.Data, index: int) -> _Joint:
+        ca, model, joint = casadi(), self.model, self.model.joints[index]
+        kind = str(joint.shortname()).removeprefix("JointModel")
+        at_q, at_v = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
+        local = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)
+        subspace = np.reshape(local, (6, model.nv))[:, at_v].copy()
+        q, v, step = self.q[at_q], self.v[at_v], self.step[at_v]
+        nothing = ca.SX.zeros(3)
+        if kind.startswith("P") and kind != "Planar":
+            turned, shift, rate, moved = ca.SX.eye(3), subspace[:3, 0] * q, v, q + step
+        elif kind == "Translation":
+            turned, shift, rate, moved = ca.SX.eye(3), q, v, q + step
+        elif kind == "Planar":
+            turned = _about(np.array([0.0, 0.0, 1.0]), q[2], q[3])
+            shift = ca.vertcat(q[0], q[1], 0.0)
+            along = turned[:2, :2]
+            rate = ca.vertcat(along @ v[:2], -q[3] * v[2], q[2] * v[2])
+            moved = ca.vertcat(q[:2] + along @ step[:2], _turned_by(q[2:], step[2]))
+        elif kind == "FreeFlyer":
+            turned, shift = _of_quaternion(q[3:]), q[:3]
+            rate = ca.vertcat(turned @ v[:3], 0.5 * _times_vector(q[3:], v[3:]))
+            moved = ca.vertcat(q[:3] + turned @ step[:3], _quaternion_moved(q[3:], step[3:]))
+        elif kind == "Spherical":
+            turned, shift, rate = _of_quaternion(q), nothing, 0.5 * _times_vector(q, v)
+            moved = _quaternion_moved(q, step)
+        elif kind.startswith("RUB") or kind == "RevoluteUnboundedUnaligned":
+            turned, shift = _about(subspace[3:, 0], q[0], q[1]), nothing
+            rate, moved = ca.vertcat(-q[1] * v, q[0] * v), _turned_by(q, step)
+        elif kind.startswith("R") and joint.nq == 1:
+            turned, shift, rate, moved = _about(subspace[3:, 0], ca.cos(q), ca.sin(q)), nothing, v, q + step
+        else:
+            raise UnsupportedRobotError(
+                f"Joint {model.names[index]!r} has type {kind}, which compiled dynamics do not cover.",
+                remedy="Build it from revolute, continuous, prismatic, planar, ball or floating joints, or use "
+                "RneaDynamics.",
+                joint=model.names[index],
+                type=kind,
+            )
+        placement = model.jointPlacements[index]
+        return _Joint(
+            index,
+            int(model.parents[index]),
+            at_q,
+            at_v,
+            ca.SX(placement.rotation) @ turned,
+            ca.SX(placement.translation) + ca.SX(placement.rotation) @ shift,
+            subspace,
+            rate,
+            moved,
+        )
+
+    def _scales(self) -> None:
+        robot, length = self.robot, self.robot.characteristic_length
+        turning = np.zeros(self.model.nv, dtype=bool)
+        for joint in self._joints:
+            turning[joint.v] = np.abs(joint.subspace[3:]).max(axis=0) > 0.0
+        self.velocity_scale = np.where(turning, length, 1.0)
+        self.column_scale: Array = self.velocity_scale[robot.actuated_velocity]
+        if robot.platform is not None:
+            rotations = np.array([axis.startswith("r") for axis in robot.platform.axes])
+            self.row_scale = np.where(rotations, length, 1.0)
+            self.angles: list[int] = np.flatnonzero(rotations).tolist()
+        else:
+            joints = [self.model.joints[self.model.getJointId(name)] for name in robot.independent_joints]
+            self.independent = [int(joint.idx_v) for joint in joints]
+            self.row_scale = self.velocity_scale[self.independent]
+            self.angles = [i for i, joint in enumerate(joints) if joint.nq == 2]
+        rows = [axis.startswith("r") for closure in robot.closures for axis in closure.axes]
+        self.closure_scale = np.where(rows, length, 1.0) if rows else np.ones(0)
+
+    def _place(self) -> None:
+        """Place the frames of closures and platform in the world, and give them their velocities."""
+        ca = casadi()
+        world = {0: (ca.SX.eye(3), ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3))}
+        for joint in self._joints:
+            rotation, origin, spin, speed = world[joint.parent]
+            turned = rotation @ joint.rotation
+            arm = rotation @ joint.translation
+            own = joint.subspace @ self.v[joint.v]
+            new_spin = spin + turned @ own[3:]
+            world[joint.index] = turned, origin + arm, new_spin, speed + ca.cross(spin, arm) + turned @ own[:3]
+        self._world = world
+
+    def frame(self, name: str) -> tuple[SX, SX, SX, SX]:
+        """Return rotation (3, 3), origin (3), angular velocity (3) and velocity of the origin (3) of a link, world."""
+        ca = casadi()
+        frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.BODY)]
+        rotation, origin, spin, speed = self._world[int(frame.parentJoint)]
+        arm = rotation @ ca.SX(frame.placement.translation)
+        return rotation @ ca.SX(frame.placement.rotation), origin + arm, spin, speed + ca.cross(spin, arm)
+
+    def rate_of(self, expression: SX) -> SX:
+        """Return the rate of an expression in q (and v, held), ∂/∂q · E v."""
+        ca = casadi()
+        return ca.jtimes(expression, self.q, ca.vertcat(*(joint.rate for joint in self._joints)))
+
+    @cached_property
+    def closure_rows(self) -> SX:
+        """(r) closure residuals, m; of rotation rows the sine of the angle that is off."""
+        ca = casadi()
+        return ca.vertcat(*(self._closure_row(closure, axis) for closure in self.robot.closures for axis in closure.axes))
+
+    def _closure_row(self, closure: Closure, axis: str) -> SX:
+        ca = casadi()
+        (rotation_a, origin_a, *_), (rotation_b, origin_b, *_) = self.frame(closure.frame_a), self.frame(closure.frame_b)
+        turning, k = divmod(AXES.index(axis), 3)
+        if not turning:
+            return ca.dot(rotation_a[:, k], origin_b - origin_a)
+        # what is off is a small rotation ε of B in A: the columns of AᵀB are e_c + ε × e_c
+        between = rotation_a.T @ rotation_b
+        i, j = (k + 1) % 3, (k + 2) % 3
+        free = [c for c in range(3) if AXES[3 + c] not in closure.axes]
+        if free == [j]:  # the other column of the hinge's own axis says the same, and stays exact for large angles
+            return -between[i, j]
+        return between[j, i]
+
+    @cached_property
+    def alignment(self) -> SX:
+        """Cosines that must be positive: axes of a hinge or a weld that coincide, and the turn to a target pose."""
+        ca = casadi()
+        cosines = [ca.SX(1.0)]
+        for closure in self.robot.closures:
+            free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
+            between = self.frame(closure.frame_a)[0].T @ self.frame(closure.frame_b)[0]
+            cosines += [between[k, k] for k in {0: [0, 1, 2], 1: free}.get(len(free), [])]
+        if self.is_pose:
+            turn = self._to_target()
+            cosines.append(0.5 * (ca.trace(turn) - 1.0))
+        return ca.vertcat(*cosines)
+
+    def _to_target(self) -> SX:
+        name = self.robot.platform.frame if self.robot.platform else ""
+        return casadi().reshape(self.x, 4, 4).T[:3, :3] @ self.frame(name)[0].T
+
+    @cached_property
+    def missing(self) -> SX:
+        """(n) what is missing to the target coordinates, m and rad; about a pose the sine of the angle, as a vector."""
+        ca, platform = casadi(), self.robot.platform
+        if platform is None:
+            return ca.vertcat(*(self._joint_missing(i, name) for i, name in enumerate(self.robot.independent_joints)))
+        rotation, origin, *_ = self.frame(platform.frame)
+        rows = []
+        if self.is_pose:
+            turn = self._to_target()
+            place = ca.reshape(self.x, 4, 4).T[:3, 3]
+            vector = 0.5 * ca.vertcat(turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1])
+            full = ca.vertcat(place - origin, vector)
+            return ca.vertcat(*(full[AXES.index(axis)] for axis in platform.axes))
+        for i, axis in enumerate(platform.axes):
+            turning, k = divmod(AXES.index(axis), 3)
+            rows.append(_short_way(self.x[i] - self._angle(rotation, k)) if turning else self.x[i] - origin[k])
+        return ca.vertcat(*rows)
+
+    def _joint_missing(self, i: int, name: str) -> SX:
+        ca, joint = casadi(), self.model.joints[self.model.getJointId(name)]
+        q = self.q[joint.idx_q : joint.idx_q + joint.nq]
+        return _short_way(self.x[i] - ca.atan2(q[1], q[0])) if joint.nq == 2 else self.x[i] - q
+
+    def _angle(self, rotation: SX, k: int) -> SX:
+        """Return the angle about base axis k: of the first frame axis, from i = k + 1 on, that lies in the plane."""
+        ca = casadi()
+        i, j = (k + 1) % 3, (k + 2) % 3
+        reference = self._at_reference(rotation)
+        # a platform with one rotation does not tilt: what lies in the plane does so in every pose
+        column = next((c for c in (i, j) if np.hypot(reference[i, c], reference[j, c]) > 0.5), 3 - i - j)
+        return ca.atan2(rotation[j, column], rotation[i, column])
+
+    def _at_reference(self, expression: SX) -> Array:
+        ca = casadi()
+        return np.array(ca.Function("at", [self.q], [expression])(np.array(self.robot.q_reference)))
+
+    @cached_property
+    def coordinates(self) -> SX:
+        """(n) independent coordinates at q, or the 16 of a pose, row by row."""
+        ca, platform = casadi(), self.robot.platform
+        if platform is None:
+            joints = [self.model.joints[self.model.getJointId(name)] for name in self.robot.independent_joints]
+            parts = [self.q[joint.idx_q : joint.idx_q + joint.nq] for joint in joints]
+            return ca.vertcat(*(ca.atan2(q[1], q[0]) if q.numel() == 2 else q for q in parts))
+        rotation, origin, *_ = self.frame(platform.frame)
+        if self.is_pose:
+            pose = ca.vertcat(ca.horzcat(rotation, origin), ca.SX([[0.0, 0.0, 0.0, 1.0]]))
+            return ca.vec(pose.T)
+        turned = [divmod(AXES.index(axis), 3) for axis in platform.axes]
+        return ca.vertcat(*(self._angle(rotation, k) if turning else origin[k] for turning, k in turned))
+
+    @cached_property
+    def row_rates(self) -> SX:
+        """(p) rates of the closure rows, then the independent velocities: K v, linear in v."""
+        ca, platform = casadi(), self.robot.platform
+        closures = self.rate_of(self.closure_rows) if self.robot.closures else ca.SX(0, 1)
+        if platform is None:
+            return ca.vertcat(closures, *(self.v[column] for column in self.independent))
+        *_, spin, speed = self.frame(platform.frame)
+        twist = ca.vertcat(speed, spin)
+        return ca.vertcat(closures, *(twist[AXES.index(axis)] for axis in platform.axes))
+
+    @cached_property
+    def K(self) -> SX:
+        """(p, p) rows over the velocities that move the pose."""
+        return casadi().jacobian(self.row_rates, self.v)[:, self.pose_columns.tolist()]
+
+    @cached_property
+    def bias(self) -> SX:
+        """(p) the rate of K v at v̇ = 0."""
+        return self.rate_of(self.row_rates)
+
+    @cached_property
+    def moved(self) -> SX:
+        """(nq) the configuration a tangent step away, to second order in the step."""
+        return casadi().vertcat(*(joint.moved for joint in self._joints))
+
+    @cached_property
+    def mode_indicators(self) -> SX:
+        """(legs) times the robot's own mode: positive in it."""
+        ca, modes = casadi(), self.robot.working_modes
+        values = []
+        for name, sign, own in zip(
+            *((modes.joints, modes.signs, self.robot.working_mode) if modes else ((), (), ())), strict=True
+        ):
+            joint = self.model.joints[self.model.getJointId(name)]
+            q = self.q[joint.idx_q : joint.idx_q + joint.nq]
+            sliding = str(joint.shortname()).startswith("JointModelP")
+            values.append(float(sign * own) * (q[1] if joint.nq == 2 else q if sliding else ca.sin(q)))
+        return ca.vertcat(*values) if values else ca.SX(0, 1)
+
+    @cached_property
+    def efforts(self) -> tuple[SX, SX]:
+        """(nv) generalised forces of the open tree, and (6) what holds the base: about the world origin, world axes."""
+        ca, model = casadi(), self.model
+        gravity = ca.SX(np.array(model.gravity.linear))
+        motions: dict[int, tuple[SX, SX, SX, SX]] = {0: (ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3), -gravity)}
+        forces: dict[int, list[SX]] = {0: [ca.SX.zeros(3), ca.SX.zeros(3)]}
+        for joint in self._joints:
+            spin, speed, turn, pull = motions[joint.parent]
+            into, arm = joint.rotation.T, joint.translation
+            own, rest = joint.subspace @ self.v[joint.v], joint.subspace @ self.a[joint.v]
+            w, u = into @ spin + own[3:], into @ (speed + ca.cross(spin, arm)) + own[:3]
+            dw = into @ turn + rest[3:] + ca.cross(w, own[3:])
+            du = into @ (pull + ca.cross(turn, arm)) + rest[:3] + ca.cross(w, own[:3]) + ca.cross(u, own[3:])
+            motions[joint.index] = w, u, dw, du
+            body = model.inertias[joint.index]
+            mass, centre, inertia = body.mass, ca.SX(body.lever), ca.SX(body.inertia)
+            momentum = mass * (u + ca.cross(w, centre))
+            push = mass * (du + ca.cross(dw, centre))
+            force = push + ca.cross(w, momentum)
+            moment = (
+                inertia @ dw
+                + ca.cross(centre, push)
+                + ca.cross(w, inertia @ w + ca.cross(centre, momentum))
+                + ca.cross(u, momentum)
+            )
+            forces[joint.index] = [force, moment]
+        efforts = ca.SX.zeros(model.nv)
+        for joint in reversed(self._joints):
+            force, moment = forces[joint.index]
+            efforts[joint.v] = joint.subspace.T @ ca.vertcat(force, moment)
+            back = joint.rotation @ force
+            forces[joint.parent][0] += back
+            forces[joint.parent][1] += joint.rotation @ moment + ca.cross(joint.translation, back)
+        return efforts + ca.SX(np.array(model.armature)) * self.a, ca.vertcat(*forces[0])
+
+    @cached_property
+    def energy(self) -> SX:
+        """Kinetic plus potential energy, J; zero height at the world origin."""
+        ca, total = casadi(), 0.0
+        gravity = ca.SX(np.array(self.model.gravity.linear))
+        for joint in self._joints:
+            rotation, origin, spin, speed = self._world[joint.index]
+            body = self.model.inertias[joint.index]
+            arm = rotation @ ca.SX(body.lever)
+            w, u = rotation.T @ spin, speed + ca.cross(spin, arm)
+            total += 0.5 * body.mass * ca.dot(u, u) + 0.5 * ca.dot(w, ca.SX(body.inertia) @ w)
+            total -= body.mass * ca.dot(gravity, origin + arm)
+        return total + 0.5 * ca.dot(ca.SX(np.array(self.model.armature)), self.v**2)
+
+
+def _about(axis: Array, cosine: SX, sine: SX) -> SX:
+    """Return the rotation about a unit axis (Rodrigues)."""
+    ca = casadi()
+    skew = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    square = np.outer(axis, axis)
+    return ca.SX(square) + cosine * ca.SX(np.eye(3) - square) + sine * ca.SX(skew)
+
+
+def _short_way(angle: SX) -> SX:
+    ca = casadi()
+    return ca.atan2(ca.sin(angle), ca.cos(angle))
+
+
+def _turned_by(q: SX, angle: SX) -> SX:
+    """Return cosine and sine turned by an angle."""
+    ca = casadi()
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(q[0] * c - q[1] * s, q[1] * c + q[0] * s)
+
+
+def _of_quaternion(q: SX) -> SX:
+    """Return the rotation of a unit quaternion (x, y, z, w)."""
+    ca = casadi()
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    return ca.vertcat(
+        ca.horzcat(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
+        ca.horzcat(2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
+        ca.horzcat(2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+def _times_vector(q: SX, vector: SX) -> SX:
+    """Return the product of a quaternion (x, y, z, w) with a vector, (0, vector) from the right."""
+    ca = casadi()
+    return ca.vertcat(q[3] * vector + ca.cross(q[:3], vector), -ca.dot(q[:3], vector))
+
+
+def _quaternion_moved(q: SX, step: SX) -> SX:
+    ca = casadi()
+    moved = q + 0.5 * _times_vector(q, step)
+    return moved / ca.sqrt(ca.dot(moved, moved))
