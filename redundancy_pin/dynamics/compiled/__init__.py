@@ -28,7 +28,7 @@ from redundancy_pin.dynamics.base import (
     require_choice,
     require_matching_carriers,
 )
-from redundancy_pin.dynamics.compiled.build import Library, build, define
+from redundancy_pin.dynamics.compiled.build import Library, build_library, define
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
@@ -81,7 +81,7 @@ class CompiledDynamics(Dynamics):
         self._robot = robot
         self._threads = threads or os.cpu_count() or 1
         self._interpret = interpret
-        library, reason = (None, "") if interpret else build(robot)
+        library, reason = (None, "") if interpret else build_library(robot)
         if reason:
             warnings.warn(
                 f"The dynamics of {robot.name} are interpreted, not compiled: {reason}.", RuntimeWarning, stacklevel=2

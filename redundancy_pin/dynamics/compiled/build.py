@@ -246,7 +246,7 @@ def find_compiler() -> Compiler | None:
     return None
 
 
-def build(robot: Robot) -> tuple[Library | None, str]:
+def build_library(robot: Robot) -> tuple[Library | None, str]:
     """Return the compiled robot, from disk or new; or None and the reason why there is none."""
     compiler = find_compiler()
     if compiler is None:
