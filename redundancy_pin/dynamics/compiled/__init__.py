@@ -152,7 +152,7 @@ class CompiledDynamics(Dynamics):
         """The reference configuration (nq,) and its coordinates, (n,) or the 16 of a pose."""
         q = np.array(self._robot.q_reference)
         x = np.empty(16 if self._is_pose else self._robot.n)
-        self._kernel.map("rp_coordinates", 1, [q[None]], [x[None]])
+        self._kernel.map("rp_coordinates", 1, [q[None], self._kernel.trig_at(q[None])], [x[None]])
         return q, x
 
     @property
@@ -237,6 +237,7 @@ class _Lifted(NamedTuple):
 
     motion: PlatformMotion
     q: Array
+    trig: Array
     v: Array
     a: Array
     gamma: Array
@@ -310,7 +311,7 @@ class CompiledAlongMotion(Frozen):
     ) -> list[Array]:
         samples, lifted = len(self.motion), self._lifted
         carriers = require_matching_carriers(self.robot, carriers, samples)
-        inputs = [lifted.q, lifted.v, lifted.a, *([lifted.gamma] if gamma else [])]
+        inputs = [lifted.q, lifted.trig, lifted.v, lifted.a, *([lifted.gamma] if gamma else [])]
         inputs += [np.ascontiguousarray(part) for part in (carriers.s, carriers.sd, carriers.sdd)]
         outputs = [np.empty((samples, width)) for width in widths]
 
@@ -343,7 +344,7 @@ def _lifted(dynamics: CompiledDynamics, motion: PlatformMotion, *, mark: bool) -
     robot, samples = dynamics.robot, len(motion)
     x = np.ascontiguousarray(motion.x.reshape(samples, -1))
     nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
-    shapes = ((nq,), (nv,), (nv,), (nv, n), (n, m), (), ())
+    shapes = ((nq,), (dynamics._kernel.trigs,), (nv,), (nv,), (nv, n), (n, m), (), ())
     arrays = [np.full((samples, *shape), np.nan) for shape in shapes]
     status = np.full(samples, _LOST, dtype=np.intc)
     first = 0
@@ -358,12 +359,12 @@ def _lifted(dynamics: CompiledDynamics, motion: PlatformMotion, *, mark: bool) -
         if not mark:
             _refuse(dynamics, motion, x, arrays, status, int(np.argmin(good)))
         missing = np.flatnonzero(~good)
-        for k in missing[np.isnan(arrays[5][missing])]:
-            arrays[5][k] = _nearest(dynamics, x[k], arrays[0], int(k))[1]
-        for array in arrays[:5]:
+        for k in missing[np.isnan(arrays[6][missing])]:
+            arrays[6][k] = _nearest(dynamics, x[k], arrays[0], int(k))[1]
+        for array in arrays[:6]:
             array[~good] = np.nan
-    q, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
-    return _Lifted(motion, q, v, a, gamma, W, gap, margin, read_only(good))
+    parts = (read_only(array) for array in arrays)
+    return _Lifted(motion, *parts, read_only(good))
 
 
 def _run(
@@ -500,7 +501,7 @@ def _nearest(dynamics: CompiledDynamics, x: Array, q: Array, k: int) -> tuple[Ar
 def _is_singular(kernel: Library | Interpreter, q: Array, x: Array, size: int) -> bool:
     """Return whether K is singular at a configuration, to the square root of rounding."""
     residual, K, alignment = np.empty((1, size)), np.empty((1, size, size)), np.empty((1, kernel.alignments))
-    kernel.map("rp_rows", 1, [q[None], x[None]], [residual, K, alignment])
+    kernel.map("rp_rows", 1, [q[None], kernel.trig_at(q[None]), x[None]], [residual, K, alignment])
     values = np.linalg.svd(K[0], compute_uv=False)
     return bool(values[-1] <= _SINGULAR_RATIO * values[0])
 

@@ -36,7 +36,7 @@ LEAST_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
 """Scaled margin below which a pose counts as a type I singularity: two configurations meet there in a square root, and
 one that is closed to within the tolerance is known no better than this."""
 
-FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-fPIC", "-shared")
+FLAGS = ("-std=c99", "-O3", "-fno-math-errno", "-fPIC", "-shared")
 """No -ffast-math: NaN and infinities mean something here."""
 
 PATIENCE = 120.0
@@ -79,11 +79,11 @@ def define(robot: Robot) -> Definition:
             whole[at] = part
     gamma = ca.SX.sym("gamma", robot.n, chain.model.nv)  # row by row in memory it is (nv, n)
     efforts, base = chain.efforts
-    tree = [chain.q, chain.v, chain.a]
+    pose, tree = [chain.q, chain.trig], [chain.q, chain.trig, chain.v, chain.a]
 
     def at_carriers(*expressions: Any) -> list[Any]:
         function = ca.Function("inner", tree, list(expressions))
-        results = function.call([q, v, a])
+        results = function.call([q, chain.trig, v, a])
         return list(results)
 
     everything, ground, energy = at_carriers(efforts, base, chain.energy)
@@ -92,13 +92,13 @@ def define(robot: Robot) -> Definition:
     derivatives = [ca.vec(ca.jacobian(part, by).T) for part in reduced for by in carriers]
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
         "rows": (
-            [chain.q, chain.x],
+            [*pose, chain.x],
             [ca.vertcat(-chain.closure_rows, chain.missing), ca.vec(chain.K), chain.alignment],
         ),
-        "bias": ([chain.q, chain.v], [chain.bias]),
+        "bias": ([*pose, chain.v], [chain.bias]),
         "moved": ([chain.q, chain.step], [chain.moved]),
-        "modes": ([chain.q], [chain.mode_indicators]),
-        "coordinates": ([chain.q], [chain.coordinates]),
+        "modes": (pose, [chain.mode_indicators]),
+        "coordinates": (pose, [chain.coordinates]),
         "project": ([*tree, gamma, *carriers], reduced),
         "derivatives": ([*tree, gamma, *carriers], derivatives),
         "efforts": (motion, [everything]),
@@ -127,6 +127,7 @@ def source(definition: Definition) -> str:
         "M": robot.m,
         "NK": robot.k,
         "R": len(chain.closure_scale),
+        "NT": len(chain.turning),
         "NX": chain.x.numel(),
         "LEGS": chain.mode_indicators.numel(),
         "NALIGN": chain.alignment.numel(),
@@ -135,6 +136,7 @@ def source(definition: Definition) -> str:
         "CASADI_INT": "casadi_int",
     }
     tables = {
+        "int TURNING": chain.turning,
         "int COLUMNS": chain.pose_columns,
         "int ACTUATED": robot.actuated_velocity,
         "double WEIGHT": chain.velocity_scale[chain.pose_columns] ** 2,
@@ -145,6 +147,7 @@ def source(definition: Definition) -> str:
     for name, values in tables.items():
         listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
         text.append(f"static const {name}[] = {{{listed or '0'}}};")
+    text.append(f"const int rp_turns[] = {{{', '.join(map(str, chain.turning)) or '0'}}};")
     driver = importlib.resources.files(__package__).joinpath("driver.c").read_text(encoding="utf-8")
     return "\n".join([*text, driver])
 
@@ -186,7 +189,16 @@ class Library:
         for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project"):
             getattr(self._library, name)  # AttributeError where the file is another one
         self._library.rp_assemble.restype = ctypes.c_double
-        self.alignments = ctypes.c_int.in_dll(self._library, "rp_alignments").value
+        self.alignments, turning = (
+            ctypes.c_int.in_dll(self._library, name).value for name in ("rp_alignments", "rp_turning")
+        )
+        self.trigs = 2 * turning
+        self._turning = list((ctypes.c_int * turning).in_dll(self._library, "rp_turns"))
+
+    def trig_at(self, q: Array) -> Array:
+        """Return (N, T) the cosines and sines at configurations (N, nq) that the functions take."""
+        angles = q[:, self._turning]
+        return np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
 
     def call(self, name: str, *arguments: object) -> int:
         """Call a function of the driver with arrays and integers."""

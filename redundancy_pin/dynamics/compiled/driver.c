@@ -15,12 +15,13 @@
 #define SHORTEST 1e-4   /* share of the way to a sample below which it counts as lost */
 #define ITERATIONS 15
 
-const int rp_alignments = NALIGN;
+const int rp_alignments = NALIGN, rp_turning = NT;
 
 enum { CLOSED = 0, LOST = 1, SINGULAR = 2, OTHER_MODE = 3 };
 
 typedef struct {
   double q[NQ];
+  double trig[2 * NT + 1]; /* cosine and sine of what turns, computed once a configuration */
   double lu[NP * NP + 1];
   int pivot[NP + 1];
   double sign; /* of det K: it changes across a type I singularity */
@@ -73,14 +74,49 @@ static void solve(const double *A, const int *pivot, double *b) {
   }
 }
 
-static void rows(const double *q, const double *x, double *residual, double *K, double *alignment) {
-  const double *arg[] = {q, x};
+/* The inverse, row by row: all columns at once, so that the innermost loop runs over neighbours in memory. */
+static void invert(const double *A, const int *pivot, double X[NP + 1][NP + 1]) {
+  int from[NP + 1];
+  for (int i = 0; i < NP; ++i) from[i] = i;
+  for (int j = 0; j < NP; ++j) {
+    int swap = from[j];
+    from[j] = from[pivot[j]];
+    from[pivot[j]] = swap;
+  }
+  memset(X, 0, (NP + 1) * sizeof *X);
+  for (int i = 0; i < NP; ++i) X[i][from[i]] = 1.0;
+  for (int j = 0; j < NP; ++j)
+    for (int i = j + 1; i < NP; ++i) {
+      double factor = A[i + j * NP];
+      if (factor != 0.0)
+        for (int c = 0; c < NP; ++c) X[i][c] -= factor * X[j][c];
+    }
+  for (int j = NP - 1; j >= 0; --j) {
+    double inverse = 1.0 / A[j + j * NP];
+    for (int c = 0; c < NP; ++c) X[j][c] *= inverse;
+    for (int i = 0; i < j; ++i) {
+      double factor = A[i + j * NP];
+      if (factor != 0.0)
+        for (int c = 0; c < NP; ++c) X[i][c] -= factor * X[j][c];
+    }
+  }
+}
+
+static void turns_of(const double *q, double *trig) {
+  for (int i = 0; i < NT; ++i) {
+    trig[2 * i] = cos(q[TURNING[i]]);
+    trig[2 * i + 1] = sin(q[TURNING[i]]);
+  }
+}
+
+static void rows(const double *q, const double *trig, const double *x, double *residual, double *K, double *alignment) {
+  const double *arg[] = {q, trig, x};
   double *res[] = {residual, K, alignment};
   rp_rows(arg, res, 0, 0, 0);
 }
 
-static void bias_of(const double *q, const double *v, double *bias) {
-  const double *arg[] = {q, v};
+static void bias_of(const double *q, const double *trig, const double *v, double *bias) {
+  const double *arg[] = {q, trig, v};
   double *res[] = {bias};
   rp_bias(arg, res, 0, 0, 0);
 }
@@ -106,7 +142,8 @@ static int newton(const double *q, const double *x, const double *left, Pose *ou
   double step[NP + 1], alignment[NALIGN], last = LONGEST / CONTRACTION;
   memcpy(out->q, q, sizeof out->q);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
-    rows(out->q, x, step, out->lu, alignment);
+    turns_of(out->q, out->trig);
+    rows(out->q, out->trig, x, step, out->lu, alignment);
     if (left)
       for (int i = 0; i < N; ++i) step[R + i] -= left[i];
     out->gap = largest(step, NP);
@@ -132,7 +169,7 @@ static int newton(const double *q, const double *x, const double *left, Pose *ou
 static int follow(Pose *pose, const double *x) {
   double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], left[N + 1], done = 0.0, share = 1.0, sign = pose->sign;
   Pose next;
-  rows(pose->q, x, residual, K, alignment);
+  rows(pose->q, pose->trig, x, residual, K, alignment);
   while (done < 1.0) {
     double ahead = done + share < 1.0 ? 1.0 - done - share : 0.0;
     for (int i = 0; i < N; ++i) left[i] = ahead * residual[R + i];
@@ -150,34 +187,36 @@ static int follow(Pose *pose, const double *x) {
 
 /* Velocity and acceleration of the tree at a closed pose, Γ, W and the margin; K v = (0, xd), K a = (0, xdd) - bias. */
 static double rates(const Pose *pose, const double *xd, const double *xdd, double *v, double *a, double *gamma, double *W) {
-  double size = 0.0, column[NP + 1], bias[NP + 1];
+  double size = 0.0, X[NP + 1][NP + 1], bias[NP + 1], rest[NP + 1];
+  invert(pose->lu, pose->pivot, X);
   memset(v, 0, NV * sizeof *v);
   memset(a, 0, NV * sizeof *a);
   memset(gamma, 0, NV * N * sizeof *gamma);
-  for (int j = 0; j < NP; ++j) {
-    memset(column, 0, sizeof column);
-    column[j] = 1.0;
-    solve(pose->lu, pose->pivot, column);
-    for (int i = 0; i < NP; ++i) size += WEIGHT[i] * column[i] * column[i] * ROW_WEIGHT[j];
-    if (j >= R)
-      for (int i = 0; i < NP; ++i) {
-        gamma[COLUMNS[i] * N + j - R] = column[i];
-        v[COLUMNS[i]] += column[i] * xd[j - R];
-      }
+  for (int i = 0; i < NP; ++i) {
+    double sum = 0.0, speed = 0.0, *of = gamma + COLUMNS[i] * N;
+    for (int j = 0; j < NP; ++j) sum += ROW_WEIGHT[j] * X[i][j] * X[i][j];
+    for (int j = 0; j < N; ++j) {
+      of[j] = X[i][R + j];
+      speed += of[j] * xd[j];
+    }
+    v[COLUMNS[i]] = speed;
+    size += WEIGHT[i] * sum;
   }
   for (int i = 0; i < N; ++i)
     for (int j = 0; j < M; ++j) W[i * M + j] = gamma[ACTUATED[j] * N + i];
-  bias_of(pose->q, v, bias);
-  for (int i = 0; i < R; ++i) column[i] = -bias[i];
-  for (int i = 0; i < N; ++i) column[R + i] = xdd[i] - bias[R + i];
-  solve(pose->lu, pose->pivot, column);
-  for (int i = 0; i < NP; ++i) a[COLUMNS[i]] = column[i];
+  bias_of(pose->q, pose->trig, v, bias);
+  for (int i = 0; i < NP; ++i) rest[i] = (i < R ? 0.0 : xdd[i - R]) - bias[i];
+  for (int i = 0; i < NP; ++i) {
+    double sum = 0.0;
+    for (int j = 0; j < NP; ++j) sum += X[i][j] * rest[j];
+    a[COLUMNS[i]] = sum;
+  }
   return size > 0.0 ? 1.0 / sqrt(size) : INFINITY;
 }
 
-static int in_mode(const double *q) {
+static int in_mode(const Pose *pose) {
   double values[LEGS + 1];
-  const double *arg[] = {q};
+  const double *arg[] = {pose->q, pose->trig};
   double *res[] = {values};
   if (LEGS) rp_modes(arg, res, 0, 0, 0);
   for (int i = 0; i < LEGS; ++i)
@@ -191,8 +230,8 @@ static int start_at(Pose *pose, const double *q, const double *x) { return newto
 /* A motion of `samples` samples from the configuration q0, closed at x0; returns how many were done before one failed,
    with its status in status[]. With `mark`, failing samples get their status and the others go on from q0. */
 int rp_lift(int samples, const double *t, const double *x, const double *xd, const double *xdd, const double *q0,
-            const double *x0, int mark, double *q, double *v, double *a, double *gamma, double *W, double *gap,
-            double *margin, int *status) {
+            const double *x0, int mark, double *q, double *trig, double *v, double *a, double *gamma, double *W,
+            double *gap, double *margin, int *status) {
   Pose home, pose, next;
   double guess[NQ], step[NP + 1], before = 0.0;
   int known = 0; /* samples before this one, at most two, from which its configuration can be extrapolated */
@@ -228,9 +267,10 @@ int rp_lift(int samples, const double *t, const double *x, const double *xd, con
                         W + (size_t)k * N * M);
       if (margin[k] < LEAST_MARGIN)
         status[k] = SINGULAR;
-      else if (!in_mode(pose.q))
+      else if (!in_mode(&pose))
         status[k] = OTHER_MODE;
       memcpy(q + (size_t)k * NQ, pose.q, sizeof pose.q);
+      memcpy(trig + (size_t)k * 2 * NT, pose.trig, 2 * NT * sizeof *trig);
     }
     if (status[k] == CLOSED) {
       known = known && dt > 0.0 ? 2 : 1; /* where an instant stands twice the acceleration jumps */
@@ -249,13 +289,14 @@ int rp_follow(double *q, const double *x0, const double *x) {
   Pose pose;
   if (!start_at(&pose, q, x0) || !follow(&pose, x)) return LOST;
   memcpy(q, pose.q, sizeof pose.q);
-  return in_mode(q) ? CLOSED : OTHER_MODE;
+  return in_mode(&pose) ? CLOSED : OTHER_MODE;
 }
 
 /* The configuration near q that misses x least (Levenberg and Marquardt); returns the largest residual left, m or rad. */
 double rp_assemble(double *q, const double *x) {
-  double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], trial[NQ], damping = 1e-3, size = 0.0;
-  rows(q, x, residual, K, alignment);
+  double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], trial[NQ], trig[2 * NT + 1], damping = 1e-3, size = 0.0;
+  turns_of(q, trig);
+  rows(q, trig, x, residual, K, alignment);
   for (int i = 0; i < NP; ++i) size += residual[i] * residual[i];
   for (int iteration = 0; iteration < 200 && size > 0.0; ++iteration) {
     double H[NP * NP + 1], step[NP + 1], new_residual[NP + 1], new_K[NP * NP + 1], new_size = 0.0;
@@ -276,7 +317,8 @@ double rp_assemble(double *q, const double *x) {
       for (int i = 0; i < NP; ++i) step[i] /= longest;
     memcpy(trial, q, sizeof trial);
     move(trial, step);
-    rows(trial, x, new_residual, new_K, alignment);
+    turns_of(trial, trig);
+    rows(trial, trig, x, new_residual, new_K, alignment);
     for (int i = 0; i < NP; ++i) new_size += new_residual[i] * new_residual[i];
     if (new_size < size) {
       memcpy(q, trial, sizeof trial);
@@ -291,7 +333,8 @@ double rp_assemble(double *q, const double *x) {
       if (damping > 1e8) break;
     }
   }
-  rows(q, x, residual, K, alignment);
+  turns_of(q, trig);
+  rows(q, trig, x, residual, K, alignment);
   double gap = largest(residual, NP);
   for (int i = 0; i < NALIGN; ++i)
     if (!(alignment[i] > 0.0)) gap = fmax(gap, acos(fmax(-1.0, alignment[i])));
@@ -322,8 +365,8 @@ int rp_sample(double *state, const double *in, double *out) {
   if (!newton(state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(&pose, xd, xdd, v, a, gamma, W);
   if (margin < LEAST_MARGIN) return SINGULAR;
-  if (!in_mode(pose.q)) return OTHER_MODE;
-  const double *arg[] = {pose.q, v, a, gamma, s, s + NK, s + 2 * NK};
+  if (!in_mode(&pose)) return OTHER_MODE;
+  const double *arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK};
   double *res[] = {f, force};
   rp_project(arg, res, 0, 0, 0);
   memcpy(state, pose.q, sizeof pose.q);

@@ -38,7 +38,8 @@ class Interpreter:
     def __init__(self, definition: Definition) -> None:
         chain = definition.chain
         self._functions, self._robot = definition.functions, chain.robot
-        self.alignments = chain.alignment.numel()
+        self.alignments, self.trigs = chain.alignment.numel(), 2 * len(chain.turning)
+        self.trig_at = chain.trig_at
         self._n, self._r, self._columns = chain.robot.n, len(chain.closure_scale), chain.pose_columns
         self._weights = np.outer(
             chain.velocity_scale[self._columns] ** 2, 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2
@@ -63,8 +64,11 @@ class Interpreter:
     def _value(self, name: str, *arguments: Array) -> list[Array]:
         return [np.array(part) for part in self._functions[name].call(list(arguments))]
 
+    def _trig(self, q: Array) -> Array:
+        return self.trig_at(q[None])[0]
+
     def _rows(self, q: Array, x: Array) -> tuple[Array, Array, Array]:
-        residual, matrix, alignment = self._value("rp_rows", q, x)
+        residual, matrix, alignment = self._value("rp_rows", q, self._trig(q), x)
         size = len(residual)
         return residual[:, 0], matrix.reshape(size, size).T, alignment[:, 0]
 
@@ -115,14 +119,14 @@ class Interpreter:
         return _CLOSED if self._in_mode(q) else _OTHER_MODE
 
     def _in_mode(self, q: Array) -> bool:
-        return bool((self._value("rp_modes", q)[0] > 0.0).all())
+        return bool((self._value("rp_modes", q, self._trig(q))[0] > 0.0).all())
 
     def _rates(self, pose: _Pose, xd: Array, xdd: Array) -> tuple[Array, Array, Array, Array, float]:
         nv, r = self._robot.model.nv, self._r
         gamma, a = np.zeros((nv, self._n)), np.zeros(nv)
         gamma[self._columns] = pose.inverse[:, r:]
         v = gamma @ xd
-        bias = self._value("rp_bias", pose.q, v)[0][:, 0]
+        bias = self._value("rp_bias", pose.q, self._trig(pose.q), v)[0][:, 0]
         a[self._columns] = pose.inverse @ (np.concatenate([np.zeros(r), xdd]) - bias)
         with np.errstate(over="ignore"):
             size = float((self._weights * pose.inverse**2).sum())
@@ -140,6 +144,7 @@ class Interpreter:
         x0: Array,
         mark: int,
         q: Array,
+        trig: Array,
         v: Array,
         a: Array,
         gamma: Array,
@@ -162,7 +167,7 @@ class Interpreter:
             pose = pose or self._follow(last, x[k]) or (self._follow(home, x[k]) if mark else None)
             status[k] = _LOST
             if pose is not None:
-                q[k], gap[k] = pose.q, pose.gap
+                q[k], trig[k], gap[k] = pose.q, self._trig(pose.q), pose.gap
                 v[k], a[k], gamma[k], W[k], margin[k] = self._rates(pose, xd[k], xdd[k])
                 status[k] = (
                     _SINGULAR if margin[k] < LEAST_MARGIN else _CLOSED if self._in_mode(pose.q) else _OTHER_MODE
@@ -213,7 +218,7 @@ class Interpreter:
             if not self._in_mode(pose.q):
                 return _OTHER_MODE
             carriers = rest[2 * n :].reshape(3, k)
-            f, force = self._value("rp_project", pose.q, v, a, gamma.T, *carriers)
+            f, force = self._value("rp_project", pose.q, self._trig(pose.q), v, a, gamma.T, *carriers)
             state[:-1], state[-1] = pose.q, pose.sign
             result[:] = np.concatenate([W.ravel(), f[:, 0], force[:, 0], [pose.gap, margin]])
             return _CLOSED

@@ -67,6 +67,9 @@ class SymbolicChain:
 
     Attributes:
         q, v, a: configuration (nq), velocity and acceleration (nv) of the tree, carriers included.
+        trig: cosine and sine of each angle of ``turning``, one after the other: whoever evaluates many functions at one
+            configuration computes them once.
+        turning: indices in q of the joints that turn and are no carriers.
         x: target coordinates: (n) numbers, or the 16 of a pose, row by row.
         pose_columns: (p,) velocity indices without the carriers'.
         row_scale, column_scale, velocity_scale, closure_scale: lengths that make rotations comparable with translations
@@ -86,6 +89,10 @@ class SymbolicChain:
         self.is_pose = robot.platform is not None and robot.platform.is_pose
         self.x = ca.SX.sym("x", 16 if self.is_pose else robot.n)
         self.step = ca.SX.sym("step", self.model.nv)
+        carried = set(robot.carrier_position.tolist())
+        plain = [joint for joint in self.model.joints if joint.nq == 1 and _kind(joint).startswith("R")]
+        self.turning = [int(joint.idx_q) for joint in plain if joint.idx_q not in carried]
+        self.trig = ca.SX.sym("trig", 2 * len(self.turning))
         data = self.model.createData()
         pin.computeJointJacobians(self.model, data, pin.neutral(self.model))
         self._joints = [self._joint(data, index) for index in range(1, self.model.njoints)]
@@ -95,7 +102,7 @@ class SymbolicChain:
 
     def _joint(self, data: pin.Data, index: int) -> _Joint:
         ca, model, joint = casadi(), self.model, self.model.joints[index]
-        kind = str(joint.shortname()).removeprefix("JointModel")
+        kind = _kind(joint)
         at_q, at_v = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
         local = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)
         subspace = np.reshape(local, (6, model.nv))[:, at_v].copy()
@@ -122,7 +129,8 @@ class SymbolicChain:
             turned, shift = _about(subspace[3:, 0], q[0], q[1]), nothing
             rate, moved = ca.vertcat(-q[1] * v, q[0] * v), _turned_by(q, step)
         elif kind.startswith("R") and joint.nq == 1:
-            turned, shift, rate, moved = _about(subspace[3:, 0], ca.cos(q), ca.sin(q)), nothing, v, q + step
+            cosine, sine = self._trig_of(joint.idx_q)
+            turned, shift, rate, moved = _about(subspace[3:, 0], cosine, sine), nothing, v, q + step
         else:
             raise UnsupportedRobotError(
                 f"Joint {model.names[index]!r} has type {kind}, which compiled dynamics do not cover.",
@@ -143,6 +151,19 @@ class SymbolicChain:
             rate,
             moved,
         )
+
+    def _trig_of(self, index: int) -> tuple[SX, SX]:
+        """Return cosine and sine of an entry of q."""
+        if index in self.turning:
+            at = 2 * self.turning.index(index)
+            return self.trig[at], self.trig[at + 1]
+        ca = casadi()
+        return ca.cos(self.q[index]), ca.sin(self.q[index])
+
+    def trig_at(self, q: Array) -> Array:
+        """Return (N, 2 · turning) the cosines and sines at configurations (N, nq)."""
+        angles = q[:, self.turning]
+        return np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
 
     def _scales(self) -> None:
         robot, length = self.robot, self.robot.characteristic_length
@@ -185,9 +206,13 @@ class SymbolicChain:
         return rotation @ ca.SX(frame.placement.rotation), origin + arm, spin, speed + ca.cross(spin, arm)
 
     def rate_of(self, expression: SX) -> SX:
-        """Return the rate of an expression in q (and v, held), ∂/∂q · E v."""
+        """Return the rate of an expression in q and trig (and v, held), ∂/∂q · E v."""
         ca = casadi()
-        return ca.jtimes(expression, self.q, ca.vertcat(*(joint.rate for joint in self._joints)))
+        q_rate = ca.vertcat(*(joint.rate for joint in self._joints))
+        rates = [q_rate]
+        for i, index in enumerate(self.turning):
+            rates += [-self.trig[2 * i + 1] * q_rate[index], self.trig[2 * i] * q_rate[index]]
+        return ca.jtimes(expression, ca.vertcat(self.q, self.trig), ca.vertcat(*rates))
 
     @cached_property
     def closure_rows(self) -> SX:
@@ -262,7 +287,8 @@ class SymbolicChain:
 
     def _at_reference(self, expression: SX) -> Array:
         ca = casadi()
-        return np.array(ca.Function("at", [self.q], [expression])(np.array(self.robot.q_reference)))
+        q = np.array(self.robot.q_reference)
+        return np.array(ca.Function("at", [self.q, self.trig], [expression])(q, self.trig_at(q[None])[0]))
 
     @cached_property
     def coordinates(self) -> SX:
@@ -316,7 +342,8 @@ class SymbolicChain:
             joint = self.model.joints[self.model.getJointId(name)]
             q = self.q[joint.idx_q : joint.idx_q + joint.nq]
             sliding = str(joint.shortname()).startswith("JointModelP")
-            values.append(float(sign * own) * (q[1] if joint.nq == 2 else q if sliding else ca.sin(q)))
+            side = q[1] if joint.nq == 2 else q if sliding else self._trig_of(joint.idx_q)[1]
+            values.append(float(sign * own) * side)
         return ca.vertcat(*values) if values else ca.SX(0, 1)
 
     @cached_property
@@ -380,7 +407,7 @@ def _about(axis: Array, cosine: SX, sine: SX) -> SX:
 
 def _short_way(angle: SX) -> SX:
     ca = casadi()
-    return ca.atan2(ca.sin(angle), ca.cos(angle))
+    return angle - 2.0 * np.pi * ca.floor(angle / (2.0 * np.pi) + 0.5)
 
 
 def _turned_by(q: SX, angle: SX) -> SX:
@@ -411,3 +438,7 @@ def _quaternion_moved(q: SX, step: SX) -> SX:
     ca = casadi()
     moved = q + 0.5 * _times_vector(q, step)
     return moved / ca.sqrt(ca.dot(moved, moved))
+
+
+def _kind(joint: pin.JointModel) -> str:
+    return str(joint.shortname()).removeprefix("JointModel")
