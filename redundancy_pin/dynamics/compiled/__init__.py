@@ -36,7 +36,7 @@ from redundancy_pin.robot import Robot
 
 __all__ = ["CompiledDynamics", "Sample"]
 
-_CLOSED, _LOST, _SINGULAR, _OTHER_MODE = range(4)
+_CLOSED, _LOST, _SINGULAR, _OTHER_MODE, _NOT_FINITE = range(5)
 """Statuses of the driver."""
 
 _STARTS = 60
@@ -186,23 +186,26 @@ class _OneSample:
     def __init__(self, dynamics: CompiledDynamics) -> None:
         robot = dynamics.robot
         self._dynamics, n, m, k = dynamics, robot.n, robot.m, robot.k
-        width = 16 if robot.platform is not None and robot.platform.is_pose else n
+        pose = robot.platform is not None and robot.platform.is_pose
+        self._shapes = [(4, 4) if pose else (n,), (n,), (n,), (k,), (k,), (k,)]
+        width = 16 if pose else n
         self._given, self._result = np.zeros(width + 2 * n + 3 * k), np.zeros(n * m + n + k + 2)
         self._state = np.append(np.array(robot.q_reference), 0.0)
-        edges = np.cumsum([0, width, n, n, k, k, k])
-        self._parts = [self._given[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
-        self._pose = self._parts[0].reshape(4, 4) if width == 16 else self._parts[0]
+        self._parked = np.zeros(k)
         self._cuts, self._shape = (n * m, n * m + n, n * m + n + k), (n, m)
         self._evaluate = dynamics._kernel.sampler(self._state, self._given, self._result)
 
     def __call__(self, *values: ArrayLike) -> Sample:
-        _, xd, xdd, s, sd, sdd = self._parts
         try:
-            self._pose[...] = values[0]
-            xd[:], xdd[:] = values[1], values[2]
-            s[:], sd[:], sdd[:] = (value if np.size(value) else 0.0 for value in values[3:])
+            parts = [np.asarray(value, dtype=np.float64) for value in values]
         except (TypeError, ValueError):
             self._refuse(values)
+        if [part.shape for part in parts] != self._shapes:
+            parts = [part if part.size or i < 3 else self._parked for i, part in enumerate(parts)]
+            if [part.shape for part in parts] != self._shapes:
+                self._refuse(values)
+        parts[0] = parts[0].ravel()
+        np.concatenate(parts, out=self._given)
         if self._evaluate() != _CLOSED:
             self._from_reference(values)
         result, (a, b, c) = self._result.copy(), self._cuts
@@ -222,14 +225,13 @@ class _OneSample:
 
     def _refuse(self, values: tuple[ArrayLike, ...]) -> PlatformMotion:
         """Return the sample as a motion; raises where it is none."""
-        parts = [np.asarray(value, dtype=np.float64)[None] for value in values[:3]]
-        motion = PlatformMotion(np.zeros(1), *parts)
-        self._dynamics._require_coordinates(motion)
-        k = self._dynamics.robot.k
-        for value, name in zip(values[3:], ("s", "sd", "sdd"), strict=True):
-            if np.size(value):
-                checked(value, name, (k,))
-        return motion
+        names = ("x", "xd", "xdd", "s", "sd", "sdd")
+        parts = [
+            checked(value, name, shape)
+            for value, name, shape in zip(values, names, self._shapes, strict=True)
+            if name[0] == "x" or np.size(value)
+        ]
+        return PlatformMotion(np.zeros(1), *(part[None] for part in parts[:3]))
 
 
 class _Lifted(NamedTuple):
@@ -395,7 +397,9 @@ def _run(
             starts.append(q)
         if len(starts) == len(parts):
             _each(lambda pair: lift(*pair), list(zip(parts, starts, strict=True)))
-            if (status[first:] == _CLOSED).all() and all(_joined(kernel, arrays[0], x, part.start) for part in parts[1:]):
+            if (status[first:] == _CLOSED).all() and all(
+                _joined(kernel, arrays[0], x, part.start) for part in parts[1:]
+            ):
                 return
         status[first:] = _LOST  # the straight way to a part led elsewhere than the motion: one after the other
     lift(slice(first, samples), start)
@@ -554,7 +558,9 @@ def _refuse(
             sample=k,
             gap=gap,
         )
-    if status[k] == _SINGULAR or _is_singular(dynamics._kernel, nearest, x[k], dynamics.robot.model.nv - dynamics.robot.k):
+    if status[k] == _SINGULAR or _is_singular(
+        dynamics._kernel, nearest, x[k], dynamics.robot.model.nv - dynamics.robot.k
+    ):
         raise SingularPoseError(
             f"At {when}) the motion meets a type I singularity: the platform velocity does not determine the joint "
             "velocities.",

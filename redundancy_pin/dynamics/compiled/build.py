@@ -21,13 +21,13 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
+from redundancy_pin.dynamics.compiled.emit import c_functions
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.errors import shortened
 from redundancy_pin.robot import Robot
@@ -96,6 +96,7 @@ def define(robot: Robot) -> Definition:
             [ca.vertcat(-chain.closure_rows, chain.missing), ca.vec(chain.K), chain.alignment],
         ),
         "bias": ([*pose, chain.v], [chain.bias]),
+        "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
         "moved": ([chain.q, chain.step], [chain.moved]),
         "modes": (pose, [chain.mode_indicators]),
         "coordinates": (pose, [chain.coordinates]),
@@ -112,13 +113,9 @@ def define(robot: Robot) -> Definition:
     return Definition(chain, functions)
 
 
-def source(definition: Definition) -> str:
-    """Return the C of a robot: generated functions, sizes and tables, and the driver."""
-    ca, chain = casadi(), definition.chain
-    robot = chain.robot
-    generator = ca.CodeGenerator("kernel", {"with_header": False})
-    for function in definition.functions.values():
-        generator.add(function)
+def source(definition: Definition, driver: Sequence[str] = ("driver.c", "batch.c")) -> str:
+    """Return the C of a robot: generated functions, sizes and tables, and the files of the driver."""
+    chain, robot = definition.chain, definition.chain.robot
     sizes = {
         "NQ": chain.model.nq,
         "NV": chain.model.nv,
@@ -133,32 +130,37 @@ def source(definition: Definition) -> str:
         "NALIGN": chain.alignment.numel(),
         "TOLERANCE": CLOSURE_TOLERANCE,
         "LEAST_MARGIN": LEAST_MARGIN,
-        "CASADI_INT": "casadi_int",
     }
     tables = {
-        "int TURNING": chain.turning,
-        "int COLUMNS": chain.pose_columns,
-        "int ACTUATED": robot.actuated_velocity,
-        "double WEIGHT": chain.velocity_scale[chain.pose_columns] ** 2,
-        "double ROW_WEIGHT": 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2,
+        "static const int COLUMNS": chain.pose_columns,
+        "static const int ACTUATED": robot.actuated_velocity,
+        "static const double WEIGHT": chain.velocity_scale[chain.pose_columns] ** 2,
+        "static const double ROW_WEIGHT": 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2,
+        "const int rp_turning": chain.turning,
     }
-    text = [str(generator.dump())]
-    text += [f"#define {name} {value if isinstance(value, str) else repr(value)}" for name, value in sizes.items()]
+    text = ["#include <math.h>", c_functions(definition.functions.values())]
+    text += [f"#define {name} {value!r}" for name, value in sizes.items()]
     for name, values in tables.items():
         listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
-        text.append(f"static const {name}[] = {{{listed or '0'}}};")
-    text.append(f"const int rp_turns[] = {{{', '.join(map(str, chain.turning)) or '0'}}};")
-    driver = importlib.resources.files(__package__).joinpath("driver.c").read_text(encoding="utf-8")
-    return "\n".join([*text, driver])
+        text.append(f"{name}[] = {{{listed or '0'}}};")
+    here = importlib.resources.files(__package__)
+    return "\n".join([*text, *(here.joinpath(name).read_text(encoding="utf-8") for name in driver)])
 
 
 def key(robot: Robot, compiler: str) -> str:
     """Return what tells one library from another: a hash of all that goes into it."""
     model = robot.model
-    roles = [robot.closures, robot.platform, robot.independent_joints, robot.actuated, robot.carriers, robot.working_modes]
+    roles = [
+        robot.closures,
+        robot.platform,
+        robot.independent_joints,
+        robot.actuated,
+        robot.carriers,
+        robot.working_modes,
+    ]
     versions = [importlib.metadata.version(name) for name in ("casadi", "pin")]
     here = importlib.resources.files(__package__)
-    written = [here.joinpath(name).read_text(encoding="utf-8") for name in ("symbols.py", "build.py", "driver.c")]
+    written = [here.joinpath(name).read_text(encoding="utf-8") for name in ("symbols.py", "build.py", "emit.py", "driver.c", "batch.c")]
     parts = [
         model.saveToString() if hasattr(model, "saveToString") else robot.urdf,
         robot.urdf,
@@ -190,10 +192,10 @@ class Library:
             getattr(self._library, name)  # AttributeError where the file is another one
         self._library.rp_assemble.restype = ctypes.c_double
         self.alignments, turning = (
-            ctypes.c_int.in_dll(self._library, name).value for name in ("rp_alignments", "rp_turning")
+            ctypes.c_int.in_dll(self._library, name).value for name in ("rp_alignments", "rp_turnings")
         )
         self.trigs = 2 * turning
-        self._turning = list((ctypes.c_int * turning).in_dll(self._library, "rp_turns"))
+        self._turning = list((ctypes.c_int * turning).in_dll(self._library, "rp_turning"))
 
     def trig_at(self, q: Array) -> Array:
         """Return (N, T) the cosines and sines at configurations (N, nq) that the functions take."""
@@ -297,7 +299,11 @@ def cache_folder() -> Path | None:
     if named == "":
         return None
     try:
-        root = Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "redundancy_pin"
+        root = (
+            Path(named)
+            if named
+            else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "redundancy_pin"
+        )
         root.mkdir(parents=True, exist_ok=True, mode=0o700)
     except (OSError, RuntimeError):  # read-only, or no home
         return None
@@ -321,7 +327,13 @@ def _compile(compiler: Compiler, text: str, target: Path) -> str:
         written.write_text(text, encoding="utf-8")
         command = [compiler.path, *FLAGS, str(written), "-o", str(target), "-lm"]
         run = subprocess.run(
-            command, capture_output=True, timeout=PATIENCE, check=False, stdin=subprocess.DEVNULL, text=True, errors="replace"
+            command,
+            capture_output=True,
+            timeout=PATIENCE,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            errors="replace",
         )
     except subprocess.TimeoutExpired:
         return f"{compiler.path} did not end within {PATIENCE:g} s"

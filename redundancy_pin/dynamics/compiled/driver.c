@@ -1,12 +1,11 @@
-/* Closing the loops of one robot along a motion. The functions rp_rows, rp_bias, rp_moved, rp_modes and rp_project, and
-   the sizes and tables in capitals, are generated in front of this text, see build.py. No memory is allocated.
+/* Closing the loops of one robot. The functions rp_turns, rp_rows, rp_bias, rp_moved, rp_modes and rp_project, and the
+   sizes and tables in capitals, are generated in front of this text, see build.py. No memory is allocated; of the standard library
+   math.h alone is used.
 
    Newton's method is trusted only while it contracts: each step at most CONTRACTION times the one before. Inside that
    radius there is one solution, so that a sample cannot land on another branch (Deuflhard, "Newton Methods for Nonlinear
    Problems", 2004, section 2.1); where it does not contract, the way to the sample is halved. */
 
-#include <math.h>
-#include <string.h>
 
 #define CONTRACTION 0.3
 #define SETTLED 1e-13   /* a step this small, rad or m, is rounding */
@@ -15,9 +14,8 @@
 #define SHORTEST 1e-4   /* share of the way to a sample below which it counts as lost */
 #define ITERATIONS 15
 
-const int rp_alignments = NALIGN, rp_turning = NT;
 
-enum { CLOSED = 0, LOST = 1, SINGULAR = 2, OTHER_MODE = 3 };
+enum { CLOSED = 0, LOST = 1, SINGULAR = 2, OTHER_MODE = 3, NOT_FINITE = 4 };
 
 typedef struct {
   double q[NQ];
@@ -27,6 +25,14 @@ typedef struct {
   double sign; /* of det K: it changes across a type I singularity */
   double gap;
 } Pose;
+
+static void copy(double *to, const double *from, int size) {
+  for (int i = 0; i < size; ++i) to[i] = from[i];
+}
+
+static void clear(double *values, int size) {
+  for (int i = 0; i < size; ++i) values[i] = 0.0;
+}
 
 /* LU decomposition in place, columns one after the other, with partial pivoting; returns the sign of the determinant. */
 static double decompose(double *A, int *pivot) {
@@ -83,7 +89,7 @@ static void invert(const double *A, const int *pivot, double X[NP + 1][NP + 1]) 
     from[j] = from[pivot[j]];
     from[pivot[j]] = swap;
   }
-  memset(X, 0, (NP + 1) * sizeof *X);
+  clear(&X[0][0], (NP + 1) * (NP + 1));
   for (int i = 0; i < NP; ++i) X[i][from[i]] = 1.0;
   for (int j = 0; j < NP; ++j)
     for (int i = j + 1; i < NP; ++i) {
@@ -103,31 +109,30 @@ static void invert(const double *A, const int *pivot, double X[NP + 1][NP + 1]) 
 }
 
 static void turns_of(const double *q, double *trig) {
-  for (int i = 0; i < NT; ++i) {
-    trig[2 * i] = cos(q[TURNING[i]]);
-    trig[2 * i + 1] = sin(q[TURNING[i]]);
-  }
+  const double *const arg[] = {q};
+  double *const res[] = {trig};
+  rp_turns(arg, res);
 }
 
 static void rows(const double *q, const double *trig, const double *x, double *residual, double *K, double *alignment) {
-  const double *arg[] = {q, trig, x};
-  double *res[] = {residual, K, alignment};
-  rp_rows(arg, res, 0, 0, 0);
+  const double *const arg[] = {q, trig, x};
+  double *const res[] = {residual, K, alignment};
+  rp_rows(arg, res);
 }
 
 static void bias_of(const double *q, const double *trig, const double *v, double *bias) {
-  const double *arg[] = {q, trig, v};
-  double *res[] = {bias};
-  rp_bias(arg, res, 0, 0, 0);
+  const double *const arg[] = {q, trig, v};
+  double *const res[] = {bias};
+  rp_bias(arg, res);
 }
 
 static void move(double *q, const double *pose_step) {
   double step[NV] = {0.0}, moved[NQ];
-  const double *arg[] = {q, step};
-  double *res[] = {moved};
+  const double *const arg[] = {q, step};
+  double *const res[] = {moved};
   for (int i = 0; i < NP; ++i) step[COLUMNS[i]] = pose_step[i];
-  rp_moved(arg, res, 0, 0, 0);
-  memcpy(q, moved, sizeof moved);
+  rp_moved(arg, res);
+  copy(q, moved, NQ);
 }
 
 static double largest(const double *values, int size) {
@@ -140,7 +145,7 @@ static double largest(const double *values, int size) {
 /* Newton's method from q, to coordinates that miss x by left (N); returns whether it contracted all the way. */
 static int newton(const double *q, const double *x, const double *left, Pose *out) {
   double step[NP + 1], alignment[NALIGN], last = LONGEST / CONTRACTION;
-  memcpy(out->q, q, sizeof out->q);
+  copy(out->q, q, NQ);
   for (int iteration = 0; iteration < ITERATIONS; ++iteration) {
     turns_of(out->q, out->trig);
     rows(out->q, out->trig, x, step, out->lu, alignment);
@@ -189,9 +194,9 @@ static int follow(Pose *pose, const double *x) {
 static double rates(const Pose *pose, const double *xd, const double *xdd, double *v, double *a, double *gamma, double *W) {
   double size = 0.0, X[NP + 1][NP + 1], bias[NP + 1], rest[NP + 1];
   invert(pose->lu, pose->pivot, X);
-  memset(v, 0, NV * sizeof *v);
-  memset(a, 0, NV * sizeof *a);
-  memset(gamma, 0, NV * N * sizeof *gamma);
+  clear(v, NV);
+  clear(a, NV);
+  clear(gamma, NV * N);
   for (int i = 0; i < NP; ++i) {
     double sum = 0.0, speed = 0.0, *of = gamma + COLUMNS[i] * N;
     for (int j = 0; j < NP; ++j) sum += ROW_WEIGHT[j] * X[i][j] * X[i][j];
@@ -216,9 +221,9 @@ static double rates(const Pose *pose, const double *xd, const double *xdd, doubl
 
 static int in_mode(const Pose *pose) {
   double values[LEGS + 1];
-  const double *arg[] = {pose->q, pose->trig};
-  double *res[] = {values};
-  if (LEGS) rp_modes(arg, res, 0, 0, 0);
+  const double *const arg[] = {pose->q, pose->trig};
+  double *const res[] = {values};
+  if (LEGS) rp_modes(arg, res);
   for (int i = 0; i < LEGS; ++i)
     if (!(values[i] > 0.0)) return 0;
   return 1;
@@ -226,134 +231,6 @@ static int in_mode(const Pose *pose) {
 
 /* Place a pose at a configuration that is closed at x: what follow() starts from. */
 static int start_at(Pose *pose, const double *q, const double *x) { return newton(q, x, 0, pose); }
-
-/* A motion of `samples` samples from the configuration q0, closed at x0; returns how many were done before one failed,
-   with its status in status[]. With `mark`, failing samples get their status and the others go on from q0. */
-int rp_lift(int samples, const double *t, const double *x, const double *xd, const double *xdd, const double *q0,
-            const double *x0, int mark, double *q, double *trig, double *v, double *a, double *gamma, double *W,
-            double *gap, double *margin, int *status) {
-  Pose home, pose, next;
-  double guess[NQ], step[NP + 1], before = 0.0;
-  int known = 0; /* samples before this one, at most two, from which its configuration can be extrapolated */
-  if (!start_at(&home, q0, x0)) return -1;
-  pose = home;
-  for (int k = 0; k < samples; ++k) {
-    const double *xk = x + (size_t)k * NX;
-    double *vk = v + (size_t)k * NV, *ak = a + (size_t)k * NV, dt = k ? t[k] - t[k - 1] : 0.0;
-    int closed = 0;
-    if (known) {
-      memcpy(guess, pose.q, sizeof guess);
-      for (int i = 0; i < NP; ++i) {
-        int c = COLUMNS[i];
-        double bend = 0.5 * ak[c - NV];
-        if (known > 1) bend += (ak[c - NV] - ak[c - 2 * NV]) * dt / (6.0 * before);
-        step[i] = dt * (vk[c - NV] + dt * bend);
-      }
-      move(guess, step);
-      closed = newton(guess, xk, 0, &next) && next.sign == pose.sign;
-    }
-    if (closed)
-      pose = next;
-    else
-      closed = follow(&pose, xk);
-    if (!closed && mark) {
-      pose = home;
-      closed = follow(&pose, xk);
-    }
-    status[k] = closed ? CLOSED : LOST;
-    gap[k] = closed ? pose.gap : NAN;
-    if (closed) {
-      margin[k] = rates(&pose, xd + (size_t)k * N, xdd + (size_t)k * N, vk, ak, gamma + (size_t)k * NV * N,
-                        W + (size_t)k * N * M);
-      if (margin[k] < LEAST_MARGIN)
-        status[k] = SINGULAR;
-      else if (!in_mode(&pose))
-        status[k] = OTHER_MODE;
-      memcpy(q + (size_t)k * NQ, pose.q, sizeof pose.q);
-      memcpy(trig + (size_t)k * 2 * NT, pose.trig, 2 * NT * sizeof *trig);
-    }
-    if (status[k] == CLOSED) {
-      known = known && dt > 0.0 ? 2 : 1; /* where an instant stands twice the acceleration jumps */
-      before = dt;
-    } else {
-      if (!mark) return k;
-      known = 0;
-      pose = home;
-    }
-  }
-  return samples;
-}
-
-/* From one configuration to other coordinates; q is replaced. */
-int rp_follow(double *q, const double *x0, const double *x) {
-  Pose pose;
-  if (!start_at(&pose, q, x0) || !follow(&pose, x)) return LOST;
-  memcpy(q, pose.q, sizeof pose.q);
-  return in_mode(&pose) ? CLOSED : OTHER_MODE;
-}
-
-/* The configuration near q that misses x least (Levenberg and Marquardt); returns the largest residual left, m or rad. */
-double rp_assemble(double *q, const double *x) {
-  double residual[NP + 1], K[NP * NP + 1], alignment[NALIGN], trial[NQ], trig[2 * NT + 1], damping = 1e-3, size = 0.0;
-  turns_of(q, trig);
-  rows(q, trig, x, residual, K, alignment);
-  for (int i = 0; i < NP; ++i) size += residual[i] * residual[i];
-  for (int iteration = 0; iteration < 200 && size > 0.0; ++iteration) {
-    double H[NP * NP + 1], step[NP + 1], new_residual[NP + 1], new_K[NP * NP + 1], new_size = 0.0;
-    int pivot[NP + 1];
-    for (int i = 0; i < NP; ++i) {
-      step[i] = 0.0;
-      for (int k = 0; k < NP; ++k) step[i] += K[k + i * NP] * residual[k];
-      for (int j = 0; j < NP; ++j) {
-        double sum = i == j ? damping : 0.0;
-        for (int k = 0; k < NP; ++k) sum += K[k + i * NP] * K[k + j * NP];
-        H[i + j * NP] = sum;
-      }
-    }
-    if (decompose(H, pivot) == 0.0) break;
-    solve(H, pivot, step);
-    double longest = largest(step, NP);
-    if (longest > 1.0)
-      for (int i = 0; i < NP; ++i) step[i] /= longest;
-    memcpy(trial, q, sizeof trial);
-    move(trial, step);
-    turns_of(trial, trig);
-    rows(trial, trig, x, new_residual, new_K, alignment);
-    for (int i = 0; i < NP; ++i) new_size += new_residual[i] * new_residual[i];
-    if (new_size < size) {
-      memcpy(q, trial, sizeof trial);
-      memcpy(residual, new_residual, sizeof residual);
-      memcpy(K, new_K, sizeof K);
-      int stalled = new_size > 0.999999 * size && longest < 1e-6;
-      size = new_size;
-      damping = fmax(damping * 0.2, 1e-15);
-      if (stalled || longest < 1e-14) break;
-    } else {
-      damping *= 8.0;
-      if (damping > 1e8) break;
-    }
-  }
-  turns_of(q, trig);
-  rows(q, trig, x, residual, K, alignment);
-  double gap = largest(residual, NP);
-  for (int i = 0; i < NALIGN; ++i)
-    if (!(alignment[i] > 0.0)) gap = fmax(gap, acos(fmax(-1.0, alignment[i])));
-  return gap;
-}
-
-/* Many samples of one generated function, its arguments and results one after the other in memory. */
-typedef int (*Generated)(const double **, double **, CASADI_INT *, double *, int);
-
-void rp_map(Generated function, long samples, int inputs, const double **in, const long *in_size, int outputs,
-            double **out, const long *out_size) {
-  const double *arg[16];
-  double *res[16];
-  for (long k = 0; k < samples; ++k) {
-    for (int i = 0; i < inputs; ++i) arg[i] = in[i] + k * in_size[i];
-    for (int i = 0; i < outputs; ++i) res[i] = out[i] + k * out_size[i];
-    function(arg, res, 0, 0, 0);
-  }
-}
 
 /* One sample: in = x, xd, xdd, s, sd, sdd; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
@@ -366,14 +243,16 @@ int rp_sample(double *state, const double *in, double *out) {
   double margin = rates(&pose, xd, xdd, v, a, gamma, W);
   if (margin < LEAST_MARGIN) return SINGULAR;
   if (!in_mode(&pose)) return OTHER_MODE;
-  const double *arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK};
-  double *res[] = {f, force};
-  rp_project(arg, res, 0, 0, 0);
-  memcpy(state, pose.q, sizeof pose.q);
+  const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK};
+  double *const res[] = {f, force};
+  rp_project(arg, res);
+  for (int i = 0; i < N; ++i)
+    if (!isfinite(f[i])) return NOT_FINITE; /* rates, or carriers, that are not */
+  copy(state, pose.q, NQ);
   state[NQ] = pose.sign;
-  memcpy(out, W, N * M * sizeof *out);
-  memcpy(out + N * M, f, N * sizeof *out);
-  memcpy(out + N * M + N, force, NK * sizeof *out);
+  copy(out, W, N * M);
+  copy(out + N * M, f, N);
+  copy(out + N * M + N, force, NK);
   out[N * M + N + NK] = pose.gap;
   out[N * M + N + NK + 1] = margin;
   return CLOSED;

@@ -15,7 +15,7 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray
 from redundancy_pin.dynamics.compiled.build import LEAST_MARGIN, Definition
 
 _CONTRACTION, _SETTLED, _FLOOR, _LONGEST, _SHORTEST, _ITERATIONS = 0.3, 1e-13, 1e-9, 0.5, 1e-4, 15
-_CLOSED, _LOST, _SINGULAR, _OTHER_MODE = range(4)
+_CLOSED, _LOST, _SINGULAR, _OTHER_MODE, _NOT_FINITE = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +169,7 @@ class Interpreter:
             if pose is not None:
                 q[k], trig[k], gap[k] = pose.q, self._trig(pose.q), pose.gap
                 v[k], a[k], gamma[k], W[k], margin[k] = self._rates(pose, xd[k], xdd[k])
-                status[k] = (
-                    _SINGULAR if margin[k] < LEAST_MARGIN else _CLOSED if self._in_mode(pose.q) else _OTHER_MODE
-                )
+                status[k] = _SINGULAR if margin[k] < LEAST_MARGIN else _CLOSED if self._in_mode(pose.q) else _OTHER_MODE
             known = status[k] == _CLOSED
             if not known and not mark:
                 return k
@@ -219,6 +217,8 @@ class Interpreter:
                 return _OTHER_MODE
             carriers = rest[2 * n :].reshape(3, k)
             f, force = self._value("rp_project", pose.q, self._trig(pose.q), v, a, gamma.T, *carriers)
+            if not np.isfinite(f).all():
+                return _NOT_FINITE
             state[:-1], state[-1] = pose.q, pose.sign
             result[:] = np.concatenate([W.ravel(), f[:, 0], force[:, 0], [pose.gap, margin]])
             return _CLOSED

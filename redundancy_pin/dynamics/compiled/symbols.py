@@ -218,11 +218,16 @@ class SymbolicChain:
     def closure_rows(self) -> SX:
         """(r) closure residuals, m; of rotation rows the sine of the angle that is off."""
         ca = casadi()
-        return ca.vertcat(*(self._closure_row(closure, axis) for closure in self.robot.closures for axis in closure.axes))
+        return ca.vertcat(
+            *(self._closure_row(closure, axis) for closure in self.robot.closures for axis in closure.axes)
+        )
 
     def _closure_row(self, closure: Closure, axis: str) -> SX:
         ca = casadi()
-        (rotation_a, origin_a, *_), (rotation_b, origin_b, *_) = self.frame(closure.frame_a), self.frame(closure.frame_b)
+        (rotation_a, origin_a, *_), (rotation_b, origin_b, *_) = (
+            self.frame(closure.frame_a),
+            self.frame(closure.frame_b),
+        )
         turning, k = divmod(AXES.index(axis), 3)
         if not turning:
             return ca.dot(rotation_a[:, k], origin_b - origin_a)

@@ -1,0 +1,409 @@
+"""Compiled dynamics against the RNEA backend, against Lagrange's equations for point masses, and against what can go wrong.
+
+Neither judge shares code with it: not its kinematics, not its Newton-Euler recursion.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import pickle
+import stat
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import spatial_chains
+import zoo
+from examples import examples
+from hypothesis import given
+from hypothesis import strategies as st
+from point_mass_oracle import three_rrr_masses, two_rpr_masses
+
+from redundancy_pin import CarrierMotion, PlatformMotion, RneaDynamics, distribute, load_robot, trajectory
+from redundancy_pin.dynamics.compiled import CompiledDynamics, build
+from redundancy_pin.errors import (
+    InputError,
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+)
+from redundancy_pin.robot import Robot
+
+EQUAL = 1e-11
+"""Relative to the largest value of the motion: what the issue of this backend asks for. Rounding is 1e-14."""
+
+ZERO = 1e-3
+"""N, m, J: what is below it next to zero is a difference of efforts of 1 to 100."""
+
+LAGRANGE = 1e-8
+"""The oracle differentiates by differences of order eight over 2e-3."""
+
+MASSIVE = {
+    "2rpr": {"end_effector_mass": 0.4, "cylinder_mass": 0.5, "piston_mass": 0.3, "gravity": (0.0, -9.81, 0.0)},
+    "3rrr": {"gravity": (0.0, -9.81, 0.0)},
+    "five_bar": {"gravity": (1.0, -9.81, 0.0)},
+    "four_bar": {},
+    "gough": {"payload_mass": 2.0},
+}
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A cache of our own: nobody's home is written to, and no test sees what another session left."""
+    folder = tmp_path_factory.mktemp("compiled")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(build.CACHE, str(folder))
+        yield folder
+
+
+def robot_of(name: str, **changed: object) -> Robot:
+    return (
+        spatial_chains.chain_of(name)
+        if name in spatial_chains.CHAINS
+        else zoo.robot_of(name, **MASSIVE[name], **changed)
+    )
+
+
+def assert_equal(got: np.ndarray, want: np.ndarray, what: str) -> None:
+    scale = np.abs(want).max(initial=0.0)
+    np.testing.assert_allclose(got, want, rtol=0.0, atol=EQUAL * max(scale, ZERO), err_msg=what)
+
+
+def assert_same_dynamics(compiled: CompiledDynamics, motion: PlatformMotion, carriers: CarrierMotion) -> None:
+    mine, theirs = compiled.along(motion), RneaDynamics(compiled.robot, threads=1).along(motion)
+    got, want = mine.reduce(carriers), theirs.reduce(carriers)
+    for name in ("f", "W", "carrier_force", "row_scale", "column_scale", "reachable"):
+        assert_equal(getattr(got, name), getattr(want, name), name)
+    assert_equal(mine.base_wrench(carriers), theirs.base_wrench(carriers), "base wrench")
+    assert_equal(mine.energy(carriers), theirs.energy(carriers), "energy")
+    first, second = mine.carrier_derivatives(carriers), theirs.carrier_derivatives(carriers)
+    for name in ("f_s", "f_sd", "f_sdd", "force_s", "force_sd", "force_sdd"):
+        assert_equal(getattr(first, name), getattr(second, name), name)
+
+
+# --- the same as RNEA on the tree, written by others --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*MASSIVE, *spatial_chains.CHAINS])
+def test_every_robot_moves_as_with_rnea(name: str) -> None:
+    robot = robot_of(name)
+    # to compile a robot takes longer than to judge it: the small spatial chains are interpreted
+    compiled = CompiledDynamics(robot, threads=1, interpret=name not in MASSIVE)
+    t = np.linspace(0.0, 2.0, 300 if compiled.compiled else 40)
+    for seed in range(3):
+        assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
+
+
+@examples(8)
+@given(mode=st.tuples(*[st.sampled_from((1, -1))] * 3), seed=st.integers(0, 2**16))
+def test_random_machines_and_modes(mode: tuple[int, int, int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sizes = {"proximal_length": rng.uniform(0.9, 1.3), "distal_length": rng.uniform(0.9, 1.3)}
+    masses = {name: float(rng.uniform(0.0, 3.0)) for name in ("proximal_mass", "distal_mass", "carrier_mass")}
+    robot = load_robot("3rrr", working_mode=mode, gravity=(0.3, -9.0, 1.0), **sizes, **masses)
+    t = np.linspace(0.0, 1.0, 60)
+    # interpreted: a new machine would have to be compiled each time
+    compiled = CompiledDynamics(robot, threads=1, interpret=True)
+    assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
+
+
+def test_type_two_poses_are_as_finite_as_elsewhere() -> None:
+    robot = robot_of("2rpr")
+    motion = trajectory.reference.circle().sample(dt=0.002)  # crosses the line A1 A2 twice
+    compiled = CompiledDynamics(robot)
+    assert_same_dynamics(compiled, motion, zoo.carriers_at(robot, motion.t))
+    determinant = np.linalg.det(compiled.reduce(motion).W)
+    assert (np.diff(np.sign(determinant)) != 0).sum() == 2
+    at = PlatformMotion([0.0], [[0.2, 0.0]], [[0.3, -0.7]], [[1.0, 2.0]])  # on the line itself
+    rank_lost = distribute(compiled.reduce(at))
+    assert rank_lost.rank[0] == 1
+    np.testing.assert_array_equal(rank_lost.status, distribute(RneaDynamics(robot).reduce(at)).status)
+
+
+def test_machine_code_says_what_the_interpreter_says() -> None:
+    robot = robot_of("3rrr")
+    t = np.linspace(0.0, 1.0, 40)
+    motion, carriers = zoo.smooth_motion(robot, 5).at(t), zoo.carriers_at(robot, t)
+    one, other = CompiledDynamics(robot), CompiledDynamics(robot, interpret=True)
+    assert one.compiled
+    assert not other.compiled
+    for name in ("f", "W", "carrier_force"):
+        assert_equal(getattr(one.reduce(motion, carriers), name), getattr(other.reduce(motion, carriers), name), name)
+    for k in range(len(t)):
+        row = (motion.x[k], motion.xd[k], motion.xdd[k], carriers.s[k], carriers.sd[k], carriers.sdd[k])
+        for got, want in zip(one.sample(*row), other.sample(*row), strict=True):
+            assert_equal(got, want, "sample")
+
+
+# --- Lagrange's equations, for point masses ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr"])
+@pytest.mark.parametrize("seed", range(3))
+def test_efforts_obey_lagrange(name: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    if name == "2rpr":
+        names = ("end_effector_mass", "cylinder_mass", "piston_mass", "carrier_mass", "track_offset")
+        mode = (1, -1) if seed == 1 else (1, 1)
+    else:
+        names = ("proximal_mass", "distal_mass", "platform_mass", "carrier_mass")
+        mode = (1, -1, 1) if seed == 1 else (1, 1, 1)
+    gravity = rng.uniform(-10.0, 10.0, 3)
+    chosen = {key: float(rng.uniform(0.1, 1.0)) for key in names}
+    robot = load_robot(name, working_mode=mode, gravity=tuple(gravity), **chosen)
+    oracle = (two_rpr_masses if name == "2rpr" else three_rrr_masses)(dict(robot.parameters), mode)
+    t = np.linspace(0.0, 1.0, 10)
+    motion, carriers = zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed)
+    compiled = CompiledDynamics(robot, interpret=True)
+    reduced, wrench = compiled.reduce(motion, carriers), compiled.along(motion).base_wrench(carriers)
+    for k in range(len(t)):
+        state = [np.concatenate(pair) for pair in ((motion.x[k], carriers.s[k]), (motion.xd[k], carriers.sd[k]),
+                                                   (motion.xdd[k], carriers.sdd[k]))]  # fmt: skip
+        want = oracle.generalised_force(*state, gravity)
+        got = np.concatenate([reduced.f[k], reduced.carrier_force[k]])
+        np.testing.assert_allclose(got, want, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(want).max()))
+        held = oracle.base_wrench(*state, gravity)
+        np.testing.assert_allclose(wrench[k], held, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(held).max()))
+
+
+# --- one sample ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["3rrr", "gough", "four_bar"])
+def test_one_sample_is_a_row_of_many(name: str) -> None:
+    robot = robot_of(name)
+    t = np.linspace(0.0, 1.0, 30)
+    motion, carriers = zoo.smooth_motion(robot, 1).at(t), zoo.carriers_at(robot, t, 1)
+    compiled = CompiledDynamics(robot)
+    want = compiled.reduce(motion, carriers)
+    for k in np.random.default_rng(0).permutation(len(t)):  # near ones and far ones
+        row = (motion.x[k], motion.xd[k], motion.xdd[k], carriers.s[k], carriers.sd[k], carriers.sdd[k])
+        sample = compiled.sample(*row)
+        assert_equal(sample.W, want.W[k], "W")
+        assert_equal(sample.f, want.f[k], "f")
+        assert_equal(sample.carrier_force, want.carrier_force[k], "carrier force")
+
+
+def test_a_sample_without_carriers_has_them_parked() -> None:
+    robot = robot_of("3rrr")
+    compiled, x = CompiledDynamics(robot), zoo.home_of(robot)
+    compiled.sample(x, np.ones(3), np.ones(3), [0.1] * 3, [0.2] * 3, [0.3] * 3)
+    parked = compiled.sample(x, np.ones(3), np.ones(3))
+    want = compiled.reduce(PlatformMotion([0.0], x[None], np.ones((1, 3)), np.ones((1, 3))))
+    assert_equal(parked.f, want.f[0], "f")
+
+
+def test_each_thread_has_its_own_warm_start() -> None:
+    robot = robot_of("3rrr")
+    t = np.linspace(0.0, 1.0, 200)
+    compiled = CompiledDynamics(robot)
+    motions = [zoo.smooth_motion(robot, seed).at(t) for seed in range(4)]
+    wanted = [compiled.reduce(motion).f for motion in motions]
+    got: list[list[np.ndarray]] = [[] for _ in motions]
+
+    def work(i: int) -> None:
+        for k in range(len(t)):
+            got[i].append(compiled.sample(motions[i].x[k], motions[i].xd[k], motions[i].xdd[k]).f)
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(len(motions))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for mine, want in zip(got, wanted, strict=True):
+        assert_equal(np.array(mine), want, "f")
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"x": [0.1]}, {"xd": [1.0, 2.0]}, {"x": [np.nan] * 3}, {"sd": [np.nan] * 3}, {"s": [0.1]}, {"x": "here"}]
+)
+def test_a_sample_of_the_wrong_form_is_refused(wrong: dict[str, object]) -> None:
+    robot = robot_of("3rrr")
+    given = {"x": zoo.home_of(robot), "xd": np.zeros(3), "xdd": np.zeros(3), "s": np.zeros(3)} | wrong
+    compiled = CompiledDynamics(robot)
+    with pytest.raises(InputError):
+        compiled.sample(**given)  # type: ignore[arg-type]
+    assert np.isfinite(compiled.sample(zoo.home_of(robot), np.zeros(3), np.zeros(3)).f).all()
+
+
+# --- out of reach, singular, another mode ------------------------------------------------------------------------------
+
+
+def line(first: list[float], last: list[float], samples: int = 30) -> PlatformMotion:
+    t = np.linspace(0.0, 1.0, samples)
+    a, b = np.array(first), np.array(last)
+    x = a + t[:, None] * (b - a)
+    return PlatformMotion(t, x, np.repeat((b - a)[None], samples, axis=0), np.zeros_like(x))
+
+
+LEAVING = {
+    "out of the workspace": ("3rrr", line([0.9, 0.5, 0.0], [2.9, 0.5, 0.0]), UnreachablePoseError),
+    "begins out of it": ("3rrr", line([9.0, 0.5, 0.0], [9.1, 0.5, 0.0]), UnreachablePoseError),
+    "through a stretched leg of no length": ("2rpr", line([0.25, 0.3], [0.0, 0.0], 11), SingularPoseError),
+    "five-bar stretched": ("five_bar", line([0.0, 0.5], [0.0, 5.0]), UnreachablePoseError),
+}
+
+
+@pytest.mark.parametrize("interpret", [False, True])
+@pytest.mark.parametrize("what", LEAVING)
+def test_a_motion_that_cannot_be_is_refused_as_by_rnea(what: str, interpret: bool) -> None:
+    name, motion, expected = LEAVING[what]
+    robot = robot_of(name)
+    with pytest.raises(expected) as theirs:
+        RneaDynamics(robot).along(motion)
+    with pytest.raises(expected) as mine:
+        CompiledDynamics(robot, interpret=interpret).along(motion)
+    assert mine.value.details["sample"] == theirs.value.details["sample"]
+    if expected is UnreachablePoseError:
+        # the smallest gap from another start may be another local one, of the same size
+        assert 0.3 < mine.value.details["gap"] / theirs.value.details["gap"] < 3.0  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("interpret", [False, True])
+def test_marked_samples_are_those_of_rnea(interpret: bool) -> None:
+    robot = robot_of("3rrr")
+    there, back = line([0.9, 0.5, 0.0], [2.2, 0.9, 0.3]), line([2.2, 0.9, 0.3], [0.9, 0.5, 0.0])
+    for motion in (there, back):
+        theirs = RneaDynamics(robot).reduce(motion, unreachable="mark")
+        mine = CompiledDynamics(robot, interpret=interpret).reduce(motion, unreachable="mark")
+        np.testing.assert_array_equal(mine.reachable, theirs.reachable)
+        assert 3 < mine.reachable.sum() < 27
+        assert np.isnan(mine.f[~mine.reachable]).all()
+        assert (mine.gap[~mine.reachable] > 1e-3).all()
+        assert_equal(mine.f[mine.reachable], theirs.f[mine.reachable], "f")
+
+
+def test_a_motion_in_parts_is_the_motion_in_one() -> None:
+    robot = robot_of("3rrr")
+    t = np.linspace(0.0, 3.0, 5000)
+    motion, carriers = zoo.smooth_motion(robot, 3).at(t), zoo.carriers_at(robot, t)
+    one, many = (CompiledDynamics(robot, threads=threads).reduce(motion, carriers) for threads in (1, 4))
+    assert_equal(many.f, one.f, "f")
+
+
+def test_two_sided_samples_and_sparse_ones() -> None:
+    robot = robot_of("3rrr")
+    corner = trajectory.reference.corner().sample(dt=0.01)
+    assert corner.jumps.any()
+    assert_same_dynamics(CompiledDynamics(robot), corner, CarrierMotion.parked(len(corner), 3))
+    sparse = zoo.smooth_motion(robot, 2).at(np.linspace(0.0, 2.0, 7))
+    assert_same_dynamics(CompiledDynamics(robot), sparse, CarrierMotion.parked(7, 3))
+
+
+# --- compilers, caches, processes ----------------------------------------------------------------------------------------
+
+
+def works(robot: Robot) -> bool:
+    """Whether a new object compiles; whatever it does, its numbers are right."""
+    compiled = CompiledDynamics(robot)
+    motion = zoo.smooth_motion(robot, 0).at(np.linspace(0.0, 1.0, 5))
+    assert_equal(compiled.reduce(motion).f, RneaDynamics(robot).reduce(motion).f, "f")
+    return compiled.compiled
+
+
+@pytest.fixture
+def four_bar() -> Robot:
+    return robot_of("four_bar")
+
+
+def test_the_second_one_is_loaded_and_a_broken_one_built_again(
+    four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(build.CACHE, str(tmp_path / "kept"))
+    assert works(four_bar)
+    (library,) = (tmp_path / "kept").iterdir()
+    size, kept = library.stat().st_size, copy.copy(library.stat().st_ino)
+    assert works(four_bar)
+    assert library.stat().st_ino == kept
+    library.unlink()  # what this process has loaded stays mapped
+    library.write_bytes(b"half a file")
+    assert built(tmp_path / "kept") == library.name
+    assert library.stat().st_size == size
+
+
+def built(folder: Path) -> str:
+    """Build the four-bar in a process of its own, and return the name of its library."""
+    code = (
+        "import redundancy_pin as rp; from redundancy_pin.dynamics.compiled import CompiledDynamics\n"
+        "c = CompiledDynamics(rp.load_robot('four_bar')); print(c.compiled and c._kernel.path.name)"
+    )
+    environment = {**os.environ, build.CACHE: str(folder)}
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
+    ).stdout.strip()
+
+
+def test_two_processes_build_at_once(four_bar: Robot, tmp_path: Path) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        names = set(pool.map(built, [tmp_path / "shared"] * 2))
+    assert {path.name for path in (tmp_path / "shared").iterdir()} == names
+    assert len(names) == 1
+
+
+def script(folder: Path, text: str) -> str:
+    path = folder / "compiler"
+    path.write_text(f"#!/bin/sh\n{text}\n", encoding="utf-8")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [("echo out of luck >&2; exit 1", "out of luck"), ("exit 0", "cannot be loaded"), ("sleep 60", "did not end")],
+)
+def test_a_compiler_that_fails_is_done_without(
+    text: str, reason: str, four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", script(tmp_path, text))
+    monkeypatch.setattr(build, "PATIENCE", 0.3)
+    with pytest.warns(RuntimeWarning, match=reason):
+        assert not works(four_bar)
+
+
+def test_no_compiler_at_all(four_bar: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.warns(RuntimeWarning, match="no C compiler"):
+        assert not works(four_bar)
+
+
+@pytest.mark.parametrize("home", ["/proc/nothing", "file"])
+def test_a_home_that_cannot_be_written_to(
+    home: str, four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv(build.CACHE, home if home.startswith("/") else str(tmp_path / home))
+    assert works(four_bar)
+
+
+def test_a_folder_that_others_may_write_to_is_not_trusted(
+    four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tmp_path.chmod(0o777)
+    monkeypatch.setenv(build.CACHE, str(tmp_path))
+    assert works(four_bar)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_copies_and_pickles_compute_the_same(four_bar: Robot) -> None:
+    compiled = CompiledDynamics(four_bar)
+    motion = zoo.smooth_motion(four_bar, 0).at(np.linspace(0.0, 1.0, 5))
+    along = compiled.along(motion)
+    for other in (pickle.loads(pickle.dumps(compiled)), copy.deepcopy(compiled)):
+        np.testing.assert_array_equal(other.reduce(motion).f, compiled.reduce(motion).f)
+    again = pickle.loads(pickle.dumps(along)).reduce()
+    np.testing.assert_array_equal(again.f, along.reduce().f)
+    assert not again.f.flags.writeable
+
+
+def test_without_casadi_there_is_one_clear_error(four_bar: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    monkeypatch.setattr(build, "find_compiler", lambda: None)
+    with pytest.warns(RuntimeWarning), pytest.raises(RedundancyPinError, match="casadi"):
+        CompiledDynamics(four_bar)
