@@ -6,6 +6,7 @@ _startup.install()  # before the imports that take long
 
 # ruff: noqa: E402
 from redundancy_pin import _moved, simulation, trajectory
+from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
 from redundancy_pin.dynamics.virtual_work import VirtualWork
@@ -26,6 +27,7 @@ from redundancy_pin.visualisation.figures import plots as plot
 
 __all__ = [
     "CarrierMotion",
+    "CompiledDynamics",
     "Plan",
     "PlatformMotion",
     "RneaDynamics",

@@ -1,4 +1,4 @@
-"""Compiled dynamics against the RNEA backend, against Lagrange's equations for point masses, and against what can go wrong.
+"""Compiled dynamics against the RNEA backend, Lagrange's equations for point masses, and what can go wrong.
 
 Neither judge shares code with it: not its kinematics, not its Newton-Euler recursion.
 """
@@ -87,7 +87,7 @@ def assert_same_dynamics(compiled: CompiledDynamics, motion: PlatformMotion, car
         assert_equal(getattr(first, name), getattr(second, name), name)
 
 
-# --- the same as RNEA on the tree, written by others --------------------------------------------------------------------
+# --- the same as RNEA on the tree, written by others ----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", [*MASSIVE, *spatial_chains.CHAINS])
@@ -141,7 +141,7 @@ def test_machine_code_says_what_the_interpreter_says() -> None:
             assert_equal(got, want, "sample")
 
 
-# --- Lagrange's equations, for point masses ------------------------------------------------------------------------------
+# --- Lagrange's equations, for point masses -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
@@ -172,7 +172,7 @@ def test_efforts_obey_lagrange(name: str, seed: int) -> None:
         np.testing.assert_allclose(wrench[k], held, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(held).max()))
 
 
-# --- one sample ----------------------------------------------------------------------------------------------------------
+# --- one sample -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["3rrr", "gough", "four_bar"])
@@ -232,7 +232,7 @@ def test_a_sample_of_the_wrong_form_is_refused(wrong: dict[str, object]) -> None
     assert np.isfinite(compiled.sample(zoo.home_of(robot), np.zeros(3), np.zeros(3)).f).all()
 
 
-# --- out of reach, singular, another mode ------------------------------------------------------------------------------
+# --- out of reach, singular, another mode ---------------------------------------------------------------------------
 
 
 def line(first: list[float], last: list[float], samples: int = 30) -> PlatformMotion:
@@ -296,7 +296,7 @@ def test_two_sided_samples_and_sparse_ones() -> None:
     assert_same_dynamics(CompiledDynamics(robot), sparse, CarrierMotion.parked(7, 3))
 
 
-# --- compilers, caches, processes ----------------------------------------------------------------------------------------
+# --- compilers, caches, processes -----------------------------------------------------------------------------------
 
 
 def works(robot: Robot) -> bool:

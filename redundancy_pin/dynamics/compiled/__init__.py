@@ -1,4 +1,4 @@
-"""The third backend: closed-chain dynamics of any declared robot as machine code, or interpreted where nothing compiles.
+"""The third backend: closed-chain dynamics of any declared robot as machine code, or interpreted without a compiler.
 
 The equations are those of ``dynamics.rnea``, written a second time and from the model alone: symbols (``symbols.py``),
 C from them and its cache (``build.py``), and a driver that closes the loops by Newton's method along a motion
@@ -13,13 +13,14 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, checked, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, checked, frozen, read_only
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
     Dynamics,
@@ -30,7 +31,13 @@ from redundancy_pin.dynamics.base import (
 )
 from redundancy_pin.dynamics.compiled.build import Library, build_library, define
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
-from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.errors import (
+    InputError,
+    RedundancyPinError,
+    SingularPoseError,
+    UnreachablePoseError,
+    WorkingModeError,
+)
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
 
@@ -135,8 +142,11 @@ class CompiledDynamics(Dynamics):
 
         Args:
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
-            xd, xdd: (n,) rates and accelerations.
-            s, sd, sdd: (k,) carriers; parked at s = 0 when left out.
+            xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
+            xdd: (n,) their second rates.
+            s: (k,) positions of the carriers on their tracks, m; 0 when left out.
+            sd: (k,) their rates, m/s; 0 when left out.
+            sdd: (k,) their second rates, m/s²; 0 when left out.
 
         Raises:
             InputError: wrong shapes, or values that are not finite.
@@ -154,6 +164,19 @@ class CompiledDynamics(Dynamics):
         x = np.empty(16 if self._is_pose else self._robot.n)
         self._kernel.map("rp_coordinates", 1, [q[None], self._kernel.trig_at(q[None])], [x[None]])
         return q, x
+
+    @cached_property
+    def scales(self) -> tuple[Array, Array]:
+        """(n,) and (m,) the characteristic length for rotations and 1 for translations, of ẋ and of the actuators."""
+        robot, length = self._robot, self._robot.characteristic_length
+        turning = [not str(joint.shortname()).startswith("JointModelP") for joint in robot.model.joints]
+        if robot.platform is not None:
+            rows = [axis.startswith("r") for axis in robot.platform.axes]
+        else:
+            rows = [turning[robot.model.getJointId(name)] for name in robot.independent_joints]
+        columns = [turning[robot.model.getJointId(name)] for name in robot.actuated]
+        by_row, by_column = (frozen(np.where(np.array(which, dtype=bool), length, 1.0)) for which in (rows, columns))
+        return by_row, by_column
 
     @property
     def _is_pose(self) -> bool:
@@ -278,7 +301,7 @@ class CompiledAlongMotion(Frozen):
         """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
         n, k = self.robot.n, self.robot.k
         f, force = self._mapped("rp_project", carriers, (n, k), gamma=True)
-        length, chain = self.robot.characteristic_length, self.robot
+        rows, columns = self._dynamics.scales
         return ReducedDynamics(
             t=self.motion.t,
             f=read_only(f),
@@ -286,8 +309,8 @@ class CompiledAlongMotion(Frozen):
             carrier_force=read_only(force),
             reachable=self._lifted.reachable,
             gap=self._lifted.gap,
-            row_scale=_lengths(chain, length)[0],
-            column_scale=_lengths(chain, length)[1],
+            row_scale=rows,
+            column_scale=columns,
         )
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
@@ -327,18 +350,6 @@ class CompiledAlongMotion(Frozen):
         return outputs
 
 
-def _lengths(robot: Robot, length: float) -> tuple[Array, Array]:
-    turning = [not str(joint.shortname()).startswith("JointModelP") for joint in robot.model.joints]
-    index = robot.model.getJointId
-    if robot.platform is not None:
-        rows = [axis.startswith("r") for axis in robot.platform.axes]
-    else:
-        rows = [turning[index(name)] for name in robot.independent_joints]
-    columns = [turning[index(name)] for name in robot.actuated]
-    scaled = [read_only(np.where(np.array(which, dtype=bool), length, 1.0)) for which in (rows, columns)]
-    return scaled[0], scaled[1]
-
-
 # --- closing the loops along a motion ---------------------------------------------------------------------------------
 
 
@@ -365,8 +376,8 @@ def _lifted(dynamics: CompiledDynamics, motion: PlatformMotion, *, mark: bool) -
             arrays[6][k] = _nearest(dynamics, x[k], arrays[0], int(k))[1]
         for array in arrays[:6]:
             array[~good] = np.nan
-    parts = (read_only(array) for array in arrays)
-    return _Lifted(motion, *parts, read_only(good))
+    q, trig, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
+    return _Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(good))
 
 
 def _run(
@@ -377,14 +388,14 @@ def _run(
     start: Array,
     mark: bool,
     arrays: list[Array],
-    status: IntArray,
+    status: NDArray[np.intc],
 ) -> None:
     """Lift the samples from ``first`` on, in as many parts as there are threads; together again only if they join."""
     kernel, samples = dynamics._kernel, len(motion)
 
     def lift(part: slice, q: Array) -> int:
         rest = [array[part] for array in (motion.t, x, motion.xd, motion.xdd)]
-        outputs = [array[part] for array in (*arrays, status)]
+        outputs = [*(array[part] for array in arrays), status[part]]
         return kernel.call("rp_lift", part.stop - part.start, *rest, q, x[part.start], int(mark), *outputs)
 
     parts = [slice(first + p.start, first + p.stop) for p in _parts(samples - first, dynamics._threads)]
@@ -419,7 +430,7 @@ _SAME = 1e-9
 def _parts(samples: int, threads: int) -> list[slice]:
     count = max(1, min(threads, samples // _PER_THREAD))
     edges = np.linspace(0, samples, count + 1).round().astype(int).tolist()
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def _each(work: Callable[[Any], Any], items: list[Any]) -> None:
@@ -454,7 +465,7 @@ def _start(
         return best
     if mark:
         return None
-    return _refuse_start(dynamics, motion, sample, gap)
+    raise _no_start(dynamics, motion, sample, gap)
 
 
 def _way(home: Array, x: Array, is_pose: bool) -> list[Array]:
@@ -517,21 +528,21 @@ _SINGULAR_RATIO = 1e-5
 # --- what is wrong ----------------------------------------------------------------------------------------------------
 
 
-def _refuse_start(dynamics: CompiledDynamics, motion: PlatformMotion, sample: int, gap: float) -> None:
+def _no_start(dynamics: CompiledDynamics, motion: PlatformMotion, sample: int, gap: float) -> RedundancyPinError:
     robot, pose = dynamics.robot, f"The pose of sample {sample}, x = {np.round(motion.x[sample], 6).tolist()},"
     if gap < CLOSURE_TOLERANCE and robot.working_modes is not None:
-        raise WorkingModeError(
+        return WorkingModeError(
             f"{pose} closes only in other working modes than {_mode(robot)} of {robot.name}.",
             remedy="Load the robot in that working_mode, or move the pose.",
             sample=sample,
         )
     if gap < CLOSURE_TOLERANCE:
-        raise SingularPoseError(
+        return SingularPoseError(
             f"{pose} is a type I singularity: the platform velocity does not determine the joint velocities.",
             remedy="Keep the legs away from full stretch, full fold and zero length.",
             sample=sample,
         )
-    raise UnreachablePoseError(
+    return UnreachablePoseError(
         f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {gap:.3g} m.",
         remedy="Move the pose into the workspace, or load the robot in another working_mode.",
         sample=sample,
@@ -540,7 +551,7 @@ def _refuse_start(dynamics: CompiledDynamics, motion: PlatformMotion, sample: in
 
 
 def _refuse(
-    dynamics: CompiledDynamics, motion: PlatformMotion, x: Array, arrays: list[Array], status: IntArray, k: int
+    dynamics: CompiledDynamics, motion: PlatformMotion, x: Array, arrays: list[Array], status: NDArray[np.intc], k: int
 ) -> None:
     when = f"sample {k} (t = {motion.t[k]:.6g} s"
     if status[k] == _OTHER_MODE:

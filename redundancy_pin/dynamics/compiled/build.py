@@ -147,6 +147,10 @@ def source(definition: Definition, driver: Sequence[str] = ("driver.c", "batch.c
     return "\n".join([*text, *(here.joinpath(name).read_text(encoding="utf-8") for name in driver)])
 
 
+_WRITTEN = ("symbols.py", "build.py", "emit.py", "driver.c", "batch.c")
+"""Files that decide what is compiled: who changes one gets a new library."""
+
+
 def key(robot: Robot, compiler: str) -> str:
     """Return what tells one library from another: a hash of all that goes into it."""
     model = robot.model
@@ -160,10 +164,9 @@ def key(robot: Robot, compiler: str) -> str:
     ]
     versions = [importlib.metadata.version(name) for name in ("casadi", "pin")]
     here = importlib.resources.files(__package__)
-    written = [here.joinpath(name).read_text(encoding="utf-8") for name in ("symbols.py", "build.py", "emit.py", "driver.c", "batch.c")]
+    written = [here.joinpath(name).read_text(encoding="utf-8") for name in _WRITTEN]
     parts = [
-        model.saveToString() if hasattr(model, "saveToString") else robot.urdf,
-        robot.urdf,
+        model.saveToString(),
         repr(roles),
         repr((robot.working_mode, robot.characteristic_length, robot.gravity.tolist())),
         json.dumps(np.array(robot.q_reference).tolist()),

@@ -98,5 +98,3 @@ def _assigned(lines: list[str], k: int, value: str) -> str:
 
 def _used(lines: list[str], text: str) -> bool:
     return any(text in line for line in lines)
-
-

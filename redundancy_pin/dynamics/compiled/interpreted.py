@@ -47,8 +47,7 @@ class Interpreter:
 
     def call(self, name: str, *arguments: Any) -> int:
         """Call a function of the driver."""
-        driver: Callable[..., int] = {"rp_lift": self._lift, "rp_follow": self._follow_to}[name]
-        return driver(*arguments)
+        return self._lift(*arguments) if name == "rp_lift" else self._follow_to(*arguments)
 
     def map(self, name: str, samples: int, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate a function for many samples."""
@@ -65,7 +64,8 @@ class Interpreter:
         return [np.array(part) for part in self._functions[name].call(list(arguments))]
 
     def _trig(self, q: Array) -> Array:
-        return self.trig_at(q[None])[0]
+        trig: Array = self.trig_at(q[None])[0]
+        return trig
 
     def _rows(self, q: Array, x: Array) -> tuple[Array, Array, Array]:
         residual, matrix, alignment = self._value("rp_rows", q, self._trig(q), x)
@@ -86,7 +86,7 @@ class Interpreter:
             sign = float(np.linalg.slogdet(matrix)[0])
             if sign == 0.0 or not np.isfinite(matrix).all():
                 return None
-            inverse = np.linalg.inv(matrix)
+            inverse: Array = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
             step = inverse @ residual
             size, gap = float(np.abs(step).max()), float(np.abs(residual).max())
             if size <= _SETTLED or (_CONTRACTION * last < size <= _FLOOR and gap < CLOSURE_TOLERANCE):
@@ -181,7 +181,8 @@ class Interpreter:
         residual, matrix, _ = self._rows(q, x)
         damping, size = 1e-3, float(residual @ residual)
         for _ in range(200):
-            step = np.linalg.solve(matrix.T @ matrix + damping * np.eye(len(residual)), matrix.T @ residual)
+            normal = matrix.T @ matrix + damping * np.eye(len(residual))
+            step = np.asarray(np.linalg.solve(normal, matrix.T @ residual), dtype=np.float64)
             longest = float(np.abs(step).max(initial=0.0))
             trial = self._moved(q, step / max(longest, 1.0))
             new_residual, new_matrix, _ = self._rows(trial, x)
@@ -202,7 +203,7 @@ class Interpreter:
 
     def sampler(self, state: Array, given: Array, result: Array) -> Callable[[], int]:
         """Return a function that evaluates one sample from and into fixed arrays."""
-        n, k, m = self._n, self._robot.k, self._robot.m
+        n, k = self._n, self._robot.k
         width = len(given) - 2 * n - 3 * k
 
         def sample() -> int:
