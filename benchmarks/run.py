@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+import compiled
 import engine_table
 import planners_stepwise
 import planners_switch_off
@@ -137,6 +138,7 @@ def main():
         row = {"what": f"peak memory, {name}", "bytes_a_sample": peaks, "growth": peaks[1] / peaks[0]}
         print(f"{row['what']}: {peaks[0]:.0f} bytes a sample at {SAMPLES}, {peaks[1]:.0f} at {4 * SAMPLES}")
         rows.append(row)
+    rows += compiled.rows()
     rows += planners_stepwise.rows()
     rows += planners_switch_off.rows()
     rows += planners_whole.rows()
