@@ -1,10 +1,9 @@
-"""Compiled dynamics against the plain loop of Pinocchio calls that does the same work; ratios of medians within one run."""
+"""Compiled dynamics against the plain loop of Pinocchio calls that does the same work, as ratios within one run."""
 
 import statistics
-import time
 
 import numpy as np
-from plain_loop import PlainLoop
+from plain_loop import PlainLoop, seconds, smooth_motion
 
 import redundancy_pin as rp
 
@@ -12,23 +11,6 @@ SAMPLES = 10_000
 SINGLE = 2_000
 REPEATS = 5
 TARGETS = {"from platform motion": 25, "new carriers": 50, "one sample from Python": 3, "one sample in C": 20}
-
-
-def motion_of(samples):
-    """A loop through the middle of the workspace, all coordinates in motion, carriers on half their tracks."""
-    t = np.linspace(0.0, 2.0, samples)
-    w, size = np.pi, np.array([0.2, 0.2, 0.3])
-    phase = w * t[:, None] + np.array([np.pi / 2, 0.0, 0.0])
-    x = np.array([np.sqrt(3) / 2, 0.5, 0.0]) + size * np.sin(phase)
-    motion = rp.PlatformMotion(t, x, w * size * np.cos(phase), -(w**2) * size * np.sin(phase))
-    swing = 3.0 * t[:, None] + np.arange(3)
-    return motion, rp.CarrierMotion(0.5 * np.sin(swing), 1.5 * np.cos(swing), -4.5 * np.sin(swing))
-
-
-def seconds(action):
-    start = time.perf_counter()
-    result = action()
-    return time.perf_counter() - start, result
 
 
 def samples_of(dynamics, motion, carriers):
@@ -40,7 +22,7 @@ def rows():
     """Return the rows of the report."""
     robot = rp.load_robot("3rrr")
     loop, compiled, one = PlainLoop(robot), rp.CompiledDynamics(robot), rp.CompiledDynamics(robot, threads=1)
-    motion, carriers = motion_of(SAMPLES)
+    motion, carriers = smooth_motion(SAMPLES)
     few, its_carriers = motion[:SINGLE], carriers[:SINGLE]
     along = rp.RneaDynamics(robot).along(motion)
     q, v, a = (np.ascontiguousarray(part.T) for part in along.tree_motion(carriers))

@@ -4,8 +4,12 @@ Nothing is made slow on purpose: frame indices, data and selection matrices are 
 previous sample, and the planar rows are sliced from Pinocchio's frame Jacobians.
 """
 
+import time
+
 import numpy as np
 import pinocchio as pin
+
+import redundancy_pin as rp
 
 AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
@@ -90,3 +94,23 @@ class PlainLoop:
 
     def from_tree_motion(self, q, v, a):
         return np.array([self.efforts(q[k], v[k], a[k]) for k in range(len(q))])
+
+
+def smooth_motion(samples):
+    """A loop through the middle of the workspace, all three coordinates in motion, carriers on half their tracks."""
+    t = np.linspace(0.0, 2.0, samples)
+    w = np.pi
+    centre = np.array([np.sqrt(3) / 2, 0.5, 0.0])
+    size = np.array([0.2, 0.2, 0.3])
+    phase = w * t[:, None] + np.array([np.pi / 2, 0.0, 0.0])
+    motion = rp.PlatformMotion(
+        t, centre + size * np.sin(phase), w * size * np.cos(phase), -(w**2) * size * np.sin(phase)
+    )
+    swing = 3.0 * t[:, None] + np.arange(3)
+    return motion, rp.CarrierMotion(0.5 * np.sin(swing), 1.5 * np.cos(swing), -4.5 * np.sin(swing))
+
+
+def seconds(action):
+    start = time.perf_counter()
+    result = action()
+    return time.perf_counter() - start, result

@@ -7,7 +7,6 @@ moves both sides.
 import json
 import statistics
 import sys
-import time
 import tracemalloc
 from pathlib import Path
 
@@ -20,7 +19,7 @@ import planners_stepwise
 import planners_switch_off
 import planners_whole
 import simulation
-from plain_loop import PlainLoop
+from plain_loop import PlainLoop, seconds, smooth_motion
 
 import redundancy_pin as rp
 
@@ -28,26 +27,6 @@ SAMPLES = 10_000
 REPEATS = 5
 FAST_CALLS = 10
 """Calls of the faster side in each pair: one of them takes milliseconds, less than a processor needs to settle."""
-
-
-def smooth_motion(samples):
-    """A loop through the middle of the workspace, all three coordinates in motion, carriers on half their tracks."""
-    t = np.linspace(0.0, 2.0, samples)
-    w = np.pi
-    centre = np.array([np.sqrt(3) / 2, 0.5, 0.0])
-    size = np.array([0.2, 0.2, 0.3])
-    phase = w * t[:, None] + np.array([np.pi / 2, 0.0, 0.0])
-    motion = rp.PlatformMotion(
-        t, centre + size * np.sin(phase), w * size * np.cos(phase), -(w**2) * size * np.sin(phase)
-    )
-    swing = 3.0 * t[:, None] + np.arange(3)
-    return motion, rp.CarrierMotion(0.5 * np.sin(swing), 1.5 * np.cos(swing), -4.5 * np.sin(swing))
-
-
-def seconds(action):
-    start = time.perf_counter()
-    result = action()
-    return time.perf_counter() - start, result
 
 
 def compare(title, slow, fast, least):
