@@ -19,6 +19,7 @@ import planners_stepwise
 import planners_switch_off
 import planners_whole
 import simulation
+import start_up
 from plain_loop import PlainLoop, seconds, smooth_motion
 
 import redundancy_pin as rp
@@ -123,6 +124,7 @@ def main():
     rows += planners_whole.rows()
     rows += simulation.rows()
     rows += engine_table.rows()
+    rows += start_up.rows()
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(json.dumps(rows, indent=2) + "\n")
 

@@ -1,29 +1,65 @@
-"""Closed-chain (parallel-robot) dynamics and planning on Pinocchio."""
+"""Closed-chain (parallel-robot) dynamics and planning on Pinocchio.
 
-from redundancy_pin import _startup
+Names are imported when they are first used: a program pays for the rooms it enters, and for no others.
+"""
 
-_startup.install()  # before the imports that take long
+import importlib
+import importlib.util
+from typing import TYPE_CHECKING, Any
 
-# ruff: noqa: E402
-from redundancy_pin import _moved, simulation, trajectory
-from redundancy_pin.dynamics.compiled import CompiledDynamics
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
-from redundancy_pin.dynamics.virtual_work import VirtualWork
-from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.loading import load_robot
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.check import check_plan
-from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
-from redundancy_pin.planners.stepwise.planner import plan_stepwise
-from redundancy_pin.planners.switch_off.planner import plan_switch_off
-from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
-from redundancy_pin.simulation import simulate
-from redundancy_pin.singularities.classify import classify, classify_motion
-from redundancy_pin.singularities.crossings import find_crossings
-from redundancy_pin.singularities.locus import singular_locus
-from redundancy_pin.view import show
-from redundancy_pin.visualisation.figures import plots as plot
+from redundancy_pin import _moved, _startup
+
+if TYPE_CHECKING:
+    from redundancy_pin import simulation, trajectory
+    from redundancy_pin.dynamics.compiled import CompiledDynamics
+    from redundancy_pin.dynamics.distribution import distribute
+    from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
+    from redundancy_pin.dynamics.virtual_work import VirtualWork
+    from redundancy_pin.kinematics.lift import lift
+    from redundancy_pin.loading import load_robot
+    from redundancy_pin.motion import CarrierMotion, PlatformMotion
+    from redundancy_pin.planners.check import check_plan
+    from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
+    from redundancy_pin.planners.stepwise.planner import plan_stepwise
+    from redundancy_pin.planners.switch_off.planner import plan_switch_off
+    from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
+    from redundancy_pin.simulation import simulate
+    from redundancy_pin.singularities.classify import classify, classify_motion
+    from redundancy_pin.singularities.crossings import find_crossings
+    from redundancy_pin.singularities.locus import singular_locus
+    from redundancy_pin.view import show
+    from redundancy_pin.visualisation.figures import plots as plot
+
+_startup.install()
+
+_PLACES = {
+    "CarrierMotion": "motion",
+    "CompiledDynamics": "dynamics.compiled",
+    "Plan": "planners.plan",
+    "PlatformMotion": "motion",
+    "RneaDynamics": "dynamics.rnea",
+    "VirtualWork": "dynamics.virtual_work",
+    "check_plan": "planners.check",
+    "classify": "singularities.classify",
+    "classify_motion": "singularities.classify",
+    "distribute": "dynamics.distribution",
+    "find_crossings": "singularities.crossings",
+    "joint_reactions": "dynamics.rnea",
+    "lift": "kinematics.lift",
+    "load_plan": "planners.plan",
+    "load_robot": "loading",
+    "load_robot_of": "planners.plan",
+    "plan_stepwise": "planners.stepwise.planner",
+    "plan_switch_off": "planners.switch_off.planner",
+    "plan_whole_trajectory": "planners.whole_trajectory.planner",
+    "show": "view",
+    "simulate": "simulation",
+    "singular_locus": "singularities.locus",
+}
+"""Names of ``__all__`` that are no modules, and where they are defined; the imports above say the same to type checkers."""
+
+_SHORT_NAMES = {"plot": "visualisation.figures.plots"}
+"""Modules under a name of their own."""
 
 __all__ = [
     "CarrierMotion",
@@ -55,3 +91,20 @@ __all__ = [
 __version__ = "0.1.0"
 
 _moved.install()
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name, or a room such as ``rp.errors``, when it is first used (PEP 562)."""
+    if name in _PLACES:
+        value = getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)
+    else:
+        module = f"{__name__}.{_SHORT_NAMES.get(name, name)}"
+        if name.startswith("_") or importlib.util.find_spec(module) is None:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = importlib.import_module(module)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import qr
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, frozen
 from redundancy_pin.errors import DeclarationError
@@ -196,6 +195,11 @@ def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[s
     jacobian = state.Jc[0][:, system.pose_columns] / velocity_scale(system.robot)[system.pose_columns]
     if min(jacobian.shape) == 0:
         return 0, []
+    singular = np.linalg.svd(jacobian, compute_uv=False)
+    if len(singular) == len(jacobian) and singular[-1] > RANK_TOLERANCE * singular[0]:
+        return len(jacobian), []  # the diagonal below lies between these two: its verdict is the same
+    from scipy.linalg import qr  # imported where rows are to be named only: it takes as long as all of Pinocchio
+
     _, triangle, order = qr(jacobian.T, pivoting=True, mode="economic")
     diagonal = np.abs(np.diag(triangle))
     rank = int((diagonal > RANK_TOLERANCE * max(diagonal.max(initial=0.0), np.finfo(float).tiny)).sum())

@@ -190,8 +190,9 @@ def parse(words: list[str], where: str) -> None:
     command: click.Command = main
     arguments = list(words)
     while isinstance(command, click.Group) and arguments and not arguments[0].startswith("-"):
-        assert arguments[0] in command.commands, f"{where}: no such command"
-        command = command.commands[arguments.pop(0)]
+        found = command.get_command(click.Context(command), arguments.pop(0))
+        assert found is not None, f"{where}: no such command"
+        command = found
     try:
         command.make_context(words[0], arguments)
     except click.exceptions.Exit:

@@ -2,30 +2,60 @@
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Mapping
+
 import click
 
-import redundancy_pin
-from redundancy_pin.cli.check import check
+from redundancy_pin import __version__, _startup
 from redundancy_pin.cli.errors import OneLineErrors
-from redundancy_pin.cli.info import info
-from redundancy_pin.cli.inverse_dynamics import inverse_dynamics
-from redundancy_pin.cli.map import map_command
-from redundancy_pin.cli.plan import plan
-from redundancy_pin.cli.reproduce import reproduce
-from redundancy_pin.cli.show import show
-from redundancy_pin.cli.singularities import singularities
-from redundancy_pin.cli.study import study
-from redundancy_pin.cli.validate import validate
 
 __all__ = ["main"]
 
+COMMANDS: Mapping[str, str] = {
+    "check": "Judge a saved plan anew.",
+    "info": "Show a robot, or which there are.",
+    "inverse-dynamics": "Compute the efforts along a motion.",
+    "map": "What a machine can do: two parameters swept.",
+    "plan": "Plan the motion of the carriers.",
+    "reproduce": "Run the experiments of the thesis.",
+    "show": "Show a robot in motion.",
+    "singularities": "Find singularities: a map, instants of a motion.",
+    "study": "Drive imperfect machines through singularities, many times.",
+    "validate": "Check the dynamics on random states.",
+}
+"""Commands, each the function of its name in the file of its name, and what the list of commands says of them."""
+
+
+class Commands(OneLineErrors):
+    """The group of all commands, each of which is imported when it is run: the list of them needs none."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return their names."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command; None where there is none of that name."""
+        if cmd_name in COMMANDS and cmd_name not in self.commands:
+            function = cmd_name.replace("-", "_")
+            command = getattr(importlib.import_module(f"{__name__}.{function}"), function)
+            _keep_lines(command)
+            self.add_command(command)
+        _startup.done()  # what takes long to import is there
+        return super().get_command(ctx, cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of commands."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
 
 @click.group(
-    cls=OneLineErrors,
+    cls=Commands,
     no_args_is_help=False,  # no command at all is a mistake like any other: one line and exit code 2
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-@click.version_option(redundancy_pin.__version__, prog_name="redundancy-pin")
+@click.version_option(__version__, prog_name="redundancy-pin")
 def main() -> None:
     """Dynamics of parallel robots with internal redundancy.
 
@@ -40,8 +70,3 @@ def _keep_lines(command: click.Command) -> None:
     if isinstance(command, click.Group):
         for part in command.commands.values():
             _keep_lines(part)
-
-
-for _command in (reproduce, inverse_dynamics, singularities, plan, check, map_command, show, study, validate, info):
-    main.add_command(_command)
-_keep_lines(main)

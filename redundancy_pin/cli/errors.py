@@ -12,9 +12,7 @@ from typing import Any
 
 import click
 
-from redundancy_pin import _startup
 from redundancy_pin._startup import INTERRUPTED
-from redundancy_pin.cli.output import printable
 from redundancy_pin.errors import (
     CarrierLimitError,
     CrossCheckError,
@@ -22,7 +20,6 @@ from redundancy_pin.errors import (
     SingularPoseError,
     UnreachablePoseError,
 )
-from redundancy_pin.studies.case import PATHS
 
 FAILED_CHECK = 1  # exit code where the command ran and what it checked does not hold
 BAD_INPUT = 2  # exit code where the command could not run on what it was given
@@ -134,6 +131,8 @@ def _motions(coordinates: int, *, is_pose: bool) -> str:
     """Say which motions have so many coordinates."""
     if is_pose:
         return "Give a file with x0 to x6 (position and unit quaternion x, y, z, w), xd0 to xd5 and xdd0 to xdd5."
+    from redundancy_pin.studies.case import PATHS
+
     fitting = [str(name) for name, make in PATHS.items() if make().dimension == coordinates]
     own = f"points with {coordinates} number{'s' if coordinates > 1 else ''} a row"
     alpha = " (or 2 and alpha)" if coordinates == 3 else ""
@@ -155,7 +154,6 @@ class OneLineErrors(click.Group):
 
     def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command line; see ``click.Group.main``."""
-        _startup.done()
         run: Callable[..., Any] = super().main
         # click's own standalone mode would print errors over several lines and end with 1 where it is interrupted;
         # what a command returns is its exit code
@@ -199,6 +197,11 @@ class OneLineErrors(click.Group):
         except MemoryError:
             _print_line("There is not enough memory. Ask for fewer or longer steps, samples, cells or starts.")
             sys.exit(BAD_INPUT)
+
+
+def printable(text: str) -> str:
+    """Return a text without the codes a terminal would obey: names come from files of strangers."""
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
 
 
 def _print_line(message: str) -> None:

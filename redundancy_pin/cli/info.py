@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-from rich.console import Group
-from rich.table import Table
 
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
 from redundancy_pin.cli.output import console, number, print_json, table_of
-from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.dynamics.rnea import RneaDynamics
-from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, mode_name
-from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.errors import InputError, ModelFileError
+from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 @click.command()
@@ -46,11 +41,15 @@ def info(robot: RobotOptions, as_json: bool) -> None:
     if as_json:
         print_json(facts)
     else:
-        console().print(Group(_general(facts), *_tables(facts)))
+        for table in (_general(facts), *_tables(facts)):
+            console().print(table)
 
 
 def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str, Any]:
     """Return what there is to know about a robot as plain data."""
+    from redundancy_pin.kinematics.coordinates import all_working_modes, mode_name
+    from redundancy_pin.robot.declaration import read_declaration
+
     # once more from the files: a robot knows its parameters' values, but not which of them are defaults
     data = read_declaration(declaration).data
     _, defaults = render(declaration.parent / data["urdf"], {}, trust=trust)
@@ -96,6 +95,13 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
 
 def _reference(robot: Robot) -> dict[str, Any]:
     """Return the reference coordinates and how far they are from singularities of type I and II."""
+    from redundancy_pin.dynamics.distribution import distribute
+    from redundancy_pin.dynamics.rnea import RneaDynamics
+    from redundancy_pin.kinematics.closure import ConstraintSystem
+    from redundancy_pin.kinematics.coordinates import coordinates
+    from redundancy_pin.kinematics.lift import lift
+    from redundancy_pin.motion import PlatformMotion
+
     x = coordinates(robot, ConstraintSystem(robot).evaluate(np.array(robot.q_reference)[None]))
     still = np.zeros((1, robot.n))
     motion = PlatformMotion([0.0], x, still, still)
@@ -118,7 +124,8 @@ def _joint(robot: Robot, index: int) -> dict[str, str]:
 
 def _list_robots(as_json: bool) -> None:
     robots = [
-        (name, str(read_declaration(declaration_path(name)).data.get("description", ""))) for name in shipped_robots()
+        (name, str(read_yaml(declaration_path(name), ModelFileError, "").data.get("description", "")))
+        for name in shipped_robots()
     ]
     if as_json:
         print_json({"robots": [{"name": name, "description": text} for name, text in robots]})

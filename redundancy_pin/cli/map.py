@@ -82,7 +82,7 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @scheduler_option
 @click.option("--out", metavar="FOLDER", help="Where store, tables and pictures go.  [default: map-ROBOT]")
 @json_option
-def map_command(**given: Any) -> int:
+def map(**given: Any) -> int:
     r"""What a machine can do: two parameters swept.
 
     Every cell of a grid goes to the planner of the thesis and to the whole-trajectory planner. The pictures show side
@@ -218,6 +218,6 @@ def _border(result: FeasibilityMap) -> Table:
             rows[value][planner] = _UNIFORM.get(frozenset(cell.possible for cell in cells), "not known")
         for value, crossings in groupby(result.border(planner), lambda crossing: crossing.line):
             rows[value][planner] = "; ".join(f"{crossing.low:.4g} … {crossing.high:.4g}" for crossing in crossings)
-    columns = [Column("line", axis_label(across.name, unit)), *map(Column, result.problem.planners)]
+    columns = [Column("line", axis_label(across.name, unit)), *(Column(planner) for planner in result.problem.planners)]
     title = f"border: {axis_label(along.name, unit)} between a cell that is possible and one that is not"
     return Table.of(columns, list(rows.values()), title)

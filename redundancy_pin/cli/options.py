@@ -7,17 +7,17 @@ import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from redundancy_pin.arrays import checked
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError, did_you_mean, shown
-from redundancy_pin.loading import load_with
-from redundancy_pin.robot import Robot
-from redundancy_pin.studies.case import BACKENDS, TRAJECTORIES
-from redundancy_pin.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from redundancy_pin.robot import Robot
+    from redundancy_pin.trajectory import Trajectory
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -34,6 +34,8 @@ class RobotOptions:
 
     def load(self) -> Robot:
         """Load the robot."""
+        from redundancy_pin.loading import load_with
+
         return load_with(self.source, self.settings, gravity=self.gravity, working_mode=self.mode, trust=self.trust)
 
     @property
@@ -115,6 +117,8 @@ def json_option(command: _Command) -> _Command:
 
 def backend_option(default: str | None, text: str = "How to compute.") -> Callable[[_Command], _Command]:
     """Return the option ``--backend``; the command chooses where neither the user nor ``default`` names one."""
+    from redundancy_pin.studies.case import BACKENDS
+
     return click.option(
         "--backend", type=click.Choice(list(BACKENDS)), default=default, show_default=default is not None, help=text
     )
@@ -199,10 +203,17 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def _trajectories() -> Mapping[str, Callable[..., Trajectory]]:
+    from redundancy_pin.studies.case import TRAJECTORIES  # `info` shares this file, and has no use for planners
+
+    return TRAJECTORIES
+
+
 def make_trajectory(name: str, options: Mapping[str, Any]) -> Trajectory:
     """Return a trajectory by name."""
     # the maker's signature is the schema: a new trajectory needs no table of its keys here
-    make = TRAJECTORIES[require_choice(name, tuple(TRAJECTORIES), "the trajectory")]
+    makers = _trajectories()
+    make = makers[require_choice(name, tuple(makers), "the trajectory")]
     signature = inspect.signature(make)
     where = f"the trajectory {name}"
     require_known(options, tuple(signature.parameters), where)
@@ -217,7 +228,8 @@ def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory
     name, texts = split_trajectory(text)
     options = {key: trajectory_value(key, value, f"the trajectory {name}") for key, value in texts.items()}
     given = {key: value for key, value in flags.items() if value is not None}
-    known = inspect.signature(TRAJECTORIES[name]).parameters if name in TRAJECTORIES else given
+    makers = _trajectories()
+    known = inspect.signature(makers[name]).parameters if name in makers else given
     for key in given:
         flag = f"--{key.replace('_', '-')}"
         if key in options:
@@ -262,7 +274,7 @@ def trajectory_option(what: str) -> Callable[[_Command], _Command]:
     return click.option(
         "--trajectory",
         metavar="NAME[:KEY=VALUE,...]",
-        help=f"{what}: {', '.join(TRAJECTORIES)}; such as circle:speed=0.5, or "
+        help=f"{what}: {', '.join(_trajectories())}; such as circle:speed=0.5, or "
         "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'.",
     )
 

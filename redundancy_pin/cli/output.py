@@ -8,18 +8,19 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from redundancy_pin._startup import INTERRUPTED
 from redundancy_pin.errors import OutputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.studies.table import json_data
 from redundancy_pin.visualisation.figures.style import picture_format, require_matplotlib
+
+if TYPE_CHECKING:  # rich is imported where something is printed by it: `--help` and `--json` do without
+    from rich.console import Console
+    from rich.table import Table
 
 Advance = Callable[[int, int, str], None]
 """Called with steps done, steps in all, and what is being done."""
@@ -33,6 +34,8 @@ def console(*, markup: bool = False) -> Console:
 
     With ``markup`` a ``[green]`` in a text is a colour; without, texts of users are shown as they stand.
     """
+    from rich.console import Console
+
     # a width of its own in a pipe: rich would take 80 columns there and cut numbers
     if _is_terminal(sys.stdout):
         return Console(markup=markup, highlight=False)
@@ -45,6 +48,8 @@ def _is_terminal(stream: Any) -> bool:
 
 def table_of(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = False) -> Table:
     """Return a table, without a head where there are no headings; columns of ``numbers`` stand to the right."""
+    from rich.table import Table
+
     table = Table(title=title, show_header=bool(headings))
     for place, heading in enumerate(headings):
         table.add_column(heading, justify="right" if numbers and place else "left")
@@ -61,11 +66,6 @@ def print_json(data: Mapping[str, Any]) -> None:
 def number(value: float) -> str:
     """Return a number with six digits, rounding to zero what is rounding of a number of size one."""
     return f"{0.0 if abs(value) < _ROUNDING else value:.6g}"
-
-
-def printable(text: str) -> str:
-    """Return a text without the codes a terminal would obey: names come from files of strangers."""
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
 
 
 def require_suffix(flag: str, path: str, suffix: str) -> None:
@@ -102,6 +102,9 @@ def progress(title: str) -> Iterator[Advance]:
     if not (_is_terminal(sys.stderr) and _is_terminal(sys.stdout)):
         yield lambda done, total, what: None  # nobody looks at it: a bar in a log file is noise
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     bar = Progress(
         SpinnerColumn(),
         TextColumn("{task.description}"),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import click
 
+from redundancy_pin.cli.errors import printable
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import print_json, printable
+from redundancy_pin.cli.output import print_json
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of

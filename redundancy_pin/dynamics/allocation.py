@@ -30,7 +30,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.optimize import lsq_linear, nnls
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, BoolArray, Frozen, IntArray
 
@@ -99,6 +98,8 @@ def within_bounds(start: Array, null: Array, bounded: Array, lower: Array, upper
     system = np.concatenate([G.T, h[None] / scale])
     goal = np.zeros(len(system))
     goal[-1] = 1.0
+    from scipy.optimize import nnls
+
     try:
         multipliers, left = nnls(system, goal)
     except RuntimeError:  # it did not converge: the answer that misses least is the safe one
@@ -121,6 +122,8 @@ def least_miss(matrix: Array, goal: Array, lower: Array, upper: Array) -> Array:
     free = lower < upper  # lsq_linear takes no empty interiors
     u = np.array(lower)
     if free.any():
+        from scipy.optimize import lsq_linear
+
         rest, box = goal - matrix[:, ~free] @ u[~free], (lower[free], upper[free])
         fit = lsq_linear(matrix[:, free], rest, box, method="bvls", tol=_ROUNDING, max_iter=1000)
         u[free] = np.clip(fit.x, *box)

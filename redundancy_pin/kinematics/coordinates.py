@@ -10,7 +10,6 @@ from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, checked, read_only
 from redundancy_pin.errors import InputError
@@ -71,6 +70,8 @@ def difference(robot: Robot, target: Array, start: Array) -> Array:
     origin and a world-aligned rotation vector.
     """
     if target.ndim == 3:
+        from scipy.spatial.transform import Rotation
+
         rotation = Rotation.from_matrix(target[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1))
         delta = np.concatenate([target[:, :3, 3] - start[:, :3, 3], rotation.as_rotvec()], axis=1)
         return delta[:, _pose_rows(robot)]
@@ -83,6 +84,8 @@ def difference(robot: Robot, target: Array, start: Array) -> Array:
 def moved(robot: Robot, start: Array, increment: Array) -> Array:
     """Return the coordinates reached from ``start`` by an increment as returned by ``difference``."""
     if start.ndim == 3:
+        from scipy.spatial.transform import Rotation
+
         full = np.zeros((len(start), 6))
         full[:, _pose_rows(robot)] = increment
         result: Array = start.copy()
@@ -164,6 +167,8 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
 def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:
     """Return declared reference coordinates as (1, n), or as a pose (1, 4, 4) from xyz and rpy."""
     if robot.platform is not None and robot.platform.is_pose:
+        from scipy.spatial.transform import Rotation
+
         pose: Array = np.eye(4)[None].copy()
         pose[0, :3, 3] = numbers[:3]
         pose[0, :3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()

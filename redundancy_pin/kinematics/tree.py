@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.errors import UnsupportedRobotError
@@ -212,6 +211,8 @@ def _turned(base: Array, axes: Array, q: Array) -> Array:
     if len(q) == 0:
         return base
     if len(q) == 4:
+        from scipy.spatial.transform import Rotation
+
         about: Array = np.einsum("ijn,njk->ikn", base, Rotation.from_quat(q.T).as_matrix())
         return about
     axis = axes[:, 0]

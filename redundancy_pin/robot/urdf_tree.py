@@ -16,7 +16,6 @@ from typing import NoReturn
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError, did_you_mean
@@ -225,8 +224,7 @@ class _Part:
         if origin is not None and "xyz" in given:
             placement[:3, 3] = origin.triple("xyz", "an origin with xyz")
         if origin is not None and "rpy" in given:
-            turn = Rotation.from_euler("xyz", origin.triple("rpy", "an origin with rpy"))
-            placement[:3, :3] = turn.as_matrix()
+            placement[:3, :3] = _turned(*origin.triple("rpy", "an origin with rpy"))
         return placement
 
 
@@ -417,6 +415,16 @@ def _pseudo_inertia(mass: float, centre: Array, inertia: Array) -> Array:
     pseudo[:3, 3] = pseudo[3, :3] = mass * np.asarray(centre)
     pseudo[3, 3] = mass
     return pseudo
+
+
+def _turned(roll: float, pitch: float, yaw: float) -> Array:
+    """Return the rotation (3, 3) of angles about the fixed axes x, y, z in that order, rad: R_z R_y R_x."""
+    (a, b, c), (x, y, z) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, a, -x], [0.0, x, a]])
+    about_y = np.array([[b, 0.0, y], [0.0, 1.0, 0.0], [-y, 0.0, b]])
+    about_z = np.array([[c, -z, 0.0], [z, c, 0.0], [0.0, 0.0, 1.0]])
+    turn: Array = about_z @ about_y @ about_x
+    return turn
 
 
 def _as_number(text: str, most: float) -> float | None:

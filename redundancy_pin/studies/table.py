@@ -8,11 +8,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table as TerminalTable
+
+if TYPE_CHECKING:
+    from rich.table import Table as TerminalTable
 
 NONE = "–"
 """Stands for a number that does not exist."""
@@ -93,6 +95,8 @@ class Table:
 
     def terminal(self) -> TerminalTable:
         """Return the table for a rich console."""
+        from rich.table import Table as TerminalTable
+
         shown = TerminalTable(title=self.title or None)
         for column in self.columns:
             shown.add_column(column.heading, overflow="fold")

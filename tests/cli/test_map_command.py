@@ -157,9 +157,9 @@ def test_matplotlib_is_asked_for_before_the_work(monkeypatch: pytest.MonkeyPatch
 
 
 def _problem(*arguments: str) -> MapProblem:
-    from redundancy_pin.cli.map import map_command
+    from redundancy_pin.cli.map import map as command
 
-    return problem_of(map_command.make_context("map", list(arguments)).params)
+    return problem_of(command.make_context("map", list(arguments)).params)
 
 
 def test_a_robot_of_the_thesis_has_a_map_of_its_own() -> None:

@@ -327,7 +327,8 @@ def options_of(arguments: Sequence[str]) -> list[str]:
 
     command: click.Command = main
     for word in arguments[:2]:
-        command = command.commands.get(word, command) if isinstance(command, click.Group) else command
+        if isinstance(command, click.Group):
+            command = command.get_command(click.Context(command), word) or command
     taking = [each for each in command.params if isinstance(each, click.Option) and not each.is_flag]
     return [each.opts[0] for each in taking]
 

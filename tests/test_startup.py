@@ -1,0 +1,86 @@
+"""What is imported when: no command and no name of the package pays for libraries that it does not use."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.cli import COMMANDS, main
+
+HEAVY = (
+    *("numpy", "pinocchio", "scipy", "pydantic", "joblib", "xacro", "casadi", "matplotlib", "meshcat", "rich"),
+    *("yaml", "click", "jinja2", "markdown_it", "daqp", "contourpy", "sqlite3", "http.server"),
+)
+"""Libraries that take long to import, or that few need."""
+
+KINEMATICS = {"numpy", "pinocchio", "pydantic", "xacro", "yaml"}
+"""What it takes to read a robot and close its loops."""
+
+COMMAND = "from redundancy_pin.cli import main\nmain({}, standalone_mode=False)"
+LOADED = {
+    "import redundancy_pin": set(),
+    "import redundancy_pin as rp; dir(rp), rp.__all__, rp.__version__": set(),
+    "import redundancy_pin as rp; rp.errors.InputError": set(),
+    "import redundancy_pin as rp; rp.PlatformMotion, rp.CarrierMotion": {"numpy"},
+    "import redundancy_pin as rp; rp.load_robot('3rrr')": KINEMATICS,
+    "import redundancy_pin as rp; rp.RneaDynamics(rp.load_robot('2rpr')); rp.distribute": KINEMATICS,
+    COMMAND.format(["--version"]): {"click"},
+    COMMAND.format(["--help"]): {"click"},
+    COMMAND.format(["info", "--help"]): {"click", "numpy", "pinocchio", "yaml"},
+    COMMAND.format(["info", "--json"]): {"click", "numpy", "pinocchio", "yaml"},
+    COMMAND.format(["info"]): {"click", "numpy", "pinocchio", "yaml", "rich"},
+    COMMAND.format(["info", "--robot", "3rrr"]): {*KINEMATICS, "click", "rich"},
+}
+"""Of those, the ones that a program may load."""
+
+
+@pytest.mark.parametrize("program", LOADED)
+def test_a_program_loads_what_it_uses(program: str) -> None:
+    report = f"import json, sys; print(json.dumps([name for name in {HEAVY} if name in sys.modules]), file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", f"{program}\n{report}"], capture_output=True, text=True, check=True)
+    assert set(json.loads(done.stderr.splitlines()[-1])) <= LOADED[program]
+
+
+def test_names_are_where_type_checkers_are_told_and_in_all() -> None:
+    tree = ast.parse(Path(rp.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    told = {
+        alias.asname or alias.name: (node.module, alias.name)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert sorted(told) == sorted(rp.__all__)
+    assert set(rp.__all__) <= set(dir(rp))
+    for name, (module, original) in told.items():
+        __import__(f"{module}.{original}" if name in ("simulation", "trajectory", "plot") else module)
+        assert getattr(rp, name) is getattr(sys.modules[module], original), name
+
+
+def test_names_that_are_not_there() -> None:
+    assert not hasattr(rp, "no_such_name")
+    with pytest.raises(AttributeError, match="'redundancy_pin' has no attribute 'no_such_name'"):
+        _ = rp.no_such_name
+    with pytest.raises(ImportError):
+        exec("from redundancy_pin import no_such_name")
+
+
+def test_the_list_of_commands_says_what_they_say_of_themselves() -> None:
+    context = click.Context(main)
+    assert main.list_commands(context) == sorted(COMMANDS)  # type: ignore[attr-defined]
+    for name, text in COMMANDS.items():
+        command = main.get_command(context, name)  # type: ignore[attr-defined]
+        assert command is not None
+        assert command.name == name
+        assert command.get_short_help_str(100) == text
+    assert main.get_command(context, "no-such-command") is None  # type: ignore[attr-defined]
+    here = Path(sys.modules["redundancy_pin.cli"].__file__ or "").parent
+    helpers = {"__init__", "errors", "options", "output", "plan_problem"}
+    assert {path.stem.replace("_", "-") for path in here.glob("*.py") if path.stem not in helpers} == set(COMMANDS)
