@@ -1,4 +1,4 @@
-"""What it takes to start, as ratios of processor time to that of ``import pinocchio``: ``python benchmarks/start_up.py``."""
+"""What it takes to start, as ratios of processor time to that of ``import pinocchio``."""
 
 import resource
 import statistics

@@ -56,7 +56,7 @@ _PLACES = {
     "simulate": "simulation",
     "singular_locus": "singularities.locus",
 }
-"""Names of ``__all__`` that are no modules, and where they are defined; the imports above say the same to type checkers."""
+"""Names of ``__all__`` that are no modules, by where they are defined; the imports above say it to type checkers."""
 
 _SHORT_NAMES = {"plot": "visualisation.figures.plots"}
 """Modules under a name of their own."""
