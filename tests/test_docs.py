@@ -15,7 +15,6 @@ import ast
 import importlib
 import re
 import shlex
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +84,7 @@ def test_every_public_name_has_a_docstring_and_a_page(monkeypatch: pytest.Monkey
     assert {"redundancy_pin.trajectory", "redundancy_pin.visualisation.figures.plots", "redundancy_pin.errors"} <= set(
         modules
     )
-    for module in (sys.modules[name] for name in modules):
+    for module in map(importlib.import_module, modules):
         for public in getattr(module, "__all__", ()):
             value = getattr(module, public)
             if callable(value) and not hasattr(value, "__args__"):

@@ -1,10 +1,12 @@
 """One input at a time in a forked process: a crash, a hang or a full memory is an outcome, and not the end of the run.
 
-The package is imported before the fork, so an input costs milliseconds beyond what it does.
+The package is imported whole before the fork, so an input costs milliseconds beyond what it does.
 """
 
 from __future__ import annotations
 
+import functools
+import importlib
 import json
 import os
 import resource
@@ -18,6 +20,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
+import click
+
+import redundancy_pin as rp
+from redundancy_pin.cli import COMMANDS, main
 from redundancy_pin.errors import RedundancyPinError
 
 SECONDS = 2.0
@@ -49,8 +55,20 @@ class Outcome:
     megabytes: float = 0.0
 
 
+@functools.cache
+def import_all() -> None:
+    """Import what is imported when it is used: in each fork anew it would count as the time of each input."""
+    for library in ("rich.console", "rich.table", "scipy.linalg", "scipy.optimize", "scipy.spatial.transform"):
+        importlib.import_module(library)
+    for name in rp.__all__:
+        getattr(rp, name)
+    for name in COMMANDS:
+        main.get_command(click.Context(main), name)
+
+
 def run(action: Action, files: Mapping[str, bytes], patience: int = HANGS, seconds: float = SECONDS) -> Outcome:
     """Do something with files in a folder of its own, in a forked process; a refusal may take ``seconds``."""
+    import_all()
     folder = Path(tempfile.mkdtemp(prefix="forked-"))
     try:
         for name, content in files.items():

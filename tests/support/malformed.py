@@ -28,6 +28,7 @@ from pathlib import Path
 
 import click
 import yaml
+from forked import import_all
 
 PLAN = Path(__file__).resolve().parents[1] / "compatibility" / "data" / "whole-line.npz"
 
@@ -401,6 +402,7 @@ def invocations(count: int, seed: int = 0) -> Iterator[Invocation]:
 
 def tally(count: int, seed: int, program: Callable[[Sequence[str]], object]) -> Counter[str]:
     """Run malformed invocations, print those that went wrong, and count how all of them ended."""
+    import_all()
     counts: Counter[str] = Counter()
     for k, each in enumerate(invocations(count, seed)):
         outcome = run(each, program)
