@@ -22,17 +22,14 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def _pip(*arguments: str) -> None:
-    command = [sys.executable, "-m", "pip", "--quiet", "--no-input", "--disable-pip-version-check", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build the wheel with the build backend of this environment, so that no network is needed."""
     folder = tmp_path_factory.mktemp("wheel")
-    _pip("wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder), str(ROOT))
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-input", "--disable-pip-version-check"]
+    command += ["--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
     (built,) = folder.glob("*.whl")
     return built
 
@@ -64,7 +61,10 @@ def test_wheel_holds_the_package_and_nothing_else(contents: set[str]) -> None:
 def test_installed_wheel_loads_its_own_models(wheel: Path, tmp_path: Path) -> None:
     target, empty = tmp_path / "site", tmp_path / "empty"
     empty.mkdir()
-    _pip("install", "--no-deps", "--no-index", "--target", str(target), str(wheel))
+    with zipfile.ZipFile(wheel) as archive:  # a wheel of Python files is installed by unpacking it
+        archive.extractall(target)
+        (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/WHEEL"))
+        assert b"Root-Is-Purelib: true" in archive.read(metadata)
     program = (
         "import redundancy_pin, redundancy_pin.robot.urdf as files\n"
         "robots = [redundancy_pin.load_robot(name) for name in files.shipped_robots()]\n"

@@ -6,7 +6,7 @@ import click
 
 from redundancy_pin.cli.errors import FAILED_CHECK
 from redundancy_pin.cli.options import backend_option, json_option, trust_option
-from redundancy_pin.cli.output import console, number, print_json, table_of
+from redundancy_pin.cli.output import console, number, print_json, row, table_of
 from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES
 from redundancy_pin.planners.check import check_plan
 from redundancy_pin.planners.plan import load_plan, load_robot_of
@@ -56,7 +56,7 @@ def check(path: str, source: str | None, backend: str, trust: bool, as_json: boo
             ("is what it says", "yes" if result.passed else "NO"),
             ("status", result.status.value.replace("_", " ")),
             ("largest imbalance of W τ = f", number(result.imbalance)),
-            (f"peak main effort [{unit}]", ", ".join(number(float(value)) for value in result.peak_effort)),
+            (f"peak main effort [{unit}]", row(result.peak_effort)),
             ("limits broken", str(len(result.violated)) if result.violated else "none"),
             *(("deviation", deviation.message) for deviation in result.deviations),
             *(("wider limit", note) for note in result.wider_limits),

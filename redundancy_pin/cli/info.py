@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import console, number, print_json, table_of
+from redundancy_pin.cli.output import console, print_json, row, table_of
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.robot import Robot
@@ -189,8 +189,8 @@ def _unit(facts: dict[str, Any]) -> str:
 
 def _coordinates(values: list[Any]) -> str:
     if values and isinstance(values[0], list):  # a pose
-        return "; ".join(", ".join(number(value) for value in row) for row in values[:3])
-    return ", ".join(number(value) for value in values)
+        return "; ".join(row(each) for each in values[:3])
+    return row(values)
 
 
 def _text(value: object) -> str:

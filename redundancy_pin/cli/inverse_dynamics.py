@@ -11,7 +11,7 @@ import numpy as np
 from redundancy_pin.arrays import Array
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, robot_options
-from redundancy_pin.cli.output import console, print_json, progress, require_suffix, same_file, table_of
+from redundancy_pin.cli.output import console, print_json, progress, require_suffix, row, same_file, table_of
 from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
@@ -96,10 +96,9 @@ def inverse_dynamics(
     record = robot_record(loaded)
     main, moved = record.effort_unit(*loaded.actuated), record.effort_unit(*loaded.carriers)
     rows = [(f"{name} samples", str(count)) for name, count in facts["statuses"].items()]
-    rows.append((f"largest |tau| [{main}]", ", ".join(f"{value:.6g}" for value in facts["largest_tau"])))
+    rows.append((f"largest |tau| [{main}]", row(facts["largest_tau"])))
     if loaded.k:
-        forces = ", ".join(f"{value:.6g}" for value in facts["largest_carrier_force"])
-        rows.append((f"largest |carrier force| [{moved}]", forces))
+        rows.append((f"largest |carrier force| [{moved}]", row(facts["largest_carrier_force"])))
     rows += [("smallest margin", f"{facts['smallest_margin']:.6g}"), ("written to", out)]
     console().print(table_of(f"{loaded.name}, {backend}: {len(motion)} samples", (), rows))
 

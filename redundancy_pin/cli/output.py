@@ -68,6 +68,11 @@ def number(value: float) -> str:
     return f"{0.0 if abs(value) < _ROUNDING else value:.6g}"
 
 
+def row(values: Iterable[float]) -> str:
+    """Return numbers side by side."""
+    return ", ".join(number(float(value)) for value in values)
+
+
 def require_suffix(flag: str, path: str, suffix: str) -> None:
     """Check that a file to write is named as what it will be: other programs, and people, go by the name."""
     named = Path(path)

@@ -29,6 +29,7 @@ from redundancy_pin.cli.output import (
     progress,
     require_picture,
     require_suffix,
+    row,
     same_file,
     table_of,
 )
@@ -185,10 +186,10 @@ def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
         ("status", status),
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples"),
         ("phases [s]", _phases(facts["phases"])),
-        (f"peak main effort [{main}]", _row(facts["peak_effort"])),
-        (f"rms main effort [{main}]", _row(facts["rms_effort"])),
-        (f"reversals above {100.0 * SWING:g} % of the peak", _row(facts["reversals"])),
-        (f"peak carrier effort [{moved}]", _row(facts["peak_carrier_force"])),
+        (f"peak main effort [{main}]", row(facts["peak_effort"])),
+        (f"rms main effort [{main}]", row(facts["rms_effort"])),
+        (f"reversals above {100.0 * SWING:g} % of the peak", row(facts["reversals"])),
+        (f"peak carrier effort [{moved}]", row(facts["peak_carrier_force"])),
         ("energy, main actuators [J]", number(plan.main_energy)),
         ("energy, carriers [J]", number(plan.carrier_energy)),
         ("smallest margin", number(facts["smallest_margin"])),
@@ -219,10 +220,6 @@ def _event(plan: Plan, event: LimitEvent, *, broken: bool) -> str:
     limit = event.limit if event.quantity == "track" else abs(event.limit)  # the others are limits of a size
     much = f"by {event.amount:.3g} {unit}" if broken else f"at its limit {limit:.3g} {unit}"
     return f"{event.quantity} of {event.carrier} {much} at t = {event.worst:.4g} s"
-
-
-def _row(values: Any) -> str:
-    return ", ".join(number(float(value)) for value in values)
 
 
 def _output_options(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.options import RobotOptions, json_option, parse_trajectory, robot_options, trajectory_option
-from redundancy_pin.cli.output import console, number, print_json, progress, require_picture, table_of
+from redundancy_pin.cli.output import console, print_json, progress, require_picture, row, table_of
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
@@ -96,10 +96,10 @@ def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
         rows.append(
             (
                 f"{crossing.t:.9g}" if crossing.until == crossing.t else f"{crossing.t:.9g} to {crossing.until:.9g}",
-                ", ".join(number(value) for value in place),
+                row(place),
                 crossing.kind.label,
                 "crossed" if crossing.crosses else "touched",
-                ", ".join(number(value) for value in direction),
+                row(direction),
             )
         )
     headings = ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction")

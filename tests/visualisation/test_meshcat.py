@@ -20,8 +20,7 @@ from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.view import show
 from redundancy_pin.visualisation.viewer.meshcat_scene import AROUND, arc, arrow, tube
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.parts import prism
-from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, margin_classes
+from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, margin_classes, prism
 
 umsgpack = pytest.importorskip("umsgpack", reason="comes with meshcat")
 

@@ -18,8 +18,15 @@ from redundancy_pin.singularities.locus import SingularLocus
 from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below
 from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.parts import base_hinges, links
-from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, UNKNOWN_COLOR, Scene, margin_classes, margin_labels
+from redundancy_pin.visualisation.viewer.scene import (
+    MARGIN_COLORS,
+    UNKNOWN_COLOR,
+    Scene,
+    base_hinges,
+    links,
+    margin_classes,
+    margin_labels,
+)
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, ROLE_NAMES, Solid, arc_points, corners_of
 
 if TYPE_CHECKING:

@@ -51,7 +51,7 @@ from redundancy_pin.visualisation.figures.time_panels import (
     plot_time_panels,
     series,
 )
-from redundancy_pin.visualisation.viewer.parts import base_hinges, links
+from redundancy_pin.visualisation.viewer.scene import base_hinges, links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

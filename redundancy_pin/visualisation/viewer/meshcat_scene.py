@@ -17,14 +17,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
-from redundancy_pin.visualisation.viewer.parts import along_z, place
 from redundancy_pin.visualisation.viewer.scene import (
     EFFORT_COLORS,
     MARGIN_COLORS,
     UNKNOWN_COLOR,
     Arrow,
     Scene,
+    along_z,
     margin_classes,
+    place,
 )
 from redundancy_pin.visualisation.viewer.solids import Mesh, Solid, arc_points, corners_of
 
