@@ -16,6 +16,7 @@ import yaml
 import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from redundancy_pin import VirtualWork, load_robot
 from redundancy_pin.errors import DeclarationError, ModelFileError, RedundancyPinError
@@ -501,3 +502,14 @@ def test_the_arguments_of_a_closed_form_are_those_it_reads(form: str) -> None:
     object.__setattr__(robot, "parameters", Watched(robot.parameters))
     VirtualWork(robot)
     assert read == set(CLOSED_FORMS[form])
+
+
+def test_angles_of_an_origin_are_about_the_fixed_axes() -> None:
+    angles = (0.3, -0.5, 0.7)
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/>'
+        f'<child link="b"/><origin xyz="1 2 3" rpy="{" ".join(map(str, angles))}"/></joint></robot>'
+    )
+    (joint,) = read_tree(text, Path("r.urdf")).joints
+    np.testing.assert_allclose(joint.placement[:3, :3], Rotation.from_euler("xyz", angles).as_matrix(), atol=1e-15)
+    np.testing.assert_array_equal(joint.placement[:3, 3], [1.0, 2.0, 3.0])
