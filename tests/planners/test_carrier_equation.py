@@ -1,12 +1,14 @@
 """The integration of F s̈ = W τ_ref − f(s, ṡ, 0) on equations whose solutions are known."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from redundancy_pin.planners.carrier_model import CarrierModel
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, StepGivenUpError
+from redundancy_pin.planners.switch_off.crossing import lost_directions
 from redundancy_pin.trajectory.functions_of_time import carriers_at
 
 S, S2, SD, SSD, SDD = range(5)
@@ -121,3 +123,27 @@ def test_jump_of_the_load_makes_a_jump_of_the_acceleration():
     for side, value in (("left", 1.0), ("right", -2.0)):
         assert carriers_at(path, np.array([0.37]), side).sdd[0, 0] == pytest.approx(value, abs=1e-10)
     assert carriers_at(path, np.array([1.0])).sd[0, 0] == pytest.approx(0.37 - 2.0 * 0.63, abs=1e-11)
+
+
+def test_where_the_carriers_lose_a_direction_is_found_in_scaled_coordinates():
+    """F(t) loses the direction u at t = 0.4, in forces; moments are forces at a lever of 5 m."""
+    scale, u = np.array([1.0, 5.0]), np.array([0.6, 0.8])
+    lost, grows = np.outer([0.8, -0.6], [1.0, 2.0]), np.array([[0.3, 1.0], [1.0, -0.2]])
+    f0, W, tau = np.array([2.0, 35.0]), np.array([[1.0, 0.5], [2.0, -1.0]]), np.array([3.0, 4.0])
+    by_s = np.array([[0.7, -1.0], [4.0, 2.0]])
+
+    def at(t):
+        terms = np.zeros((len(t), 2, 2, 5))
+        terms[..., 0] = by_s
+        terms[..., 4] = scale[:, None] * (lost + (t - 0.4)[:, None, None] * grows)
+        return SimpleNamespace(t=t, f_terms=terms, f0=np.tile(f0, (len(t), 1)), W=np.tile(W, (len(t), 1, 1)))
+
+    model = SimpleNamespace(at=at, interpolant=SimpleNamespace(edges=np.array([0.0, 0.25, 1.0])))
+    equation = SimpleNamespace(model=model, row_scale=scale, effort=lambda t: np.tile(tau, (len(t), 1)))
+    (found,) = lost_directions(equation, 0.0, 1.0)
+    assert found.t == pytest.approx(0.4, abs=1e-7)
+    sign = np.sign(found.direction[0])
+    np.testing.assert_allclose(sign * found.direction, u, atol=1e-7)
+    assert sign * found.parked == pytest.approx(u @ ((f0 - W @ tau) / scale), rel=1e-6)
+    assert found.by_motion == pytest.approx(np.abs(u / scale @ by_s).max(), rel=1e-6)
+    assert found.by_main
