@@ -12,7 +12,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.studies import cases
 from redundancy_pin.studies.case import Case, Mode, Plans
-from redundancy_pin.studies.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, Extent, by_method
+from redundancy_pin.studies.cases import EFFORT, NONE, OBJECTIVES, PEAK, STEPWISE, SWITCH_OFF, TASKS, Extent, by_method
 from redundancy_pin.studies.measures import (
     dense_peak,
     missing_force,
@@ -22,7 +22,8 @@ from redundancy_pin.studies.measures import (
     square_integral,
 )
 from redundancy_pin.studies.planned import Chapter, Tell
-from redundancy_pin.studies.table import Column, Record, Table
+from redundancy_pin.studies.statements import claim, counted, ratios, verdict
+from redundancy_pin.studies.table import Record, Table, grouped, table, text
 from redundancy_pin.workers import parallel
 
 INFEASIBLE = "infeasible"
@@ -114,7 +115,7 @@ def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     for task in cases.TRADED:
         trades.append(trade_record(plans, task, extent))
         tell(f"trade-off: {task.name}")
-    return {
+    chapter = {
         "plans": records,
         "targets": targets(records),
         "fastest": races,
@@ -123,6 +124,7 @@ def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
         "first_guesses": [starts_record(plans, case) for case in _started(extent)],
         "trade_off": trades,
     }
+    return chapter | {"findings": findings(chapter)}
 
 
 def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> Record:
@@ -148,10 +150,7 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
 
 def by_task(records: Sequence[Record]) -> dict[str, dict[str, Record]]:
     """Return records by task and method."""
-    groups: dict[str, dict[str, Record]] = {}
-    for record in records:
-        groups.setdefault(record["task"], {})[record["way"]] = record
-    return groups
+    return {task: {record["way"]: record for record in group} for (task,), group in grouped(records, "task").items()}
 
 
 def targets(records: Sequence[Record]) -> list[Record]:
@@ -183,9 +182,7 @@ def headline(records: Sequence[Record]) -> Table:
             shown = {"none": group.get(NONE), "thesis": best(group.get(method) for method in thesis),
                      "effort": group[EFFORT], "peak": group.get(PEAK)}  # fmt: skip
             rows.append({"motion": task.title, **{name: headline_cell(record) for name, record in shown.items()}})
-    titles = {"motion": "motion", "none": "no moving masses", "thesis": "planner of the thesis",
-              "effort": "whole trajectory: least effort", "peak": "... least peak"}  # fmt: skip
-    return Table.of([Column(name, title) for name, title in titles.items()], rows)
+    return table("headline", rows)
 
 
 def best(records: Iterable[Record | None]) -> Record | None:
@@ -377,3 +374,144 @@ def _trade_point(ratio: float, weight: float, outcome: Plan | InfeasiblePlanErro
 def rises(values: Sequence[float]) -> bool:
     """Return whether values rise, but for rounding."""
     return all(after >= before * (1.0 - ORDERED) for before, after in pairwise(values))
+
+
+# --- findings beyond the thesis ------------------------------------------------------------------------------------
+
+
+def findings(chapter: Mapping[str, Any]) -> list[Record]:
+    """Return what follows from the chapter beyond the thesis."""
+    groups = by_task(chapter["plans"])
+    singular = {task.name: groups[task.name] for task in cases.SINGULAR if task.name in groups}
+    turns = zip(("corner_wide", "corner_sharp", "corner_square"), cases.TURNS, strict=True)
+    return [
+        _singular(singular),
+        _heavy(singular),
+        _speed(chapter["fastest"]),
+        *(_turn(name, task, groups[task.name], chapter["working_modes"]) for name, task in turns),
+        *_whole([record for record in chapter["plans"] if record["way"] in OBJECTIVES], groups),
+        _backends(chapter["backends"]),
+        _starts(chapter["first_guesses"]),
+    ]
+
+
+def _both_sound(group: Mapping[str, Record]) -> bool:
+    return bool(group[EFFORT]["sound"] and group[PEAK]["sound"])
+
+
+def _singular(groups: Mapping[str, Mapping[str, Record]]) -> Record:
+    sound = [task for task, group in groups.items() if _both_sound(group)]
+    off = {task: group[SWITCH_OFF] for task, group in groups.items()}
+    broken = [task for task, record in off.items() if record["exists"] and not record["sound"]]
+    both = [(group[EFFORT], off[task]) for task, group in groups.items() if group[EFFORT]["exists"]]
+    both = [pair for pair in both if pair[1]["exists"]]
+    late = {task: group[cases.SWITCH_OFF_LATE] for task, group in groups.items() if cases.SWITCH_OFF_LATE in group}
+    return counted(
+        "singular",
+        len(sound),
+        len(groups),
+        sound=sound,
+        kept=[task for task, record in off.items() if record["sound"]],
+        broken=broken,
+        without=[task for task, record in off.items() if not record["exists"]],
+        late=cases.LATE,
+        saved=[(task, headline_cell(late[task])) for task in broken if task in late and late[task]["sound"]],
+        factors=ratios(both, "worst"),
+        before=[whole["worst"] / other["before"] for whole, other in both if not math.isnan(other["before"])],
+    )
+
+
+def _heavy(groups: Mapping[str, Mapping[str, Record]]) -> Record:
+    without = {task: group for task, group in groups.items() if not group[SWITCH_OFF]["exists"]}
+    good = sum(_both_sound(group) for group in without.values())
+    motions = [
+        {"task": task, "missing": group[SWITCH_OFF]["missing"], "effort": headline_cell(group[EFFORT]),
+         "peak": headline_cell(group[PEAK])}
+        for task, group in without.items()
+    ]  # fmt: skip
+    stands = verdict(good, len(without)) if without else "does not stand"
+    return claim("heavy", stands, total=len(without), good=good, motions=motions)
+
+
+def _speed(races: Sequence[Record]) -> Record:
+    circles = [race for race in races if race["task"].startswith("circle") and math.isinf(race["effort_limit"])]
+    good = sum(race["fastest_with_plan"]["speed"] > THESIS_SPEED for race in circles)
+    shown = [
+        {**{key: race[key] for key in ("title", "unit", "effort_limit")}, "capped": math.isfinite(race["effort_limit"]),
+         "slower": race["fastest_with_plan"], "faster": race["slowest_without"]}
+        for race in races
+    ]  # fmt: skip
+    return claim("speed", verdict(good, len(circles)), thesis_speed=THESIS_SPEED, races=shown)
+
+
+def _turn(name: str, task: Case, group: Mapping[str, Record], modes: Sequence[Record]) -> Record:
+    none, aims = group[NONE], {"effort": group[EFFORT], "peak": group[PEAK]}
+    same = [record for record in modes if task.path == "corner" and record["radius"] == task.option("radius")]
+    alone = int(group[PEAK]["sound"] and group[PEAK]["worst"] < none["worst"])
+    good = sum(record["lower"] for record in same) if same else alone
+
+    def stepwise_lower(method: str) -> int:
+        rows = [record["rows"] for record in same if record["rows"][STEPWISE]["exists"]]
+        return sum(not row[STEPWISE]["worst"] >= row[method]["worst"] for row in rows)
+
+    def against(record: Record) -> list[str]:
+        return [text(record[key] / none[key], ".2g") for key in ("worst", "rms", "main_energy", "energy")]
+
+    return counted(
+        name,
+        good,
+        len(same) or 1,
+        good=good,
+        without=none["worst"],
+        stepwise=headline_cell(group[STEPWISE]),
+        **{aim: headline_cell(record) for aim, record in aims.items()},
+        factors=[record["ratio"] for record in same if not math.isnan(record["ratio"])],
+        stepwise_lower=stepwise_lower(PEAK),
+        stepwise_lower_free=stepwise_lower(cases.PEAK_FREE),
+        against=[{"aim": aim, "factors": against(record)} for aim, record in aims.items() if record["exists"]],
+    )
+
+
+def _whole(whole: Sequence[Record], groups: Mapping[str, Mapping[str, Record]]) -> list[Record]:
+    """Return what follows for cost, efforts between the nodes, and calm, of all plans over the whole trajectory."""
+    planned = {f"{record['task']} ({record['way']})": record for record in whole if record["exists"]}
+    pairs = [(record, groups[record["task"]].get(NONE)) for record in planned.values()]
+    compared = [(record, none) for record, none in pairs if none is not None]
+    least = [pair for pair in compared if pair[0]["way"] == cases.ENERGY]
+    better = sum(record["energy"] < none["energy"] for record, none in compared)
+    factors = {name: record["dense_peak"] / record["peak"] for name, record in planned.items()}
+    worst = max(factors, key=lambda name: factors[name])
+    accepted = sum(factor <= BETWEEN for factor in factors.values())
+    turns = {name: record["reversals"] for name, record in planned.items()}
+    calm = sum(not count > CALM for count in turns.values())
+    wildest = max(turns, key=lambda name: float(turns[name]))
+    smooth = [record for record in planned.values() if record["way"] == cases.SMOOTH]
+    early = PlanStatus.STOPPED_EARLY.value
+    return [
+        counted("cost", better, len(compared), better=better, factors=ratios(compared, "energy"),
+                carrier_force=max(record["carrier_force"] for record, _ in compared), least=ratios(least, "energy"),
+                least_peaks=ratios(least, "worst")),
+        counted("between", accepted, len(factors), good=accepted, accepted=BETWEEN, worst=factors[worst],
+                worst_plan=worst, early=[name for name, record in planned.items() if record["status"] == early],
+                missing=[f"{record['task']} ({record['way']})" for record in whole if not record["exists"]]),
+        counted("calm", calm, len(turns), good=calm, accepted=CALM, worst=turns[wildest], worst_plan=wildest,
+                restless=sorted({planned[name]["task"] for name, count in turns.items() if count > CALM}),
+                weight=cases.SMOOTHING,
+                smooth_reversals=max((record["reversals"] for record in smooth), default=None),
+                smooth_peaks=ratios([(record, groups[record["task"]][EFFORT]) for record in smooth], "worst")),
+    ]  # fmt: skip
+
+
+def _backends(backends: Sequence[Record]) -> Record:
+    worst = max(backends, key=lambda record: float(record["worst"]))
+    good = sum(record["same"] for record in backends)
+    apart = [record["case"] for record in backends if not record["same"] and record["cost"] <= SAME_PLAN]
+    return counted("backends", good, len(backends), good=good, accepted=SAME_PLAN, worst=worst["worst"],
+                   worst_plan=worst["case"], cost=max(record["cost"] for record in backends), apart=apart)  # fmt: skip
+
+
+def _starts(starts: Sequence[Record]) -> Record:
+    good = sum(record["parked_is_best"] for record in starts)
+    tried = max(len(record["costs"]) for record in starts)
+    several = [(record["case"], record["optima"], record["excess"]) for record in starts if record["optima"] > 1]
+    return counted("first_guesses", good, len(starts), good=good, tried=tried, several=several)

@@ -15,11 +15,6 @@ FIRST_MODE: Mode = (1, 1, 1)
 ALL_MODES: tuple[Mode, ...] = tuple(product((1, -1), repeat=3))
 
 
-def mode_text(mode: Mode) -> str:
-    """Return a working mode as text that no line break splits: ``"++−"``."""
-    return "".join("+" if sign > 0 else "\u2212" for sign in mode)
-
-
 # --- motions without a planner -------------------------------------------------------------------------------------
 
 

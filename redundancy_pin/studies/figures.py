@@ -1,4 +1,4 @@
-"""The figures of the reproduction as a list: file, caption, and what is drawn of which case."""
+"""What a run of the main job made, and its figures as a list: file, caption, and what is drawn of which case."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.crosscheck import CrossCheckReport
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.replay import Replay
 from redundancy_pin.studies import cases
-from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK, Case
+from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK, Case, Plans
 from redundancy_pin.studies.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, by_method, without_carriers
-from redundancy_pin.studies.measures import rms_acceleration, window
-from redundancy_pin.studies.motions import MotionRun
-from redundancy_pin.studies.results import Results
+from redundancy_pin.studies.measures import MotionRun, rms_acceleration, window
+from redundancy_pin.studies.table import Record, mode_text
 from redundancy_pin.visualisation.figures.comparisons import (
     TradeCurve,
     plot_bars,
@@ -48,6 +49,23 @@ Draw = Callable[..., "Figure"]
 
 _FINE = 2e-3
 """Between the samples of reference motions, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What was run and what came out.
+
+    ``runs`` are the motions without a planner, ``compared`` statements of the thesis about these; ``chapters`` has the
+    records of each chapter that was run, by their names in ``summary.json``.
+    """
+
+    extent: cases.Extent
+    check: CrossCheckReport
+    runs: tuple[MotionRun, ...]
+    compared: tuple[Record, ...]
+    chapters: Mapping[str, Mapping[str, Any]]
+    plans: Plans
+    replays: tuple[Replay, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -323,7 +341,7 @@ def modes_figure(results: Results, radius: float) -> Figure:
     methods = (NONE, STEPWISE, EFFORT, PEAK)
     peaks = {method: np.array([record["rows"][method]["worst"] for record in records]) for method in methods}
     title = f"3-RRR, corner of radius {radius:g} m: largest torque in every working mode"
-    modes = [cases.mode_text(record["mode"]) for record in records]
+    modes = [mode_text(record["mode"]) for record in records]
     return plot_bars(title, modes, "working mode", "largest |τ| [N·m]", peaks)
 
 

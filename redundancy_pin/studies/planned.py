@@ -16,10 +16,19 @@ from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.stepwise.planner import between_samples
 from redundancy_pin.studies import cases, measures
 from redundancy_pin.studies.case import Case, Mode, Plans
-from redundancy_pin.studies.cases import CORNERS, CROSSINGS, MODE_CASES, NONE, PARKED, Extent, mode_text
+from redundancy_pin.studies.cases import CORNERS, CROSSINGS, MODE_CASES, NONE, PARKED, Extent
 from redundancy_pin.studies.measures import bounds, numbers, read
-from redundancy_pin.studies.statements import DIFFERENCES, in_order, judge_all, sensitivity, thesis
-from redundancy_pin.studies.table import Record, text
+from redundancy_pin.studies.statements import (
+    DIFFERENCES,
+    claim,
+    counted,
+    judge_all,
+    ratios,
+    sensitivity,
+    thesis,
+    verdict,
+)
+from redundancy_pin.studies.table import Record, grouped, mode_text, text
 
 Chapter = dict[str, Any]
 """Records of the tables of a chapter, by name."""
@@ -47,11 +56,11 @@ def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
         tell(case.name)
     judged = judge_all(plans, extent)
     tell("statements")
-    modes = working_modes(plans, extent.modes)
+    modes, rows = working_modes(plans, extent.modes), list(thesis()["rows"])
     chapter: Chapter = {
         "rule": thesis()["rule"],
         "parity": parity,
-        "against_thesis": in_order([*judged, *modes.pop("judged")]),
+        "against_thesis": sorted([*judged, *modes.pop("judged")], key=lambda record: rows.index(record["row"])),
         "between_samples": between_records(plans),
         **modes,
         "shortest_returns_on_square": square_returns(plans, extent.modes),
@@ -64,7 +73,7 @@ def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     tell("comparison of machines")
     chapter["sensitivity"] = sensitivity(plans, extent)
     tell("sensitivity")
-    return chapter
+    return chapter | {"conclusions": conclusions(chapter)}
 
 
 def plan_parity(plans: Plans, case: Case) -> Record:
@@ -342,25 +351,22 @@ def working_modes(plans: Plans, modes: Sequence[Mode]) -> dict[str, list[Record]
         for name, run in of_mode.items()
     ]  # fmt: skip
     claims = []
-    for claim in thesis()["claims"]:
-        test: Callable[[Runs], Outcome] = globals()[claim["test"]]
+    for stated in thesis()["claims"]:
+        test: Callable[[Runs], Outcome] = globals()[stated["test"]]
         outcomes = {mode_text(mode): test(of_mode) for mode, of_mode in runs.items()}
         shown = {mode: {"holds": bool(holds), "found": number} for mode, (holds, number) in outcomes.items()}
-        claims.append({**claim, "modes": shown})
-    return {"working_modes": records, "claims": claims, "judged": [_judged(claim) for claim in claims]}
+        claims.append({**stated, "modes": shown})
+    return {"working_modes": records, "claims": claims, "judged": [_judged(stated) for stated in claims]}
 
 
-def _judged(claim: Record) -> Record:
-    outcomes: Mapping[str, Record] = claim["modes"]
-    first = next(iter(outcomes))
-    holding = [mode for mode, outcome in outcomes.items() if outcome["holds"]]
-    if holding:
-        reason = f"in {len(holding)} of {len(outcomes)} working modes: {', '.join(holding)}"
-    else:
-        reason = f"in none of {len(outcomes)} working modes ({claim['criterion']})"
-    return {"row": claim["row"], "source": claim["source"], "condition": thesis()["rows"][claim["row"]],
-            "quantity": claim["claim"], "stated": "in words", "ours": f"{first}: {outcomes[first]['found']}",
-            "deviation": "", "covered": "", "verdict": "reproduced" if holding else "differs", "reason": reason,
+def _judged(stated: Record) -> Record:
+    outcomes: Mapping[str, Record] = stated["modes"]
+    first, holding = next(iter(outcomes)), [mode for mode, outcome in outcomes.items() if outcome["holds"]]
+    reason = f"in {len(holding) or 'none'} of {len(outcomes)} working modes"
+    return {"row": stated["row"], "source": stated["source"], "condition": thesis()["rows"][stated["row"]],
+            "quantity": stated["claim"], "stated": "in words", "ours": f"{first}: {outcomes[first]['found']}",
+            "deviation": "", "covered": "", "verdict": "reproduced" if holding else "differs",
+            "reason": f"{reason}: {', '.join(holding)}" if holding else f"{reason} ({stated['criterion']})",
             "as_run": first in holding}  # fmt: skip
 
 
@@ -376,3 +382,87 @@ def square_returns(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
                 spans, why = np.empty((0, 2)), outcome.message
             records.append({"mode": mode, "lam": lam, "durations": spans[:, 1] - spans[:, 0], "why": why})
     return records
+
+
+# --- conclusions of the thesis, from the chapter on its own planners -----------------------------------------------
+
+
+def conclusions(chapter: Mapping[str, Any]) -> list[Record]:
+    """Return what becomes of the thesis's conclusions, from the records of the chapter."""
+    crossings, machines = chapter["crossings"], chapter["fair_comparison"]
+    records = [
+        *_crossings(crossings, chapter["heavy_end_effector"]),
+        _corner("wide_corner", machines, "corner-r0.025"),
+        _corner("sharp_corner", machines, "corner-r0.013"),
+        _square(machines),
+        _shared(machines),
+        _agreement(chapter["claims"]),
+    ]
+    return [{**record, "thesis": record["claim"]} for record in records]
+
+
+def _crossings(crossings: Sequence[Record], heavy: Record | None) -> list[Record]:
+    inside = [record["case"] for record in crossings if record["status"] == "within_limits"]
+    broken = [record for record in crossings if record["status"] == "violates_limits"]
+    exact, stepped = (max(max(record[key]) for record in crossings) for key in ("jump", "jump_of_differences"))
+    artefact, out = exact < 1e-3 * stepped, "beyond_track_at_exit"
+    circles = [max(record["jump_of_differences"]) for record in crossings if record["case"].startswith("circle-0.5-")]
+    return [
+        claim("crossing", verdict(len(inside) + (heavy is None), len(crossings) + 1), crossed=len(crossings),
+              inside=inside, heavy=heavy),
+        counted("limits", len(crossings) - len(broken), len(crossings),
+                broken=[record["case"] for record in broken],
+                out=[(record["case"], record[out]) for record in crossings if record[out]],
+                cured=[(record["case"], record["shortest"]) for record in broken if not record["no_shortest"]],
+                never=[record["case"] for record in crossings if record["no_shortest"]]),
+        claim("exit_forces", "does not stand" if artefact else "stands", artefact=artefact, exact=exact,
+              stepped=stepped, step=crossings[0]["step"], by_threshold=circles,
+              grows=len(circles) > 1 and sorted(circles) == circles),
+    ]  # fmt: skip
+
+
+def _by_mode(machines: Sequence[Record], motion: str) -> list[dict[str, Record]]:
+    """Return, for each working mode, the records of a motion by what moves."""
+    groups = grouped([record for record in machines if record["motion"] == motion], "mode").values()
+    return [{record["what"]: record for record in group} for group in groups]
+
+
+def _corner(name: str, machines: Sequence[Record], motion: str) -> Record:
+    groups, moving = _by_mode(machines, motion), f"{MOVING}, λ = 0"
+
+    def below(what: str, other: str) -> int:
+        return sum(group[what]["peak"] < group[other]["peak"] for group in groups)
+
+    lower, total = below(moving, NONE), len(groups)
+    # of the sharper corner the thesis says that torques exceed the baseline's
+    good = total - lower if name == "sharp_corner" else lower
+    raised = {what.rpartition(", ")[2]: below(what, NONE) for what in groups[0] if what.startswith(moving + ",")}
+    factors, parked = (ratios([(group[what], group[NONE]) for group in groups], "peak") for what in (moving, PARKED))
+    return counted(name, good, total, below=lower, below_parked=below(moving, PARKED), factors=factors, parked=parked,
+                   raised=raised)  # fmt: skip
+
+
+def _square(machines: Sequence[Record]) -> Record:
+    groups = _by_mode(machines, "square")
+    pairs = [(group[what], group[NONE]) for group in groups for what in group if what.startswith(MOVING)]
+    better = sum(moving["peak"] < none["peak"] for moving, none in pairs)
+    broken = sum(moving["status"] != "within_limits" for moving, _ in pairs)
+    peaks, rms = ratios(pairs, "peak"), ratios(pairs, "rms")
+    return counted("square", better, len(pairs), better=better, broken=broken, peaks=peaks, rms=rms)
+
+
+def _shared(machines: Sequence[Record]) -> Record:
+    groups = [group for motion in ("corner-r0.025", "corner-r0.013") for group in _by_mode(machines, motion)]
+    pairs = [(group[f"{MOVING}, λ = 0"], group[NONE]) for group in groups]
+    relieved = sum(all(moving[key] < none[key] for key in ("peak", "main_energy")) for moving, none in pairs)
+    forces = [moving["carrier_force"] for moving, _ in pairs]
+    return counted("shared", relieved, len(pairs), relieved=relieved, main=ratios(pairs, "main_energy"),
+                   energy=ratios(pairs, "energy"), carrier_force=forces)  # fmt: skip
+
+
+def _agreement(claims: Sequence[Record]) -> Record:
+    counts = {mode: sum(entry["modes"][mode]["holds"] for entry in claims) for mode in claims[0]["modes"]}
+    best, total = max(counts.values()), len(claims)
+    complete = sum(count == total for count in counts.values())
+    modes = [mode for mode, count in counts.items() if count == best]
+    return claim("agreement", verdict(complete, len(counts)), total=total, best=best, modes=modes)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import base64
 import functools
 import json
-import math
+import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
@@ -22,15 +22,16 @@ from markdown_it import MarkdownIt
 from markdown_it.common.utils import escapeHtml
 from markdown_it.token import Token
 
+import redundancy_pin
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import CrossCheckReport
-from redundancy_pin.errors import CrossCheckError, InputError, OutputError
+from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError, OutputError
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
-from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory.options import casadi
+from redundancy_pin.simulation.replay import Drive, Replay, replay
 from redundancy_pin.studies import beyond, planned
-from redundancy_pin.studies.case import Case
+from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import (
     CHAPTERS,
     FULL,
@@ -39,17 +40,29 @@ from redundancy_pin.studies.cases import (
     TASKS,
     TURNS,
     Extent,
+    Replayed,
     by_method,
-    mode_text,
     motion_name,
 )
-from redundancy_pin.studies.claims import environment
-from redundancy_pin.studies.figures import THESIS, pictures
-from redundancy_pin.studies.motions import CSV_DIGITS
-from redundancy_pin.studies.results import Results, compute
-from redundancy_pin.studies.store import Progress
-from redundancy_pin.studies.table import NONE, Column, Link, Record, Table, csv_text, span, text
+from redundancy_pin.studies.figures import THESIS, Results, pictures
+from redundancy_pin.studies.measures import CSV_DIGITS, MotionRun, run
+from redundancy_pin.studies.statements import compare_motions, environment, thesis
+from redundancy_pin.studies.store import Progress, versions
+from redundancy_pin.studies.table import (
+    Column,
+    Link,
+    Record,
+    Table,
+    csv_text,
+    entry,
+    grouped,
+    json_data,
+    mode_text,
+    span,
+    table,
+)
 from redundancy_pin.visualisation.figures.style import require_matplotlib, save
+from redundancy_pin.workers import parallel
 
 CROSS_CHECK_SAMPLES = 2000
 """Random states of each robot before the job starts; `redundancy-pin validate` takes as many as one likes."""
@@ -72,6 +85,13 @@ _REPLAY_COLUMNS = (
     "plan", "drive", "status", "largest", "rms", "last", "carrier_error", "carrier_lag", "off_track", "effort",
     "carrier_force", "gap",
 )  # fmt: skip
+
+NOTES = (
+    "Efforts are positive when they do positive work on the joint rate; the thesis has the opposite sign.",
+    "Near-singular samples (margin below the threshold) are left out of peaks: towards a singular instant at which a "
+    "part of the required force is outside what the actuators can carry, efforts grow as that part over the margin.",
+    "The 2-RPR of the thesis is massless but for its carriers, so it has no baseline without them.",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +143,19 @@ def reproduce(
     results = compute(motions, extent, check, step)
     with replacing_folder(folder) as temporary:
         write(temporary, results, step)
-        summary = results.summary([path.name for path in temporary.iterdir()])
-        write_text(temporary / MANIFEST, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        record = summary(results, [path.name for path in temporary.iterdir()])
+        write_text(temporary / MANIFEST, json.dumps(record, indent=2, allow_nan=False) + "\n")
     tell(total, total, "results")
-    return Reproduction(Path(folder), results, summary)
+    return Reproduction(Path(folder), results, record)
+
+
+def _count(motions: Sequence[Case], extent: Extent) -> int:
+    """Return the steps of the progress bar."""
+    names = [motion_name(case) for case in motions]
+    comparisons = sum(names.count(name) > 1 for name in set(names))
+    counts = {"planned": planned.PARTS + len(THESIS), "beyond": beyond.parts(extent) + len(TASKS) + 4,
+              "replay": len(extent.replayed) + 2}  # fmt: skip
+    return _CROSS_CHECK_STEPS + 3 * len(motions) + comparisons + sum(counts[chapter] for chapter in extent.chapters)
 
 
 def require_agreement(
@@ -146,13 +175,69 @@ def require_agreement(
     return check
 
 
-def _count(motions: Sequence[Case], extent: Extent) -> int:
-    """Return the steps of the progress bar."""
-    names = [motion_name(case) for case in motions]
-    comparisons = sum(names.count(name) > 1 for name in set(names))
-    counts = {"planned": planned.PARTS + len(THESIS), "beyond": beyond.parts(extent) + len(TASKS) + 4,
-              "replay": len(extent.replayed) + 2}  # fmt: skip
-    return _CROSS_CHECK_STEPS + 3 * len(motions) + comparisons + sum(counts[chapter] for chapter in extent.chapters)
+def compute(motions: Sequence[Case], extent: Extent, check: CrossCheckReport, tell: Callable[[str], None]) -> Results:
+    """Run the motions and the chapters; every plan is made once."""
+    runs: list[MotionRun] = []
+    for case in motions:
+        runs.append(run(case))
+        tell(case.name)
+    plans = Plans()
+    replays: list[Replay] = []
+    chapters: dict[str, dict[str, Any]] = {}
+    if "planned" in extent.chapters:
+        chapters["planned"] = planned.run_planned(plans, extent, tell)
+    if "beyond" in extent.chapters:
+        chapters["beyond"] = beyond.run_beyond(plans, extent, tell)
+    if "replay" in extent.chapters:
+        replays, missing = run_replays(plans, extent, tell)
+        records = [{key: value for key, value in asdict(one).items() if key not in ("t", "error")} for one in replays]
+        chapters["replay"] = {"replays": records, "without_plan": missing}
+    return Results(extent, check, tuple(runs), tuple(compare_motions(runs)), chapters, plans, tuple(replays))
+
+
+def summary(results: Results, files: Sequence[str]) -> dict[str, Any]:
+    """Return everything worth keeping as plain data; None stands for numbers that do not exist.
+
+    ``files`` are all of the results folder: a later run replaces the folder only if there are no others.
+    """
+    experiments = {one.case.name: one.record() for one in results.runs}
+    for one in results.runs:
+        experiments[one.case.name]["configuration"]["source"] = thesis()["sources"][one.case.robot]
+    about = {"format": "redundancy_pin results", "format_version": 1, "versions": made_with()}
+    chapters = {name: results.chapters.get(name) for name in CHAPTERS}
+    checked, compared = results.check.as_dict(), results.compared
+    shown = {"cross_check": checked, "experiments": experiments, "thesis": compared, **chapters}
+    return dict(json_data({**about, **shown, "notes": NOTES, "files": sorted(files)}))
+
+
+def made_with() -> dict[str, str]:
+    """Return the versions of this package, of Python and of what the numbers depend on, where it is installed."""
+    known = versions("pin", "numpy", "scipy", "xacrodoc", "matplotlib", "casadi")
+    own = {"redundancy_pin": redundancy_pin.__version__, "python": platform.python_version()}
+    return own | {name: version for name, version in known.items() if version}
+
+
+def run_replays(plans: Plans, extent: Extent, tell: Callable[[str], None]) -> tuple[list[Replay], dict[str, str]]:
+    """Replay plans of all planners with each of their drives; return what came out, and why some plans do not exist."""
+    missing: dict[str, str] = {}
+    jobs: list[tuple[Replayed, Plan, Drive]] = []
+    for replayed in extent.replayed:
+        outcome = plans.outcome(replayed.case(extent.coarser))
+        if isinstance(outcome, InfeasiblePlanError):
+            missing[replayed.name] = str(outcome)
+            tell(f"no plan to replay: {replayed.name}")
+        else:
+            jobs += [(replayed, outcome, drive) for drive in replayed.drives]
+    results: list[Replay] = []
+    for (replayed, _, drive), result in zip(jobs, parallel(_replay, jobs, extent.jobs, ordered=True), strict=True):
+        results.append(result)
+        if drive == replayed.drives[-1]:
+            tell(f"replay: {result.plan}")
+    return results, missing
+
+
+def _replay(replayed: Replayed, plan: Plan, drive: Drive) -> Replay:
+    return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory())
 
 
 # --- files ---------------------------------------------------------------------------------------------------------
@@ -182,35 +267,24 @@ def write(folder: Path, results: Results, tell: Callable[[str], None]) -> None:
 
 
 def write_plans(folder: Path, results: Results) -> None:
-    """Write the plans of the chapter beyond the thesis, each with its curves as CSV."""
+    """Write the plans of the chapter beyond the thesis, each with its curves as CSV; a time occurs twice at a jump."""
     tasks = {task.name: task for task in TASKS}
     for record in results.chapters["beyond"]["plans"]:
         if record["exists"] and record["file"]:
             plan = results.plans.plan(by_method(tasks[record["task"]], record["way"], results.extent.coarser))
             kept = {key: value for key, value in plan.diagnostics.items() if key not in _CLOCK}
             replace(plan, diagnostics=kept).save(folder / f"{record['file']}.npz")
-            write_text(folder / f"{record['file']}.csv", plan_csv(plan))
-
-
-def plan_csv(plan: Plan) -> str:
-    """Return a plan as CSV text: motion, carriers, efforts, condition number; a time occurs twice at a jump."""
-    motion, carriers = plan.motion, plan.carriers
-    columns = {"t": motion.t, "x": motion.x, "xd": motion.xd, "xdd": motion.xdd, "s": carriers.s, "sd": carriers.sd,
-               "sdd": carriers.sdd, "tau": plan.tau, "carrier_force": plan.carrier_force,
-               "condition": plan.condition}  # fmt: skip
-    return csv_text(columns, digits=CSV_DIGITS)
-
-
-# --- the report ---
+            parts = (plan.motion, "x xd xdd"), (plan.carriers, "s sd sdd"), (plan, "tau carrier_force condition")
+            curves = {name: getattr(part, name) for part, names in parts for name in names.split()}
+            write_text(folder / f"{record['file']}.csv", csv_text({"t": plan.t, **curves}, digits=CSV_DIGITS))
 
 
 def report(results: Results) -> str:
     """Return the report as Markdown; pictures and files are links into the folder."""
     template = environment(jinja2.PackageLoader("redundancy_pin.studies", "")).get_template("report.md.j2")
+    shown = {"tables": tables(results), "pictures": pictures(results), "versions": made_with(), "notes": NOTES}
     chapters = {name: results.chapters.get(name) for name in CHAPTERS}
-    return template.render(
-        results=results, tables=tables(results), pictures=pictures(results), mode_text=mode_text, **chapters
-    )
+    return template.render(results=results, mode_text=mode_text, **shown, **chapters)
 
 
 # --- tables --------------------------------------------------------------------------------------------------------
@@ -219,94 +293,14 @@ def report(results: Results) -> str:
 def tables(results: Results) -> dict[str, Table]:
     """Return every table of what was run, by the names in ``tables.yaml``."""
     runs = [{**run.record(), "name": Link(run.case.name, f"{run.case.name}.csv")} for run in results.runs]
-    shown = {
+    chapters = results.chapters
+    return {
         "cross_check": table("cross_check", [vars(row) for row in results.check.rows]),
         "motions": table("motions", runs, "experiments: Pinocchio (RNEA) against virtual work"),
         "thesis": table("thesis", results.compared, "what the thesis states (Parsa 2014), and what comes out here"),
-    }
-    chapters = results.chapters
-    if "planned" in chapters:
-        shown |= _planned(chapters["planned"], results)
-    if "beyond" in chapters:
-        shown |= _beyond(chapters["beyond"])
-    if "replay" in chapters:
-        shown["replays"] = table("replays", chapters["replay"]["replays"])
-    return shown
-
-
-@functools.cache
-def _layout() -> Mapping[str, Mapping[str, str]]:
-    data: Mapping[str, Any] = read_yaml(Path(__file__).with_name("tables.yaml"), InputError).data
-    return data
-
-
-def table(name: str, records: Sequence[Record], title: str = "", more: Sequence[Column] = ()) -> Table:
-    """Return records as the table of a name in ``tables.yaml``, with further columns behind."""
-    columns = []
-    for key, shown in _layout()[name].items():
-        heading, kind, form = re.fullmatch(r"(.*?)(?: ([:=])(\S+))?", shown).groups()  # type: ignore[union-attr]
-        cell = CELLS[form] if kind == "=" else functools.partial(_at, key)
-        columns.append(Column(key, heading, format=form if kind == ":" else ".3g", value=cell))
-    return Table.of([*columns, *more], records, title)
-
-
-def _at(key: str, record: Record) -> Any:
-    """Return an entry of a record; a dot leads into a record inside, None if there is none."""
-    first, _, rest = key.partition(".")
-    return _at(rest, record.get(first) or {}) if rest else record.get(first)
-
-
-def _of(value: str, limit: str) -> Callable[[Record], str]:
-    return lambda record: NONE if math.isnan(record[limit]) else f"{record[value]:.3f} of {record[limit]:g}"
-
-
-def _method(record: Record) -> str | Link:
-    return Link(record["way"], f"{record['file']}.npz") if record["file"] else record["way"]
-
-
-def _peak(record: Record) -> str:
-    before = "" if math.isnan(record["before"]) else f" ({record['before']:.3g} until off)"
-    return text(record["peak"]) + before if record["exists"] else "none"
-
-
-CELLS: Mapping[str, Callable[[Record], Any]] = {
-    "counts": lambda record: ", ".join(f"{name} {count}" for name, count in record["statuses"].items()),
-    "with_reason": lambda record: ": ".join(part for part in (record["verdict"], record["reason"]) if part),
-    "mode": lambda record: mode_text(record["mode"]),
-    "met": lambda record: "met" if record["met"] else "missed",
-    "effort_limit": lambda record: "none" if math.isinf(record["effort_limit"]) else record["effort_limit"],
-    "method": _method,
-    "peak": _peak,
-    "position": _of("position", "track"),
-    "speed": _of("speed", "speed_limit"),
-    "acceleration": _of("acceleration", "acceleration_limit"),
-}
-"""What makes cells that are more than an entry of a record; ``tables.yaml`` names them."""
-
-
-def _planned(chapter: Mapping[str, Any], results: Results) -> dict[str, Table]:
-    machines, first = chapter["fair_comparison"], results.extent.modes[0]
-    over_modes = [
-        {"motion": motion, "what": what} | {key: span([record[key] for record in same]) for key in RANGED}
-        for (motion, what), same in _grouped(
-            [record for record in machines if record["mode"]], "motion", "what"
-        ).items()
-    ]
-    sensitive = [
-        {**same[0], "ranges": "; ".join(f"{one['parameter']}: {span((one['low'], one['high']))}" for one in same)}
-        for same in _grouped(chapter["sensitivity"], "case", "quantity").values()
-    ]
-    keys = {name: f"modes.{name}.holds" for name in map(mode_text, results.extent.modes)}
-    modes = [Column(key, name, value=functools.partial(_at, key)) for name, key in keys.items()]
-    whole = ("working_modes", "between_samples", "shortest_returns_on_square", "crossings", "parity")
-    return {
-        **{name: table(name, chapter[name]) for name in whole},
-        "conclusions": table("conclusions", chapter["conclusions"], "the thesis's conclusions"),
-        "judged": table("judged", chapter["against_thesis"], "planned experiments against the thesis (Parsa 2014)"),
-        "claims": table("claims", chapter["claims"], more=modes),
-        "fair_comparison": table("fair_comparison", [record for record in machines if record["mode"] in ((), first)]),
-        "fair_over_modes": table("fair_over_modes", over_modes),
-        "sensitivity": table("sensitivity", sensitive),
+        **(_planned(chapters["planned"], results.extent) if "planned" in chapters else {}),
+        **(_beyond(chapters["beyond"]) if "beyond" in chapters else {}),
+        **({"replays": table("replays", chapters["replay"]["replays"])} if "replay" in chapters else {}),
     }
 
 
@@ -314,16 +308,32 @@ RANGED = ("peak", "rms", "carrier_force", "main_energy", "energy")
 """What the comparison of machines shows as ranges over the working modes."""
 
 
-def _grouped(records: Sequence[Record], *keys: str) -> dict[tuple[Any, ...], list[Record]]:
-    groups: dict[tuple[Any, ...], list[Record]] = {}
-    for record in records:
-        groups.setdefault(tuple(record[key] for key in keys), []).append(record)
-    return groups
+def _planned(chapter: Mapping[str, Any], extent: Extent) -> dict[str, Table]:
+    machines, modes = chapter["fair_comparison"], [mode_text(mode) for mode in extent.modes]
+    moded = grouped([record for record in machines if record["mode"]], "motion", "what")
+    over_modes = [same[0] | {key: span([one[key] for one in same]) for key in RANGED} for same in moded.values()]
+    sensitive = [
+        {**same[0], "ranges": "; ".join(f"{one['parameter']}: {span((one['low'], one['high']))}" for one in same)}
+        for same in grouped(chapter["sensitivity"], "case", "quantity").values()
+    ]
+    holds = [Column(f"modes.{name}.holds", name) for name in modes]
+    holds = [replace(column, value=functools.partial(entry, column.name)) for column in holds]
+    alone = [record for record in machines if record["mode"] in ((), extent.modes[0])]
+    whole = ("working_modes", "between_samples", "shortest_returns_on_square", "crossings", "parity")
+    return {
+        **{name: table(name, chapter[name]) for name in whole},
+        "conclusions": table("conclusions", chapter["conclusions"], "the thesis's conclusions"),
+        "judged": table("judged", chapter["against_thesis"], "planned experiments against the thesis (Parsa 2014)"),
+        "claims": table("claims", chapter["claims"], more=holds),
+        "fair_comparison": table("fair_comparison", alone),
+        "fair_over_modes": table("fair_over_modes", over_modes),
+        "sensitivity": table("sensitivity", sensitive),
+    }
 
 
 def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
     plans, modes = chapter["plans"], chapter["working_modes"]
-    peaks = [Column(method, value=_worst_by(method)) for method in (modes[0]["rows"] if modes else ())]
+    peaks = [Column(method, value=functools.partial(_worst, method)) for method in (modes[0]["rows"] if modes else ())]
     ratio = Column("ratio", "least peak over no carriers", format=".2f")
     shown = {name: table(name, chapter[name]) for name in ("targets", "fastest", "backends", "first_guesses")}
     for name, tasks in (("singular", SINGULAR), ("turns", TURNS)):
@@ -338,28 +348,20 @@ def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
     }
 
 
-def _worst_by(method: str) -> Callable[[Record], str]:
-    def cell(record: Record) -> str:
-        row = record["rows"][method]
-        shown = f"{row['worst']:.2f}" if row["exists"] else ""
-        return shown if row["sound"] else f"{shown} ({row['status']})".strip()
-
-    return cell
+def _worst(method: str, record: Record) -> str:
+    row = record["rows"][method]
+    shown = f"{row['worst']:.2f}" if row["exists"] else ""
+    return shown if row["sound"] else f"{shown} ({row['status']})".strip()
 
 
 # --- one HTML file: no network, no file beside it, no script --------------------------------------------------------
 
 VERDICTS = {
-    "reproduced": "good",
-    "reproduced:": "partly",
-    "differs:": "bad",
-    "met": "good",
-    "missed": "bad",
-    "stands": "good",
-    "stands with conditions": "partly",
-    "does not stand": "bad",
+    "good": ("reproduced", "met", "stands"),
+    "partly": ("reproduced:", "stands with conditions"),
+    "bad": ("differs:", "missed", "does not stand"),
 }
-"""Class of a cell by its verdict; a colon is followed by a condition or reason."""
+"""Cells by their class; a colon is followed by a condition or reason."""
 
 
 def html(markdown: str, folder: Path) -> str:
@@ -386,7 +388,8 @@ def html(markdown: str, folder: Path) -> str:
             headings += [(anchor, inner.content)] if token.tag == "h2" else []
         elif token.type == "td_open":
             head, colon, _ = inner.content.partition(":")
-            token.attrs = {"class": VERDICTS[head + colon]} if head + colon in VERDICTS else {}
+            classes = [name for name, verdicts in VERDICTS.items() if head + colon in verdicts]
+            token.attrs = {"class": classes[0]} if classes else {}
     body = renderer.renderer.render(tokens, renderer.options, {})
     page = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.studies", ""), autoescape=True)
     return page.get_template("page.html.j2").render(title=title, headings=headings, body=body)

@@ -1,4 +1,4 @@
-"""What the thesis states (``thesis.yaml``) against our runs: the rule, the verdicts, and ranges over the unstated."""
+"""Verdicts: what the thesis states (``thesis.yaml``) against our runs, the unstated, and claims (``claims.yaml``)."""
 
 from __future__ import annotations
 
@@ -7,21 +7,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+import jinja2
 import numpy as np
 
-from redundancy_pin.errors import InputError
-from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies.case import Case, Plans
-from redundancy_pin.studies.cases import BY_NAME, CORNERS, CROSSINGS, Extent, mode_text
-from redundancy_pin.studies.measures import Measure, Numbers, measure, read
-from redundancy_pin.studies.motions import MotionRun
-from redundancy_pin.studies.table import Record, span, text
-
-Verdict = Literal["reproduced", "differs"]
+from redundancy_pin.studies.cases import BY_NAME, CORNERS, CROSSINGS, Extent
+from redundancy_pin.studies.measures import Measure, MotionRun, Numbers, measure, read
+from redundancy_pin.studies.table import Record, data, mode_text, span, text
 
 ROUNDING = 1e-12
 """A gap up to this is none: the limits of an interval are themselves rounded."""
@@ -32,11 +27,7 @@ FACTOR = 1.25
 DIFFERENCES = "backward_differences"
 
 
-@functools.cache
-def thesis() -> Mapping[str, Any]:
-    """Return what the data file holds."""
-    data: Mapping[str, Any] = read_yaml(Path(__file__).with_name("thesis.yaml"), InputError).data
-    return data
+thesis = functools.partial(data, "thesis")
 
 
 # --- the rule ------------------------------------------------------------------------------------------------------
@@ -179,12 +170,6 @@ def judge_all(plans: Plans, extent: Extent) -> list[Record]:
     return records
 
 
-def in_order(records: Sequence[Record]) -> list[Record]:
-    """Return judged records in the order of the thesis's figures."""
-    order = list(thesis()["rows"])
-    return sorted(records, key=lambda record: order.index(record["row"]))
-
-
 def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
     case, reading, late = BY_NAME[entry["case"]], measure(*entry["measure"]), entry.get("late", 0.0)
     if entry.get("differences"):
@@ -290,12 +275,59 @@ def _ranges(case: Case, over: Grid, plans: Plans) -> list[Record]:
     own = case.with_options(scheme=DIFFERENCES) if differences else case
     variations = [variation for variation, _ in over.cases(own)]
     existing = [plan for _, plan in plans.existing(variations)]
-    records = []
+    records, name = [], case.name + (" (backward differences)" if differences else "")
     for quantity, reading in thesis()["sensitivity"][case.path]["quantities"].items():
         value_of = measure(*reading)
         low, high = limits_of([value for plan in existing for value in value_of(plan)])
-        name = case.name + (" (backward differences)" if differences else "")
         records.append({"case": name, "quantity": quantity, "parameter": over.parameter, "grid": over.shown,
                         "ours": max(value_of(plans.plan(own))), "low": low, "high": high, "plans": len(variations),
                         "without": len(variations) - len(existing)})  # fmt: skip
     return records
+
+
+# --- claims: verdicts computed from records, and sentences of claims.yaml ---------------------------------------------
+
+FILTERS = {
+    "n": text,
+    "n1": lambda value: text(value, ".1g"),
+    "n2": lambda value: text(value, ".2g"),
+    "r": lambda values: span(values, ".2g"),
+}
+"""Of templates: a number (in three, one, two digits), and a range of factors."""
+
+
+def environment(loader: jinja2.BaseLoader | None = None) -> jinja2.Environment:
+    """Return what renders Markdown templates: a name that does not exist is an error."""
+    made = jinja2.Environment(
+        loader=loader,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    made.filters.update(FILTERS)
+    return made
+
+
+def verdict(good: int, total: int) -> str:
+    """Return what may be said of a claim that holds in some of all cases."""
+    if good == total:
+        return "stands"
+    return "stands with conditions" if good else "does not stand"
+
+
+def claim(name: str, stands: str, **values: Any) -> Record:
+    """Return what becomes of a claim of the data file: its verdict, and the numbers that its sentence shows."""
+    template = environment().from_string
+    texts = {key: " ".join(template(said).render(values).split()) for key, said in data("claims")[name].items()}
+    return {"name": name, "claim": texts["claim"], "stands": stands, "here": texts["here"], "numbers": values}
+
+
+def counted(name: str, good: int, total: int, /, **values: Any) -> Record:
+    """Return what becomes of a claim that holds in some of all cases."""
+    return claim(name, verdict(good, total), total=total, **values)
+
+
+def ratios(pairs: Sequence[tuple[Record, Record]], key: str) -> list[float]:
+    """Return the factors between the numbers of pairs of records."""
+    return [one[key] / other[key] for one, other in pairs]

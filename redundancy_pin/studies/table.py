@@ -1,13 +1,16 @@
-"""A table: columns with name, unit and format, rows of plain values; as Markdown, CSV, JSON or on a terminal."""
+"""A table: columns, of ``tables.yaml`` or given in code, and rows of values; as Markdown, CSV or on a terminal."""
 
 from __future__ import annotations
 
 import csv
+import functools
 import io
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -169,3 +172,69 @@ def _column_texts(values: NDArray[Any], digits: int | None) -> list[str]:
     if values.dtype.kind in "US":
         return [str(value) for value in values.tolist()]
     return [repr(value) if digits is None else f"{value:.{digits}g}" for value in values.tolist()]
+
+
+# --- tables of the report, by the names in tables.yaml ---------------------------------------------------------------
+
+
+@functools.cache
+def data(name: str) -> Mapping[str, Any]:
+    """Return what a data file of this room holds: "tables", "thesis" or "claims"."""
+    from redundancy_pin.errors import InputError
+    from redundancy_pin.io.yaml_file import read_yaml  # not for every command that prints a table
+
+    content: Mapping[str, Any] = read_yaml(Path(__file__).with_name(f"{name}.yaml"), InputError).data
+    return content
+
+
+def table(name: str, records: Sequence[Record], title: str = "", more: Sequence[Column] = ()) -> Table:
+    """Return records as the table of a name in ``tables.yaml``, with further columns behind."""
+    columns = []
+    for key, shown in data("tables")[name].items():
+        heading, kind, form = re.fullmatch(r"(.*?)(?: ([:=])(\S+))?", shown).groups()  # type: ignore[union-attr]
+        cell = CELLS[form] if kind == "=" else functools.partial(entry, key)
+        columns.append(Column(key, heading, format=form if kind == ":" else ".3g", value=cell))
+    return Table.of([*columns, *more], records, title)
+
+
+def entry(key: str, record: Record) -> Any:
+    """Return an entry of a record; a dot leads into a record inside, None if there is none."""
+    first, _, rest = key.partition(".")
+    return entry(rest, record.get(first) or {}) if rest else record.get(first)
+
+
+def grouped(records: Sequence[Record], *keys: str) -> dict[tuple[Any, ...], list[Record]]:
+    """Return records by their entries of some keys, in order."""
+    groups: dict[tuple[Any, ...], list[Record]] = {}
+    for record in records:
+        groups.setdefault(tuple(record[key] for key in keys), []).append(record)
+    return groups
+
+
+def mode_text(mode: Sequence[int]) -> str:
+    """Return a working mode as text that no line break splits: ``"++−"``."""
+    return "".join("+" if sign > 0 else "\u2212" for sign in mode)
+
+
+def _peak(record: Record) -> str:
+    before = "" if math.isnan(record["before"]) else f" ({record['before']:.3g} until off)"
+    return text(record["peak"]) + before if record["exists"] else "none"
+
+
+def _of(value: str, limit: str) -> Callable[[Record], str]:
+    return lambda record: NONE if math.isnan(record[limit]) else f"{record[value]:.3f} of {record[limit]:g}"
+
+
+CELLS: Mapping[str, Callable[[Record], Any]] = {
+    "counts": lambda record: ", ".join(f"{name} {count}" for name, count in record["statuses"].items()),
+    "with_reason": lambda record: ": ".join(part for part in (record["verdict"], record["reason"]) if part),
+    "mode": lambda record: mode_text(record["mode"]),
+    "met": lambda record: "met" if record["met"] else "missed",
+    "effort_limit": lambda record: "none" if math.isinf(record["effort_limit"]) else record["effort_limit"],
+    "method": lambda record: Link(record["way"], f"{record['file']}.npz") if record["file"] else record["way"],
+    "peak": _peak,
+    "position": _of("position", "track"),
+    "speed": _of("speed", "speed_limit"),
+    "acceleration": _of("acceleration", "acceleration_limit"),
+}
+"""What makes cells that are more than an entry of a record; ``tables.yaml`` names them."""

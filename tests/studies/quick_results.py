@@ -17,7 +17,7 @@ from redundancy_pin.studies import reproduce as job
 from redundancy_pin.studies.case import Case
 from redundancy_pin.studies.cases import BY_NAME, QUICK
 from redundancy_pin.studies.figures import Picture
-from redundancy_pin.studies.motions import MotionRun, run
+from redundancy_pin.studies.measures import MotionRun, run
 from redundancy_pin.studies.reproduce import Reproduction
 
 PASSED = CrossCheckReport((CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True),), 0)

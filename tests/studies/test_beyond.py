@@ -20,6 +20,7 @@ from redundancy_pin.studies.beyond import (
     INFEASIBLE,
     SAME_COST,
     backend_record,
+    findings,
     rises,
     starts_record,
     targets,
@@ -42,7 +43,6 @@ from redundancy_pin.studies.cases import (
     crosses,
     methods,
 )
-from redundancy_pin.studies.claims import findings
 from redundancy_pin.studies.table import Record
 
 chapter = functools.partial(quick_results.chapter, "beyond")

@@ -15,7 +15,7 @@ from redundancy_pin.errors import CrossCheckError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.studies.case import BACKENDS, VIRTUAL_WORK
 from redundancy_pin.studies.cases import MOTIONS
-from redundancy_pin.studies.motions import run
+from redundancy_pin.studies.measures import run
 
 ROOT_TOLERANCE = 1e-9
 """Times come from a bracketing root finder to 1e-13 of the duration, abscissae through speeds below 1 m/s."""

@@ -15,8 +15,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies import planned
 from redundancy_pin.studies.case import Case, Plans
 from redundancy_pin.studies.cases import CORNERS, CROSSINGS, NONE, PARKED, parked, without_carriers
-from redundancy_pin.studies.claims import conclusions
-from redundancy_pin.studies.planned import MOVING, plan_parity
+from redundancy_pin.studies.planned import MOVING, conclusions, plan_parity
 from redundancy_pin.studies.statements import thesis
 
 chapter = functools.partial(quick_results.chapter, "planned")

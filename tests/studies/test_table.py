@@ -11,8 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from redundancy_pin.planners.plan import PlanStatus
-from redundancy_pin.studies import reproduce
-from redundancy_pin.studies.table import Column, Link, Table, csv_text, json_data, span, text
+from redundancy_pin.studies.table import Column, Link, Table, csv_text, json_data, span, table, text
 
 TABLE = Table.of(
     [Column("name"), Column("tau", "torque", "N·m", ".2f"), Column("good"),
@@ -72,8 +71,8 @@ def test_ranges_are_of_the_numbers_that_exist() -> None:
 
 def test_the_columns_of_the_report_are_entries_of_records() -> None:
     record = {"effort_limit": math.inf, "fastest_with_plan": {"speed": 1.25}, "slowest_without": None}
-    table = reproduce.table("fastest", [record])
-    shown = dict(zip([column.heading for column in table.columns], table.texts[0], strict=True))
+    fastest = table("fastest", [record])
+    shown = dict(zip([column.heading for column in fastest.columns], fastest.texts[0], strict=True))
     assert shown["limit of main forces [N]"] == "none"
     assert shown["fastest with a plan [m/s]"] == "1.250"
     assert shown["slowest without [m/s]"] == "–"
