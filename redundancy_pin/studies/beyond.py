@@ -111,6 +111,8 @@ def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     for race in parallel(run_race, [(race, extent, cap) for race in extent.races], extent.jobs, ordered=True):
         races.append(race)
         tell(f"as fast as the limits allow: {race['task']}")
+    weighted = [case for task in cases.TRADED for _, _, case in weights(plans, task, extent)]
+    plans.prepare([(case, case.backends[0]) for case in weighted], extent.jobs)
     trades = []
     for task in cases.TRADED:
         trades.append(trade_record(plans, task, extent))
@@ -343,19 +345,23 @@ def starts_record(plans: Plans, case: Case) -> Record:
             "parked_is_best": bool(reached) and costs[0] <= best * (1.0 + SAME_COST)}  # fmt: skip
 
 
-def trade_record(plans: Plans, task: Case, extent: Extent) -> Record:
-    """Return effort against the carriers' acceleration: what each weight between the two leads to.
+def weights(plans: Plans, task: Case, extent: Extent) -> list[tuple[float, float, Case]]:
+    """Return weights of the carriers' acceleration beside the effort, each with its case.
 
-    ``ratio`` is the weight over the one at which both parts of the cost are the same for the plan of least effort.
+    The first of each is over the weight at which both parts of the cost are the same for the plan of least effort.
     """
     case = by_method(task, EFFORT, extent.coarser)
     least = plans.plan(case)
     effort: Mapping[str, Any] = least.diagnostics["objective"]  # type: ignore[assignment]
     equal = float(effort["effort"]) / square_integral(least.t, least.carriers.sdd)
-    points = [_trade_point(0.0, 0.0, least)]
-    for ratio in extent.ratios:
-        weighted = case.with_options(objective=(("effort", 1.0), ("carrier_acceleration", ratio * equal)))
-        points.append(_trade_point(ratio, ratio * equal, plans.outcome(weighted)))
+    aims = [(ratio, ratio * equal, (("carrier_acceleration", ratio * equal),)) for ratio in extent.ratios]
+    return [(ratio, weight, case.with_options(objective=(("effort", 1.0), *aim))) for ratio, weight, aim in aims]
+
+
+def trade_record(plans: Plans, task: Case, extent: Extent) -> Record:
+    """Return effort against the carriers' acceleration: what each weight between the two leads to."""
+    points = [_trade_point(0.0, 0.0, plans.plan(by_method(task, EFFORT, extent.coarser)))]
+    points += [_trade_point(ratio, weight, plans.outcome(case)) for ratio, weight, case in weights(plans, task, extent)]
     efforts, accelerations = ([point[key] for point in points] for key in ("rms_effort", "rms_acceleration"))
     # between global optima effort rises and acceleration falls with the weight
     monotone = rises(efforts) and rises(accelerations[::-1])

@@ -1,14 +1,6 @@
 """What a machine can do: two of its parameters swept over a grid, and the border between possible and impossible.
 
-    from redundancy_pin.studies.feasibility import MapProblem, feasibility_map, spaced, write_map
-
-    problem = MapProblem("2rpr", spaced("speed", 0.2, 2.0, 10), spaced("stroke", 0.1, 1.2, 12), "circle")
-    result = feasibility_map(problem, "store.sqlite", refine=2)  # run again after an interruption: it goes on
-    print(result.border("whole-trajectory"))
-    write_map(result, "map-2rpr")
-
-Cells are computed by joblib; within ``joblib.parallel_config(backend=...)`` by the backend named there, such as a
-cluster.
+``docs/feasibility_map.md`` shows how it is used from Python.
 """
 
 from __future__ import annotations
@@ -242,15 +234,10 @@ def judge_error(cell: Cell, error: Exception) -> Cell:
     if constraint in UNDECIDED:
         return replace(cell, verdict=Verdict.FAILED)
     relaxed = [str(entry["constraint"]) for entry in details["relaxations"]] if details.get("together") else ()
-    when, amount, carrier = details.get("time", details.get("t")), details.get("amount"), details.get("carrier")
-    return replace(
-        cell,
-        verdict=Verdict.INFEASIBLE,
-        limits=tuple(dict.fromkeys(relaxed or (constraint,))),
-        carrier=None if carrier is None else str(carrier),
-        time=None if when is None else float(when),
-        amount=None if amount is None else float(amount),
-    )
+    when = {"time": details.get("time", details.get("t")), "amount": details.get("amount")}
+    known: dict[str, Any] = {name: float(value) for name, value in when.items() if value is not None}
+    known |= {"carrier": str(details["carrier"])} if details.get("carrier") is not None else {}
+    return replace(cell, verdict=Verdict.INFEASIBLE, limits=tuple(dict.fromkeys(relaxed or (constraint,))), **known)
 
 
 def _broken(plan: Plan, peak: float, effort: float | None) -> list[tuple[float, str, str, float, float]]:
@@ -262,9 +249,8 @@ def _broken(plan: Plan, peak: float, effort: float | None) -> list[tuple[float, 
     ]
     if effort is not None and peak > effort * (1.0 + ROUNDING):
         i, j = np.unravel_index(int(np.nanargmax(np.abs(plan.tau))), plan.tau.shape)
-        broken.append(
-            ((peak - effort) / effort, "effort", plan.robot.actuated[int(j)], float(plan.t[i]), peak - effort)
-        )
+        excess, which = peak - effort, plan.robot.actuated[int(j)]
+        broken.append((excess / effort, "effort", which, float(plan.t[i]), excess))
     return sorted(broken, reverse=True)
 
 
@@ -366,17 +352,12 @@ class FeasibilityMap:
 
     def csv(self) -> str:
         """Return all cells as a CSV table, numbers to the last bit; what is not known is ``nan`` or empty."""
-        columns: dict[str, list[Any]] = {
-            "planner": [cell.planner for cell in self.cells],
-            self.problem.x.name: [cell.x for cell in self.cells],
-            self.problem.y.name: [cell.y for cell in self.cells],
-            "verdict": [cell.verdict.value for cell in self.cells],
-            "limits": [" ".join(cell.limits) for cell in self.cells],
-        }
-        for name in ("peak_effort", "dense_ratio", "seconds"):
-            values = [getattr(cell, name) for cell in self.cells]
-            columns[name] = [float("nan") if value is None else value for value in values]
-        return csv_text({name: np.array(values) for name, values in columns.items()})
+        names = ("planner", "x", "y", "verdict", "limits", "peak_effort", "dense_ratio", "seconds")
+        shown = [{**vars(cell), "verdict": cell.verdict.value, "limits": " ".join(cell.limits)} for cell in self.cells]
+        called = {"x": self.problem.x.name, "y": self.problem.y.name}
+        # None becomes nan among floats
+        kinds = {name: float if name in ("peak_effort", "dense_ratio") else None for name in names}
+        return csv_text({called.get(n, n): np.array([row[n] for row in shown], dtype=kinds[n]) for n in names})
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain data, for JSON."""
@@ -531,9 +512,8 @@ def write_map(found: FeasibilityMap, folder: str | Path, *, pictures: bool = Tru
     write_text(place / "map.json", json.dumps(found.as_dict(), indent=1, allow_nan=False) + "\n")
     files = [place / "map.csv", place / "map.json"]
     for figure in drawn:
-        for name in ("map.svg", "map.png"):
-            save(figure, place / name)
-            files.append(place / name)
+        save(figure, *(images := [place / "map.svg", place / "map.png"]))
+        files += images
     return tuple(files)
 
 

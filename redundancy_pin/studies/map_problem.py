@@ -19,6 +19,7 @@ from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies.case import BACKENDS, TRAJECTORIES, VIRTUAL_WORK, Case, Planner, options
+from redundancy_pin.studies.table import json_data
 
 Scale = Literal["linear", "log"]
 
@@ -60,8 +61,10 @@ _OF_THE_MAP = ("effort", "jerk", "track", "speed", "acceleration", "carrier_forc
 """Keywords of planners that a map sets itself, or that are no plain data."""
 
 _DIGITS = 12
-MOST_VALUES = 10_000  # of an axis
 """Significant digits of a value: the same value of two grids is then the same number, and is computed once."""
+
+MOST_VALUES = 10_000
+"""Of an axis."""
 
 Value = float | bool | str
 
@@ -203,7 +206,7 @@ class MapProblem:
                 f"The planners are {', '.join(self.planners) or 'none'}.",
                 remedy="Name each planner once, at least one.",
             )
-        keys = inspect.signature(TRAJECTORIES[self.trajectory]).parameters
+        keys = self._keys
         _require(self.options, tuple(keys), f"option of the {self.trajectory}")
         for name, key in keys.items():
             if key.default is key.empty and name not in (*self.options, self.x.name, self.y.name):
@@ -231,16 +234,8 @@ class MapProblem:
     @property
     def unvaried(self) -> Case:
         """The robot on its trajectory, with the arguments and options that are not varied."""
-        given = options(**self.settings)
-        return Case(
-            "unvaried",
-            self.robot,
-            self.trajectory,
-            working_mode=self.mode,
-            arguments=given,
-            gravity=self.gravity,
-            trust=self.trust,
-        )
+        machine: dict[str, Any] = {"working_mode": self.mode, "gravity": self.gravity, "trust": self.trust}
+        return Case("unvaried", self.robot, self.trajectory, arguments=options(**self.settings), **machine)
 
     @property
     def loaded(self) -> Robot:
@@ -255,8 +250,11 @@ class MapProblem:
     @property
     def trajectory_keys(self) -> tuple[str, ...]:
         """Options of the trajectory that are numbers."""
-        keys = inspect.signature(TRAJECTORIES[self.trajectory]).parameters
-        return tuple(name for name in keys if name not in ("start", "points", "vertices", "closed"))
+        return tuple(name for name in self._keys if name not in ("start", "points", "vertices", "closed"))
+
+    @property
+    def _keys(self) -> Mapping[str, inspect.Parameter]:
+        return inspect.signature(TRAJECTORIES[self.trajectory]).parameters
 
     def require_names(self) -> None:
         """Check that axes and parameters mean something to the robot and the planners.
@@ -302,50 +300,38 @@ class MapProblem:
         robot, path, limits = self.at(x, y)
         if self.trajectory == "circle" and "ramp_length" not in path:
             # 3-4-5 in speed, as the ramps of the other paths are anyway
-            keys = inspect.signature(TRAJECTORIES["circle"]).parameters
-            speed, ramp_time = (path.get(name, keys[name].default) for name in ("speed", "ramp_time"))
+            speed, ramp_time = (path.get(name, self._keys[name].default) for name in ("speed", "ramp_time"))
             path["ramp_length"] = 0.5 * speed * ramp_time
         given = dict(settings)
         dt = given.pop("dt", 1e-3)
         if planner == WHOLE:
             given |= {"effort": limits.get("max_effort"), "jerk": limits.get("max_jerk")}
-        return replace(
-            self.unvaried,
-            name=f"{planner}, {x:g}, {y:g}",
-            path_options=options(**path),
-            planner=cast("Planner", planner.replace("-", "_")),
-            options=options(**given),
-            arguments=options(**robot),
-            dt=dt,
-            limits=options(**limits),
-        )
+        parts = {"path_options": path, "options": given, "arguments": robot, "limits": limits}
+        changed: dict[str, Any] = {name: options(**part) for name, part in parts.items()}
+        kind = cast("Planner", planner.replace("-", "_"))
+        return replace(self.unvaried, name=f"{planner}, {x:g}, {y:g}", planner=kind, dt=dt, **changed)
 
     def identity(self) -> dict[str, Any]:
         """Return everything a cell depends on but its place, as plain data: maps that share it share their cells."""
-        return {
-            "robot": self.robot,
-            "axes": [self.x.name, self.y.name],
-            "trajectory": self.trajectory,
-            "options": dict(sorted(self.options.items())),
-            "settings": dict(sorted(self.settings.items())),
-            "mode": list(self.mode),
-            "gravity": None if self.gravity is None else list(self.gravity),
-            "backend": self.backend,
-            "limits": dict(sorted(self.limits.items())),
-            "parameters": {name: dict(sorted(given.items())) for name, given in self.parameters.items()},
-        }
+        names = ("robot", "axes", "trajectory", "options", "settings", "mode", "gravity", "backend", "limits",
+                 "parameters")  # fmt: skip
+        return dict(json_data({name: getattr(self, name) for name in names}))
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """Names of the two parameters."""
+        return self.x.name, self.y.name
 
 
 @dataclass(frozen=True)
 class Preset:
-    """What a map is of where nothing else is given: motion, axes as text, planner of the thesis, limits, options."""
+    """What a map is of where nothing else is given: motion, axes as text, planner of the thesis, limits."""
 
     trajectory: str
     x: str
     y: str
     thesis: str
     limits: Mapping[str, float] = field(default_factory=dict)
-    options: Mapping[str, float] = field(default_factory=dict)
 
 
 PRESETS: Mapping[str, Preset] = {

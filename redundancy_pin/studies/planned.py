@@ -23,6 +23,7 @@ from redundancy_pin.studies.statements import (
     claim,
     counted,
     judge_all,
+    needed,
     ratios,
     sensitivity,
     thesis,
@@ -50,6 +51,9 @@ PARTS = len(CROSSINGS) + len(CORNERS) + 5
 
 def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     """Run the chapter."""
+    moded = [replace(case, working_mode=mode) for mode in extent.modes for case in MODE_CASES.values()]
+    first = [(case, case.backends[0]) for case in (*needed(extent), *moded, *map(cases.without_carriers, moded))]
+    plans.prepare([(case, name) for case in (*CROSSINGS, *CORNERS) for name in case.backends] + first, extent.jobs)
     parity = []
     for case in (*CROSSINGS, *CORNERS):
         parity.append(plan_parity(plans, case))

@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -46,17 +47,7 @@ RESAMPLES = 2000
 LIBRARIES = ("casadi", "numpy", "pin", "scipy")
 """Whose versions may change a digit of a plan or a simulation."""
 
-UNUSED = (
-    "_moved.py",
-    "_startup.py",
-    "cli",
-    "crosscheck",
-    "experiments",
-    "studies",
-    "view.py",
-    "visualisation",
-    "workers.py",
-)
+UNUSED = ("_moved.py", "_startup.py", "cli", "crosscheck", "studies", "view.py", "visualisation", "workers.py")
 """Parts of the package that no trial uses, but for ``OWN``."""
 
 OWN = ("studies/case.py", "studies/trial.py")
@@ -169,17 +160,11 @@ def robustness_study(
         for number in range(draws)
         for scenario, drive in cells
     }
-    with Store.open(
-        journal, "robustness study", identity(bounds, seed, scenarios), lambda data: Trial(**data)
-    ) as store:
+    known = identity(bounds, seed, scenarios)
+    with Store.open(journal, "robustness study", known, lambda data: Trial(**data)) as store:
         store.complete(run_trial, wanted, -1 if jobs is None else jobs, progress, "trials")
         groups = [[store.records[scenario.name, drive, i] for i in range(draws)] for scenario, drive in cells]
-    return Study(
-        bounds,
-        seed,
-        tuple(trial for group in groups for trial in group),
-        tuple(cell_statistics(group) for group in groups),
-    )
+    return Study(bounds, seed, tuple(chain.from_iterable(groups)), tuple(cell_statistics(group) for group in groups))
 
 
 def scaled(imperfections: Imperfections, severity: float) -> Imperfections:
@@ -235,13 +220,9 @@ def mean_interval(values: Array) -> Interval:
     mean = float(values.mean())
     if np.ptp(values) == 0.0:  # the bootstrap warns
         return Interval(mean, mean, mean)
+    random, kind = np.random.default_rng(0), "percentile"
     interval = bootstrap(
-        (values,),
-        np.mean,
-        confidence_level=CONFIDENCE,
-        n_resamples=RESAMPLES,
-        method="percentile",
-        random_state=np.random.default_rng(0),
+        (values,), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method=kind, random_state=random
     ).confidence_interval
     return Interval(mean, float(interval.low), float(interval.high))
 

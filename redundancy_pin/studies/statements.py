@@ -160,6 +160,23 @@ def compare_motions(runs: Sequence[MotionRun]) -> list[Record]:
     ]  # fmt: skip
 
 
+def needed(extent: Extent) -> list[Case]:
+    """Return every variation of what is unstated, so that all can be planned at once."""
+    judged = [(_own(entry), entry["grids"]) for entry in thesis()["planned"]]
+    ranged = [(case, thesis()["sensitivity"][case.path]["grids"]) for case in _ranged(extent)]
+    grids = [(case, grid(name, extent)) for case, names in (*judged, *ranged) for name in names]
+    return [varied for case, over in grids for varied, _ in over.cases(case)]
+
+
+def _own(entry: Record) -> Case:
+    case = BY_NAME[entry["case"]]
+    return case.with_options(scheme=DIFFERENCES) if entry.get("differences") else case
+
+
+def _ranged(extent: Extent) -> tuple[Case, ...]:
+    return (*(CROSSINGS[:4] if extent.whole_grids else CROSSINGS[:1]), *CORNERS)
+
+
 def judge_all(plans: Plans, extent: Extent) -> list[Record]:
     """Judge every number, and every joint statement, about the planned cases."""
     records = [_judged(entry, plans, extent) for entry in thesis()["planned"]]
@@ -171,9 +188,7 @@ def judge_all(plans: Plans, extent: Extent) -> list[Record]:
 
 
 def _judged(entry: Record, plans: Plans, extent: Extent) -> Record:
-    case, reading, late = BY_NAME[entry["case"]], measure(*entry["measure"]), entry.get("late", 0.0)
-    if entry.get("differences"):
-        case = case.with_options(scheme=DIFFERENCES)
+    case, reading, late = _own(entry), measure(*entry["measure"]), entry.get("late", 0.0)
     stated, unit = [str(digits) for digits in entry["stated"]], entry["unit"]
     grids = [grid(name, extent) for name in entry["grids"]]
     plan = plans.plan(case)
@@ -261,10 +276,9 @@ def same_before_the_corner(plans: Plans, extent: Extent) -> Record:
 
 def sensitivity(plans: Plans, extent: Extent) -> list[Record]:
     """Vary every unstated parameter, one at a time; NaN where a number exists nowhere on the grid."""
-    circles = CROSSINGS[:4] if extent.whole_grids else CROSSINGS[:1]
     return [
         record
-        for case in (*circles, *CORNERS)
+        for case in _ranged(extent)
         for name in thesis()["sensitivity"][case.path]["grids"]
         for record in _ranges(case, grid(name, extent), plans)
     ]
