@@ -131,9 +131,9 @@ def _motions(coordinates: int, *, is_pose: bool) -> str:
     """Say which motions have so many coordinates."""
     if is_pose:
         return "Give a file with x0 to x6 (position and unit quaternion x, y, z, w), xd0 to xd5 and xdd0 to xdd5."
-    from redundancy_pin.studies.case import PATHS
+    from redundancy_pin.studies.case import PATHS, TRAJECTORIES
 
-    fitting = [str(name) for name, make in PATHS.items() if make().dimension == coordinates]
+    fitting = [name for name in PATHS if TRAJECTORIES[name]().dimension == coordinates]
     own = f"points with {coordinates} number{'s' if coordinates > 1 else ''} a row"
     alpha = " (or 2 and alpha)" if coordinates == 3 else ""
     columns = ", ".join(f"{name}{i}" for name in ("x", "xd", "xdd") for i in range(coordinates))

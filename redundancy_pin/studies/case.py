@@ -39,18 +39,11 @@ Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory"
 """What moves the carriers: nobody as there are none, nobody as they stay at s = 0, or a planner."""
 
 
-PATHS: Mapping[str, Callable[..., Trajectory]] = {
-    "circle": reference.circle,
-    "line": reference.line,
-    "corner": reference.corner,
-    "square": reference.square,
-}
-"""Makers of the trajectories of the thesis."""
+PATHS = ("circle", "line", "corner", "square")
+"""Trajectories of the thesis."""
 
 TRAJECTORIES: Mapping[str, Callable[..., Trajectory]] = {
-    **PATHS,
-    "points": reference.points,
-    "polygon": reference.polygon,
+    name: getattr(reference, name) for name in (*PATHS, "points", "polygon")
 }
 """Makers of trajectories by name: those of the thesis, and two for the user's own paths."""
 
@@ -195,16 +188,9 @@ class Case:
 
     def as_dict(self) -> dict[str, object]:
         """Return the configuration as plain data, for JSON."""
-        return {
-            "robot": self.robot,
-            "arguments": dict(self.arguments),
-            "working_mode": list(self.working_mode),
-            "carriers": self.planner,
-            "path": self.path,
-            "path_options": dict(self.path_options),
-            "options": dict(self.options),
-            "dt": self.dt,
-        }
+        return {"robot": self.robot, "arguments": dict(self.arguments), "working_mode": list(self.working_mode),
+                "carriers": self.planner, "path": self.path, "path_options": dict(self.path_options),
+                "options": dict(self.options), "dt": self.dt}  # fmt: skip
 
     def _baseline(self, backend: str | None) -> Dynamics | None:
         return replace(self, planner="none").dynamics(backend) if self.has_baseline else None
@@ -219,15 +205,9 @@ class Case:
 
 def _at_rest(machine: Dynamics, trajectory: Trajectory, dt: float, name: str) -> Plan:
     motion = trajectory.sample(dt)
-    return finish_plan(
-        machine.along(motion),
-        CarrierMotion.parked(len(motion), machine.robot.k),
-        planner=name,
-        phase=np.zeros(len(motion), dtype=np.intp),
-        phases=("parked",),
-        parameters={"dt": dt},
-        diagnostics={},
-    )
+    still, phase = CarrierMotion.parked(len(motion), machine.robot.k), np.zeros(len(motion), dtype=np.intp)
+    given: dict[str, Any] = {"parameters": {"dt": dt}, "diagnostics": {}}
+    return finish_plan(machine.along(motion), still, planner=name, phase=phase, phases=("parked",), **given)
 
 
 @dataclass

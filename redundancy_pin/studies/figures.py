@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -215,34 +216,24 @@ def carriers(results: Results, case: Case) -> Figure:
 def torques(results: Results, case: Case) -> Figure:
     """Draw each base torque of a stepwise plan beside the machine without carriers and with parked ones."""
     plan, none, still = (results.plans.plan(one) for one in (case, without_carriers(case), cases.parked(case)))
-    panels = tuple(
-        Panel(
-            f"τ{i + 1} [N·m]",
-            (
-                Curve("no carriers", none.t, none.tau[:, i], reference=True),
-                Curve("carriers parked", still.t, still.tau[:, i], 1),
-                Curve("carriers moving", plan.t, plan.tau[:, i], 0),
-            ),
-        )
-        for i in range(3)
-    )
+
+    def panel(i: int) -> Panel:
+        without = Curve("no carriers", none.t, none.tau[:, i], reference=True)
+        parked = Curve("carriers parked", still.t, still.tau[:, i], 1)
+        return Panel(f"τ{i + 1} [N·m]", (without, parked, Curve("carriers moving", plan.t, plan.tau[:, i], 0)))
+
+    panels = [panel(i) for i in range(3)]
     return plot_time_panels(f"{_stepwise(case)}: base torques", panels, plan=plan)
 
 
-def positions(results: Results, case: Case) -> Figure:
-    """Draw the positions of the carriers of a stepwise plan."""
-    return _carriers_of(results, case, "position", 0)
-
-
-def accelerations(results: Results, case: Case) -> Figure:
-    """Draw their accelerations."""
-    return _carriers_of(results, case, "acceleration", 2)
-
-
-def _carriers_of(results: Results, case: Case, quantity: str, place: int) -> Figure:
+def _carriers_of(quantity: str, place: int, results: Results, case: Case) -> Figure:
     plan = results.plans.plan(case)
     panel = replace(carrier_panels(curves_of_plan(plan))[place], height=2.4)
     return plot_time_panels(f"{_stepwise(case)}: {quantity} of the carriers", [panel], plan=plan)
+
+
+positions = functools.partial(_carriers_of, "position", 0)
+accelerations = functools.partial(_carriers_of, "acceleration", 2)
 
 
 def _off(case: Case) -> str:

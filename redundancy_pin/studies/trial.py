@@ -157,17 +157,11 @@ def draw(nominal: Robot, imperfections: Imperfections, seed: int, number: int) -
     # a stream of its own: with or without errors of the start, everything else is the same machine
     start = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 1)))
     position, speed = imperfections.start_position, imperfections.start_speed
-    return Draw(
-        {**masses, **lengths},
-        random.uniform(0.5, 1.5, model.nv),
-        random.uniform(0.5, 1.5, model.nv),
-        random.uniform(-0.5, 0.5, model.nq),
-        start.uniform(-position, position, nominal.n),
-        start.uniform(-speed, speed, nominal.n),
-        start.uniform(-position, position, nominal.k),
-        start.uniform(-speed, speed, nominal.k),
-        random,
-    )
+    coulomb, viscous = random.uniform(0.5, 1.5, model.nv), random.uniform(0.5, 1.5, model.nv)
+    phase = random.uniform(-0.5, 0.5, model.nq)
+    bounds = ((position, nominal.n), (speed, nominal.n), (position, nominal.k), (speed, nominal.k))
+    x, xd, s, sd = (start.uniform(-bound, bound, count) for bound, count in bounds)
+    return Draw({**masses, **lengths}, coulomb, viscous, phase, x, xd, s, sd, random)
 
 
 @dataclass(frozen=True)
@@ -251,33 +245,22 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
     away = np.linalg.norm(run.x - reference, axis=1)
     span = float(run.t[-1] - run.t[0])
     last = run.events[-1] if run.events else None
-    return Trial(
-        scenario.name,
-        drive,
-        number,
-        run.status.value,
-        run.reason or (last.name if last is not None and last.terminal else ""),
-        float(away.max()),
-        float(np.sqrt(np.trapezoid(away**2, run.t) / span)) if span > 0.0 else float(away[0]),
-        float(np.nanmax(np.abs(run.tau))),
-        float(np.nanmax(np.abs(run.carrier_force))),
-        _given_up(control),
-    )
+    reason = run.reason or (last.name if last is not None and last.terminal else "")
+    rms = float(np.sqrt(np.trapezoid(away**2, run.t) / span)) if span > 0.0 else float(away[0])
+    worst, (tau, force) = float(away.max()), (float(np.nanmax(np.abs(part))) for part in (run.tau, run.carrier_force))
+    status = run.status.value
+    return Trial(scenario.name, drive, number, status, reason, worst, rms, tau, force, _given_up(control))
 
 
 @functools.cache
 def controller(scenario: Scenario, drive: Drive, imperfections: Imperfections) -> Controller:
     """Return the controller of a cell, made once a process; it knows the robot as planned."""
-    motion = planned(scenario.case)
-    sampling = Sampling(imperfections.period, imperfections.delay)
+    motion, sampling = planned(scenario.case), Sampling(imperfections.period, imperfections.delay)
     if drive == "open loop":
         return _OpenLoop(motion, None, sampling)
-    return (ComputedTorque if drive == "computed torque" else TimeVaryingLqr)(
-        motion,
-        effort_limit=imperfections.effort_limit,
-        carrier_force_limit=imperfections.carrier_force_limit,
-        sampling=sampling,
-    )
+    made = ComputedTorque if drive == "computed torque" else TimeVaryingLqr
+    most = {name: getattr(imperfections, name) for name in ("effort_limit", "carrier_force_limit")}
+    return made(motion, sampling=sampling, **most)
 
 
 class _OpenLoop(Tracking):
@@ -295,11 +278,9 @@ class Amplifier:
 
     def effort(self, t: float, state: State) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) with noise."""
-        tau, force = self._controller.effort(t, state)
-        return (
-            tau + self._noise * self._random.standard_normal(len(tau)),
-            force + self._noise * self._random.standard_normal(len(force)),
-        )
+        tau, force = (part + self._noise * self._random.standard_normal(len(part))
+                      for part in self._controller.effort(t, state))  # fmt: skip
+        return tau, force
 
 
 def _friction(drawn: Draw, imperfections: Imperfections) -> JointFriction:

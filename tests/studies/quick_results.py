@@ -29,16 +29,21 @@ def motion(name: str, dt: float = 0.01) -> Case:
     return replace(BY_NAME[name], dt=dt)
 
 
-@functools.cache
+run_once = functools.cache(run)
+"""A motion is the same whoever runs it."""
+
+
 def motion_run(name: str, dt: float = 0.01) -> MotionRun:
     """Run a motion of the thesis."""
-    return run(motion(name, dt))
+    return run_once(motion(name, dt))
 
 
-def undraw(patched: pytest.MonkeyPatch) -> None:
-    """Let the job write pictures of nothing: they cost most of its time, and have a test of their own."""
+def spare(patched: pytest.MonkeyPatch) -> None:
+    """Let the job do nothing that has a test of its own: pictures, which cost most of its time, and the cross-check."""
     patched.setattr(Picture, "draw", lambda self, results: None)
     patched.setattr(job, "save", lambda figure, *paths: [path.write_bytes(b"\x89PNG") for path in paths])
+    patched.setattr(job.crosscheck, "run", lambda *_: PASSED)
+    patched.setattr(job, "run", run_once)
 
 
 @functools.cache
@@ -46,8 +51,7 @@ def reproduction(*chapters: str) -> Reproduction:
     """Run the main job quickly: one motion without a planner, and chapters; its pictures are empty."""
     folder = Path(tempfile.mkdtemp()) / "results"
     with pytest.MonkeyPatch.context() as patched:
-        undraw(patched)
-        patched.setattr(job.crosscheck, "run", lambda *_: PASSED)
+        spare(patched)
         return job.reproduce(folder, [motion("corner-r0.025-baseline")], extent=replace(QUICK, chapters=chapters))
 
 
