@@ -45,19 +45,25 @@ POINTS = 4
 
 MOVING = "carriers moving"
 
-PARTS = len(CROSSINGS) + len(CORNERS) + 5
-"""How often ``run_planned`` tells of progress."""
+
+def parts(extent: Extent) -> int:
+    """Return how often ``run_planned`` tells of progress."""
+    return len(independent(extent)) + 6
+
+
+def independent(extent: Extent) -> list[tuple[Case, str]]:
+    """Return the plans of the chapter that do not depend on one another, each with its backend."""
+    moded = [replace(case, working_mode=mode) for mode in extent.modes for case in MODE_CASES.values()]
+    first = (*needed(extent), *moded, *map(cases.without_carriers, moded))
+    both = [(case, backend) for case in (*CROSSINGS, *CORNERS) for backend in case.backends]
+    return both + [(case, case.backends[0]) for case in first]
 
 
 def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
-    """Run the chapter."""
-    moded = [replace(case, working_mode=mode) for mode in extent.modes for case in MODE_CASES.values()]
-    first = [(case, case.backends[0]) for case in (*needed(extent), *moded, *map(cases.without_carriers, moded))]
-    plans.prepare([(case, name) for case in (*CROSSINGS, *CORNERS) for name in case.backends] + first, extent.jobs)
-    parity = []
-    for case in (*CROSSINGS, *CORNERS):
-        parity.append(plan_parity(plans, case))
-        tell(case.name)
+    """Run the chapter, on several processes."""
+    plans.prepare(independent(extent), extent.jobs, tell)
+    parity = [plan_parity(plans, case) for case in (*CROSSINGS, *CORNERS)]
+    tell("parity")
     judged = judge_all(plans, extent)
     tell("statements")
     modes, rows = working_modes(plans, extent.modes), list(thesis()["rows"])

@@ -153,9 +153,9 @@ def _count(motions: Sequence[Case], extent: Extent) -> int:
     """Return the steps of the progress bar."""
     names = [motion_name(case) for case in motions]
     comparisons = sum(names.count(name) > 1 for name in set(names))
-    counts = {"planned": planned.PARTS + len(THESIS), "beyond": beyond.parts(extent) + len(TASKS) + 4,
-              "replay": len(extent.replayed) + 2}  # fmt: skip
-    return _CROSS_CHECK_STEPS + 3 * len(motions) + comparisons + sum(counts[chapter] for chapter in extent.chapters)
+    parts = {"planned": lambda: planned.parts(extent) + len(THESIS), "replay": lambda: len(extent.replayed) + 2,
+             "beyond": lambda: beyond.parts(extent) + len(TASKS) + 4}  # fmt: skip
+    return _CROSS_CHECK_STEPS + 3 * len(motions) + comparisons + sum(parts[chapter]() for chapter in extent.chapters)
 
 
 def require_agreement(
