@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_maps import corner, crossing
+from small_maps import NODES, corner, crossing
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, UnreachablePoseError
@@ -57,7 +57,7 @@ def bend(request: pytest.FixtureRequest) -> FeasibilityMap:
 
 def _whole(dynamics: Any, motion: Any, **given: Any) -> Plan | None:
     try:
-        return rp.plan_whole_trajectory(dynamics, motion, dt=0.03, refinements=0, **given)
+        return rp.plan_whole_trajectory(dynamics, motion, **NODES, **given)
     except InfeasiblePlanError:
         return None
 
