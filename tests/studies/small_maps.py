@@ -8,8 +8,7 @@ from typing import Any
 from redundancy_pin.errors import InputError
 from redundancy_pin.studies.feasibility import STEPWISE, SWITCH_OFF, WHOLE, Axis, Cell, MapProblem, Verdict
 
-NODES: dict[str, Any] = {"dt": 0.05, "refinements": 0}
-COARSE = {WHOLE: NODES, SWITCH_OFF: {"threshold": 20.0, "return_time": "shortest", "dt": 5e-3}}
+COARSE = {WHOLE: {"dt": 0.03, "refinements": 0}, SWITCH_OFF: {"threshold": 20.0, "return_time": "shortest", "dt": 5e-3}}
 
 
 def crossing(**changes: Any) -> MapProblem:
@@ -35,7 +34,7 @@ def corner(**changes: Any) -> MapProblem:
         "mode": (1, 1, 1),
         "limits": {"max_effort": 5.0},
         "planners": (STEPWISE, WHOLE),
-        "parameters": {WHOLE: NODES, STEPWISE: {"lam": 0.0}},
+        "parameters": {WHOLE: {"dt": 0.05, "refinements": 0}, STEPWISE: {"lam": 0.0}},
     }
     return MapProblem(**{**given, **changes})
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_maps import NODES, corner, crossing
+from small_maps import corner, crossing
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, UnreachablePoseError
@@ -57,16 +57,16 @@ def bend(request: pytest.FixtureRequest) -> FeasibilityMap:
 
 def _whole(dynamics: Any, motion: Any, **given: Any) -> Plan | None:
     try:
-        return rp.plan_whole_trajectory(dynamics, motion, **NODES, **given)
+        return rp.plan_whole_trajectory(dynamics, motion, **given)
     except InfeasiblePlanError:
         return None
 
 
 def _require_cells_of_the_planner(result: FeasibilityMap, dynamics: Any, make: Callable[[float], Any]) -> None:
     """The limits go in as keywords of the planner here, not as limits of the robot."""
-    effort = result.problem.limits.get("max_effort")
+    effort, nodes = result.problem.limits.get("max_effort"), result.problem.parameters[WHOLE]
     for cell in result.of(WHOLE):
-        plan = _whole(dynamics, make(cell.x), track=[-0.5 * cell.y, 0.5 * cell.y], effort=effort)
+        plan = _whole(dynamics, make(cell.x), track=[-0.5 * cell.y, 0.5 * cell.y], effort=effort, **nodes)
         expected = Verdict.INFEASIBLE if plan is None else Verdict.FEASIBLE
         assert cell.verdict is expected, cell
         if plan is not None:
