@@ -129,7 +129,7 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
     if given["trajectory"] is None and robot not in PRESETS:
         raise InputError(f"There is no usual motion of {robot}.", remedy="Add --trajectory.")
     name, options = split_trajectory(given["trajectory"]) if given["trajectory"] else (preset.trajectory, {})
-    usual = name == preset.trajectory  # limits of a preset were chosen for its own motion
+    usual = name == preset.trajectory  # limits and options of a preset were chosen for its own motion
     x, y = parse_axis(given["x_text"] or preset.x), parse_axis(given["y_text"] or preset.y)
     limits = {**(preset.limits if usual else {})}
     limits |= {key: float(given[key]) for key in LIMITS if given[key] is not None}
@@ -150,7 +150,10 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
         x=x,
         y=y,
         trajectory=name,
-        options={key: trajectory_value(key, value, f"the trajectory {name}") for key, value in options.items()},
+        options={
+            **(preset.options if usual else {}),
+            **{key: trajectory_value(key, value, f"the trajectory {name}") for key, value in options.items()},
+        },
         settings=given["settings"],
         mode=given["mode"] or (),
         gravity=given["gravity"],

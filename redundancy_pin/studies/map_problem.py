@@ -325,13 +325,14 @@ class MapProblem:
 
 @dataclass(frozen=True)
 class Preset:
-    """What a map is of where nothing else is given: motion, axes as text, planner of the thesis, limits."""
+    """What a map is of where nothing else is given: motion, axes as text, planner of the thesis, limits, options."""
 
     trajectory: str
     x: str
     y: str
     thesis: str
     limits: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, float] = field(default_factory=dict)
 
 
 PRESETS: Mapping[str, Preset] = {
