@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from pathlib import Path
 from typing import Any
 
 import promises
@@ -11,6 +12,7 @@ import pytest
 import zoo
 from hypothesis import settings
 
+from redundancy_pin.dynamics.compiled.build import CACHE
 from redundancy_pin.robot import Robot
 
 # the same examples every time, so that a change is judged and not the draw; `HYPOTHESIS_PROFILE=explore` looks further
@@ -49,3 +51,14 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
     yield
     if session.exitstatus == pytest.ExitCode.OK and not session.config.stash.get(FEW_FAILED, True):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_libraries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A cache of compiled robots of this run's own, shared by its workers: nobody's home is written to or read."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "compiled"
+    folder.mkdir(exist_ok=True, mode=0o700)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE, str(folder))
+        yield folder

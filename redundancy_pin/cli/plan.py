@@ -48,13 +48,14 @@ from redundancy_pin.io.files import replacing_file, require_writable
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
+from redundancy_pin.studies.case import COMPILED, RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.measures import SWING, reversals
 from redundancy_pin.trajectory import Trajectory, from_csv
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
 
-_BACKENDS = {"Rnea": RNEA, "VirtualWork": VIRTUAL_WORK}  # how the command line calls what a plan names by its class
+# how the command line calls what a plan names by its class
+_BACKENDS = {"Rnea": RNEA, "VirtualWork": VIRTUAL_WORK, "Compiled": COMPILED}
 _LISTED = 6  # broken limits that a table and a warning list; the rest is counted
 _LISTED_PHASES = 10  # a stepwise plan may change its phase at every step
 

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import InfeasiblePlanError
@@ -25,8 +26,13 @@ from redundancy_pin.workers import parallel
 
 RNEA = "rnea"
 VIRTUAL_WORK = "virtual-work"
+COMPILED = "compiled"
 
-BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {RNEA: RneaDynamics, VIRTUAL_WORK: VirtualWork}
+BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {
+    RNEA: RneaDynamics,
+    VIRTUAL_WORK: VirtualWork,
+    COMPILED: CompiledDynamics,
+}
 """Dynamics of a robot, by the name the command line uses."""
 
 Mode: TypeAlias = tuple[int, ...]

@@ -12,6 +12,7 @@ from command_line import call, refused, write_motion
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin import PlatformMotion, load_robot
+from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
@@ -29,7 +30,9 @@ def corner(tmp_path: Path) -> Path:
     return write_motion(tmp_path / "motion.csv", reference.corner(), 0.05, carriers=3)
 
 
-@pytest.mark.parametrize(("name", "backend"), [("rnea", RneaDynamics), ("virtual-work", VirtualWork)])
+@pytest.mark.parametrize(
+    ("name", "backend"), [("rnea", RneaDynamics), ("virtual-work", VirtualWork), ("compiled", CompiledDynamics)]
+)
 def test_output_is_that_of_the_python_api(corner: Path, tmp_path: Path, name: str, backend: type) -> None:
     out = tmp_path / "out.csv"
     result = call(
