@@ -12,6 +12,7 @@ from redundancy_pin import _moved, _startup
 if TYPE_CHECKING:
     from redundancy_pin import simulation, trajectory
     from redundancy_pin.dynamics.compiled import CompiledDynamics
+    from redundancy_pin.dynamics.compiled.symbolic import symbolic
     from redundancy_pin.dynamics.distribution import distribute
     from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
     from redundancy_pin.dynamics.virtual_work import VirtualWork
@@ -55,6 +56,7 @@ _PLACES = {
     "show": "view",
     "simulate": "simulation",
     "singular_locus": "singularities.locus",
+    "symbolic": "dynamics.compiled.symbolic",
 }
 """Names of ``__all__`` that are no modules, by where they are defined; the imports above say it to type checkers."""
 
@@ -86,6 +88,7 @@ __all__ = [
     "simulate",
     "simulation",
     "singular_locus",
+    "symbolic",
     "trajectory",
 ]
 __version__ = "0.1.0"

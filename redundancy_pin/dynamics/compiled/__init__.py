@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from itertools import pairwise
@@ -30,6 +30,13 @@ from redundancy_pin.dynamics.base import (
     require_matching_carriers,
 )
 from redundancy_pin.dynamics.compiled.build import Library, build_library, define
+from redundancy_pin.dynamics.compiled.derivatives import (
+    MotionDerivatives,
+    Partials,
+    TreeSamples,
+    motion_derivatives,
+)
+from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
 from redundancy_pin.errors import (
     InputError,
@@ -41,7 +48,7 @@ from redundancy_pin.errors import (
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
 
-__all__ = ["CompiledDynamics", "Sample"]
+__all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
 
 _CLOSED, _LOST, _SINGULAR, _OTHER_MODE, _NOT_FINITE = range(5)
 """Statuses of the driver."""
@@ -320,6 +327,31 @@ class CompiledAlongMotion(Frozen):
         shaped = [part.reshape(len(part), -1, k) if k else np.zeros((len(part), rows, 0))
                   for part, rows in zip(parts, (n, n, n, k, k, k), strict=True)]  # fmt: skip
         return CarrierDerivatives(*(read_only(part) for part in shaped))
+
+    def derivatives(
+        self, carriers: CarrierMotion | None = None, parameters: Sequence[str] | Design = ()
+    ) -> MotionDerivatives:
+        """Return exact derivatives of f, W, carrier forces, base wrench and closure forces, by all they depend on.
+
+        By automatic and implicit differentiation; interpreted by casadi, on this thread. The first call for a robot and
+        its parameters writes the expressions (under a second for a 3-RRR), later ones find them.
+
+        Args:
+            carriers: carrier motion; parked at s = 0 when left out.
+            parameters: design parameters, numbers of the xacro file (``"distal_length"``) or of the tree
+                (``"elbow_1.mass"``), see ``design.design_of``; or a ``Design``.
+
+        Raises:
+            InputError: an unknown parameter, or carriers of the wrong shape.
+            UnsupportedRobotError: a parameter that changes the axes or the number of joints.
+        """
+        lifted, robot = self._lifted, self.robot
+        carriers = require_matching_carriers(robot, carriers, len(self.motion))
+        design = parameters if isinstance(parameters, Design) else design_of(robot, parameters)
+        x = self.motion.x.reshape(len(self.motion), -1)
+        return motion_derivatives(
+            robot, design, TreeSamples(x, lifted.q, lifted.v, lifted.a, lifted.reachable), carriers
+        )
 
     def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N, 6) force and moment of the robot on its base, about the world origin, world axes, N and N·m."""

@@ -139,18 +139,54 @@ class SymbolicChain:
                 joint=model.names[index],
                 type=kind,
             )
-        placement = model.jointPlacements[index]
+        rotation, translation = self.joint_placement(index)
         return _Joint(
             index,
             int(model.parents[index]),
             at_q,
             at_v,
-            ca.SX(placement.rotation) @ turned,
-            ca.SX(placement.translation) + ca.SX(placement.rotation) @ shift,
+            rotation @ turned,
+            translation + rotation @ shift,
             subspace,
             rate,
             moved,
         )
+
+    # --- what the tree is made of: numbers here, symbols where somebody asks how results depend on them ------------
+
+    def joint_placement(self, index: int) -> tuple[SX, SX]:
+        """Return rotation (3, 3) and origin (3) of a joint's frame at q = 0 in its parent's."""
+        ca, placement = casadi(), self.model.jointPlacements[index]
+        return ca.SX(placement.rotation), ca.SX(placement.translation)
+
+    def frame_placement(self, frame: pin.Frame) -> tuple[SX, SX]:
+        """Return rotation (3, 3) and origin (3) of a link's frame in its joint's."""
+        ca = casadi()
+        return ca.SX(frame.placement.rotation), ca.SX(frame.placement.translation)
+
+    def inertial_force(self, index: int, motion: tuple[SX, SX, SX, SX]) -> tuple[SX, SX]:
+        """Return force and moment (3) that give a body its motion, about its joint's origin, in its frame.
+
+        Args:
+            index: the joint that moves the body.
+            motion: angular velocity, velocity of the origin, and the rates of both, Featherstone's.
+        """
+        ca, body = casadi(), self.model.inertias[index]
+        w, u, dw, du = motion
+        mass, centre, inertia = body.mass, ca.SX(body.lever), ca.SX(body.inertia)
+        momentum = mass * (u + ca.cross(w, centre))
+        push = mass * (du + ca.cross(dw, centre))
+        moment = (
+            inertia @ dw
+            + ca.cross(centre, push)
+            + ca.cross(w, inertia @ w + ca.cross(centre, momentum))
+            + ca.cross(u, momentum)
+        )
+        return push + ca.cross(w, momentum), moment
+
+    def nominal(self, expression: SX) -> SX:
+        """Return an expression at the robot's own numbers."""
+        return expression
 
     def _trig_of(self, index: int) -> tuple[SX, SX]:
         """Return cosine and sine of an entry of q."""
@@ -202,17 +238,29 @@ class SymbolicChain:
         ca = casadi()
         frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.BODY)]
         rotation, origin, spin, speed = self._world[int(frame.parentJoint)]
-        arm = rotation @ ca.SX(frame.placement.translation)
-        return rotation @ ca.SX(frame.placement.rotation), origin + arm, spin, speed + ca.cross(spin, arm)
+        turned, shift = self.frame_placement(frame)
+        arm = rotation @ shift
+        return rotation @ turned, origin + arm, spin, speed + ca.cross(spin, arm)
 
-    def rate_of(self, expression: SX) -> SX:
-        """Return the rate of an expression in q and trig (and v, held), ∂/∂q · E v."""
+    @cached_property
+    def _rates(self) -> SX:
+        """Rates of q and trig, linear in v."""
         ca = casadi()
         q_rate = ca.vertcat(*(joint.rate for joint in self._joints))
         rates = [q_rate]
         for i, index in enumerate(self.turning):
             rates += [-self.trig[2 * i + 1] * q_rate[index], self.trig[2 * i] * q_rate[index]]
-        return ca.jtimes(expression, ca.vertcat(self.q, self.trig), ca.vertcat(*rates))
+        return ca.vertcat(*rates)
+
+    def rate_of(self, expression: SX) -> SX:
+        """Return the rate of an expression in q and trig (and v, held), ∂/∂q · E v."""
+        ca = casadi()
+        return ca.jtimes(expression, ca.vertcat(self.q, self.trig), self._rates)
+
+    def by_tangent(self, expression: SX) -> SX:
+        """Return the derivative (rows, nv) of an expression in q and trig by a tangent step of the tree."""
+        ca = casadi()
+        return ca.jacobian(expression, ca.vertcat(self.q, self.trig)) @ ca.jacobian(self._rates, self.v)
 
     @cached_property
     def closure_rows(self) -> SX:
@@ -293,7 +341,7 @@ class SymbolicChain:
     def _at_reference(self, expression: SX) -> Array:
         ca = casadi()
         q = np.array(self.robot.q_reference)
-        return np.array(ca.Function("at", [self.q, self.trig], [expression])(q, self.trig_at(q[None])[0]))
+        return np.array(ca.Function("at", [self.q, self.trig], [self.nominal(expression)])(q, self.trig_at(q[None])[0]))
 
     @cached_property
     def coordinates(self) -> SX:
@@ -366,18 +414,7 @@ class SymbolicChain:
             dw = into @ turn + rest[3:] + ca.cross(w, own[3:])
             du = into @ (pull + ca.cross(turn, arm)) + rest[:3] + ca.cross(w, own[:3]) + ca.cross(u, own[3:])
             motions[joint.index] = w, u, dw, du
-            body = model.inertias[joint.index]
-            mass, centre, inertia = body.mass, ca.SX(body.lever), ca.SX(body.inertia)
-            momentum = mass * (u + ca.cross(w, centre))
-            push = mass * (du + ca.cross(dw, centre))
-            force = push + ca.cross(w, momentum)
-            moment = (
-                inertia @ dw
-                + ca.cross(centre, push)
-                + ca.cross(w, inertia @ w + ca.cross(centre, momentum))
-                + ca.cross(u, momentum)
-            )
-            forces[joint.index] = [force, moment]
+            forces[joint.index] = list(self.inertial_force(joint.index, (w, u, dw, du)))
         efforts = ca.SX.zeros(model.nv)
         for joint in reversed(self._joints):
             force, moment = forces[joint.index]

@@ -1,0 +1,346 @@
+"""Exact derivatives of the dynamics along a motion: casadi's of the symbols, through the closed loops by solving.
+
+At a sample the tree's motion (q, v, a) and the multipliers μ solve
+
+    Φ(q) = 0, x(q) = x;   K v = (0, ẋ);   K a + J̇ v = (0, ẍ);   Kᵀ μ = rnea(q, v, a) without the carriers' rows,
+
+where K stacks the closures' Jacobian and that of the platform. Then f is the lower part of μ, and with Kᵀ N = Sᵀ the
+lower part of N is W; the upper parts are what the closures transmit, λ = μ − N τ. Differentiated with respect to
+anything, each line is a solve with K or Kᵀ, in this order. What stands beside K is differentiated by casadi;
+differences are taken of the numbers of a xacro file only (``design``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, read_only
+from redundancy_pin.dynamics.compiled.design import Design
+from redundancy_pin.dynamics.compiled.symbols import SX, SymbolicChain, casadi
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.robot import Robot
+
+_SAMPLES_PER_BLOCK = 1000
+"""Samples beyond these are worked on in blocks: a 3-RRR takes 40 kB a sample on the way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Partials(Frozen):
+    """Derivatives of one quantity, an array (N, ...) along the motion.
+
+    Attributes:
+        x: (N, ..., n) by the platform coordinates, 1/m and 1/rad. Of a pose by a small displacement in world axes: of
+            the platform's origin, then a rotation about it.
+        xd, xdd: (N, ..., n) by ẋ and ẍ.
+        s, sd, sdd: (N, ..., k) by s, ṡ, s̈.
+        parameters: (N, ..., d) by the design parameters, the motion of platform and carriers held.
+    """
+
+    x: Array
+    xd: Array
+    xdd: Array
+    s: Array
+    sd: Array
+    sdd: Array
+    parameters: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MotionDerivatives(Frozen):
+    """Exact derivatives along a motion, by platform motion, carriers and design parameters.
+
+    N samples, n platform coordinates, m main actuators, k carriers, r closure rows, d parameters. Units follow from
+    those of the quantities; frames are theirs too. Rows of samples that are not reachable are NaN.
+
+    Attributes:
+        parameters: names of the design parameters.
+        f: of the (N, n) generalised force.
+        W: of the (N, n, m) actuation matrix.
+        carrier_force: of the (N, k) carrier forces.
+        base_wrench: of the (N, 6) wrench on the base.
+        passive_closure_force: of the (N, r) closure forces λ₀ without main efforts.
+        closure_share: of the (N, r, m) closure forces a unit of main effort takes away: λ = λ₀ − Λ τ.
+        share: (N, r, m) Λ itself.
+    """
+
+    parameters: tuple[str, ...]
+    f: Partials
+    W: Partials
+    carrier_force: Partials
+    base_wrench: Partials
+    passive_closure_force: Partials
+    closure_share: Partials
+    share: Array
+
+    def closure_force(self, tau: ArrayLike, tau_by: Partials | None = None) -> Partials:
+        """Return the derivatives of the closure forces (N, r), as ``joint_reactions`` defines them.
+
+        Args:
+            tau: (N, m) main efforts that produce the motion, W τ = f.
+            tau_by: their own derivatives; held when left out, which is what other efforts of the same motion share:
+                the derivative along efforts that go on producing the motion needs them.
+
+        Raises:
+            InputError: ``tau`` has the wrong shape.
+        """
+        effort = checked(tau, "tau", (self.share.shape[0], self.share.shape[2]))
+        parts = []
+        for field in fields(Partials):
+            loose, share = (getattr(of, field.name) for of in (self.passive_closure_force, self.closure_share))
+            part = loose - np.einsum("nrmc,nm->nrc", share, effort)
+            if tau_by is not None:
+                part = part - self.share @ getattr(tau_by, field.name)
+            parts.append(read_only(part))
+        return Partials(*parts)
+
+
+# --- the symbols ------------------------------------------------------------------------------------------------------
+
+
+class DesignChain(SymbolicChain):
+    """Expressions of a robot whose tree depends, to first order, on design parameters.
+
+    Args:
+        robot: the robot.
+        design: the derivatives of its numbers.
+
+    Attributes:
+        change: (d) the parameters less their values.
+    """
+
+    def __init__(self, robot: Robot, design: Design) -> None:
+        self.design = design
+        self.change = casadi().SX.sym("change", len(design.names))
+        super().__init__(robot)
+
+    def joint_placement(self, index: int) -> tuple[SX, SX]:
+        """Return rotation and origin of a joint's frame, moved by the parameters."""
+        return self._displaced(str(self.model.names[index]), *super().joint_placement(index))
+
+    def frame_placement(self, frame: pin.Frame) -> tuple[SX, SX]:
+        """Return rotation and origin of a link's frame, moved by the parameters."""
+        return self._displaced(str(frame.name), *super().frame_placement(frame))
+
+    def _displaced(self, name: str, rotation: SX, origin: SX) -> tuple[SX, SX]:
+        ca, columns = casadi(), self.design.placements.get(name)
+        if columns is None:
+            return rotation, origin
+        moved = _sparse(columns) @ self.change
+        return rotation @ (ca.SX.eye(3) + ca.skew(moved[3:])), origin + moved[:3]
+
+    def inertial_force(self, index: int, motion: tuple[SX, SX, SX, SX]) -> tuple[SX, SX]:
+        """Return force and moment that give a body its motion, which are linear in its inertial parameters."""
+        ca, columns = casadi(), self.design.inertias.get(str(self.model.names[index]))
+        force, moment = super().inertial_force(index, motion)
+        if columns is None:
+            return force, moment
+        w, u, dw, du = motion
+        more = _sparse(columns) @ self.change
+        mass, first, inertia = more[0], more[1:4], ca.reshape(more[4:], 3, 3)
+        momentum = mass * u + ca.cross(w, first)
+        push = mass * du + ca.cross(dw, first)
+        force += push + ca.cross(w, momentum)
+        moment += inertia @ dw + ca.cross(first, du) + ca.cross(w, inertia @ w + ca.cross(first, u))
+        return force, moment + ca.cross(u, momentum)
+
+    def nominal(self, expression: SX) -> SX:
+        """Return an expression at the parameters' values."""
+        return casadi().substitute(expression, self.change, casadi().DM.zeros(self.change.numel()))
+
+
+def _sparse(columns: Array) -> Any:
+    return casadi().sparsify(casadi().DM(columns))
+
+
+@dataclass(frozen=True, eq=False)
+class _Functions:
+    """casadi Functions of q, trig, v, a (``motion``), and of q, trig and a multiplier ν (``transposed``)."""
+
+    chain: DesignChain
+    motion: Any
+    transposed: Any
+
+
+@lru_cache(maxsize=16)
+def _functions(robot: Robot, design: Design) -> _Functions:
+    """Write the derivatives of one robot; under a second for a 3-RRR."""
+    ca = casadi()
+    chain = DesignChain(robot, design)
+    columns, change = chain.pose_columns.tolist(), chain.change
+    rates = chain.row_rates
+    second = ca.substitute(rates, chain.v, chain.a) + chain.bias
+    # where the coordinates are, less x: what a parameter opens is closed again by K times a tangent step
+    position = ca.vertcat(-chain.closure_rows, chain.missing)
+    efforts, ground = chain.efforts
+    outputs = [
+        chain.K,
+        ca.jacobian(position, change),
+        chain.by_tangent(rates)[:, columns],
+        ca.jacobian(rates, change),
+        chain.by_tangent(second)[:, columns],
+        ca.jacobian(second, chain.v)[:, columns],
+        ca.jacobian(second, change),
+        efforts,
+    ]
+    for forces in (efforts, ground):
+        outputs += [
+            chain.by_tangent(forces),
+            ca.jacobian(forces, chain.v),
+            ca.jacobian(forces, chain.a),
+            ca.jacobian(forces, change),
+        ]
+    multiplier = ca.SX.sym("nu", len(columns))
+    transposed = chain.K.T @ multiplier
+    pose = [chain.q, chain.trig]
+    return _Functions(
+        chain,
+        _function(chain, "motion", [*pose, chain.x, chain.v, chain.a], outputs),
+        _function(
+            chain,
+            "transposed",
+            [*pose, multiplier],
+            [chain.by_tangent(transposed)[:, columns], ca.jacobian(transposed, change)],
+        ),
+    )
+
+
+def _function(chain: DesignChain, name: str, inputs: list[Any], outputs: list[Any]) -> Any:
+    ca = casadi()
+    at_zero = ca.substitute(outputs, [chain.change], [ca.SX(ca.DM.zeros(chain.change.numel()))])
+    # transposed: casadi's columns are numpy's rows
+    return ca.Function(name, inputs, [ca.densify(part.T) for part in ca.cse(at_zero)])
+
+
+def _evaluated(function: Any, *inputs: Array) -> list[Array]:
+    """Return the results at many samples, (N, rows, columns) each."""
+    samples = len(inputs[0])
+    given = [np.asfortranarray(array.reshape(samples, -1).T) for array in inputs]
+    results = function.map(samples).call(given)
+    return [
+        np.ascontiguousarray(np.array(result).T).reshape(samples, function.size2_out(i), function.size1_out(i))
+        for i, result in enumerate(results)
+    ]
+
+
+# --- the numbers ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class TreeSamples:
+    """N samples of the tree: x (N, n or 16), q (N, nq), v and a (N, nv), carriers not yet in them, and which close."""
+
+    x: Array
+    q: Array
+    v: Array
+    a: Array
+    reachable: BoolArray
+
+
+def motion_derivatives(robot: Robot, design: Design, tree: TreeSamples, carriers: CarrierMotion) -> MotionDerivatives:
+    """Return the derivatives along a motion whose kinematics are solved.
+
+    Args:
+        robot: the robot.
+        design: how its numbers depend on the parameters.
+        tree: the motion of the tree.
+        carriers: the motion of the carriers.
+    """
+    functions = _functions(robot, design)
+    samples, known = len(tree.q), np.flatnonzero(tree.reachable)
+    q, v, a = tree.q.copy(), tree.v.copy(), tree.a.copy()
+    q[:, robot.carrier_position] = carriers.s
+    v[:, robot.carrier_velocity] = carriers.sd
+    a[:, robot.carrier_velocity] = carriers.sdd
+    parts = blocks(len(known), _SAMPLES_PER_BLOCK)
+    evaluated = [_block(functions, tree.x[at], q[at], v[at], a[at]) for at in (known[part] for part in parts)]
+    shapes = _shapes(functions)
+    wholes = {name: np.full((samples, *shape), np.nan) for name, shape in shapes.items()}
+    for part, results in zip(parts, evaluated, strict=True):
+        for name, result in results.items():
+            wholes[name][known[part]] = result
+    share = wholes.pop("share")
+    quantities = {name: _split(robot, whole) for name, whole in wholes.items()}
+    return MotionDerivatives(parameters=design.names, share=read_only(share), **quantities)
+
+
+def _shapes(functions: _Functions) -> dict[str, tuple[int, ...]]:
+    robot, r = functions.chain.robot, len(functions.chain.closure_scale)
+    n, m, k = robot.n, robot.m, robot.k
+    width = 3 * n + 3 * k + len(functions.chain.design.names)
+    return {
+        "f": (n, width),
+        "W": (n, m, width),
+        "carrier_force": (k, width),
+        "base_wrench": (6, width),
+        "passive_closure_force": (r, width),
+        "closure_share": (r, m, width),
+        "share": (r, m),
+    }
+
+
+def _split(robot: Robot, whole: Array) -> Partials:
+    edges = np.cumsum([robot.n] * 3 + [robot.k] * 3)
+    return Partials(*(read_only(np.ascontiguousarray(part)) for part in np.split(whole, edges, axis=-1)))
+
+
+def _block(functions: _Functions, x: Array, q: Array, v: Array, a: Array) -> dict[str, Array]:
+    chain, robot = functions.chain, functions.chain.robot
+    pose: IntArray = chain.pose_columns
+    carried, driven = robot.carrier_velocity, np.searchsorted(pose, robot.actuated_velocity)
+    n, k, r, p, d = robot.n, robot.k, len(chain.closure_scale), len(pose), len(chain.design.names)
+    samples, width = len(q), 3 * n + 3 * k + d
+    by_x, by_xd, by_xdd, by_carriers, by_design = (
+        slice(first, last)
+        for first, last in ((0, n), (n, 2 * n), (2 * n, 3 * n), (3 * n, 3 * n + 3 * k), (width - d, width))
+    )
+    trig = chain.trig_at(q)
+    K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(functions.motion, q, trig, x, v, a)
+    inverse: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
+    # (q, v, a): the platform's rows are what is asked for, the closures' stay shut
+    right = np.zeros((3, samples, p, width))
+    for order, columns in enumerate((by_x, by_xd, by_xdd)):
+        right[order, :, r:, columns] = np.eye(n)
+    right[0][..., by_design] = opened
+    right[1][..., by_design] = -A_d
+    right[2][..., by_design] = -C_d
+    y: Array = inverse @ right[0]
+    y_v = inverse @ (right[1] - A_q @ y)
+    y_a = inverse @ (right[2] - C_q @ y - C_v @ y_v)
+
+    def along(by_q: Array, by_v: Array, by_a: Array, own: Array) -> Array:
+        """Return the derivative of what depends on the tree's motion, and on the parameters by themselves."""
+        total = by_q[..., pose] @ y + by_v[..., pose] @ y_v + by_a[..., pose] @ y_a
+        total[..., by_carriers] += np.concatenate([part[..., carried] for part in (by_q, by_v, by_a)], axis=-1)
+        total[..., by_design] += own
+        result: Array = total
+        return result
+
+    effort_by, wrench_by = along(*rest[:4]), along(*rest[4:])
+    # columns of (μ, N): solutions with Kᵀ, one of them for the motion and one for each actuator
+    loads = np.zeros((samples, p, 1 + len(driven)))
+    loads[:, :, 0] = efforts[:, pose, 0]
+    loads[:, driven, 1 + np.arange(len(driven))] = 1.0
+    multipliers = inverse.transpose(0, 2, 1) @ loads
+    loads_by = np.zeros((samples, 1 + len(driven), p, width))
+    loads_by[:, 0] = effort_by[:, pose]
+    for column in range(1 + len(driven)):
+        T_q, T_d = _evaluated(functions.transposed, q, trig, np.ascontiguousarray(multipliers[:, :, column]))
+        loads_by[:, column] -= T_q @ y
+        loads_by[:, column][..., by_design] -= T_d
+    multipliers_by = inverse.transpose(0, 2, 1)[:, None] @ loads_by
+    unit = multipliers_by[:, 1:].transpose(0, 2, 1, 3)  # (N, p, m, width)
+    return {
+        "f": multipliers_by[:, 0, r:],
+        "W": unit[:, r:],
+        "carrier_force": effort_by[:, carried],
+        "base_wrench": -wrench_by,
+        "passive_closure_force": multipliers_by[:, 0, :r],
+        "closure_share": unit[:, :r],
+        "share": multipliers[:, :r, 1:],
+    }

@@ -1,0 +1,261 @@
+"""Design parameters: which of a tree's numbers they change, and how much.
+
+Results depend on a parameter through numbers of the loaded tree alone: placements of joints and frames, masses, first
+moments and inertias. Here are the derivatives of those, a column for each parameter; the rest of the way is casadi's.
+
+Inertial parameters are mass m, first moment m c and inertia about the joint's origin, in which forces are linear: they
+stay differentiable at bodies without mass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
+from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.build import build
+from redundancy_pin.robot.declaration import parse, read_declaration
+from redundancy_pin.robot.urdf import declaration_path, known_values, render
+
+_STEP = 0.01
+"""Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and
+by 1e-14 in rounding. Sums, products and powers up to the sixth are exact."""
+
+_NODES = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Design(Frozen):
+    """Derivatives of a tree's numbers by d design parameters.
+
+    Attributes:
+        names: the parameters.
+        placements: by joint or link, (6, d): its frame's displacement, m, in its parent's axes (of a link its joint's),
+            then its rotation vector, rad, in its own axes.
+        inertias: by joint, (13, d): mass, kg, first moment m c, kg m (3), and inertia about the joint's origin, kg m²,
+            row by row (9), all in the axes of the joint's frame.
+    """
+
+    names: tuple[str, ...]
+    placements: Mapping[str, Array]
+    inertias: Mapping[str, Array]
+
+
+class _Numbers(NamedTuple):
+    """Numbers of one tree, by name."""
+
+    placements: dict[str, pin.SE3]
+    inertias: dict[str, Array]
+
+
+def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Design:
+    """Return how a robot's tree depends on parameters.
+
+    A parameter is a number of its xacro file (``"distal_length"``), or one of the tree's own:
+
+    - ``"JOINT.mass"``, of the body that the joint moves, its centre and inertia about the centre held;
+    - ``"JOINT.centre.x"``, ``.y``, ``.z`` in the joint's frame, mass and inertia about the centre held;
+    - ``"JOINT.inertia.xx"``, ``.xy``, ... about the centre, axes of the joint's frame;
+    - ``"JOINT.origin.x"``, ..., ``.rx``, ``.ry``, ``.rz``: the joint's frame moved along its parent's axes, or turned
+      about its own; ``"LINK.origin.x"``, ... likewise for a link of a closure or of the platform.
+
+    The tree's own are exact. For a number of the xacro file the file is loaded seven times or less with changed
+    arguments, and placements and inertias are differenced, to order six: polynomials of the sixth degree are exact to
+    rounding, other smooth functions to 1e-14 or so. Nothing else is differenced.
+
+    Args:
+        robot: the robot.
+        names: the parameters.
+        trust: as in ``load_robot``, for a xacro file that was loaded so.
+
+    Raises:
+        InputError: an unknown parameter, or one that is not a number.
+        UnsupportedRobotError: a parameter that changes the axis, the type or the number of joints, or of a robot that
+            was not loaded from a file.
+    """
+    return _design(robot, tuple(names), trust)
+
+
+@lru_cache(maxsize=64)
+def _design(robot: Robot, names: tuple[str, ...], trust: bool) -> Design:
+    columns = [_by_xacro(robot, name, trust) if name in robot.parameters else _by_tree(robot, name) for name in names]
+    own = _numbers(robot)
+    placements, inertias = (
+        {
+            key: frozen(np.stack([column[part].get(key, np.zeros(size)) for column in columns], axis=1))
+            for key in (own.placements, own.inertias)[part]
+            if any(key in column[part] for column in columns)
+        }
+        for part, size in ((0, 6), (1, 13))
+    )
+    return Design(names, MappingProxyType(placements), MappingProxyType(inertias))
+
+
+_Column = tuple[dict[str, Array], dict[str, Array]]
+
+
+def links_of(robot: Robot) -> list[str]:
+    """Return the links whose frames closures and the platform are made of."""
+    links = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
+    return list(dict.fromkeys([*links, *([robot.platform.frame] if robot.platform else [])]))
+
+
+def _numbers(robot: Robot) -> _Numbers:
+    model = robot.model
+    placements = {str(model.names[i]): model.jointPlacements[i] for i in range(1, model.njoints)}
+    for link in links_of(robot):
+        placements[link] = model.frames[model.getFrameId(link, pin.FrameType.BODY)].placement
+    return _Numbers(placements, {str(model.names[i]): _moments(model.inertias[i]) for i in range(1, model.njoints)})
+
+
+def _moments(body: pin.Inertia) -> Array:
+    """Return (13,) mass, first moment and inertia about the origin."""
+    mass, centre = body.mass, np.array(body.lever) if body.mass else np.zeros(3)
+    about = np.array(body.inertia) + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return np.concatenate([[mass], mass * centre, about.ravel()])
+
+
+# --- the tree's own numbers -------------------------------------------------------------------------------------------
+
+_OF_FRAMES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def _by_tree(robot: Robot, name: str) -> _Column:
+    numbers = _numbers(robot)
+    owner, what, axis = _split(name)
+    if what == "origin" and owner in numbers.placements and axis in _OF_FRAMES:
+        return {owner: np.eye(6)[_OF_FRAMES.index(axis)]}, {}
+    if owner in numbers.inertias:
+        body = robot.model.inertias[robot.model.getJointId(owner)]
+        mass, centre = body.mass, np.array(body.lever) if body.mass else np.zeros(3)
+        if what == "mass" and not axis:
+            about = centre @ centre * np.eye(3) - np.outer(centre, centre)
+            return {}, {owner: np.concatenate([[1.0], centre, about.ravel()])}
+        if what == "centre" and axis in ("x", "y", "z"):
+            along = np.eye(3)["xyz".index(axis)]
+            about = 2.0 * (along @ centre) * np.eye(3) - np.outer(along, centre) - np.outer(centre, along)
+            return {}, {owner: mass * np.concatenate([[0.0], along, about.ravel()])}
+        if what == "inertia" and len(axis) == 2 and set(axis) <= set("xyz"):
+            i, j = ("xyz".index(letter) for letter in axis)
+            about = np.zeros((3, 3))
+            about[i, j] = about[j, i] = 1.0
+            return {}, {owner: np.concatenate([np.zeros(4), about.ravel()])}
+    arguments = [key for key, value in robot.parameters.items() if not isinstance(value, (bool, str))]
+    raise InputError(
+        f"{robot.name} has no design parameter {name!r}.",
+        remedy=f"{did_you_mean(name, arguments)}Its numbers: {', '.join(arguments) or 'none'}; of the tree JOINT.mass, "
+        "JOINT.centre.x, JOINT.inertia.xx, JOINT.origin.x or .rx; LINK.origin.x or .rx of closures and platform.",
+        parameter=name,
+    )
+
+
+def _split(name: str) -> tuple[str, str, str]:
+    """Return owner, quantity and axis; names of joints may have dots."""
+    parts = name.split(".")
+    if parts[-1] == "mass":
+        return ".".join(parts[:-1]), "mass", ""
+    return (".".join(parts[:-2]), parts[-2], parts[-1]) if len(parts) > 2 else ("", "", "")
+
+
+# --- numbers of the xacro file ----------------------------------------------------------------------------------------
+
+
+def _by_xacro(robot: Robot, name: str, trust: bool) -> _Column:
+    value = robot.parameters[name]
+    if isinstance(value, (bool, str)):
+        raise InputError(
+            f"The parameter {name!r} of {robot.name} is {value!r}: nothing can be differentiated by it.",
+            remedy="Name parameters that are numbers.",
+            parameter=name,
+        )
+    if not robot.source:
+        raise UnsupportedRobotError(
+            f"{robot.name} was not loaded from a file, so how it depends on {name!r} is not known.",
+            remedy="Name the tree's own numbers, such as JOINT.mass and JOINT.origin.x.",
+            parameter=name,
+        )
+    # at zero to one side: a negative mass or length would be refused
+    offsets = np.arange(-3, 4) if value else np.arange(_NODES + 1)
+    step = _STEP * (abs(value) if value else 1.0)
+    weights = _difference_weights(offsets) / step
+    used = [(float(weight), float(value + i * step)) for i, weight in zip(offsets, weights, strict=True) if weight]
+    trees = [(weight, _numbers(_reloaded(robot, name, at, trust))) for weight, at in used]
+    own = _numbers(robot)
+    placements = {
+        key: sum((weight * _moved(placement, tree.placements[key]) for weight, tree in trees), np.zeros(6))
+        for key, placement in own.placements.items()
+    }
+    inertias = {key: sum((weight * tree.inertias[key] for weight, tree in trees), np.zeros(13)) for key in own.inertias}
+    return _without_rounding(placements, 1.0 / step), _without_rounding(inertias, 1.0 / step)
+
+
+def _difference_weights(offsets: IntArray) -> Array:
+    """Return the weights of values at these offsets in the first derivative at 0, exact for polynomials."""
+    size = len(offsets)
+    powers = np.vander(offsets.astype(float), size, increasing=True).T
+    weights: Array = np.linalg.solve(powers, np.eye(size)[1])
+    weights[np.abs(weights) < 1e-12] = 0.0  # the value itself has none in central differences
+    return weights
+
+
+def _moved(here: pin.SE3, there: pin.SE3) -> Array:
+    turn = pin.log3(here.rotation.T @ there.rotation)
+    return np.concatenate([there.translation - here.translation, turn])
+
+
+def _without_rounding(columns: dict[str, Array], size: float) -> dict[str, Array]:
+    """Return the columns in which more than rounding is left, and zeros where nothing else is: they cost nothing."""
+    kept = {}
+    for key, column in columns.items():
+        column[np.abs(column) < 1e-14 * size] = 0.0
+        if column.any():
+            kept[key] = column
+    return kept
+
+
+def _reloaded(robot: Robot, name: str, value: float, trust: bool) -> Robot:
+    """Return the robot with another argument, chains not closed: joints, frames and bodies are all that is used."""
+    path = declaration_path(robot.source)
+    file = read_declaration(path)
+    with file.naming():
+        source = path.parent / file.data["urdf"]
+        arguments = {**robot.parameters, name: value}
+        urdf, parameters = render(source, known_values(source, arguments) | arguments, trust=trust)
+        other = build(parse(file.data, parameters), path, urdf, parameters, None, None)
+    if not _alike(robot.model, other.model):
+        raise UnsupportedRobotError(
+            f"The parameter {name!r} changes the joints of {robot.name}, their axes or their number (at {value:g}).",
+            remedy="Differentiate by parameters that move joints and change masses and lengths.",
+            parameter=name,
+        )
+    return other
+
+
+def _alike(one: pin.Model, other: pin.Model) -> bool:
+    if list(one.names) != list(other.names) or one.nq != other.nq:
+        return False
+    tolerance = math.sqrt(np.finfo(float).eps) * _STEP
+    return bool(np.allclose(_axes(one), _axes(other), rtol=0.0, atol=tolerance)) and bool(
+        np.allclose(one.armature, other.armature)
+    )
+
+
+def _axes(model: pin.Model) -> Array:
+    """Return (6, nv) the joints' motion subspaces, side by side."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    columns = []
+    for index in range(1, model.njoints):
+        joint = model.joints[index]
+        local = np.reshape(pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL), (6, model.nv))
+        columns.append(local[:, joint.idx_v : joint.idx_v + joint.nv])
+    return np.concatenate(columns, axis=1)

@@ -1,0 +1,333 @@
+"""Exact derivatives of compiled dynamics: against differences of the RNEA backend, and a four-bar in complex numbers.
+
+Differences are exact where a quantity is of the second degree: in ẋ, ẍ, ṡ, s̈ and in masses. Elsewhere they are of order
+six. The RNEA backend closes loops, projects and computes reactions by code that is not under test.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pytest
+import spatial_chains
+import zoo
+from examples import examples
+from four_bar_oracle import IMAGINARY, crank_torque
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from redundancy_pin import CarrierMotion, PlatformMotion, RneaDynamics, joint_reactions, load_robot
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.compiled import CompiledDynamics, MotionDerivatives, Partials, design_of
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.robot import Robot
+
+EQUAL = 1e-8
+"""Relative to the largest derivative: loops close to 1e-13, and a sixth of a step of 4e-3 magnifies that."""
+
+EXACT = 1e-10
+"""Relative, where differences are exact: rounding of efforts, magnified by nothing."""
+
+STEP = 4e-3
+WEIGHTS = {-3: -1 / 60, -2: 3 / 20, -1: -3 / 4, 1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+"""Central differences of order six."""
+
+MASSIVE: dict[str, dict[str, object]] = {
+    "2rpr": {"end_effector_mass": 0.4, "cylinder_mass": 0.5, "piston_mass": 0.3, "gravity": (1.0, -9.81, 0.0)},
+    "3rrr": {"gravity": (1.0, -9.81, 0.0)},
+    "five_bar": {"gravity": (1.0, -9.81, 0.0)},
+    "gough": {"payload_mass": 2.0},
+}
+
+QUANTITIES = ("f", "W", "carrier_force", "base_wrench")
+
+
+def robot_of(name: str) -> Robot:
+    if name in spatial_chains.CHAINS:
+        return spatial_chains.chain_of(name)
+    return zoo.robot_of(name, **MASSIVE.get(name, {}))
+
+
+def motions_of(robot: Robot, seed: int, samples: int = 3) -> tuple[PlatformMotion, CarrierMotion]:
+    t = np.linspace(0.0, 0.6, samples)
+    return zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed)
+
+
+def judged(robot: Robot, motion: PlatformMotion, carriers: CarrierMotion, tau: Array | None = None) -> dict[str, Array]:
+    along = RneaDynamics(robot, threads=1).along(motion)
+    reduced = along.reduce(carriers)
+    result = {name: getattr(reduced, name) for name in ("f", "W", "carrier_force")}
+    result["base_wrench"] = along.base_wrench(carriers)
+    if tau is not None:
+        result["closure_force"] = joint_reactions(along, tau, carriers).closure_force
+    return result
+
+
+def difference(at: Callable[[float], dict[str, Array]], step: float, weights: Mapping[int, float]) -> dict[str, Array]:
+    results = {i: at(i * step) for i in weights}
+    return {name: sum(w * results[i][name] for i, w in weights.items()) / step for name in results[1]}
+
+
+def shifted(motion: PlatformMotion, part: str, i: int, by: float) -> PlatformMotion:
+    """Return a motion with one coordinate moved; a pose by a displacement, or a rotation about its origin."""
+    parts = {name: np.array(getattr(motion, name)) for name in ("x", "xd", "xdd")}
+    if part == "x" and motion.is_pose and i >= 3:
+        turn = Rotation.from_rotvec(by * np.eye(3)[i - 3]).as_matrix()
+        parts["x"][:, :3, :3] = turn @ parts["x"][:, :3, :3]
+    elif part == "x" and motion.is_pose:
+        parts["x"][:, i, 3] += by
+    else:
+        parts[part][:, i] += by
+    return PlatformMotion(motion.t, **parts)
+
+
+def moved(carriers: CarrierMotion, part: str, i: int, by: float) -> CarrierMotion:
+    parts = {name: np.array(getattr(carriers, name)) for name in ("s", "sd", "sdd")}
+    parts[part][:, i] += by
+    return CarrierMotion(**parts)
+
+
+def assert_derivative(got: Partials, part: str, i: int, want: Array, tolerance: float, what: str) -> None:
+    whole = getattr(got, part)
+    scale = max(np.abs(whole).max(initial=0.0), 1.0)
+    np.testing.assert_allclose(whole[..., i], want, rtol=0.0, atol=tolerance * scale, err_msg=f"{what} by {part}[{i}]")
+
+
+def assert_motion_derivatives(robot: Robot, seed: int, columns: int | None = None) -> None:
+    motion, carriers = motions_of(robot, seed)
+    got = CompiledDynamics(robot, interpret=True, threads=1).along(motion).derivatives(carriers)
+    chosen = np.random.default_rng(seed).permutation(robot.n)[:columns]
+    exact = {-1: -0.5, 1: 0.5}
+    for i in chosen:
+        for part, step, weights, tolerance in (
+            ("x", STEP, WEIGHTS, EQUAL), ("xd", 1.0, exact, EXACT), ("xdd", 1.0, exact, EXACT)
+        ):  # fmt: skip
+            want = difference(lambda by, p=part, i=i: judged(robot, shifted(motion, p, i, by), carriers), step, weights)
+            for name in QUANTITIES:
+                assert_derivative(getattr(got, name), part, i, want[name], tolerance, name)
+    for i in range(robot.k):
+        for part in ("s", "sd", "sdd"):  # of the second degree, as the tracks are straight
+            want = difference(lambda by, p=part, i=i: judged(robot, motion, moved(carriers, p, i, by)), 0.1, exact)
+            for name in QUANTITIES:
+                assert_derivative(getattr(got, name), part, i, want[name], 10 * EXACT, name)
+    assert not got.f.x.flags.writeable
+
+
+# --- by the motion ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["2rpr", "five_bar", "four_bar", *spatial_chains.CHAINS])
+def test_by_the_motion(name: str) -> None:
+    assert_motion_derivatives(robot_of(name), 1)
+
+
+def test_by_a_pose() -> None:
+    assert_motion_derivatives(robot_of("gough"), 2, columns=3)
+
+
+@examples(3)
+@given(mode=st.tuples(*[st.sampled_from((1, -1))] * 3), seed=st.integers(0, 2**16))
+def test_random_machines_and_modes(mode: tuple[int, int, int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sizes = {"proximal_length": rng.uniform(0.9, 1.3), "distal_length": rng.uniform(0.9, 1.3)}
+    robot = load_robot("3rrr", working_mode=mode, gravity=(0.3, -9.0, 1.0), **sizes)
+    assert_motion_derivatives(robot, seed, columns=2)
+
+
+def test_the_rest_is_what_the_other_derivatives_say() -> None:
+    robot = robot_of("3rrr")
+    motion, carriers = motions_of(robot, 4)
+    along = CompiledDynamics(robot, interpret=True).along(motion)
+    got, known = along.derivatives(carriers), RneaDynamics(robot).along(motion).carrier_derivatives(carriers)
+    for part in ("s", "sd", "sdd"):
+        np.testing.assert_allclose(getattr(got.f, part), getattr(known, f"f_{part}"), atol=1e-11)
+        np.testing.assert_allclose(getattr(got.carrier_force, part), getattr(known, f"force_{part}"), atol=1e-11)
+
+
+# --- what closures transmit -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["five_bar", "3rrr", "hinge", "cylindrical", "gough"])
+def test_closure_forces(name: str) -> None:
+    """Of efforts that go on producing the motion: otherwise there are none to compare with."""
+    robot = robot_of(name)
+    motion, carriers = motions_of(robot, 3, samples=2)
+    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers)
+    here = RneaDynamics(robot).along(motion).reduce(carriers)
+    inverse = np.linalg.inv(here.W)
+    tau = (inverse @ here.f[..., None])[..., 0]
+    parts = {}
+    for field in dataclasses.fields(Partials):
+        f_by, W_by = (getattr(of, field.name) for of in (got.f, got.W))
+        parts[field.name] = inverse @ (f_by - np.einsum("nimc,nm->nic", W_by, tau))
+    result = got.closure_force(tau, Partials(**parts))
+
+    def forces(other: PlatformMotion) -> dict[str, Array]:
+        reduced = RneaDynamics(robot).reduce(other, carriers)
+        return judged(robot, other, carriers, np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0])
+
+    for part in ("x", "xd", "xdd"):
+        i = robot.n - 1
+        want = difference(lambda by, p=part, i=i: forces(shifted(motion, p, i, by)), STEP, WEIGHTS)
+        assert_derivative(result, part, i, want["closure_force"], EQUAL, "closure force")
+    held = got.closure_force(tau)
+    np.testing.assert_allclose(held.xdd - result.xdd, got.share @ parts["xdd"], atol=1e-9)
+    with pytest.raises(InputError, match="tau"):
+        got.closure_force(tau[:, :-1] if robot.m > 1 else np.zeros((2, 2)))
+
+
+# --- by what the machine is made of -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("2rpr", ("track_offset", "base_distance", "end_effector_mass")),
+        ("five_bar", ("proximal_length", "distal_length", "tail_length", "carrier_mass")),
+        ("3rrr", ("platform_radius", "distal_length")),
+        ("gough", ("base_angle", "cylinder_mass")),
+    ],
+)
+def test_by_numbers_of_the_xacro_file(name: str, parameters: tuple[str, ...]) -> None:
+    robot = robot_of(name)
+    motion, carriers = motions_of(robot, 5, samples=2)
+    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers, parameters)
+    assert got.parameters == parameters
+
+    @functools.cache
+    def reloaded(parameter: str, by: float) -> Robot:
+        numbers = {**robot.parameters, parameter: robot.parameters[parameter] + by}
+        return load_robot(name, gravity=tuple(robot.gravity), working_mode=robot.working_mode or None, **numbers)
+
+    for i, parameter in enumerate(parameters):
+        linear = parameter.endswith("mass")
+        step, weights = (0.1, {-1: -0.5, 1: 0.5}) if linear else (STEP, WEIGHTS)
+        want = difference(lambda by, p=parameter: judged(reloaded(p, by), motion, carriers), step, weights)
+        for quantity in QUANTITIES:
+            tolerance = 10 * EXACT if linear else EQUAL
+            assert_derivative(getattr(got, quantity), "parameters", i, want[quantity], tolerance, parameter)
+
+
+def test_a_parameter_at_zero_is_differentiated_to_one_side() -> None:
+    robot = load_robot("2rpr", gravity=(0.0, -9.81, 0.0))
+    motion, carriers = motions_of(robot, 6)
+    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers, ["end_effector_mass"])
+    heavier = load_robot("2rpr", gravity=(0.0, -9.81, 0.0), end_effector_mass=1.0)
+    want = judged(heavier, motion, carriers)["f"] - judged(robot, motion, carriers)["f"]  # linear in the mass
+    np.testing.assert_allclose(got.f.parameters[..., 0], want, atol=1e-9)
+
+
+def remade(robot: Robot, change: Callable[[object], None]) -> Robot:
+    model = robot.model.copy()
+    change(model)
+    return dataclasses.replace(robot, model=model)
+
+
+@pytest.mark.parametrize("name", ["five_bar", "universal"])
+def test_by_numbers_of_the_tree(name: str) -> None:
+    import pinocchio as pin
+
+    robot = robot_of(name)
+    joint, other = robot.model.names[2], robot.model.names[3]
+    link = robot.closures[0].frame_b
+    j, o = robot.model.getJointId(joint), robot.model.getJointId(other)
+    frame = robot.model.getFrameId(link, pin.FrameType.BODY)
+
+    def body(index: int, mass: float = 0.0, lever: tuple[float, ...] = (0, 0, 0), about: tuple[float, ...] = (0,) * 6):
+        def change(model: pin.Model, by: float) -> None:
+            old = model.inertias[index]
+            xx, xy, yy, xz, yz, zz = by * np.array(about)
+            tensor = old.inertia + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            model.inertias[index] = pin.Inertia(old.mass + by * mass, old.lever + by * np.array(lever), tensor)
+
+        return change
+
+    def placed(of: str, index: int, twist: tuple[float, ...]):
+        def change(model: pin.Model, by: float) -> None:
+            old = model.jointPlacements[index] if of == "joint" else model.frames[index].placement
+            new = pin.SE3(old.rotation @ pin.exp3(by * np.array(twist[3:])), old.translation + by * np.array(twist[:3]))
+            if of == "joint":
+                model.jointPlacements[index] = new
+            else:
+                model.frames[index].placement = new
+
+        return change
+
+    changes = {
+        f"{joint}.mass": body(j, mass=1.0),
+        f"{joint}.centre.y": body(j, lever=(0, 1, 0)),
+        f"{other}.centre.x": body(o, lever=(1, 0, 0)),
+        f"{joint}.inertia.zz": body(j, about=(0, 0, 0, 0, 0, 1)),
+        f"{joint}.inertia.xy": body(j, about=(0, 1, 0, 0, 0, 0)),
+        f"{joint}.origin.y": placed("joint", j, (0, 1, 0, 0, 0, 0)),
+        f"{joint}.origin.rz": placed("joint", j, (0, 0, 0, 0, 0, 1)),
+        f"{link}.origin.x": placed("frame", frame, (1, 0, 0, 0, 0, 0)),
+    }
+    motion, carriers = motions_of(robot, 7, samples=2)
+    got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers, list(changes))
+    for i, (parameter, change) in enumerate(changes.items()):
+        want = difference(
+            lambda by, c=change: judged(remade(robot, lambda model: c(model, by)), motion, carriers), STEP, WEIGHTS
+        )
+        # in a plane a hinge may be turned about itself, and products of inertia are nobody's
+        assert np.abs(want["f"]).max() > 1e-6 or (name == "five_bar" and parameter[-2:] in ("rz", "xy")), parameter
+        # not the base's wrench: RNEA takes that of the URDF's numbers
+        for quantity in ("f", "W", "carrier_force"):
+            assert_derivative(getattr(got, quantity), "parameters", i, want[quantity], EQUAL, parameter)
+
+
+def test_a_four_bar_in_complex_numbers() -> None:
+    robot = robot_of("four_bar")
+    names = list(robot.parameters)
+    sizes = {name: complex(float(robot.parameters[name])) for name in names}
+    t = np.linspace(0.0, 1.0, 4)
+    motion = zoo.smooth_motion(robot, 8).at(t)
+    along = CompiledDynamics(robot, interpret=True).along(motion)
+    got, reduced = along.derivatives(parameters=names), along.reduce()
+    # the crank drives itself: W = 1, τ = f
+    follows = Partials(*(getattr(got.f, field.name) for field in dataclasses.fields(Partials)))
+    closure = got.closure_force(reduced.f, follows)
+    for k in range(len(t)):
+        state = [complex(part[k, 0]) for part in (motion.x, motion.xd, motion.xdd)]
+        np.testing.assert_allclose(reduced.f[k, 0], crank_torque(*state, sizes)[0].real, rtol=1e-12)
+        for i, part in enumerate(("x", "xd", "xdd")):
+            stepped = [value + 1j * IMAGINARY * (i == j) for j, value in enumerate(state)]
+            torque, push = (value.imag / IMAGINARY for value in crank_torque(*stepped, sizes))
+            np.testing.assert_allclose(getattr(got.f, part)[k, 0, 0], torque, rtol=1e-11, atol=1e-11)
+            np.testing.assert_allclose(getattr(closure, part)[k, 0, 0], push, rtol=1e-11, atol=1e-11)
+        for i, name in enumerate(names):
+            stepped_sizes = {**sizes, name: sizes[name] + 1j * IMAGINARY}
+            torque, push = (value.imag / IMAGINARY for value in crank_torque(*state, stepped_sizes))
+            np.testing.assert_allclose(got.f.parameters[k, 0, i], torque, rtol=1e-10, atol=1e-10, err_msg=name)
+            np.testing.assert_allclose(closure.parameters[k, 0, i], push, rtol=1e-10, atol=1e-10, err_msg=name)
+
+
+# --- what cannot be ---------------------------------------------------------------------------------------------------
+
+
+def test_parameters_that_are_none() -> None:
+    robot = robot_of("five_bar")
+    with pytest.raises(InputError, match="distal_length"):
+        design_of(robot, ["distal_lenght"])
+    with pytest.raises(InputError, match="carriers"):
+        design_of(robot, ["carriers"])
+    for name in ("elbow_1.inertia.xw", "elbow_1.centre", "nobody.mass", "elbow_1.origin.r"):
+        with pytest.raises(InputError, match="no design parameter"):
+            design_of(robot, [name])
+    with pytest.raises(UnsupportedRobotError, match="not loaded"):
+        design_of(dataclasses.replace(robot, source=""), ["distal_length"])
+
+
+def test_unreachable_samples_are_nan() -> None:
+    robot = robot_of("five_bar")
+    x = zoo.home_of(robot) + np.array([[0.0, 0.0], [0.0, 5.0], [0.01, 0.0]])
+    motion = PlatformMotion([0.0, 0.1, 0.2], x, np.ones((3, 2)), np.ones((3, 2)))
+    along = CompiledDynamics(robot, interpret=True).along(motion, unreachable="mark")
+    got: MotionDerivatives = along.derivatives()
+    assert np.isnan(got.f.x[1]).all()
+    assert np.isfinite(got.W.x[[0, 2]]).all()
+    assert got.f.parameters.shape == (3, 2, 0)
