@@ -15,9 +15,8 @@ from scipy.optimize import minimize
 import redundancy_pin as rp
 from redundancy_pin.planners.carrier_model import effort_model
 from redundancy_pin.planners.carrier_return import CarrierState
-from redundancy_pin.planners.stepwise.optimiser import optimise, step_problems
+from redundancy_pin.planners.stepwise.optimiser import AccelerationBox, optimise, step_problems
 from redundancy_pin.planners.stepwise.planner import LEAST_MARGIN, plan_stepwise
-from redundancy_pin.planners.stepwise.settings import AccelerationBox
 
 REPEATS = 7
 TARGET = 20

@@ -16,10 +16,9 @@ import symbolic_mechanisms
 import symbolic_plans
 
 import redundancy_pin as rp
-from redundancy_pin.planners.whole_trajectory.coefficients import Task, read_coefficients
-from redundancy_pin.planners.whole_trajectory.mesh import grid_of
 from redundancy_pin.planners.whole_trajectory.options import checked_settings
 from redundancy_pin.planners.whole_trajectory.planner import Mesh, Objective, Solver
+from redundancy_pin.planners.whole_trajectory.problem import Task, grid_of, read_coefficients
 from redundancy_pin.planners.whole_trajectory.solver import solve, solve_nlp
 from redundancy_pin.planners.whole_trajectory.transcription import transcribe
 from redundancy_pin.trajectory.functions_of_time import continuous_motion

@@ -103,6 +103,13 @@ class DynamicsAlongMotion(Protocol):
     def energy(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
 
+    def closure_margin(self) -> Array:
+        """Return (N,) smallest over largest singular value of the scaled closures, signed; NaN where unreachable.
+
+        Zero where the closures lose rank and branches meet; the sign changes where the motion goes through one such
+        pose. One throughout, where the kinematics of a backend have no closures.
+        """
+
 
 class Dynamics(Protocol):
     """From platform and carrier motion to W τ = f. Planners know this and nothing else; a backend defines ``along``."""

@@ -187,6 +187,23 @@ class RneaAlongMotion(Frozen):
         ]
         return frozen(total)
 
+    def closure_margin(self) -> Array:
+        """Return (N,) smallest over largest singular value of the scaled closures, with the sign of det K.
+
+        Zero where the closures lose rank; NaN where the motion is not reachable.
+        """
+        robot, system = self.robot, constraint_system(self.robot)
+        columns, margin = system.pose_columns, np.full(len(self.motion), np.nan)
+        if not len(system.rows):
+            return read_only(np.ones(len(margin)))
+        for part in blocks(len(margin)):
+            good = np.arange(len(margin))[part][self.tree.reachable[part]]
+            state = system.evaluate(self.tree.q[good])
+            rows = state.Jc[:, :, columns] * system.closure_scale[:, None] / velocity_scale(robot)[columns]
+            values = np.linalg.svd(rows, compute_uv=False)
+            margin[good] = np.linalg.slogdet(state.K)[0] * values[:, -1] / values[:, 0]
+        return read_only(margin)
+
     @cached_property
     def _gamma(self) -> Array:
         return _by_samples(self.tree.gamma)

@@ -24,9 +24,6 @@ SHORTEST_FRACTION = 1e-3
 SAMPLES = 65
 """Samples of a candidate; the chosen one is judged at its extremes."""
 
-POINTS = 2001
-"""Points along a return at which its limits are judged: a peak of a polynomial of degree seven is missed by 1e-6."""
-
 ALLOWED = 1.0 + 1e-12
 """Largest use of a limit that keeps it: the shortest return lies on one, to rounding."""
 

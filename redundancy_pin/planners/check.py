@@ -1,34 +1,226 @@
-"""A plan judged anew: what the robot's dynamics say of its motion, against what the plan says of itself."""
+"""One judgement of plans: of a new one as its planner hands it over, and of one that says something of itself already.
+
+``finish_plan`` judges: W τ = f at the samples, limits at the samples and between them, the peaks of the continuous
+motion, and the status that follows. ``check_plan`` has it judge a plan anew and compares.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
-from redundancy_pin.dynamics.distribution import SampleStatus
+from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
+from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.carrier_return import POINTS
-from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import QUANTITIES, ROUNDING, LimitEvent, limit_bounds, limits_broken
-from redundancy_pin.planners.plan import (
-    BALANCE_TOLERANCE,
-    Plan,
-    PlanStatus,
-    finish_plan,
-    imbalance,
+from redundancy_pin.planners.functions import (
+    PIECE_DEGREE,
+    SINGULAR_SAMPLE,
+    DenseCheck,
+    PlanFunctions,
+    dense_check,
+    least_effort,
+)
+from redundancy_pin.planners.limits import (
+    QUANTITIES,
+    ROUNDING,
+    LimitEvent,
+    check_limits,
+    limit_bounds,
+    limits_broken,
+    motion_broken,
     require_dynamics,
 )
+from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import record_difference, robot_record
+from redundancy_pin.robot import CarrierLimits
+from redundancy_pin.singularities.roots import zeros
+from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
+
+BALANCE_TOLERANCE = 1e-6
+"""Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""
 
 SAME = 1e-6
 """Deviation of forces, rates and motions, relative to the largest, that two backends, or two machines, may show."""
 
 SAME_PEAK = 1e-3
 """Relative deviation of a peak between the samples: beside a singularity W⁻¹ magnifies the rounding of the plan."""
+
+RANK_LOST = 1e-6
+"""Smallest over largest singular value of the closures below which they touch a rank loss; a minimum is known to 1e-8."""
+
+Between = tuple[DenseCheck, tuple[LimitEvent, ...]]
+"""What the continuous motion needs, and the limits of efforts and forces that it exceeds."""
+
+
+def finish_plan(
+    along: DynamicsAlongMotion,
+    carriers: CarrierMotion,
+    *,
+    planner: str,
+    phase: IntArray,
+    phases: tuple[str, ...],
+    parameters: Mapping[str, object],
+    diagnostics: Mapping[str, object],
+    prescribed: Array | None = None,
+    carrier_limits: tuple[CarrierLimits, ...] | None = None,
+    functions: PlanFunctions | None = None,
+    position: PiecewisePolynomial | None = None,
+    dynamics: Dynamics | None = None,
+    between: Between | None = None,
+    singular: IntArray | None = None,
+) -> Plan:
+    """Evaluate the backend once more along the planned motion and collect everything a plan carries.
+
+    ``along``: dynamics along the platform motion of the plan; ``carriers``: planned carrier motion, N samples;
+    ``phase`` (N,) index of the phase of each sample; ``parameters``: limits "effort" (m,) and "jerk" (k,) among them
+    are judged; ``diagnostics``: "optimal" says whether the planner had an optimum; ``prescribed`` (N, m) main efforts
+    the planner decided on, NaN where W τ = f decides. Their imbalance is checked and reported, never corrected;
+    ``carrier_limits``: limits to judge the plan by in place of the robot's own, one for each carrier; ``functions``:
+    what the planner made, between the samples too; ``position``: the carriers alone, where there are no functions;
+    ``dynamics``: the backend, to look between the samples; ``between``: what was seen there already; ``singular``:
+    samples at which the efforts are the limits from both sides.
+    """
+    robot, t = along.robot, along.motion.t
+    judged = robot if carrier_limits is None else replace(robot, carrier_limits=carrier_limits)
+    reduced = along.reduce(carriers)
+    solved = distribute(reduced)
+    tau, status, residual = np.array(solved.tau), np.array(solved.status), np.array(solved.residual)
+    if prescribed is not None:
+        given = np.isfinite(prescribed).all(axis=1)
+        tau[given] = prescribed[given]
+        left, size = imbalance(reduced, tau)
+        residual[given] = left[given]
+        balanced = left[given] <= BALANCE_TOLERANCE * size
+        status[given] = np.where(balanced, SampleStatus.REGULAR, SampleStatus.SINGULAR_INCONSISTENT)
+    if singular is not None:  # however well W τ = f looks at one instant
+        regular = singular[status[singular] == SampleStatus.REGULAR]
+        status[regular] = SampleStatus.SINGULAR_CONSISTENT
+    effort = np.array(parameters.get("effort", np.full(robot.m, np.inf)), dtype=float)
+    findings = dict(diagnostics)
+    if functions is not None and dynamics is not None:
+        findings["closure_rank"] = closure_rank_losses(dynamics, along, functions.platform)
+        if between is None:
+            on_it = np.unique(t[solved.margin <= SINGULAR_SAMPLE * solved.margin.max(initial=0.0)])
+            between = dense_check(dynamics, functions, judged, t, tau, least_effort(reduced), effort, on_it)[:2]
+    check, exceeded = between or (None, ())
+    limits = check_limits(judged, t, carriers, reduced.carrier_force)
+    at_samples = limits_broken("effort", robot.actuated, t, tau, effort, 1.0 + ROUNDING)
+    position = position if functions is None else functions.carriers
+    if position is not None:
+        exceeded = (*exceeded, *motion_broken(judged, position))
+    violated = _merged((*limits.violated, *at_samples, *_jerk_broken(along, carriers, parameters)), exceeded)
+    overall = PlanStatus.WITHIN_LIMITS if diagnostics.get("optimal", True) else PlanStatus.STOPPED_EARLY
+    if check is not None:
+        findings["dense_check"] = _summary(check, tau)
+        overall = overall if check.passed else PlanStatus.UNRESOLVED
+    if violated:
+        overall = PlanStatus.VIOLATES_LIMITS
+    lost = not np.isfinite(tau).all() or bool((status > SampleStatus.SINGULAR_CONSISTENT).any())
+    if lost or (check is not None and not np.isfinite(check.peak).all()):
+        overall = PlanStatus.UNBOUNDED_EFFORT
+    return Plan(
+        motion=along.motion,
+        carriers=carriers,
+        tau=frozen(tau),
+        carrier_force=reduced.carrier_force,
+        actuated_rate=read_only(np.einsum("nim,ni->nm", reduced.W, along.motion.xd)),
+        sample_status=read_only(status),
+        residual=read_only(residual),
+        margin=solved.margin,
+        condition=solved.condition,
+        phase=read_only(np.array(phase, dtype=np.intp)),
+        phases=phases,
+        limits=replace(limits, violated=violated),
+        status=overall,
+        planner=planner,
+        backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
+        robot=robot_record(robot),
+        parameters=dict(parameters),
+        diagnostics=findings,
+        functions=functions,
+        between=check,
+    )
+
+
+def imbalance(reduced: ReducedDynamics, tau: Array) -> tuple[Array, float]:
+    """Return (N,) |W τ − f| for efforts (N, m), N, moments over the characteristic length; and the largest f."""
+    left = (np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f) / reduced.row_scale
+    return np.linalg.norm(left, axis=1), float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
+
+
+def closure_rank_losses(
+    dynamics: Dynamics, along: DynamicsAlongMotion, platform: ContinuousMotion
+) -> list[dict[str, object]]:
+    """Return "time", s, and pose "x" of each rank loss of the closures on the way: the branch is carried across it.
+
+    ``along``: dynamics along samples of the platform's motion. Only where these show a rank loss are more needed.
+    """
+    t, first = np.unique(along.motion.t, return_index=True)
+    known = along.closure_margin()[first]
+
+    def margin(times: Array) -> Array:
+        if times is t:
+            return known
+        every = np.union1d(t, times)  # the branch is followed from the start
+        there = dynamics.along(platform.sample_at(every), unreachable="mark").closure_margin()
+        return there[np.searchsorted(every, times)]
+
+    found = [zero.t for zero in zeros(margin, t, RANK_LOST)] if len(t) > 1 else []
+    return [{"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in found]
+
+
+def _jerk_broken(
+    along: DynamicsAlongMotion, carriers: CarrierMotion, parameters: Mapping[str, object]
+) -> tuple[LimitEvent, ...]:
+    if parameters.get("jerk") is None:
+        return ()
+    t, step = along.motion.t[:-1], np.diff(along.motion.t)
+    inside = step > 0.0
+    jerk = np.diff(carriers.sdd, axis=0)[inside] / step[inside, None]
+    most = np.array(parameters["jerk"], dtype=float)
+    return limits_broken("jerk", along.robot.carriers, t[inside], jerk, most, 1.0 + ROUNDING)
+
+
+def _summary(check: DenseCheck, tau: Array) -> dict[str, object]:
+    """Return the dense check as plain data."""
+    worst = int(np.argmax(check.peak))
+    return {
+        "finer": PIECE_DEGREE + 1,
+        "points": check.points,
+        "peak_effort": float(check.peak[worst]),
+        "time_of_peak": float(check.time[worst]),
+        "peak_effort_at_nodes": float(np.nanmax(np.abs(tau), initial=0.0)),
+        "ratio": check.ratio,
+        "passed": check.passed,
+    }
+
+
+def _merged(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...]) -> tuple[LimitEvent, ...]:
+    """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more.
+
+    An effort that is exceeded has one event from first to last, whatever its sign.
+    """
+    kept = list(at_samples)
+    for event in between:
+        same = [
+            one
+            for one in kept
+            if (one.carrier, one.quantity) == (event.carrier, event.quantity)
+            and (
+                event.quantity == "effort"
+                or (one.limit == event.limit and one.start <= event.end and event.start <= one.end)
+            )
+        ]
+        if all(event.amount > other.amount for other in same):
+            kept = [other for other in kept if other not in same] + [event]
+    return tuple(sorted(kept, key=lambda event: event.start))
+
+
+# --- a plan judged anew ---
 
 
 @dataclass(frozen=True)
@@ -60,6 +252,8 @@ class PlanCheck:
         deviations: where the plan says something else; none if it is what it says.
         wider_limits: notes of limits that are wider than the robot's own, in words: a plan is judged by the limits it
             was made with, which its user may have chosen.
+        closure_rank: "time", s, and pose "x" of each rank loss of the closures on the way: branches meet there, and the
+            machine may take another one than the plan.
     """
 
     status: PlanStatus
@@ -68,6 +262,7 @@ class PlanCheck:
     imbalance: float
     deviations: tuple[Deviation, ...]
     wider_limits: tuple[str, ...] = ()
+    closure_rank: tuple[Mapping[str, object], ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -101,9 +296,9 @@ def check_plan(plan: Plan, dynamics: Dynamics) -> PlanCheck:
             f"The plan is for another robot than the dynamics: {other}", remedy="Pass a backend of load_robot_of(plan)."
         )
     along = dynamics.along(plan.motion)
-    reduced = along.reduce(plan.carriers)
-    unbalanced, balanced = _imbalance(plan, reduced)
-    efforts = plan.parameters.get("effort")
+    left, size = imbalance(along.reduce(plan.carriers), plan.tau)
+    unbalanced = left / (size or 1.0)
+    balanced = unbalanced <= BALANCE_TOLERANCE
     functions = None if plan.motion.is_pose and plan.functions is None else plan.functions_of_time
     again = finish_plan(
         along,
@@ -112,31 +307,26 @@ def check_plan(plan: Plan, dynamics: Dynamics) -> PlanCheck:
         phase=plan.phase,
         phases=plan.phases,
         parameters=plan.parameters,
-        diagnostics={},
+        diagnostics={"optimal": plan.diagnostics.get("optimal", True)},
         prescribed=np.where(balanced[:, None], plan.tau, np.nan),
         carrier_limits=plan.limits.judged_by,
-        effort_limit=None if efforts is None else np.array(efforts, dtype=float),
-        extremes=_extremes(plan, functions),
         functions=functions,
         dynamics=dynamics,
         singular=np.flatnonzero(plan.sample_status == SampleStatus.SINGULAR_CONSISTENT),
-        optimal=bool(plan.diagnostics.get("optimal", True)),
     )
-    jerk = _jerk_broken(plan)
-    if jerk:
-        worse = again.status is PlanStatus.UNBOUNDED_EFFORT
-        status = again.status if worse else PlanStatus.VIOLATES_LIMITS
-        limits = replace(again.limits, violated=tuple(sorted((*again.limits.violated, *jerk), key=lambda e: e.start)))
-        again = replace(again, status=status, limits=limits)
-    deviations = [
-        *_effort_deviations(plan, unbalanced, balanced),
-        *_sample_deviations(plan, again),
-        *_motion_deviations(plan, functions),
-        *_verdict_deviations(plan, again),
-    ]
-    worst = float(np.nanmax(unbalanced, initial=0.0))
     return PlanCheck(
-        again.status, again.limits.violated, again.peak_effort, worst, tuple(deviations), _wider_limits(plan, dynamics)
+        status=again.status,
+        violated=again.limits.violated,
+        peak_effort=again.peak_effort,
+        imbalance=float(np.nanmax(unbalanced, initial=0.0)),
+        deviations=(
+            *_effort_deviations(plan, unbalanced, balanced),
+            *_sample_deviations(plan, again),
+            *_motion_deviations(plan, functions),
+            *_verdict_deviations(plan, again),
+        ),
+        wider_limits=_wider_limits(plan, dynamics),
+        closure_rank=tuple(again.diagnostics.get("closure_rank", ())),  # type: ignore[arg-type]
     )
 
 
@@ -149,34 +339,6 @@ def _wider_limits(plan: Plan, dynamics: Dynamics) -> tuple[str, ...]:
         for i, quantity in enumerate(QUANTITIES)
         if used[0][i, j] < own[0][i, j] or used[1][i, j] > own[1][i, j]
     )
-
-
-def _imbalance(plan: Plan, reduced: ReducedDynamics) -> tuple[Array, BoolArray]:
-    """Return (N,) |W τ − f| relative to the largest f, NaN without efforts, and whether it counts as balanced."""
-    left, size = imbalance(reduced, plan.tau)
-    relative = left / (size or 1.0)
-    return relative, relative <= BALANCE_TOLERANCE
-
-
-def _extremes(plan: Plan, functions: PlanFunctions | None) -> list[tuple[Array, CarrierMotion]]:
-    """Return the carriers densely along their returns, whose extremes lie between the samples."""
-    if functions is None or plan.planner != "stepwise":
-        return []
-    spans = plan.diagnostics.get("returns", ())
-    end = float(plan.t[-1])
-    times = [np.linspace(first, min(last, end), POINTS)[:-1] for first, last in spans if first < end]  # type: ignore[attr-defined]
-    return [(t, functions.carriers_at(t)) for t in times]
-
-
-def _jerk_broken(plan: Plan) -> tuple[LimitEvent, ...]:
-    limit = plan.parameters.get("jerk")
-    if limit is None:
-        return ()
-    step = np.diff(plan.t)
-    inside = step > 0.0
-    jerk = np.diff(plan.carriers.sdd, axis=0)[inside] / step[inside, None]
-    most = np.array(limit, dtype=float)
-    return limits_broken("jerk", plan.robot.carriers, plan.t[:-1][inside], jerk, most, 1.0 + ROUNDING)
 
 
 def _effort_deviations(plan: Plan, unbalanced: Array, balanced: BoolArray) -> list[Deviation]:
@@ -196,11 +358,11 @@ def _sample_deviations(plan: Plan, again: Plan) -> list[Deviation]:
         "actuated_rate": "rates of the main actuators",
         "margin": "margin",
     }
-    return [
-        deviation
-        for name, what in names.items()
-        for deviation in _compared(what, plan.t, getattr(plan, name), getattr(again, name), SAME)
-    ]
+    each = (_compared(what, plan.t, getattr(plan, name), getattr(again, name), SAME) for name, what in names.items())
+    return [deviation for found in each for deviation in found]
+
+
+PLATFORM = ("x", "xd", "xdd")
 
 
 def _motion_deviations(plan: Plan, functions: PlanFunctions | None) -> list[Deviation]:
@@ -209,26 +371,19 @@ def _motion_deviations(plan: Plan, functions: PlanFunctions | None) -> list[Devi
         return []
     there = functions.platform.sample_at(plan.t)
     left, right = (functions.carriers_at(plan.t, side) for side in ("left", "right"))
-    deviations = []
-    for name in ("x", "xd", "xdd"):
-        ours = np.asarray(getattr(plan.motion, name)).reshape(len(plan.t), -1)
-        theirs = np.asarray(getattr(there, name)).reshape(len(plan.t), -1)
-        deviations += _compared(f"platform motion {name}", plan.t, ours, theirs, SAME)
     # backward differences move a carrier by its new speed, the motion by the mean of both: half a step apart
     step = float(np.diff(plan.t).max(initial=0.0))
-    slack = step * float(np.abs(plan.carriers.sd).max(initial=0.0)) if _by_differences(plan) else 0.0
-    for name, part in (("s", right.s), ("sd", right.sd)):
-        allowed = slack if name == "s" else 0.0
-        deviations += _compared(f"carrier motion {name}", plan.t, getattr(plan.carriers, name), part, SAME, allowed)
+    by_differences = plan.planner == "stepwise" or plan.parameters.get("scheme") == "backward_differences"
+    slack = step * float(np.abs(plan.carriers.sd).max(initial=0.0)) if by_differences else 0.0
     nearest = np.minimum(np.abs(plan.carriers.sdd - left.sdd), np.abs(plan.carriers.sdd - right.sdd))
     nearest[0] = 0.0  # a sample belongs to the step that it ends, the first to none
-    return deviations + _compared(
-        "carrier motion sdd", plan.t, plan.carriers.sdd, plan.carriers.sdd - nearest, 1e3 * SAME
-    )
-
-
-def _by_differences(plan: Plan) -> bool:
-    return plan.planner == "stepwise" or plan.parameters.get("scheme") == "backward_differences"
+    compared = [
+        *((f"platform motion {name}", getattr(plan.motion, name), getattr(there, name), SAME) for name in PLATFORM),
+        ("carrier motion s", plan.carriers.s, right.s, SAME, slack),
+        ("carrier motion sd", plan.carriers.sd, right.sd, SAME),
+        ("carrier motion sdd", plan.carriers.sdd, plan.carriers.sdd - nearest, 1e3 * SAME),
+    ]
+    return [deviation for what, *values in compared for deviation in _compared(what, plan.t, *values)]
 
 
 def _compared(what: str, t: Array, ours: Array, theirs: Array, allowed: float, slack: float = 0.0) -> list[Deviation]:
@@ -253,25 +408,14 @@ def _verdict_deviations(plan: Plan, again: Plan) -> list[Deviation]:
         apart = np.abs(ours - theirs) if np.isfinite([ours, theirs]).all() else np.where(ours == theirs, 0.0, np.inf)
         if (apart > SAME_PEAK * max(float(theirs.max(initial=0.0)), 1e-9)).any():
             j = int(apart.argmax())
-            deviations.append(
-                Deviation(
-                    "peak effort",
-                    float(again.between.time[j]),
-                    float(apart[j]),
-                    f"The peak effort of {plan.robot.actuated[j]} is {theirs[j]:.6g}, not {ours[j]:.6g}.",
-                )
-            )
-    said, broken = ({(one.carrier, one.quantity) for one in judged.limits.violated} for judged in (plan, again))
-    for carrier, quantity in sorted(broken - said):
-        event = next(one for one in again.limits.violated if (one.carrier, one.quantity) == (carrier, quantity))
-        deviations.append(
-            Deviation(
-                "limits",
-                event.worst,
-                event.amount,
-                f"The {quantity} of {carrier} exceeds its limit by {event.amount:.4g} at t = {event.worst:.6g} s.",
-            )
-        )
+            message = f"The peak effort of {plan.robot.actuated[j]} is {theirs[j]:.6g}, not {ours[j]:.6g}."
+            deviations.append(Deviation("peak effort", float(again.between.time[j]), float(apart[j]), message))
+    said = {(one.carrier, one.quantity) for one in plan.limits.violated}
+    unsaid = {(one.carrier, one.quantity): one for one in reversed(again.limits.violated)}  # the first of each counts
+    for (carrier, quantity), event in sorted(unsaid.items(), key=lambda item: item[0]):
+        if (carrier, quantity) not in said:
+            message = f"The {quantity} of {carrier} exceeds its limit by {event.amount:.4g} at t = {event.worst:.6g} s."
+            deviations.append(Deviation("limits", event.worst, event.amount, message))
     unseen = plan.between is None and again.status is PlanStatus.UNRESOLVED  # version 0.1.0 did not look there
     if plan.status is not again.status and not unseen:
         message = f"The status is {again.status.value}, not {plan.status.value}."

@@ -1,8 +1,14 @@
-"""What a plan is between its samples: platform, carriers and main efforts as functions of time.
+"""What a plan is between its samples: platform, carriers and main efforts as functions of time, and their peaks.
 
 Planners hand over the two motions as they made them, and the efforts where they decided on them (none while the
 actuators are off). Everywhere else W τ = f of these motions determines the efforts, and they are evaluated where
 somebody plays the plan, not when it is made: ten evaluations of the backend in each step cost as much as the plan.
+
+The dense check looks for the peaks. In every piece in which platform, carriers and prescribed efforts are smooth, main
+efforts and carrier forces are evaluated at Chebyshev points. Where the last coefficients of their series are not small,
+as beside the spike that a cusp of the path makes, the piece is halved and evaluated again. The peaks are those of the
+polynomials, both limits at every jump included. Where det W changes its sign and no halving resolves the efforts, they
+are infinite.
 """
 
 from __future__ import annotations
@@ -11,17 +17,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import Chebyshev
+from numpy.polynomial import Chebyshev, chebyshev
 
-from redundancy_pin.arrays import Array, Frozen, Side
-from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.arrays import Array, BoolArray, Frozen, Side, frozen
+from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.limits import LimitEvent, limits_broken
+from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import (
     ContinuousMotion,
     PiecewisePolynomial,
     carriers_at,
+    chebyshev_points,
     chebyshev_series,
 )
 
@@ -162,3 +171,232 @@ def apart(times: Array) -> Array:
     kept: Array = edges[np.append(True, np.diff(edges) > ROUNDED * (edges[-1] - edges[0]))]
     kept[-1] = edges[-1]
     return kept
+
+
+# --- the dense check ---
+
+ALLOWED = 1.05
+"""Largest effort between the samples over the largest at the samples that is accepted."""
+
+MARKED = 1.02
+"""Ratio from which a piece is named once any exceeds what is accepted: a grid is refined there."""
+
+SMALL = 1e-3
+"""Efforts below this fraction of what f asks for count as zero here."""
+
+PIECE_DEGREE = 5
+"""Of efforts and forces in a piece, which is halved where that does not resolve them."""
+
+RESOLVED = 1e-3
+"""Last coefficients of a piece, relative to the largest value of the motion, from which it is halved."""
+
+EXACT = 1e-6
+"""The same in pieces whose values come near the largest, which decide what is reported."""
+
+NEAR_PEAK = 0.9
+"""Fraction of the largest value from which a piece is one of those."""
+
+HALVINGS = 16
+"""Of a piece, at most: the spike of a cusp of a micrometre lasts microseconds. Only pieces around spikes get there."""
+
+GROWN = 10.0
+"""Growth of the efforts, since the first evaluation, from which a piece that no halving resolves may have a pole."""
+
+FEWEST_PIECES = 64
+"""In a motion that is smooth throughout: a spike narrower than a tenth of one would hide."""
+
+NEAR_BEST = 0.998
+"""Fraction of the largest of these values from which an extreme is made exact."""
+
+_FINE = np.cos(np.linspace(np.pi, 0.0, 65))
+"""Places in a piece, from −1 to 1, among which the extreme of its polynomial is sought first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """The extremes of main efforts and carrier forces in each of P pieces; m actuators, k carriers.
+
+    ``left``, ``right`` (P,) ends of the pieces, s; ``time`` (P, m + k) of the extremes, s; ``value`` (P, m + k) their
+    signed values, N or N·m, infinite where there is none; ``points``: number of points evaluated.
+    """
+
+    left: Array
+    right: Array
+    time: Array
+    value: Array
+    points: int
+
+
+@dataclass(frozen=True, eq=False)
+class DenseCheck:
+    """What the continuous motion of a plan needs, beside what its samples show.
+
+    Attributes:
+        peak: (m,) largest |τ| of each main actuator, N or N·m; infinite where the efforts grow beyond all bounds.
+        time: (m,) when, s.
+        force_peak: (k,) largest force of each carrier's actuator, N.
+        ratio: largest |τ| of the motion over the largest at the samples, at least 1; of an actuator whose limit is
+            below that, over its limit. Efforts that are nothing beside what f asks for count as equal.
+        points: number of points at which the dynamics were evaluated.
+    """
+
+    peak: Array
+    time: Array
+    force_peak: Array
+    ratio: float
+    points: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether the samples show the efforts."""
+        return self.ratio <= ALLOWED
+
+
+def peaks_between(
+    dynamics: Dynamics, functions: PlanFunctions, start: float, end: float, singular: Array | None = None
+) -> Peaks:
+    """Return the extremes of efforts and forces in pieces from ``start`` to ``end``, s.
+
+    ``singular`` (q,) instants at which W lacks rank and the efforts are finite all the same, s: beside them W⁻¹ f
+    magnifies rounding, so pieces that end there are not halved towards them.
+    """
+    fixed = np.empty(0) if singular is None else np.asarray(singular)
+    edges = _edges(functions, start, end, fixed)
+    left, right = edges[:-1], edges[1:]
+    beside = np.isin(left, fixed) | np.isin(right, fixed)
+    size, points = np.empty(0), 0
+    done: list[tuple[Array, ...]] = []
+    for halving in range(HALVINGS + 1):
+        order = np.argsort(left)
+        left, right, beside = left[order], right[order], beside[order]
+        ends = np.stack([left, right], axis=1)
+        times = chebyshev_points(left, right, PIECE_DEGREE)
+        values = _values(dynamics, functions, times).reshape(len(left), PIECE_DEGREE + 1, -1)
+        points += len(times)
+        if not size.size:
+            size = np.abs(values).max(axis=(0, 1), initial=0.0, where=np.isfinite(values))
+        finite: BoolArray = np.logical_and.reduce(np.isfinite(values), axis=(1, 2))
+        series = chebyshev_series(np.where(finite[:, None, None], values, 0.0))
+        tail, largest = np.abs(series[:, -2:]).max(axis=1), np.abs(values).max(axis=1)
+        allowed = np.where(largest > NEAR_PEAK * size, EXACT, RESOLVED) * np.maximum(size, np.finfo(float).tiny)
+        settled: BoolArray = np.logical_or(finite & np.logical_and.reduce(tail <= allowed, axis=1), beside)
+        rough = ~settled & (halving < HALVINGS)
+        kept = ~rough
+        if halving == HALVINGS:
+            # a pole grows with every halving; a spike that ends does not change the sign of det W
+            main = slice(dynamics.robot.m)
+            grown = np.logical_or.reduce(largest[:, main] > GROWN * size[main], axis=1)
+            pole = np.flatnonzero(~settled & finite & grown)
+            pole = pole[_crosses(dynamics, functions, ends[pole])]
+            values[pole, :, main] = np.inf
+            finite[pole] = False
+        done.append((left[kept], right[kept], *_extremes(ends[kept], series[kept], values[kept], finite[kept])))
+        if not rough.any():
+            break
+        middle = 0.5 * (left[rough] + right[rough])
+        left, right = np.concatenate([left[rough], middle]), np.concatenate([middle, right[rough]])
+        beside = np.zeros(len(left), dtype=bool)
+    parts = [np.concatenate(part) for part in zip(*done, strict=True)]
+    order = np.argsort(parts[0])
+    first, last, time, value = (part[order] for part in parts)
+    return Peaks(first, last, time, value, points)
+
+
+def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) -> Array:
+    platform = functions.platform
+    kinks = [platform.breaks, platform.knots if platform.exact else np.empty(0), functions.carriers.edges]
+    inner = np.concatenate([*kinks, singular, *(part.edges for part in functions.prescribed)])
+    even = np.linspace(start, end, FEWEST_PIECES + 1)
+    times = np.concatenate([[start, end], inner[(inner > start) & (inner < end)]])
+    if len(np.unique(times)) <= FEWEST_PIECES:
+        times = np.concatenate([times, even])
+    edges = apart(times)
+    # a singular instant beside an edge by rounding stands for it
+    near = np.abs(edges[:, None] - singular).argmin(axis=0) if len(singular) else np.empty(0, dtype=int)
+    edges[near] = singular
+    return edges
+
+
+def _values(dynamics: Dynamics, functions: PlanFunctions, times: Array) -> Array:
+    """Return (N, m + k) main efforts and carrier forces at (N,) times; NaN where there are none."""
+    reduced = dynamics.along(functions.platform.sample_at(times)).reduce(functions.carriers_at(times))
+    return np.concatenate([functions.efforts(reduced), np.asarray(reduced.carrier_force)], axis=1)
+
+
+def _crosses(dynamics: Dynamics, functions: PlanFunctions, ends: Array) -> BoolArray:
+    """Return (P,) whether det W of a square W changes its sign between the (P, 2) ends of pieces."""
+    if not len(ends):
+        return np.zeros(0, dtype=bool)
+    signs = []
+    for times in ends.T:
+        W = np.asarray(dynamics.along(functions.platform.sample_at(times)).reduce(functions.carriers_at(times)).W)
+        signs.append(np.linalg.slogdet(W)[0] if W.shape[1] == W.shape[2] else np.ones(len(W)))
+    crosses: BoolArray = signs[0] * signs[1] <= 0.0
+    return crosses
+
+
+def _extremes(ends: Array, series: Array, values: Array, finite: BoolArray) -> tuple[Array, Array]:
+    """Return (P, c) times and signed values of the extremes of polynomials; those of one largest of all are exact."""
+    fine = np.einsum("xd,pdc->pxc", chebyshev.chebvander(_FINE, PIECE_DEGREE), series)
+    best = np.abs(fine).argmax(axis=1)
+    place, value = _FINE[best], np.take_along_axis(fine, best[:, None], axis=1)[:, 0]
+    for j in range(value.shape[1]):
+        top = np.abs(value[:, j]).max(initial=0.0)
+        for p in np.flatnonzero(
+            finite & (np.abs(value[:, j]) > NEAR_BEST * top) & (np.abs(place[:, j]) < 1.0)
+        ).tolist():
+            roots = chebyshev.chebroots(chebyshev.chebtrim(chebyshev.chebder(series[p, :, j]), 1e-300))
+            roots = roots.real[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) <= 1.0)]
+            there = chebyshev.chebval(roots, series[p, :, j])
+            if len(roots) and np.abs(there).max() > abs(value[p, j]):
+                value[p, j], place[p, j] = there[np.abs(there).argmax()], roots[np.abs(there).argmax()]
+    lost = np.where(np.isfinite(values).all(axis=1), value, np.inf)
+    middle, half = ends.mean(axis=1, keepdims=True), 0.5 * np.diff(ends, axis=1)
+    return middle + half * place, lost
+
+
+def dense_check(
+    dynamics: Dynamics,
+    functions: PlanFunctions,
+    robot: Robot,
+    t: Array,
+    tau: Array,
+    floor: float,
+    effort: Array,
+    singular: Array,
+) -> tuple[DenseCheck, tuple[LimitEvent, ...], Array]:
+    """Look between the samples of a plan, and compare with the samples and with limits.
+
+    ``robot``: with the limits of the carriers' forces that count; ``t`` (N,) and ``tau`` (N, m) samples; ``floor``:
+    effort that counts as zero; ``effort`` (m,) limits, infinite for none; ``singular`` as for ``peaks_between``.
+    Returned are the check, the limits that are exceeded by more than is accepted, and (p,) middles of the pieces, s,
+    in which efforts or forces exceed by more than ``MARKED`` what the samples or the limits allow.
+    """
+    peaks = peaks_between(dynamics, functions, float(t[0]), float(t[-1]), singular)
+    m, size = robot.m, np.abs(peaks.value)
+    force = np.array([limit.force for limit in robot.carrier_limits])
+    at_samples = np.abs(tau[np.isfinite(tau).all(axis=1)])
+    largest = max(float(at_samples.max(initial=0.0)), floor)
+    with np.errstate(invalid="ignore"):
+        relative = size[:, :m] / np.maximum(np.minimum(largest, effort), floor or 1.0)
+        excess = np.concatenate([relative, size[:, m:] / force], axis=1).max(axis=1, initial=0.0)
+    worst = size.argmax(axis=0)
+    check = DenseCheck(
+        peak=frozen(np.maximum(size.max(axis=0)[:m], at_samples.max(axis=0, initial=0.0))),
+        time=frozen(peaks.time[worst, range(len(worst))][:m]),
+        force_peak=frozen(size.max(axis=0)[m:]),
+        ratio=max(float(relative.max(initial=0.0)), 1.0),
+        points=peaks.points,
+    )
+    broken: list[LimitEvent] = []
+    for j, (name, limit) in enumerate(zip((*robot.actuated, *robot.carriers), (*effort, *force), strict=True)):
+        values = peaks.time[:, j], peaks.value[:, j : j + 1]
+        broken += limits_broken("effort" if j < m else "force", (name,), *values, np.array([limit]), ALLOWED)
+    return check, tuple(broken), (0.5 * (peaks.left + peaks.right))[excess > MARKED]
+
+
+def least_effort(reduced: ReducedDynamics) -> float:
+    """Return the effort below which efforts count as zero, N or N·m: a fraction of what f asks for."""
+    asked = float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
+    largest = np.linalg.norm(reduced.W / reduced.row_scale[:, None], ord=2, axis=(1, 2))
+    return SMALL * asked / max(float(np.median(largest)), np.finfo(float).tiny)

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, frozen, positive
 from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
-from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import CarrierLimits, Robot
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 BINDING = 1e-6
 """A quantity within this fraction of its limit counts as touching it."""
@@ -120,6 +120,24 @@ class ResolvedLimits(Frozen):
                     amount=float(beyond),
                 )
         return places
+
+
+def require_dynamics(dynamics: object) -> None:
+    """Check that the first argument of a planner is a backend."""
+    if not (hasattr(dynamics, "along") and hasattr(dynamics, "robot")):
+        raise InputError(
+            f"The planner was given {type(dynamics).__name__} for the dynamics.",
+            remedy="Pass a backend of the robot: RneaDynamics(robot) or VirtualWork(robot).",
+        )
+
+
+def require_motion(motion: object, *methods: str) -> None:
+    """Check that a motion is sampled, or a trajectory that offers some methods."""
+    if not isinstance(motion, PlatformMotion) and not all(hasattr(motion, method) for method in methods):
+        raise InputError(
+            f"The planner was given {type(motion).__name__} for the motion.",
+            remedy="Pass a trajectory, such as trajectory.reference.circle(), or a PlatformMotion.",
+        )
 
 
 def as_text(values: ArrayLike) -> object:
@@ -285,15 +303,17 @@ def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force:
     return LimitReport(tuple(violated), tuple(binding), robot.carrier_limits)
 
 
-def tracks_broken(robot: Robot, position: PiecewisePolynomial) -> tuple[LimitEvent, ...]:
-    """Return where carriers whose positions (k,), m, are a function of time leave their tracks."""
+def motion_broken(robot: Robot, position: PiecewisePolynomial) -> tuple[LimitEvent, ...]:
+    """Return where carriers whose positions (k,), m, are a function of time leave track, speed or acceleration.
+
+    Of an acceleration that jumps the value after the jump is looked at.
+    """
     inside = np.linspace(0.0, 1.0, 5)[:-1]  # that an event has a start and an end; the extremes decide
     even = position.edges[:-1, None] + np.diff(position.edges)[:, None] * inside
-    times = np.unique(np.concatenate([even.ravel(), position.edges[-1:], position.extremes()]))
-    s = position(times)
-    report = check_limits(robot, times, CarrierMotion(s, np.zeros_like(s), np.zeros_like(s)), np.zeros_like(s))
-    span = {name: limit.upper - limit.lower for name, limit in zip(robot.carriers, robot.carrier_limits, strict=True)}
-    return tuple(event for event in report.violated if event.amount > ROUNDING * span[event.carrier])
+    extremes = [position.derivative(order).extremes() for order in range(3)]
+    times = np.unique(np.concatenate([even.ravel(), position.edges[-1:], *extremes]))
+    carriers = carriers_at(position, times)
+    return check_limits(robot, times, carriers, np.zeros_like(carriers.s)).violated
 
 
 def _events(

@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import Array, Frozen, IntArray, Side, frozen, largest, peak, read_only
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
-from redundancy_pin.dynamics.distribution import SampleStatus, distribute
+from redundancy_pin.arrays import Array, Frozen, IntArray, Side, largest, peak, read_only
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.io.schema import typed
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.dense_check import DEGREE, DenseCheck, dense_check, least_effort, peaks_between
-from redundancy_pin.planners.functions import SINGULAR_SAMPLE, PlanFunctions
-from redundancy_pin.planners.limits import ROUNDING, LimitEvent, LimitReport, check_limits, limits_broken, tracks_broken
-from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot, robot_record
+from redundancy_pin.planners.functions import DenseCheck, PlanFunctions
+from redundancy_pin.planners.limits import LimitEvent, LimitReport
+from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory.functions_of_time import (
     ContinuousMotion,
@@ -274,179 +273,6 @@ def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) ->
 
 def _absolute_integral(power: Array, t: Array) -> float:
     return float(np.trapezoid(np.abs(np.where(np.isfinite(power), power, 0.0)).sum(axis=1), t))
-
-
-def require_dynamics(dynamics: object) -> None:
-    """Check that the first argument of a planner is a backend."""
-    if not (hasattr(dynamics, "along") and hasattr(dynamics, "robot")):
-        raise InputError(
-            f"The planner was given {type(dynamics).__name__} for the dynamics.",
-            remedy="Pass a backend of the robot: RneaDynamics(robot) or VirtualWork(robot).",
-        )
-
-
-def require_motion(motion: object, *methods: str) -> None:
-    """Check that a motion is sampled, or a trajectory that offers some methods."""
-    if not isinstance(motion, PlatformMotion) and not all(hasattr(motion, method) for method in methods):
-        raise InputError(
-            f"The planner was given {type(motion).__name__} for the motion.",
-            remedy="Pass a trajectory, such as trajectory.reference.circle(), or a PlatformMotion.",
-        )
-
-
-BALANCE_TOLERANCE = 1e-6
-"""Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""
-
-
-def finish_plan(
-    along: DynamicsAlongMotion,
-    carriers: CarrierMotion,
-    *,
-    planner: str,
-    phase: IntArray,
-    phases: tuple[str, ...],
-    parameters: Mapping[str, object],
-    diagnostics: Mapping[str, object],
-    prescribed: Array | None = None,
-    carrier_limits: tuple[CarrierLimits, ...] | None = None,
-    effort_limit: Array | None = None,
-    extremes: Sequence[tuple[Array, CarrierMotion]] = (),
-    functions: PlanFunctions | None = None,
-    dynamics: Dynamics | None = None,
-    between: tuple[DenseCheck, tuple[LimitEvent, ...]] | None = None,
-    singular: IntArray | None = None,
-    optimal: bool = True,
-) -> Plan:
-    """Evaluate the backend once more along the planned motion and collect everything a plan carries.
-
-    ``along``: dynamics along the platform motion of the plan; ``carriers``: planned carrier motion, N samples;
-    ``phase`` (N,) index of the phase of each sample; ``prescribed`` (N, m) main efforts the planner decided on, NaN
-    where W τ = f decides. Their imbalance is checked and reported, never corrected; ``carrier_limits``: limits to judge
-    the plan by in place of the robot's own, one for each carrier; ``effort_limit`` (m,) those of the main efforts;
-    ``extremes``: times, s, and carrier motions between the samples at which the limits of track, speed and acceleration
-    are judged as well; ``functions``: what the planner made, between the samples too; ``dynamics``: the backend, to
-    look between the samples, unless ``between`` has what was seen there already, and the limits exceeded there;
-    ``singular``: samples at which the efforts are the limits from both sides; ``optimal``: whether the planner had an
-    optimum.
-    """
-    robot, t = along.robot, along.motion.t
-    reduced = along.reduce(carriers)
-    solved = distribute(reduced)
-    tau, status, residual = np.array(solved.tau), np.array(solved.status), np.array(solved.residual)
-    if prescribed is not None:
-        given = np.isfinite(prescribed).all(axis=1)
-        tau[given] = prescribed[given]
-        left, size = imbalance(reduced, tau)
-        residual[given] = left[given]
-        balanced = left[given] <= BALANCE_TOLERANCE * size
-        status[given] = np.where(balanced, SampleStatus.REGULAR, SampleStatus.SINGULAR_INCONSISTENT)
-    if singular is not None:  # however well W τ = f looks at one instant
-        status[singular] = np.where(
-            status[singular] == SampleStatus.REGULAR, SampleStatus.SINGULAR_CONSISTENT, status[singular]
-        )
-    judged = robot if carrier_limits is None else replace(robot, carrier_limits=carrier_limits)
-    limits = check_limits(judged, t, carriers, reduced.carrier_force)
-    for times, motion in extremes:
-        # the forces are judged by the dense check
-        inner = check_limits(judged, times, motion, np.zeros_like(motion.s))
-        limits = replace(limits, violated=_merged(limits.violated, inner.violated))
-    most = np.full(robot.m, np.inf) if effort_limit is None else effort_limit
-    if between is None and functions is not None and dynamics is not None:
-        between = dense_check_of(dynamics, functions, judged, reduced, tau, solved.margin, most)
-    check, exceeded = between or (None, ())
-    at_samples = limits_broken("effort", robot.actuated, t, tau, most, 1.0 + ROUNDING)
-    if functions is not None:
-        exceeded = (*exceeded, *tracks_broken(judged, functions.carriers))
-    violated = _merged((*limits.violated, *at_samples), exceeded)
-    overall = PlanStatus.WITHIN_LIMITS if optimal else PlanStatus.STOPPED_EARLY
-    if check is not None and not check.passed:
-        overall = PlanStatus.UNRESOLVED
-    if violated:
-        overall = PlanStatus.VIOLATES_LIMITS
-    if not np.isfinite(tau).all() or (status > SampleStatus.SINGULAR_CONSISTENT).any():
-        overall = PlanStatus.UNBOUNDED_EFFORT
-    if check is not None and not np.isfinite(check.peak).all():
-        overall = PlanStatus.UNBOUNDED_EFFORT
-    return Plan(
-        motion=along.motion,
-        carriers=carriers,
-        tau=frozen(tau),
-        carrier_force=reduced.carrier_force,
-        actuated_rate=read_only(np.einsum("nim,ni->nm", reduced.W, along.motion.xd)),
-        sample_status=read_only(status),
-        residual=read_only(residual),
-        margin=solved.margin,
-        condition=solved.condition,
-        phase=read_only(np.array(phase, dtype=np.intp)),
-        phases=phases,
-        limits=replace(limits, violated=violated),
-        status=overall,
-        planner=planner,
-        backend=type(along).__name__.replace("AlongMotion", "").replace("Along", ""),
-        robot=robot_record(robot),
-        parameters=dict(parameters),
-        diagnostics={**diagnostics, **({} if check is None else {"dense_check": _summary(check, tau)})},
-        functions=functions,
-        between=check,
-    )
-
-
-def imbalance(reduced: ReducedDynamics, tau: Array) -> tuple[Array, float]:
-    """Return (N,) |W τ − f| for efforts (N, m), N, moments over the characteristic length; and the largest f."""
-    left = (np.einsum("nij,nj->ni", reduced.W, tau) - reduced.f) / reduced.row_scale
-    return np.linalg.norm(left, axis=1), float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))
-
-
-def dense_check_of(
-    dynamics: Dynamics,
-    functions: PlanFunctions,
-    judged: Robot,
-    reduced: ReducedDynamics,
-    tau: Array,
-    margin: Array,
-    effort_limit: Array,
-) -> tuple[DenseCheck, tuple[LimitEvent, ...]]:
-    """Look between the samples of a plan: what is needed there, and the limits exceeded.
-
-    ``reduced``, ``tau`` (N, m) and ``margin`` (N,): dynamics, efforts and margins at the samples.
-    """
-    on_singularity = np.unique(reduced.t[margin <= SINGULAR_SAMPLE * margin.max(initial=0.0)])
-    peaks = peaks_between(dynamics, functions, float(reduced.t[0]), float(reduced.t[-1]), on_singularity)
-    force = np.array([limit.force for limit in judged.carrier_limits])
-    return dense_check(peaks, judged, tau, least_effort(reduced), effort_limit, force)[:2]
-
-
-def _summary(check: DenseCheck, tau: Array) -> dict[str, object]:
-    """Return the dense check as plain data."""
-    worst = int(np.argmax(check.peak))
-    return {
-        "finer": DEGREE + 1,
-        "points": check.points,
-        "peak_effort": float(check.peak[worst]),
-        "time_of_peak": float(check.time[worst]),
-        "peak_effort_at_nodes": float(np.nanmax(np.abs(tau), initial=0.0)),
-        "ratio": check.ratio,
-        "passed": check.passed,
-    }
-
-
-def _merged(at_samples: tuple[LimitEvent, ...], between: tuple[LimitEvent, ...]) -> tuple[LimitEvent, ...]:
-    """Return the events, an event at samples replaced by one that overlaps it and exceeds the limit by more.
-
-    An effort that is exceeded has one event from first to last, whatever its sign.
-    """
-    kept = list(at_samples)
-    for event in between:
-        effort = event.quantity == "effort"
-        same = [one for one in kept if (one.carrier, one.quantity) == (event.carrier, event.quantity)]
-        same = [
-            one
-            for one in same
-            if effort or (one.limit == event.limit and one.start <= event.end and event.start <= one.end)
-        ]
-        if all(event.amount > other.amount for other in same):
-            kept = [other for other in kept if other not in same] + [event]
-    return tuple(sorted(kept, key=lambda event: event.start))
 
 
 def load_plan(path: str | Path) -> Plan:

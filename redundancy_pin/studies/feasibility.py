@@ -29,7 +29,7 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.io.files import write_text
 from redundancy_pin.kinematics.coordinates import require_matching
-from redundancy_pin.planners.dense_check import ALLOWED
+from redundancy_pin.planners.functions import ALLOWED
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot

@@ -13,8 +13,9 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, PlanFileError, UnsupportedRobotError
+from redundancy_pin.planners.check import _merged
 from redundancy_pin.planners.limits import LimitEvent
-from redundancy_pin.planners.plan import Plan, PlanStatus, _merged
+from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory import reference
 

@@ -15,9 +15,8 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError
-from redundancy_pin.planners.dense_check import ALLOWED, least_effort, peaks_between
-from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import tracks_broken
+from redundancy_pin.planners.functions import ALLOWED, PlanFunctions, least_effort, peaks_between
+from redundancy_pin.planners.limits import motion_broken
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import RestToRest, SplinePath, Trajectory, reference, rounded_polygon, with_constant
@@ -114,7 +113,7 @@ def test_a_carrier_that_leaves_its_track_between_the_samples_breaks_a_limit() ->
     position = PiecewisePolynomial(np.array([0.0, 1.0]), hump)
     for end, broken in ((0.118 - 1e-5, True), (0.118 + 1e-5, False)):
         limits = tuple(replace(limit, upper=end) for limit in robot.carrier_limits)
-        events = tracks_broken(replace(robot, carrier_limits=limits), position)
+        events = motion_broken(replace(robot, carrier_limits=limits), position)
         assert bool(events) is broken
         for event in events:
             assert (event.carrier, event.quantity, event.limit) == (robot.carriers[0], "track", end)

@@ -8,8 +8,8 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.limits import check_limits
-from redundancy_pin.planners.plan import finish_plan
 
 
 @pytest.fixture(scope="module")

@@ -20,14 +20,8 @@ from random_plans import PLAIN, difference, plans
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, OutputError, PlanFileError
 from redundancy_pin.io.archive import decode, encode
-from redundancy_pin.planners.plan import (
-    PLAN_VERSION,
-    Plan,
-    PlanStatus,
-    finish_plan,
-    load_plan,
-    load_robot_of,
-)
+from redundancy_pin.planners.check import finish_plan
+from redundancy_pin.planners.plan import PLAN_VERSION, Plan, PlanStatus, load_plan, load_robot_of
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
 

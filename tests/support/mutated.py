@@ -24,7 +24,8 @@ import yaml
 import zoo
 
 import redundancy_pin as rp
-from redundancy_pin.planners.plan import Plan, finish_plan
+from redundancy_pin.planners.check import finish_plan
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot.urdf import models_root, render
 
 Files = Mapping[str, bytes]

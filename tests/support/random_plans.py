@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import read_only
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.dense_check import DenseCheck
+from redundancy_pin.planners.functions import DenseCheck
 from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import RobotRecord

@@ -159,6 +159,10 @@ class VirtualWorkAlongMotion(Frozen):
         """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
         return self._result(energy(self._dynamics.bodies(*self._leg_major(carriers)), self._robot.gravity))
 
+    def closure_margin(self) -> Array:
+        """Return (N,) ones, NaN where unreachable: in one working mode the closed form has no branches that meet."""
+        return read_only(np.where(self._reachable, 1.0, np.nan))
+
     def _leg_major(self, carriers: CarrierMotion | None) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ as (legs, N); zero where the robot has no carriers."""
         samples = len(self._motion)

@@ -1,26 +1,94 @@
-"""The carriers' whole course: stretches of the optimiser, returns to the datum, braking."""
+"""The carriers' whole course and its options: stretches of the optimiser, returns to the datum, braking."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, require_few
-from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.arrays import Array, BoolArray, IntArray, positive, require_few
+from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.carrier_return import (
-    POINTS,
     CarrierState,
     no_return,
     return_polynomial,
     shortest_return,
 )
-from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, optimise
-from redundancy_pin.planners.stepwise.settings import AccelerationBox, Settings
+from redundancy_pin.planners.limits import Limits, ResolvedLimits, fraction, one_of, return_duration, whole
+from redundancy_pin.planners.stepwise.optimiser import AccelerationBox, StepProblems, Stretch, optimise
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+Active = Literal["always", "accelerating"]
+"""When the optimiser works: at every step, or only while the platform accelerates."""
+
+Stop = Literal["after", "within"]
+"""When the carriers are brought to rest: after the motion, with the platform held, or by its last sample."""
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """Checked options of ``plan_stepwise``; see there. Numbers and names a plan has among its parameters."""
+
+    limits: ResolvedLimits
+    lam: float
+    active: Active
+    start: Array
+    datum: Array
+    anticipate: bool
+    return_time: float | Literal["shortest"]
+    stop: Stop
+    brake_time: float
+    least_margin: float
+    between: int
+
+    @property
+    def parameters(self) -> dict[str, object]:
+        """The settings as plain data, for the plan."""
+        own = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
+        own |= {name: tuple(own[name].tolist()) for name in ("start", "datum")}
+        return {**own, **self.limits.parameters()}
+
+    def box(self, end: float) -> AccelerationBox:
+        """Return what the carriers must keep to in a motion that ends at a time, s."""
+        limits = self.limits
+        return AccelerationBox(
+            limits.names, limits.of_carriers, self.anticipate, end if self.stop == "within" else math.inf
+        )
+
+
+def checked_settings(robot: Robot, limits: Limits, **options: Any) -> Settings:
+    """Return the settings of ``plan_stepwise`` after checking every one; ``options`` are the fields but ``limits``."""
+    for name, allowed in (("active", get_args(Active)), ("stop", get_args(Stop)), ("anticipate", (True, False))):
+        one_of(options[name], name, allowed)
+    for name in ("jerk", "carrier_force", "effort"):
+        if getattr(limits, name) is not None:
+            raise InputError(
+                f"The stepwise planner keeps to no limit of {name}.",
+                remedy="Leave it out, or use plan_whole_trajectory.",
+                name=name,
+            )
+    resolved = limits.resolved(robot)
+    if options["stop"] == "within" and np.isinf(resolved.acceleration).any():
+        raise InputError(
+            'stop="within" needs acceleration limits: without them nothing says when to brake.',
+            remedy='Declare or pass acceleration limits, or use stop="after".',
+        )
+    checks: dict[str, Callable[[Any, str], object]] = {
+        "lam": fraction,
+        "between": partial(whole, least=0, most=1000),
+        "start": resolved.on_track,
+        "datum": resolved.on_track,
+        "return_time": return_duration,
+        "brake_time": partial(positive, unit="s"),
+        "least_margin": partial(positive, unit=""),
+    }
+    return Settings(resolved, **{**options, **{name: check(options[name], name) for name, check in checks.items()}})
+
 
 PHASES = ("parked", "optimise", "return", "brake")
 """What the carriers do: stand, follow the optimiser, follow the degree-seven polynomial, are braked."""
@@ -35,8 +103,7 @@ class Course:
     ``t`` (J + 1,) instants, s; ``s``, ``sd``, ``sdd`` (J + 1, k) their motion; while they are optimised or braked ṡ and
     s̈ are the backward differences of s and ṡ, on a return the derivatives of its polynomial; ``phase`` (J + 1,) index
     into ``PHASES``: what the step that ends there was; ``stretches``: first step and result of each run of the
-    optimiser; ``returns``: start and end of each return, s; the end is that of its polynomial; ``between``: for each
-    return, times densely along it, s, and the motion there: its extremes lie between the steps; ``parts``: positions as
+    optimiser; ``returns``: start and end of each return, s; the end is that of its polynomial; ``parts``: positions as
     a function of time, one after the other; ``brake_from``: instant from which the carriers are only braked; ``brake``
     fills in the motion after it; ``braking``: when they are braked, s; NaN where no carrier moved.
     """
@@ -48,7 +115,6 @@ class Course:
     phase: IntArray
     stretches: list[tuple[int, Stretch]] = field(default_factory=list)
     returns: list[tuple[float, float]] = field(default_factory=list)
-    between: list[tuple[Array, CarrierMotion]] = field(default_factory=list)
     parts: list[PiecewisePolynomial] = field(default_factory=list)
     brake_from: int = -1
     braking: tuple[float, float] = (math.nan, math.nan)
@@ -111,8 +177,6 @@ def _follow_return(robot: Robot, settings: Settings, course: Course, first: int,
     course.parts.append(followed)
     if followed.end < course.t[last]:
         course.parts.append(PiecewisePolynomial.constant(settings.datum, followed.end, course.t[last]))
-    dense = np.linspace(followed.start, followed.end, POINTS)
-    course.between.append((dense, carriers_at(back, dense)))
 
 
 _MOST_ADDED = 1_000_000  # steps after the motion

@@ -13,12 +13,29 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import effort_model, is_dynamics, require_carriers, target_effort
+from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import Limits, grouped
-from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics, require_motion
-from redundancy_pin.planners.stepwise.course import OPTIMISE, PHASES, RETURN, Course, brake, run_course
-from redundancy_pin.planners.stepwise.optimiser import StepProblems, Stretch, definiteness, optimality, step_problems
-from redundancy_pin.planners.stepwise.settings import AccelerationBox, Active, Stop, checked_settings
+from redundancy_pin.planners.limits import Limits, grouped, require_dynamics, require_motion
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.stepwise.course import (
+    OPTIMISE,
+    PHASES,
+    RETURN,
+    Active,
+    Course,
+    Stop,
+    brake,
+    checked_settings,
+    run_course,
+)
+from redundancy_pin.planners.stepwise.optimiser import (
+    AccelerationBox,
+    StepProblems,
+    Stretch,
+    definiteness,
+    optimality,
+    step_problems,
+)
 from redundancy_pin.trajectory.functions_of_time import (
     PiecewisePolynomial,
     TimedTrajectory,
@@ -168,6 +185,11 @@ def plan_stepwise(
     added = course.t[len(problems.t) :]
     if len(added):
         along = dynamics.along(_prolonged(motion, added))
+    position = PiecewisePolynomial.joined(course.parts).made_continuous()
+    functions = None  # of poses of which there are samples only: they do not say how the platform turns between them
+    if is_timed(trajectory) or not motion.is_pose:
+        platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
+        functions = PlanFunctions(platform.prolonged_until(position.end), position)
     report = diagnostics(problems, course, box)
     aimed_at = None
     if baseline is not None and reference is not None:
@@ -182,8 +204,8 @@ def plan_stepwise(
         parameters={**settings.parameters, "baseline": aimed_at},
         diagnostics=report,
         carrier_limits=box.limits,
-        extremes=course.between,
-        functions=_functions(trajectory, motion, course),
+        functions=functions,
+        position=position,
         dynamics=dynamics,
     )
     if settings.between:
@@ -191,17 +213,6 @@ def plan_stepwise(
     peaks = {name: plan.tau[plan.phase == i] for i, name in enumerate(PHASES) if (plan.phase == i).any()}
     report["peak_effort"] = {name: tuple(np.abs(tau).max(axis=0).tolist()) for name, tau in peaks.items()}
     return replace(plan, diagnostics={**plan.diagnostics, **report})
-
-
-def _functions(
-    trajectory: PlatformMotion | SampledOnDemand, motion: PlatformMotion, course: Course
-) -> PlanFunctions | None:
-    """Return what the plan is between its samples; None for poses of which there are samples only."""
-    if motion.is_pose and not is_timed(trajectory):
-        return None
-    platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
-    position = PiecewisePolynomial.joined(course.parts).made_continuous()
-    return PlanFunctions(platform.prolonged_until(position.end), position)
 
 
 def _moving(motion: PlatformMotion, problems: StepProblems) -> tuple[BoolArray, BoolArray]:

@@ -15,9 +15,10 @@ from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel, require_carriers
 from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
+from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import Limits, one_of, return_duration
-from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics, require_motion
+from redundancy_pin.planners.limits import Limits, one_of, require_dynamics, require_motion, return_duration
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross, cross_stepwise
 from redundancy_pin.singularities.roots import Interval
 from redundancy_pin.trajectory.functions_of_time import (
@@ -230,7 +231,26 @@ def plan_switch_off(
     """
     require_dynamics(dynamics)
     require_motion(motion, "duration", "breaks", "sample_at")
-    settings = _settings(dynamics, threshold, measure, ramp_down, return_time, datum, dt, scheme)
+    robot = dynamics.robot
+    if robot.k < robot.n:
+        raise UnsupportedRobotError(
+            f"{robot.name} has {robot.k} carrier(s) for {robot.n} coordinates: they cannot take over from the main "
+            "actuators.",
+            remedy=f"Switching off needs at least {robot.n} carriers.",
+            carriers=robot.k,
+            coordinates=robot.n,
+        )
+    require_carriers(robot)
+    one_of(scheme, "scheme", get_args(Scheme))
+    settings = Settings(
+        threshold=positive(threshold, "threshold", ""),
+        measure=measure,
+        ramp_down=positive(ramp_down, "ramp_down", "s"),
+        return_time=return_duration(return_time, "return_time"),
+        datum=Limits().resolved(robot).on_track(datum, "datum"),
+        dt=positive(dt, "dt", "s"),
+        scheme=scheme,
+    )
     source = continuous_motion(motion)
     samples = (source.end - source.start) / settings.dt
     require_few(samples, MOST_SAMPLES, f"dt = {settings.dt:g} s makes {{}} samples", "Use a larger dt.", dt=settings.dt)
@@ -246,37 +266,6 @@ def plan_switch_off(
             continue
         legs.append(leg)
     return assemble_plan(dynamics, source, legs, settings, actuation)
-
-
-def _settings(
-    dynamics: Dynamics,
-    threshold: float,
-    measure: Measure,
-    ramp_down: float,
-    return_time: float | Literal["shortest"],
-    datum: ArrayLike,
-    dt: float,
-    scheme: Scheme,
-) -> Settings:
-    robot = dynamics.robot
-    if robot.k < robot.n:
-        message = (
-            f"{robot.name} has {robot.k} carrier(s) for {robot.n} coordinates: they cannot take over from the main "
-            "actuators."
-        )
-        remedy = f"Switching off needs at least {robot.n} carriers."
-        raise UnsupportedRobotError(message, remedy=remedy, carriers=robot.k, coordinates=robot.n)
-    require_carriers(robot)
-    one_of(scheme, "scheme", get_args(Scheme))
-    return Settings(
-        threshold=positive(threshold, "threshold", ""),
-        measure=measure,
-        ramp_down=positive(ramp_down, "ramp_down", "s"),
-        return_time=return_duration(return_time, "return_time"),
-        datum=Limits().resolved(robot).on_track(datum, "datum"),
-        dt=positive(dt, "dt", "s"),
-        scheme=scheme,
-    )
 
 
 def _leg(

@@ -20,7 +20,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.robot_record import RobotRecord, robot_record
-from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task, read_coefficients
+from redundancy_pin.planners.whole_trajectory.problem import Problem, Task, read_coefficients
 from redundancy_pin.planners.whole_trajectory.solver import LEAST_SECONDS, OUT_OF_TIME, Solution, solve, solve_nlp
 from redundancy_pin.planners.whole_trajectory.transcription import KIND_OF, KINDS, scaled_bounds, slack_name, transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at

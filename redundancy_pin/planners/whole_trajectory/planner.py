@@ -10,24 +10,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.dense_check import SMALL, DenseCheck, dense_check, peaks_between
-from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import LimitEvent, Limits, grouped
-from redundancy_pin.planners.plan import Plan, finish_plan, require_dynamics
+from redundancy_pin.planners.check import Between, finish_plan
+from redundancy_pin.planners.functions import SMALL, PlanFunctions, dense_check
+from redundancy_pin.planners.limits import Limits, grouped, require_dynamics
+from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.planners.whole_trajectory.coefficients import Problem, Task, read_coefficients
-from redundancy_pin.planners.whole_trajectory.mesh import (
-    Grid,
-    grid_of,
-    near_singular,
-    singular_instants,
-    widened,
-    with_middles,
-)
 from redundancy_pin.planners.whole_trajectory.multistart import (
     Multistart,
     Outcome,
@@ -37,6 +28,16 @@ from redundancy_pin.planners.whole_trajectory.multistart import (
     relax,
 )
 from redundancy_pin.planners.whole_trajectory.options import End, Mesh, Objective, Solver, checked_settings
+from redundancy_pin.planners.whole_trajectory.problem import (
+    Grid,
+    Task,
+    grid_of,
+    near_singular,
+    read_coefficients,
+    singular_instants,
+    steps_around,
+    with_middles,
+)
 from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME, solve
 from redundancy_pin.planners.whole_trajectory.transcription import objective_values
 from redundancy_pin.trajectory.functions_of_time import (
@@ -45,32 +46,9 @@ from redundancy_pin.trajectory.functions_of_time import (
     continuous_motion,
 )
 
-MARKED = 1.02
-"""Ratio from which a step gets a middle node once any exceeds what is accepted."""
-
 BESIDE = 4
-"""Steps on both sides of such a step that get one as well: the next plan would have its kink just beside the refined
-steps, and the grid would follow it one step at a time."""
-
-
-def check_between_nodes(
-    task: Task, problem: Problem, functions: PlanFunctions, tau: Array
-) -> tuple[DenseCheck, tuple[LimitEvent, ...], BoolArray]:
-    """Look between the nodes; return what is needed there, the limits exceeded, and (M − 1,) the steps to refine.
-
-    ``functions``: the planned motion; ``tau`` (M, m) planned efforts at the nodes, N or N·m.
-    """
-    grid, limits = problem.grid, task.settings.limits
-    peaks = peaks_between(
-        task.dynamics, functions, float(grid.t[0]), float(grid.t[-1]), np.unique(grid.t[grid.singular])
-    )
-    check, broken, excess = dense_check(
-        peaks, task.dynamics.robot, tau, SMALL * problem.scales.tau, limits.effort, limits.carrier_force
-    )
-    marked = 0.5 * (peaks.left + peaks.right)[excess > MARKED]
-    exceeding = np.zeros(len(grid.h), dtype=bool)
-    exceeding[np.searchsorted(grid.t, marked, side="right") - 1] = True
-    return check, broken, widened(exceeding, BESIDE)
+"""Steps on both sides of one that gets a middle node that get one as well: the next plan would have its kink just beside
+the refined steps, and the grid would follow it one step at a time."""
 
 
 PHASES = ("optimised",)
@@ -107,7 +85,7 @@ def plan_whole_trajectory(
 
     The efforts τ are unknowns and W τ = f(s, ṡ, s̈) is a constraint, so W may lose rank. Type II singularities on the
     way are found exactly and lie on nodes. There f has to lie in the range of W (compatibility), τ is what W⁻¹ f tends
-    to (``whole_trajectory.coefficients``), and the carriers' jerk is continuous, which makes both limits the same.
+    to (``whole_trajectory.problem``), and the carriers' jerk is continuous, which makes both limits the same.
 
     s̈ is linear between the nodes and may jump only where the reference acceleration jumps; s and ṡ follow exactly.
     Track and speed limits hold between the nodes as well, by their Bézier hulls where they are met. For carriers on
@@ -195,6 +173,7 @@ def plan_whole_trajectory(
     )
     report = settings.solver.progress or (lambda line: None)
     task = Task(dynamics, continuous_motion(motion), settings)
+    judged = replace(dynamics.robot, carrier_limits=settings.limits.of_carriers)
     nodes = grid_of(task.source, singular_instants(dynamics, task.source), settings.mesh.dt)
     nodes = with_middles(nodes, near_singular(dynamics, task.source, nodes))
     position: PiecewisePolynomial | None = None
@@ -207,12 +186,21 @@ def plan_whole_trajectory(
         # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
         preferred = PiecewisePolynomial.linear(nodes.t, tau)
         functions = PlanFunctions(task.source, position.made_continuous(), preferred=preferred)
-        check, broken, exceeding = check_between_nodes(task, problem, functions, tau)
+        check, broken, exceeding = dense_check(
+            dynamics,
+            functions,
+            judged,
+            nodes.t,
+            tau,
+            SMALL * problem.scales.tau,
+            settings.limits.effort,
+            np.unique(nodes.t[nodes.singular]),
+        )
         ratios.append(check.ratio)
         report(f"peak effort {np.abs(tau).max():.4g} at the nodes, {check.peak.max():.4g} between them")
         if (check.passed and not broken) or len(ratios) > settings.mesh.refinements or not solution.optimal:
             break
-        nodes = with_middles(nodes, exceeding)
+        nodes = with_middles(nodes, steps_around(nodes, exceeding, BESIDE))
     plan = _plan(task, result, functions, (check, broken))
     timing = {"dense_ratios": ratios, "seconds": time.perf_counter() - began}
     return replace(plan, diagnostics={**plan.diagnostics, **timing})
@@ -254,9 +242,7 @@ def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multist
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(
-    task: Task, result: Multistart, functions: PlanFunctions, between: tuple[DenseCheck, tuple[LimitEvent, ...]]
-) -> Plan:
+def _plan(task: Task, result: Multistart, functions: PlanFunctions, between: Between) -> Plan:
     """Let the backend judge the solution at the nodes, and report.
 
     At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
@@ -294,9 +280,8 @@ def _plan(
         },
         prescribed=prescribed,
         carrier_limits=settings.limits.of_carriers,
-        effort_limit=settings.limits.effort,
         functions=functions,
+        dynamics=task.dynamics,
         between=between,
         singular=nodes.singular,
-        optimal=solution.optimal,
     )

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.planners.whole_trajectory.coefficients import Problem
-from redundancy_pin.planners.whole_trajectory.mesh import widened
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Progress, casadi
+from redundancy_pin.planners.whole_trajectory.problem import Problem, widened
 from redundancy_pin.planners.whole_trajectory.transcription import NLP, RESERVE, scaled_bounds, transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.planners.whole_trajectory.coefficients import Problem
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Quantities, casadi
+from redundancy_pin.planners.whole_trajectory.problem import Problem
 
 RESERVE = 1e-9
 """Fraction of the limits kept in reserve for the rounding of the solver."""

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from redundancy_pin.planners.stepwise.course import braked_speeds, braking_times
-from redundancy_pin.planners.stepwise.settings import stoppable_speed
+from redundancy_pin.planners.stepwise.optimiser import stoppable_speed
 
 ROUNDING = 1e-12
 

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.planners.stepwise.settings import AccelerationBox
+from redundancy_pin.planners.stepwise.optimiser import AccelerationBox
 from redundancy_pin.robot import CarrierLimits
 
 LIMITS = CarrierLimits(lower=-0.8, upper=1.0, speed=1.5, acceleration=7.0, force=np.inf)

@@ -10,8 +10,8 @@ import zoo
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import PlanStatus
-from redundancy_pin.planners.whole_trajectory.coefficients import Task, singular_node
 from redundancy_pin.planners.whole_trajectory.options import Mesh, checked_settings
+from redundancy_pin.planners.whole_trajectory.problem import Task, singular_node
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at, continuous_motion
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line
