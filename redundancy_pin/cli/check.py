@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import click
+import numpy as np
 
 from redundancy_pin.cli.errors import FAILED_CHECK
 from redundancy_pin.cli.options import backend_option, json_option, trust_option
@@ -48,6 +52,7 @@ def check(path: str, source: str | None, backend: str, trust: bool, as_json: boo
                 "limits": {"violated": [vars(event) for event in result.violated]},
                 "deviations": [vars(deviation) for deviation in result.deviations],
                 "wider_limits": list(result.wider_limits),
+                "closure_rank": list(result.closure_rank),
             }
         )
     else:
@@ -60,8 +65,14 @@ def check(path: str, source: str | None, backend: str, trust: bool, as_json: boo
             ("limits broken", str(len(result.violated)) if result.violated else "none"),
             *(("deviation", deviation.message) for deviation in result.deviations),
             *(("wider limit", note) for note in result.wider_limits),
+            *(("closures lose rank", _where(loss)) for loss in result.closure_rank),
         ]
         console().print(table_of(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {backend}", (), rows))
     for deviation in result.deviations:
         click.echo(f"error: {deviation.message}", err=True)
     return EXIT_CODES.get(result.status, BREAKS_LIMITS) if result.passed else FAILED_CHECK
+
+
+def _where(loss: Mapping[str, Any]) -> str:
+    pose = ", ".join(number(float(value)) for value in np.ravel(loss["x"]))
+    return f"at t = {loss['time']:.6g} s, x = {pose}: branches of the kinematics meet there"

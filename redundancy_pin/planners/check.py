@@ -50,7 +50,7 @@ SAME_PEAK = 1e-3
 """Relative deviation of a peak between the samples: beside a singularity W⁻¹ magnifies the rounding of the plan."""
 
 RANK_LOST = 1e-6
-"""Smallest over largest singular value of the closures below which they touch a rank loss; a minimum is known to 1e-8."""
+"""Smallest over largest singular value of the closures at which their rank counts as lost: known to 1e-8 there."""
 
 Between = tuple[DenseCheck, tuple[LimitEvent, ...]]
 """What the continuous motion needs, and the limits of efforts and forces that it exceeds."""
@@ -353,16 +353,14 @@ def _effort_deviations(plan: Plan, unbalanced: Array, balanced: BoolArray) -> li
 
 
 def _sample_deviations(plan: Plan, again: Plan) -> list[Deviation]:
-    names = {
-        "carrier_force": "forces of the carriers",
-        "actuated_rate": "rates of the main actuators",
-        "margin": "margin",
-    }
-    each = (_compared(what, plan.t, getattr(plan, name), getattr(again, name), SAME) for name, what in names.items())
-    return [deviation for found in each for deviation in found]
-
-
-PLATFORM = ("x", "xd", "xdd")
+    deviations = []
+    for name, what in (
+        ("carrier_force", "forces of the carriers"),
+        ("actuated_rate", "rates of the main actuators"),
+        ("margin", "margin"),
+    ):
+        deviations += _compared(what, plan.t, getattr(plan, name), getattr(again, name), SAME)
+    return deviations
 
 
 def _motion_deviations(plan: Plan, functions: PlanFunctions | None) -> list[Deviation]:
@@ -377,13 +375,17 @@ def _motion_deviations(plan: Plan, functions: PlanFunctions | None) -> list[Devi
     slack = step * float(np.abs(plan.carriers.sd).max(initial=0.0)) if by_differences else 0.0
     nearest = np.minimum(np.abs(plan.carriers.sdd - left.sdd), np.abs(plan.carriers.sdd - right.sdd))
     nearest[0] = 0.0  # a sample belongs to the step that it ends, the first to none
-    compared = [
-        *((f"platform motion {name}", getattr(plan.motion, name), getattr(there, name), SAME) for name in PLATFORM),
-        ("carrier motion s", plan.carriers.s, right.s, SAME, slack),
-        ("carrier motion sd", plan.carriers.sd, right.sd, SAME),
-        ("carrier motion sdd", plan.carriers.sdd, plan.carriers.sdd - nearest, 1e3 * SAME),
-    ]
-    return [deviation for what, *values in compared for deviation in _compared(what, plan.t, *values)]
+    deviations = []
+    for name in ("x", "xd", "xdd"):
+        ours, theirs = getattr(plan.motion, name), getattr(there, name)
+        deviations += _compared(f"platform motion {name}", plan.t, ours, theirs, SAME)
+    for name, ours, theirs, allowed, room in (
+        ("s", plan.carriers.s, right.s, SAME, slack),
+        ("sd", plan.carriers.sd, right.sd, SAME, 0.0),
+        ("sdd", plan.carriers.sdd, plan.carriers.sdd - nearest, 1e3 * SAME, 0.0),
+    ):
+        deviations += _compared(f"carrier motion {name}", plan.t, ours, theirs, allowed, room)
+    return deviations
 
 
 def _compared(what: str, t: Array, ours: Array, theirs: Array, allowed: float, slack: float = 0.0) -> list[Deviation]:

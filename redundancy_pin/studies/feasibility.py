@@ -97,7 +97,7 @@ class Verdict(Enum):
     """What is known of a cell. Infeasible and failed are never the same thing."""
 
     FEASIBLE = "feasible"
-    """There is a plan that keeps every limit, and the planner finished."""
+    """There is a plan that keeps every limit, between its samples too, and the planner finished."""
     STOPPED_EARLY = "stopped_early"
     """There is a plan that keeps every limit, but the optimiser stopped before it had an optimum."""
     INFEASIBLE = "infeasible"
@@ -129,7 +129,7 @@ class Cell:
         dense_ratio: largest effort between the samples over the largest at the samples; None where it is not known.
         seconds: time taken.
         status: status of the plan; empty without one.
-        message: why there is none, or what limits it breaks.
+        message: why there is none, what limits it breaks, or that its peak effort lies between the samples.
         settings: parameters of the planner in the attempt that decided.
     """
 
@@ -213,7 +213,12 @@ def judge(cell: Cell, plan: Plan, limits: Mapping[str, float]) -> Cell:
     if effort is not None and between > ALLOWED * effort:
         message = f"Between the nodes the efforts reach {between:.4g}: not resolved."
         return replace(cell, verdict=Verdict.FAILED, message=message)
-    cell = replace(cell, limits=_binding(plan, peak, effort, limits.get("max_jerk")))
+    cell = replace(cell, limits=_binding(plan, between, effort, limits.get("max_jerk")))
+    if plan.status is PlanStatus.UNRESOLVED:
+        # the peak of the continuous motion is known, and is what the limit is compared with
+        limit = "no limit of the efforts is given" if effort is None else f"the limit is {effort:.4g}"
+        message = f"Between the samples the efforts reach {between:.4g}, at the samples {peak:.4g}: {limit}."
+        return replace(cell, message=message)
     if plan.status is PlanStatus.STOPPED_EARLY:
         message = f"The solver says {plan.diagnostics.get('solver')}."
         return replace(cell, verdict=Verdict.STOPPED_EARLY, message=message)

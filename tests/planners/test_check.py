@@ -44,7 +44,7 @@ PLANS: dict[str, Callable[[], Plan]] = {
         rp.VirtualWork(rp.load_robot("2rpr")), reference.circle(), dt=5e-3, scheme="backward_differences"
     ),
     "through singularities": lambda: rp.plan_whole_trajectory(
-        rp.RneaDynamics(rp.load_robot("2rpr")), reference.circle(), dt=0.05, objective="peak", jerk=500.0
+        rp.RneaDynamics(rp.load_robot("2rpr")), reference.circle(), dt=0.05, objective="peak", jerk=500.0, refinements=0
     ),
 }
 
@@ -154,7 +154,9 @@ PLANNERS = {
         dynamics, motion, dt=0.01, scheme="backward_differences", return_time="shortest"
     ),
     "whole": lambda dynamics, motion: rp.plan_whole_trajectory(dynamics, motion, dt=0.05),
-    "peak": lambda dynamics, motion: rp.plan_whole_trajectory(dynamics, motion, dt=0.05, objective="peak", end="free"),
+    "peak": lambda dynamics, motion: rp.plan_whole_trajectory(
+        dynamics, motion, dt=0.1, objective="peak", end="free", refinements=0
+    ),
 }
 
 

@@ -271,8 +271,8 @@ def judged(seeds: range) -> Counter[str]:
 
 
 def test_random_motions_keep_what_their_status_says() -> None:
-    counts = judged(range(12))
-    assert counts["within_limits"] > 2
+    counts = judged(range(6))
+    assert counts["within_limits"] > 1
 
 
 @pytest.mark.long

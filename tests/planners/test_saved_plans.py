@@ -26,7 +26,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import models_root
 
 # the folder of a test is used anew by every example: each writes its own file whole
-EXAMPLES = examples(30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+EXAMPLES = examples(15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def _plan_of(robot: Robot, **changes: Any) -> Plan:

@@ -289,6 +289,29 @@ def test_efforts_that_the_nodes_do_not_show_leave_the_cell_unknown(planned: Plan
     assert "not resolved" in cell.message
 
 
+@pytest.mark.parametrize("effort", [None, 2.0])
+def test_a_peak_between_the_samples_is_what_the_limit_is_compared_with(planned: Plan, effort: float | None) -> None:
+    """A plan that is not resolved keeps a limit that its continuous motion keeps; without a limit the cell says so."""
+    assert planned.between is not None
+    shown = float(planned.peak_effort_at_samples.max())
+    peak = 1.5 * shown
+    between = replace(planned.between, ratio=1.5, peak=1.5 * planned.peak_effort_at_samples)
+    plan = replace(planned, status=PlanStatus.UNRESOLVED, between=between)
+    limits = {} if effort is None else {"max_effort": effort * peak}
+    cell = judge(Cell(WHOLE, 0.1, 2.0, Verdict.FEASIBLE), plan, limits)
+    assert (cell.verdict, cell.status, cell.peak_effort) == (Verdict.FEASIBLE, "unresolved", pytest.approx(peak))
+    assert f"reach {peak:.4g}, at the samples {shown:.4g}" in cell.message
+    assert ("no limit of the efforts" in cell.message) is (effort is None)
+    assert "effort" not in cell.limits
+    tight = judge(Cell(WHOLE, 0.1, 2.0, Verdict.FEASIBLE), plan, {"max_effort": peak})
+    assert tight.verdict is Verdict.FEASIBLE
+    assert "effort" in tight.limits  # the peak is on it, although no sample is
+    beyond = judge(Cell(WHOLE, 0.1, 2.0, Verdict.FEASIBLE), plan, {"max_effort": 0.9 * peak})
+    assert beyond.verdict is Verdict.FAILED
+    without = replace(plan, status=PlanStatus.UNBOUNDED_EFFORT, between=replace(between, peak=between.peak * np.inf))
+    assert judge(Cell(WHOLE, 0.1, 2.0, Verdict.FEASIBLE), without, limits).verdict is Verdict.INFEASIBLE
+
+
 def test_a_carrier_mass_of_the_robot_is_an_axis() -> None:
     """Heavier carriers push harder: what is minimised, ∫ τ² with the same motion allowed, does not grow."""
     problem = crossing(x=Axis("carrier_mass", (0.5, 2.0)), y=Axis("max_acceleration", (1.0, 10.0)), planners=(WHOLE,))

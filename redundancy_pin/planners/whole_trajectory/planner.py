@@ -47,8 +47,8 @@ from redundancy_pin.trajectory.functions_of_time import (
 )
 
 BESIDE = 4
-"""Steps on both sides of one that gets a middle node that get one as well: the next plan would have its kink just beside
-the refined steps, and the grid would follow it one step at a time."""
+"""Steps on both sides of one with a middle node that get one as well: the next plan would have its kink just beside the
+refined steps, and the grid would follow it one step at a time."""
 
 
 PHASES = ("optimised",)

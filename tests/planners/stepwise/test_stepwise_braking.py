@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,6 +29,7 @@ def test_without_limits_or_without_a_gap():
     assert stoppable_speed(-1e-17, 0.1, 5.0) == 0.0
 
 
+@examples(40)
 @given(gap=st.floats(1e-6, 2.0), deceleration=sizes, lengths=st.lists(steps, min_size=2, max_size=8))
 def test_from_that_speed_the_carrier_stops_on_its_track_whatever_the_steps(gap, deceleration, lengths):
     v = stoppable_speed(gap, lengths[0], deceleration)
@@ -41,6 +43,7 @@ def test_from_that_speed_the_carrier_stops_on_its_track_whatever_the_steps(gap, 
         assert s <= gap * (1.0 + 1e-9)
 
 
+@examples(40)
 @given(gap=st.floats(1e-3, 2.0), deceleration=st.floats(0.1, 10.0))
 def test_a_little_faster_and_fine_steps_overrun(gap, deceleration):
     h = 1e-4

@@ -134,10 +134,10 @@ def test_efforts_at_singular_instants_are_the_limits_from_both_sides(case):
 def test_both_backends_give_the_same_plan(case, objective):
     """The optimum of "peak" is flat: plans differ by 1e-4 to 1e-2 if the solver is content too early."""
     if case == "corner":
-        robot, trajectory, dt = zoo.robot_of("3rrr"), reference.corner(0.013), 0.005
+        robot, trajectory, dt = zoo.robot_of("3rrr"), reference.corner(0.013), 0.015
     else:
         arguments = {"end_effector_mass": 0.5, "cylinder_mass": 0.3} if case == "heavy" else {}
-        robot, trajectory, dt = zoo.robot_of("2rpr", **arguments), circle(), 0.01
+        robot, trajectory, dt = zoo.robot_of("2rpr", **arguments), circle(), 0.02
     plans = [
         plan_whole_trajectory(backend(robot), trajectory, objective=objective, dt=dt)
         for backend in (VirtualWork, RneaDynamics)
@@ -280,7 +280,7 @@ def test_infeasible_says_how_much_would_suffice():
     """What would suffice for the efforts is the least peak, which the peak objective finds by itself."""
     dynamics = two_rpr()
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_whole_trajectory(dynamics, circle(), effort=0.05, dt=0.03)
+        plan_whole_trajectory(dynamics, circle(), effort=0.05, dt=0.05)
     details = caught.value.details
     assert not details["together"]
     relaxed = {event["constraint"]: event for event in details["relaxations"]}
@@ -292,13 +292,13 @@ def test_infeasible_says_how_much_would_suffice():
     assert effort["unit"] == "N"
     assert f"the effort of {effort['carrier']}, from 0.05 to {effort['limit']:.6g} N " in caught.value.message
     assert effort["carrier"] in dynamics.robot.actuated
-    least = plan_whole_trajectory(dynamics, circle(), objective="peak", dt=0.03, refinements=0)
+    least = plan_whole_trajectory(dynamics, circle(), objective="peak", dt=0.05, refinements=0)
     least = least.peak_effort_at_samples.max()
     assert effort["limit"] == pytest.approx(least, rel=1e-3)
-    enough = plan_whole_trajectory(dynamics, circle(), effort=1.001 * least, dt=0.03, refinements=0)
+    enough = plan_whole_trajectory(dynamics, circle(), effort=1.001 * least, dt=0.05, refinements=0)
     assert enough.diagnostics["optimal"]
     assert enough.peak_effort_at_samples.max() <= 1.001 * least * (1.0 + 1e-6)
-    # steps of 30 ms, not refined: between the nodes the limit is far exceeded, and the plan says so
+    # steps of 50 ms, not refined: between the nodes the limit is far exceeded, and the plan says so
     assert enough.status is PlanStatus.VIOLATES_LIMITS
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
 
@@ -308,7 +308,7 @@ def test_infeasible_track_names_the_carrier(sense):
     """A start with a speed that no acceleration stops before the end of the track: v² / 2a is needed."""
     speed, room = 2.0, 0.1
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_whole_trajectory(two_rpr(), circle(), start=(sense * 0.1, 0.0), start_speed=(sense * speed, 0.0), dt=0.02,
+        plan_whole_trajectory(two_rpr(), circle(), start=(sense * 0.1, 0.0), start_speed=(sense * speed, 0.0), dt=0.04,
                               end="free")  # fmt: skip
     details = caught.value.details
     assert speed**2 / (2.0 * 10.0) > room

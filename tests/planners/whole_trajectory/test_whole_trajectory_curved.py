@@ -1,5 +1,6 @@
 """Carriers on curved tracks: the 2-RPR with a mass on a turning arm on each leg, and what its plan must satisfy."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +56,14 @@ def robot(tmp_path_factory):
     return load_robot(folder / "robot.yaml", **MASSES)
 
 
-def plan_of(robot, trajectory, objective, **settings):
-    return plan_whole_trajectory(RneaDynamics(robot), trajectory, objective=objective, dt=0.03, **settings)
+def plan_of(robot, name, objective, **settings):
+    return plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.03, **settings)
+
+
+@pytest.fixture(scope="module")
+def planned(robot):
+    """Plans without refinements, each made once."""
+    return functools.cache(lambda name, objective: plan_of(robot, name, objective, refinements=0))
 
 
 def short_line():
@@ -75,9 +82,9 @@ TRAJECTORIES = {"line": short_line(), "circle": reference.circle(0.5, 0.2, 0.05)
         *(pytest.param(*case, marks=pytest.mark.long) for case in (("line", "effort"), ("circle", "peak"))),
     ],
 )
-def test_optimum_is_that_of_the_full_model(robot, name, objective):
+def test_optimum_is_that_of_the_full_model(planned, name, objective):
     trajectory = TRAJECTORIES[name]
-    plan = plan_of(robot, trajectory, objective, refinements=0)
+    plan = planned(name, objective)
     assert plan.diagnostics["optimal"]
     assert plan.diagnostics["violation"] <= BALANCED
     assert plan.diagnostics["fits"][0] <= 10
@@ -87,8 +94,8 @@ def test_optimum_is_that_of_the_full_model(robot, name, objective):
     np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)
 
 
-def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(robot):
-    plan = plan_of(robot, TRAJECTORIES["circle"], "effort")
+def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(robot, planned):
+    plan = planned("circle", "effort")  # refinements would change nothing
     assert plan.status is PlanStatus.WITHIN_LIMITS
     assert plan.diagnostics["dense_check"]["passed"]
     reduced = RneaDynamics(robot).reduce(plan.motion, plan.carriers)
@@ -98,9 +105,9 @@ def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(ro
     assert np.abs(plan.carriers.s).max() > 0.2
 
 
-def test_small_changes_of_the_course_do_not_help(robot):
+def test_small_changes_of_the_course_do_not_help(robot, planned):
     """To first order around the plan: efforts of the backend itself, along random changes that keep both ends."""
-    plan = plan_of(robot, TRAJECTORIES["line"], "effort", refinements=0)
+    plan = planned("line", "effort")
     dynamics, t, c = RneaDynamics(robot), plan.t, plan.carriers
     rng = np.random.default_rng(0)
     half = 0.5 * np.diff(t)
@@ -137,16 +144,16 @@ def _integrated(t, sdd):
 
 
 def test_several_first_guesses(robot):
-    plan = plan_of(robot, TRAJECTORIES["line"], "effort", refinements=0, starts=3)
+    plan = plan_of(robot, "line", "effort", refinements=0, starts=3)
     assert plan.diagnostics["starts"]["converged"] == 3
     assert len(plan.diagnostics["fits"]) == 3
     assert plan.diagnostics["cost"] == min(plan.diagnostics["costs"])
 
 
-def test_limits_of_curved_tracks_that_no_course_keeps_are_named(robot):
-    free = plan_of(robot, TRAJECTORIES["line"], "peak", refinements=0)
+def test_limits_of_curved_tracks_that_no_course_keeps_are_named(robot, planned):
+    free = planned("line", "peak")
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_of(robot, TRAJECTORIES["line"], "effort", refinements=0, effort=0.5 * free.peak_effort.max())
+        plan_of(robot, "line", "effort", refinements=0, effort=0.5 * free.peak_effort.max())
     assert "effort" in {event["constraint"] for event in caught.value.details["relaxations"]}
 
 
@@ -156,7 +163,7 @@ def test_limits_of_curved_tracks_that_no_course_keeps_are_named(robot):
 def test_a_plan_that_did_not_settle_says_so(robot, monkeypatch, name, status):
     """Beside a singularity what is left unbalanced has no finite efforts, and the status says that too."""
     monkeypatch.setattr(curved, "FITS", 2)
-    plan = plan_of(robot, TRAJECTORIES[name], "effort", refinements=0)
+    plan = plan_of(robot, name, "effort", refinements=0)
     assert not plan.diagnostics["optimal"]
     assert plan.status is status
 

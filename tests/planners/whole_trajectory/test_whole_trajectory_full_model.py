@@ -52,7 +52,7 @@ def test_circle(objective, masses):
     dynamics = VirtualWork(zoo.robot_of("2rpr", **masses))
     trajectory = reference.circle(0.5, 0.2, 0.05)
     machine = symbolic_mechanisms.two_rpr(**masses)
-    plan = compare(dynamics, machine, trajectory, objective, OF_TWO_RPR, 0.03)
+    plan = compare(dynamics, machine, trajectory, objective, OF_TWO_RPR, 0.04)
     assert len(plan.diagnostics["singular_nodes"]) == 2
 
 
@@ -67,14 +67,14 @@ def test_circle(objective, masses):
 )
 def test_corner(objective, radius):
     dynamics = VirtualWork(zoo.robot_of("3rrr"))
-    compare(dynamics, symbolic_mechanisms.three_rrr(), reference.corner(radius), objective, OF_THREE_RRR, 0.03)
+    compare(dynamics, symbolic_mechanisms.three_rrr(), reference.corner(radius), objective, OF_THREE_RRR, 0.045)
 
 
 @pytest.mark.parametrize("objective", ["effort", pytest.param("peak", marks=long)])
 def test_five_bar_through_type_two(objective):
     dynamics = RneaDynamics(zoo.robot_of("five_bar"))
     trajectory = straight((0.25, 0.6), (0.32, 0.3), 0.3)
-    plan = compare(dynamics, symbolic_mechanisms.five_bar(), trajectory, objective, OF_FIVE_BAR, 0.03)
+    plan = compare(dynamics, symbolic_mechanisms.five_bar(), trajectory, objective, OF_FIVE_BAR, 0.045)
     assert len(plan.diagnostics["singular_nodes"]) == 1
 
 
@@ -155,7 +155,7 @@ def random_case(seed, steps):
 
 @pytest.mark.parametrize("seed", [pytest.param(seed, marks=() if seed in (1, 2, 3) else long) for seed in range(9)])
 def test_random_machines(seed):
-    random_case(seed, 30)
+    random_case(seed, 20)
 
 
 @pytest.mark.long

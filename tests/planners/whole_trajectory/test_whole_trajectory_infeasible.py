@@ -24,7 +24,7 @@ ROUNDING = 1e-6
 SECONDS = 20.0
 """Time bound; the search for a plan and that for an explanation have as much each."""
 
-STEPS = 50
+STEPS = 30
 
 NAMES = {"force": "carrier_force"}
 
@@ -85,7 +85,7 @@ def relaxed(dynamics, limits, details, factor):
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=() if seed in (1, 4, 5, 6) else pytest.mark.long) for seed in range(16)]
+    "seed", [pytest.param(seed, marks=() if seed in (1, 4, 6) else pytest.mark.long) for seed in range(16)]
 )
 def test_what_is_said_to_suffice_suffices_and_less_does_not(seed):
     dynamics, trajectory, limits = random_problem(seed)

@@ -57,7 +57,7 @@ def test_following_a_singularity_is_a_clear_error():
         plan_of(straight((0.1, 0.0), (0.4, 0.0)))
 
 
-@pytest.mark.parametrize("depth", [1e-7, 1e-6, 1e-4])
+@pytest.mark.parametrize("depth", [1e-7, pytest.param(1e-6, marks=pytest.mark.long), 1e-4])
 def test_two_crossings_in_a_moment_are_both_on_nodes(depth):
     """The circle dips under the line by ``depth`` between two crossings at x = X ± √(2 R depth)."""
     trajectory = over_the_line(-depth)
@@ -69,9 +69,16 @@ def test_two_crossings_in_a_moment_are_both_on_nodes(depth):
     assert plan.diagnostics["dense_check"]["passed"]
 
 
-@pytest.mark.parametrize("height", [1e-6, 1e-4, 1e-2])
-@pytest.mark.parametrize("objective", ["effort", "peak"])
-def test_passing_close_by_is_planned_as_carefully(height, objective):
+@pytest.mark.parametrize(
+    ("objective", "height"),
+    [
+        ("effort", 1e-6),
+        ("effort", 1e-2),
+        ("peak", 1e-6),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (("effort", 1e-4), ("peak", 1e-4), ("peak", 1e-2))),
+    ],
+)
+def test_passing_close_by_is_planned_as_carefully(objective, height):
     plan = plan_of(over_the_line(height), objective=objective)
     assert plan.diagnostics["singular_instants"] == []
     # the first plan is near already (7.4 for the peak at 1e-6, else 2.9 at most); 100 and more without middle nodes
