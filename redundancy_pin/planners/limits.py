@@ -303,17 +303,19 @@ def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force:
     return LimitReport(tuple(violated), tuple(binding), robot.carrier_limits)
 
 
-def motion_broken(robot: Robot, position: PiecewisePolynomial) -> tuple[LimitEvent, ...]:
+def motion_broken(robot: Robot, position: PiecewisePolynomial, allowed: float = 0.0) -> tuple[LimitEvent, ...]:
     """Return where carriers whose positions (k,), m, are a function of time leave track, speed or acceleration.
 
-    Of an acceleration that jumps the value after the jump is looked at.
+    Of an acceleration that jumps the value after the jump is looked at. ``allowed``: excess of a speed or an
+    acceleration, relative to the limit, that is none where the positions are only reconstructed.
     """
     inside = np.linspace(0.0, 1.0, 5)[:-1]  # that an event has a start and an end; the extremes decide
     even = position.edges[:-1, None] + np.diff(position.edges)[:, None] * inside
     extremes = [position.derivative(order).extremes() for order in range(3)]
     times = np.unique(np.concatenate([even.ravel(), position.edges[-1:], *extremes]))
     carriers = carriers_at(position, times)
-    return check_limits(robot, times, carriers, np.zeros_like(carriers.s)).violated
+    violated = check_limits(robot, times, carriers, np.zeros_like(carriers.s)).violated
+    return tuple(one for one in violated if one.quantity == "track" or one.amount > allowed * abs(one.limit))
 
 
 def _events(

@@ -14,10 +14,11 @@ import zoo
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, PlanFileError, UnsupportedRobotError
 from redundancy_pin.planners.check import _merged
-from redundancy_pin.planners.limits import LimitEvent
+from redundancy_pin.planners.limits import LimitEvent, motion_broken
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
 def other(plan: Plan) -> rp.RneaDynamics | rp.VirtualWork:
@@ -219,3 +220,34 @@ def test_an_effort_exceeded_with_either_sign_is_one_broken_limit() -> None:
     assert _merged((replace(at_samples, amount=3.0),), (between,)) == (replace(at_samples, amount=3.0),)
     speeds = tuple(replace(event, quantity="speed") for event in (at_samples, between))
     assert _merged(speeds[:1], speeds[1:]) == speeds
+
+
+def test_a_shortest_return_on_its_limit_stays_there_where_a_file_has_samples_only() -> None:
+    """Files of 0.1.0: what is put together from samples exceeds the limit that it lies on by 2e-4."""
+    dynamics = rp.VirtualWork(zoo.robot_of("2rpr"))
+    plan = rp.plan_switch_off(dynamics, reference.line(speed=0.2), threshold=15.0, return_time="shortest", dt=0.01)
+    bare = replace(plan, functions=None, between=None)
+    assert bare.status is PlanStatus.WITHIN_LIMITS
+    between = np.abs(bare.functions_of_time.carriers.derivative(2).ranges()).max()
+    assert 10.0 * (1.0 + 1e-4) < between < 10.0 * (1.0 + 1e-3)
+    for one in (plan, bare):
+        assert rp.check_plan(one, dynamics).passed
+    # that is no room for more: a limit that is exceeded by a hundredth is exceeded
+    tight = tuple(replace(limit, acceleration=9.9) for limit in plan.limits.judged_by)
+    again = rp.check_plan(replace(bare, limits=replace(plan.limits, judged_by=tight)), dynamics)
+    assert {event.quantity for event in again.violated} == {"acceleration"}
+
+
+def test_speed_and_acceleration_between_the_samples_are_judged() -> None:
+    """A carrier that swings between two samples at rest on the same place: no sample shows it."""
+    edges, zero = np.array([0.0, 0.5, 1.0]), np.zeros((2, 2))
+    position = PiecewisePolynomial.hermite(edges, (zero, zero + 0.3, zero), (zero, zero - 0.3, zero))
+    robot = zoo.robot_of("2rpr")
+    fine = np.linspace(0.0, 1.0, 100_001)
+    s, sd, sdd = (np.abs(position.derivative(order)(fine)).max() for order in range(3))
+    for name, peak in (("speed", sd), ("acceleration", sdd), ("upper", s)):
+        own = {"lower": -9.0, "upper": 9.0, "speed": 9.0, "acceleration": 99.0, "force": np.inf}
+        for factor, broken in ((0.999, True), (1.001, False)):
+            limits = (CarrierLimits(**{**own, name: factor * peak}),) * robot.k
+            events = motion_broken(replace(robot, carrier_limits=limits), position)
+            assert {event.quantity for event in events} == ({{"upper": "track"}.get(name, name)} if broken else set())

@@ -330,11 +330,9 @@ def between_samples(
     left = np.flatnonzero(np.diff(plan.t) > 0.0)
     if trajectory is not None:
         left = left[plan.t[left + 1] <= trajectory.duration]
-    fraction = np.arange(1, points + 1) / (points + 1)
-    times = plan.t[left, None] + np.diff(plan.t)[left, None] * fraction
+    times = plan.t[left, None] + np.diff(plan.t)[left, None] * (np.arange(1, points + 1) / (points + 1))
     functions = plan.functions_of_time if trajectory is None else plan.functions_along(trajectory)
-    reduced = dynamics.along(functions.platform.sample_at(times.ravel())).reduce(functions.carriers_at(times.ravel()))
-    efforts = np.abs(functions.efforts(reduced))
+    efforts = np.abs(replace(plan, functions=functions).efforts_at(times.ravel(), dynamics))
     optimised = np.repeat(plan.phase[left + 1] == OPTIMISE, points)
     at_samples = np.abs(plan.tau[plan.phase == OPTIMISE])
     worst = efforts.argmax(axis=0)
