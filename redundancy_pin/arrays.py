@@ -150,6 +150,12 @@ def blocks(samples: int, size: int = _BLOCK) -> list[slice]:
     return [slice(first, last) for first, last in pairwise(edges)]
 
 
+def runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Return start and stop of each run of true values among (N,) flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def largest(values: Array) -> Array:
     """Return (m,) the largest magnitude in each column of (N, m), NaN left out; zero where nothing is left."""
     return np.asarray(np.nanmax(np.abs(values), axis=0, initial=0.0))

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, blocks, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, IntArray, blocks, read_only, runs
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import (
     SINGULAR_MARGIN,
@@ -193,7 +193,7 @@ def _carry(motion: PlatformMotion, solved: _Lifted) -> None:
     near = (solved.gap < _ALMOST_CLOSED) & (solved.margin < NEAR_RANK_LOSS)
     parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap
     unit = row_scale(system.robot)
-    for first, stop in _runs(near):
+    for first, stop in runs(near):
         while first < stop:
             away = np.linalg.norm(
                 difference(system.robot, motion.x[first:stop], motion.x[first : first + 1]) * unit, axis=1
@@ -217,12 +217,6 @@ def _carry(motion: PlatformMotion, solved: _Lifted) -> None:
                     carried[part] = True
                     break
             first = last
-
-
-def _runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """Return start and stop of each run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.intp), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Array:

@@ -131,9 +131,7 @@ class Actuation:
 
 def smooth_edges(motion: ContinuousMotion, start: float, end: float) -> Array:
     """Return (P + 1,) ends of pieces to fit a function along a motion on: jumps, and the few kinks of a trajectory."""
-    inner = np.concatenate([motion.breaks, motion.knots]) if motion.exact else motion.breaks
-    inner = np.unique(inner[(inner > start) & (inner < end)])
-    return np.concatenate([[start], inner, [end]])
+    return np.concatenate([[start], motion.kinks[(motion.kinks > start) & (motion.kinks < end)], [end]])
 
 
 def dense(edges: Array) -> Array:

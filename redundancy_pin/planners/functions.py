@@ -304,8 +304,8 @@ def peaks_between(
 
 def _edges(functions: PlanFunctions, start: float, end: float, singular: Array) -> Array:
     platform = functions.platform
-    kinks = [platform.breaks, platform.knots if platform.exact else np.empty(0), functions.carriers.edges]
-    inner = np.concatenate([*kinks, singular, *(part.edges for part in functions.prescribed)])
+    pieces = (functions.carriers, *functions.prescribed)
+    inner = np.concatenate([platform.kinks, singular, *(part.edges for part in pieces)])
     even = np.linspace(start, end, FEWEST_PIECES + 1)
     times = np.concatenate([[start, end], inner[(inner > start) & (inner < end)]])
     if len(np.unique(times)) <= FEWEST_PIECES:

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, frozen, positive
+from redundancy_pin.arrays import Array, BoolArray, Frozen, frozen, positive, runs
 from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import CarrierLimits, Robot
@@ -321,10 +321,9 @@ def motion_broken(robot: Robot, position: PiecewisePolynomial, allowed: float = 
 def _events(
     carrier: str, quantity: str, t: Array, value: Array, limit: float, excess: Array, where: BoolArray
 ) -> list[LimitEvent]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(int)))
     events = []
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        worst = int(start) + int(np.argmax(excess[start:stop]))
+    for start, stop in runs(where):
+        worst = start + int(np.argmax(excess[start:stop]))
         span = float(t[start]), float(t[stop - 1]), float(t[worst])
         amount = max(0.0, float(excess[worst]))
         events.append(LimitEvent(carrier, quantity, *span, float(value[worst]), float(limit), amount))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import Array, Frozen, IntArray, Side, largest, peak, read_only
+from redundancy_pin.arrays import Array, Frozen, IntArray, Side, largest, peak, read_only, runs
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError, shown
@@ -266,8 +266,7 @@ def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) ->
     idle = (plan.tau == 0.0).all(axis=1)
     off = idle[left] & idle[right] & ((names[left] == "off") | (names[right] == "off"))
     none = np.zeros(plan.tau.shape[1])
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], off, [False]]).astype(int))).reshape(-1, 2)
-    prescribed = tuple(PiecewisePolynomial.constant(none, t[left[a]], t[right[b - 1]]) for a, b in runs)
+    prescribed = tuple(PiecewisePolynomial.constant(none, t[left[a]], t[right[b - 1]]) for a, b in runs(off))
     return PlanFunctions(platform or continuous_motion(plan.motion), carriers.made_continuous(), prescribed)
 
 

@@ -373,6 +373,12 @@ class ContinuousMotion(Frozen):
     knots: Array
     exact: bool
 
+    @property
+    def kinks(self) -> Array:
+        """(e,) both ends and, in order, where it is not smooth in between as far as that is known, s."""
+        inner = np.concatenate([self.breaks, self.knots]) if self.exact else self.breaks
+        return np.unique(np.concatenate([[self.start], inner, [self.end]]))
+
     def sample_at(self, times: Array) -> PlatformMotion:
         """Return the motion at (N,) increasing times, s.
 

@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -290,10 +290,9 @@ def _bounds_met(course: Course, limits: AccelerationBox) -> list[dict[str, objec
             for side, box in (("upper", stretch.upper), ("lower", stretch.lower)):
                 at = stretch.sdd[:, j] == box[:, j]
                 for bound, here in _which(stretch, limits, j, side).items():
-                    edges = np.flatnonzero(np.diff(np.concatenate([[False], at & here, [False]]).astype(int)))
                     events += [
                         {"carrier": name, "bound": bound, "side": side, "start": float(t[a]), "end": float(t[b - 1])}
-                        for a, b in zip(edges[::2], edges[1::2], strict=True)
+                        for a, b in runs(at & here)
                     ]
     return sorted(events, key=lambda event: (event["start"], event["carrier"]))
 

@@ -68,8 +68,7 @@ def ramp_down(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: f
         tau = distribute(along.reduce(CarrierMotion.parked(len(times), dynamics.robot.k, datum))).tau
         return np.asarray(tau)
 
-    kinks = np.concatenate([[motion.start], motion.breaks, motion.knots if motion.exact else [], [motion.end]])
-    left, right = _smooth_around(kinks, start, end - start)
+    left, right = _smooth_around(motion.kinks, start, end - start)
     nodes = np.sort(chebyshev.chebpts1(_NODES))
     to_series = np.linalg.inv(chebyshev.chebvander(nodes, _NODES - 1))
     for _ in range(_MOST_HALVINGS):

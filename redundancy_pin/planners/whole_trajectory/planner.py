@@ -14,6 +14,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import Between, finish_plan
 from redundancy_pin.planners.functions import SMALL, PlanFunctions, dense_check
 from redundancy_pin.planners.limits import Limits, grouped, require_dynamics
@@ -34,7 +35,6 @@ from redundancy_pin.planners.whole_trajectory.problem import (
     grid_of,
     near_singular,
     read_coefficients,
-    singular_instants,
     steps_around,
     with_middles,
 )
@@ -174,7 +174,8 @@ def plan_whole_trajectory(
     report = settings.solver.progress or (lambda line: None)
     task = Task(dynamics, continuous_motion(motion), settings)
     judged = replace(dynamics.robot, carrier_limits=settings.limits.of_carriers)
-    nodes = grid_of(task.source, singular_instants(dynamics, task.source), settings.mesh.dt)
+    instants = Actuation.along(dynamics, task.source).singular_instants()
+    nodes = grid_of(task.source, instants, settings.mesh.dt)
     nodes = with_middles(nodes, near_singular(dynamics, task.source, nodes))
     position: PiecewisePolynomial | None = None
     ratios: list[float] = []

@@ -28,7 +28,7 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.carrier_model import Actuation, CarrierModel, TimedModel, carrier_model, target_effort
+from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort
 from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, chebyshev_times
@@ -62,11 +62,6 @@ class Grid:
         return read_only(np.diff(self.t))
 
 
-def singular_instants(dynamics: Dynamics, source: ContinuousMotion) -> list[float]:
-    """Return the times, s, at which the motion crosses or touches a type II singularity."""
-    return Actuation.along(dynamics, source).singular_instants()
-
-
 def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
     """Return nodes at most ``dt`` apart, with every event on a node.
 
@@ -79,8 +74,7 @@ def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
     # one that rounding keeps from a jump is on it, or the jump would have no node of its own
     inside = [t for t in singular if source.start <= t <= source.end]
     on = [next((jump for jump in source.breaks if abs(jump - t) <= least), t) for t in inside]
-    kinks = [source.start, *source.breaks, *(source.knots if source.exact else []), source.end]
-    events = np.unique([*on, *(t for t in kinks if all(abs(t - other) > least for other in on))])
+    events = np.unique([*on, *(t for t in source.kinks if all(abs(t - other) > least for other in on))])
     pieces = [
         np.linspace(a, b, max(int(np.ceil((b - a) / dt - 1e-9)), LEAST_STEPS) + 1)[:-1] for a, b in pairwise(events)
     ]
@@ -351,7 +345,7 @@ def _rate_of_fit(
     dynamics: Dynamics, source: ContinuousMotion, t: float, carriers: CarrierMotion, side: Side
 ) -> CarrierModel:
     """Return derivatives by time of the first-order coefficients, fitted around one sample of a motion throughout."""
-    kinks = np.concatenate([[source.start, source.end], source.breaks, source.knots if source.exact else []])
+    kinks = source.kinks
     ahead = t == source.start or (side == "right" and t < source.end)
     # beyond a kink, or the end, the motion is another
     on_kink = bool((kinks == t).any())
