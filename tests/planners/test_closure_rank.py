@@ -41,6 +41,10 @@ def when(first: float, last: float, angle: float) -> float:
 )
 def test_time_and_pose_of_each_rank_loss_are_named(first: float, last: float, flat: list[float]) -> None:
     dynamics, motion = rp.RneaDynamics(parallelogram()), swing(first, last)
+    margin = dynamics.along(motion).closure_margin()
+    # where two branches cross the determinant changes its sign, and the ratio of singular values is small
+    assert margin[0] * margin[-1] * (-1.0) ** len(flat) > 0.0
+    assert all(np.abs(margin[np.abs(motion.x[:, 0] - angle).argmin()]) < 0.05 for angle in flat)
     found = closure_rank_losses(dynamics, dynamics.along(motion), continuous_motion(motion))
     np.testing.assert_allclose([loss["time"] for loss in found], [when(first, last, a) for a in flat], atol=EXACT)
     np.testing.assert_allclose(np.ravel([loss["x"] for loss in found]), flat, atol=EXACT)
