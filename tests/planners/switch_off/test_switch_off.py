@@ -1,5 +1,7 @@
 """The switch-off planner against the closed form of the massless 2-RPR, and against the numbers of the thesis."""
 
+import functools
+
 import numpy as np
 import pytest
 import zoo
@@ -31,6 +33,12 @@ def virtual_work(**arguments):
     return VirtualWork(zoo.robot_of("2rpr", **arguments))
 
 
+@functools.cache
+def circle_plan(speed=0.5, threshold=5.0):
+    """The plan of the reference circle, made once: plans are read-only."""
+    return plan_switch_off(virtual_work(), reference.circle(speed), threshold=threshold)
+
+
 def legs_of(plan, base_distance=0.5):
     return legs_along(plan.motion.x, plan.motion.xd, plan.motion.xdd, base_distance)
 
@@ -60,7 +68,7 @@ def require_exact(plan, trajectory, mass=1.0, base_distance=0.5, momentum_tolera
 
 def test_circle_matches_the_closed_form():
     trajectory = reference.circle()
-    require_exact(plan_switch_off(virtual_work(), trajectory), trajectory)
+    require_exact(circle_plan(), trajectory)
 
 
 @pytest.mark.parametrize(
@@ -80,14 +88,14 @@ def test_circles_that_graze_the_line_of_the_hinges(dip, crossings):
 def test_windows_are_where_the_angle_between_the_legs_says():
     trajectory = reference.circle()
     for threshold in (5.0, 10.0, 20.0):
-        (window,) = plan_switch_off(virtual_work(), trajectory, threshold=threshold).diagnostics["windows"]
+        (window,) = circle_plan(threshold=threshold).diagnostics["windows"]
         point = trajectory.sample_at([window["entry"], window["exit"]])
         np.testing.assert_allclose(condition(legs_along(point.x, point.xd, point.xdd)), threshold, rtol=1e-9)
 
 
 def test_singular_instants_are_on_the_line_of_the_hinges():
     trajectory = reference.circle()
-    plan = plan_switch_off(virtual_work(), trajectory)
+    plan = circle_plan()
     (window,) = plan.diagnostics["windows"]
     assert len(window["singular_instants"]) == 2
     assert np.abs(trajectory.sample_at(window["singular_instants"]).x[:, 1]).max() < 1e-12
@@ -127,14 +135,14 @@ def test_carriers_are_consistent_in_time():
 
 def test_efforts_are_continuous_at_switch_on():
     for speed, threshold in ((0.5, 5.0), (0.5, 20.0), (0.75, 5.0)):
-        plan = plan_switch_off(virtual_work(), reference.circle(speed), threshold=threshold)
+        plan = circle_plan(speed, threshold)
         (window,) = plan.diagnostics["windows"]
         assert max(window["exit_jump"]) < 1e-6
         at = int(np.searchsorted(plan.t, window["exit"]))
         assert (plan.tau[at] == 0.0).all()
-    fine = plan_switch_off(virtual_work(), reference.circle(speed), threshold=threshold, dt=1e-5)
+    fine = plan_switch_off(virtual_work(), reference.circle(speed), threshold=threshold, dt=1e-4)
     later = int(np.searchsorted(fine.t, window["exit"])) + 1
-    assert np.abs(fine.tau[later]).max() < 0.02  # slope of 8 N at 10 ms, a hundredth of that at 10 us
+    assert np.abs(fine.tau[later]).max() < 0.2  # slope of 8 N at 10 ms, a hundredth of that at 100 us
 
 
 @pytest.mark.parametrize("ramp", [0.03, 0.15, 0.3])
@@ -186,7 +194,7 @@ def test_thesis_circle(speed, threshold, enter, efforts, leave, jumps):
     """Figs 3.11-3.16 as rebuilt from the equations. The rebuilt times are given to 1 ms to 10 ms, the efforts to two or
     three digits on a grid of 1 ms (the parked efforts rise by 1 % a millisecond there); the jumps by one step of 1 ms
     after the exit, with a return that begins up to one step earlier or later: they differ by a few hundredths."""
-    plan = plan_switch_off(virtual_work(), reference.circle(speed), threshold=threshold)
+    plan = circle_plan(speed, threshold)
     (window,) = plan.diagnostics["windows"]
     assert window["entry"] == pytest.approx(enter, abs=1.5e-3)
     assert window["exit"] == pytest.approx(leave, abs=1.5e-3)
@@ -200,14 +208,15 @@ def test_thesis_circle(speed, threshold, enter, efforts, leave, jumps):
 )
 def test_thesis_circle_carriers(speed, threshold, position, effort):
     """Positions to the digit they are given in, return efforts for a return of 0.4 s."""
-    plan = plan_switch_off(virtual_work(), reference.circle(speed), threshold=threshold, return_time=0.4)
+    plan = circle_plan(speed, threshold)
+    assert plan.parameters["return_time"] == 0.4
     assert max(plan.diagnostics["peak_position"]["off"]) == pytest.approx(position, abs=5e-4)
     if effort is not None:
         assert max(plan.diagnostics["peak_effort"]["return"]) == pytest.approx(effort, abs=0.5)
 
 
 def test_the_thesis_circle_leaves_its_track():
-    plan = plan_switch_off(virtual_work(), reference.circle(), threshold=5.0)
+    plan = circle_plan()
     assert plan.status is PlanStatus.VIOLATES_LIMITS
     track = [event for event in plan.limits.violated if event.quantity == "track"]
     assert {event.carrier for event in track} == {"carrier_1"}
@@ -232,7 +241,7 @@ def test_thesis_line(speed, threshold, efforts):
 def test_windows_merge_where_the_return_does_not_fit_between_them():
     separate = plan_switch_off(virtual_work(), reference.circle(), threshold=50.0, return_time=0.1)
     assert len(separate.diagnostics["windows"]) == 2
-    assert len(plan_switch_off(virtual_work(), reference.circle(), threshold=50.0).diagnostics["windows"]) == 1
+    assert len(circle_plan(threshold=50.0).diagnostics["windows"]) == 1
     first, second = separate.diagnostics["windows"]
     between = second["ramp_start"] - first["exit"]
     for fraction, count in ((0.999, 2), (1.001, 1)):
@@ -262,8 +271,7 @@ def test_both_backends_give_the_same_plan(threshold):
 @pytest.mark.parametrize("factor", [0.4, 1.7])
 def test_time_scaling(factor):
     """The same path v times as fast: the same carrier positions along it, efforts times v²."""
-    slow, fast = reference.circle(), reference.circle().scaled(factor)
-    base = plan_switch_off(virtual_work(), slow, dt=1e-3)
+    base, fast = circle_plan(), reference.circle().scaled(factor)
     scaled = plan_switch_off(virtual_work(), fast, dt=1e-3 / factor, ramp_down=0.03 / factor, return_time=0.4 / factor)
     assert len(base.t) == len(scaled.t)
     np.testing.assert_allclose(scaled.t * factor, base.t, atol=1e-9)
@@ -277,7 +285,7 @@ def test_sampled_motion_gives_nearly_the_same_plan():
     Not so in the one interval in which the jerk jumps, where the cruise ends between two samples.
     """
     trajectory = reference.circle()
-    exact = plan_switch_off(virtual_work(), trajectory)
+    exact = circle_plan()
     sampled = plan_switch_off(virtual_work(), trajectory.sample(2e-3))
     assert len(exact.t) == len(sampled.t)
     np.testing.assert_allclose(sampled.carriers.s, exact.carriers.s, atol=1e-8)
