@@ -108,20 +108,23 @@ class Actuation:
 
     def worst(self, measure: Measure) -> float:
         """Return the largest condition number (infinite at a singularity), or the smallest margin, along the motion."""
+        if measure == "condition" and self.singular_instants:
+            return float("inf")
         lowest = min(value for _, value in minima(lambda t: self._nearness(t, measure), self._times, np.inf))
         if measure == "margin":
             return lowest
         return 1.0 / lowest if lowest > ZERO_SINGULAR_VALUE else float("inf")
 
-    def singular_instants(self) -> list[float]:
-        """Return the times, s, at which the motion crosses or touches a type II singularity."""
+    @cached_property
+    def singular_instants(self) -> tuple[float, ...]:
+        """The times, s, at which the motion crosses or touches a type II singularity."""
 
         def signed(times: Array) -> Array:
             W = self.at(times)
             sign = np.sign(np.linalg.det(W)) if W.shape[1] == W.shape[2] else 1.0
             return np.asarray(self._nearness(times, "condition") * sign)
 
-        return [zero.t for zero in zeros(signed, self._times, ZERO_SINGULAR_VALUE)]
+        return tuple(zero.t for zero in zeros(signed, self._times, ZERO_SINGULAR_VALUE))
 
     def _nearness(self, times: Array, measure: Measure) -> Array:
         """Return σ_min/σ_max, or σ_min: continuous also at a singularity, where a condition number is not."""

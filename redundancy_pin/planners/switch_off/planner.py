@@ -142,7 +142,7 @@ def _diagnostics(
         {name: np.nanmax(np.abs(part[plan.phase == i]), axis=0, initial=0.0).tolist() for i, name in enumerate(PHASES)}
         for part in (plan.tau, plan.carriers.s)
     )
-    singular = actuation.singular_instants()
+    singular = list(actuation.singular_instants)
     return {
         "windows": [_window(dynamics, plan.functions_of_time.platform, leg, singular, settings) for leg in legs],
         "no_window": not legs,

@@ -174,7 +174,7 @@ def plan_whole_trajectory(
     report = settings.solver.progress or (lambda line: None)
     task = Task(dynamics, continuous_motion(motion), settings)
     judged = replace(dynamics.robot, carrier_limits=settings.limits.of_carriers)
-    instants = Actuation.along(dynamics, task.source).singular_instants()
+    instants = Actuation.along(dynamics, task.source).singular_instants
     nodes = grid_of(task.source, instants, settings.mesh.dt)
     nodes = with_middles(nodes, near_singular(dynamics, task.source, nodes))
     position: PiecewisePolynomial | None = None

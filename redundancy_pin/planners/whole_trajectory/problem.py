@@ -17,7 +17,7 @@ Where the motion crosses the singularity at a rate, (W; uᵀ Ẇ) has full rank,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -62,7 +62,7 @@ class Grid:
         return read_only(np.diff(self.t))
 
 
-def grid_of(source: ContinuousMotion, singular: list[float], dt: float) -> Grid:
+def grid_of(source: ContinuousMotion, singular: Sequence[float], dt: float) -> Grid:
     """Return nodes at most ``dt`` apart, with every event on a node.
 
     ``singular``: times on a type II singularity, s; ``dt``: largest step, s.

@@ -174,7 +174,7 @@ def test_long_plans_are_the_same_from_both_backends():
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monkeypatch, objective):
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
-    settings = {"objective": objective, "dt": 0.04, "refinements": 0}
+    settings = {"objective": objective, "dt": 0.02, "refinements": 0}
     usual = plan_whole_trajectory(dynamics, trajectory, **settings)
     monkeypatch.setitem(solver.PREDICTED, "ipopt.max_iter", 3)
     other = plan_whole_trajectory(dynamics, trajectory, **settings)
@@ -186,7 +186,7 @@ def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monke
 def test_flat_optima_are_finished_whatever_led_to_them(monkeypatch):
     """Within tolerance the efforts of two strategies are 2e-5 of the peak apart; the last steps mend it."""
     dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner(0.013)
-    settings = {"objective": "peak", "dt": 0.02, "refinements": 0}
+    settings = {"objective": "peak", "dt": 0.01, "refinements": 0}
     usual = plan_whole_trajectory(dynamics, trajectory, **settings)
     monkeypatch.setitem(solver.PREDICTED, "ipopt.max_iter", 3)
     other = plan_whole_trajectory(dynamics, trajectory, **settings)
