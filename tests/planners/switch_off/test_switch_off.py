@@ -73,7 +73,10 @@ def test_circle_matches_the_closed_form():
 
 @pytest.mark.parametrize(
     ("dip", "crossings"),
-    [(0.0, (1, 2)), (1e-10, (1, 2)), (1e-7, (2,)), (1e-6, (2,)), (1e-5, (2,)), (1e-4, (2,)), (-1e-6, (0,))],
+    [
+        *((0.0, (1, 2)), (1e-7, (2,)), (1e-4, (2,)), (-1e-6, (0,))),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in ((1e-10, (1, 2)), (1e-6, (2,)), (1e-5, (2,)))),
+    ],
 )
 def test_circles_that_graze_the_line_of_the_hinges(dip, crossings):
     trajectory = grazing_circle(0.625, 0.0, 0.375, dip, 0.5)
@@ -250,7 +253,7 @@ def test_windows_merge_where_the_return_does_not_fit_between_them():
         require_exact(plan, reference.circle())
 
 
-@pytest.mark.parametrize("threshold", [5.0, 30.0])
+@pytest.mark.parametrize("threshold", [pytest.param(5.0, marks=pytest.mark.long), 30.0])
 def test_both_backends_give_the_same_plan(threshold):
     robot = zoo.robot_of("2rpr")
     settings_ = {"threshold": threshold, "return_time": 0.15}

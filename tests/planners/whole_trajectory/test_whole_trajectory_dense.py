@@ -69,12 +69,12 @@ def require_as_good_between(seed):
     assert plan.diagnostics["dense_check"]["passed"]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_plans_are_as_good_between_the_nodes(seed):
     require_as_good_between(seed)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(6, 99))
+@pytest.mark.parametrize("seed", range(4, 99))
 def test_many_random_plans_are_as_good_between_the_nodes(seed):
     require_as_good_between(seed)
