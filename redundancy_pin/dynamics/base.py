@@ -104,10 +104,10 @@ class DynamicsAlongMotion(Protocol):
         """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
 
     def closure_margin(self) -> Array:
-        """Return (N,) smallest over largest singular value of the scaled closures, signed; NaN where unreachable.
+        """Return (N,) smallest over largest singular value of the scaled closures, signed.
 
         Zero where the closures lose rank and branches meet; the sign changes where the motion goes through one such
-        pose. One throughout, where the kinematics of a backend have no closures.
+        pose. One throughout, where the kinematics of a backend have no closures; NaN where unreachable, or not known.
         """
 
 

@@ -363,6 +363,10 @@ class CompiledAlongMotion(Frozen):
         (energy,) = self._mapped("rp_energy", carriers, (1,))
         return read_only(energy[:, 0])
 
+    def closure_margin(self) -> Array:
+        """Return (N,) NaN: it is not known here. Branches are not carried across poses where the closures lose rank."""
+        return read_only(np.full(len(self.motion), np.nan))
+
     def _mapped(
         self, name: str, carriers: CarrierMotion | None, widths: tuple[int, ...], *, gamma: bool = False
     ) -> list[Array]:
