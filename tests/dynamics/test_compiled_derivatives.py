@@ -148,6 +148,25 @@ def test_the_rest_is_what_the_other_derivatives_say() -> None:
         np.testing.assert_allclose(getattr(got.carrier_force, part), getattr(known, f"force_{part}"), atol=1e-11)
 
 
+def test_type_two_poses_are_as_good_as_others() -> None:
+    robot = robot_of("2rpr")
+    at = PlatformMotion([0.0], [[0.2, 0.0]], [[0.3, -0.7]], [[1.0, 2.0]])  # on the line of the base: W has rank one
+    got = CompiledDynamics(robot, interpret=True).along(at).derivatives()
+    parked = CarrierMotion.parked(1, robot.k)
+    assert abs(np.linalg.det(RneaDynamics(robot).reduce(at).W[0])) < 1e-12
+    for i in range(2):
+        want = difference(lambda by, i=i: judged(robot, shifted(at, "x", i, by), parked), STEP / 4, WEIGHTS)
+        for name in QUANTITIES:
+            assert_derivative(getattr(got, name), "x", i, want[name], 10 * EQUAL, name)
+
+
+@pytest.mark.parametrize("actuated", [("base_1",), ("base_1", "base_2", "elbow_2"), ("elbow_1", "base_2")])
+def test_fewer_and_more_actuators_than_freedoms(actuated: tuple[str, ...]) -> None:
+    robot = robot_of("five_bar")
+    at = np.array([robot.model.joints[robot.model.getJointId(name)].idx_v for name in actuated])
+    assert_motion_derivatives(dataclasses.replace(robot, actuated=actuated, actuated_velocity=at), 9, columns=1)
+
+
 # --- what closures transmit -------------------------------------------------------------------------------------------
 
 

@@ -257,13 +257,11 @@ def motion_derivatives(robot: Robot, design: Design, tree: TreeSamples, carriers
     q[:, robot.carrier_position] = carriers.s
     v[:, robot.carrier_velocity] = carriers.sd
     a[:, robot.carrier_velocity] = carriers.sdd
-    parts = blocks(len(known), _SAMPLES_PER_BLOCK)
-    evaluated = [_block(functions, tree.x[at], q[at], v[at], a[at]) for at in (known[part] for part in parts)]
-    shapes = _shapes(functions)
-    wholes = {name: np.full((samples, *shape), np.nan) for name, shape in shapes.items()}
-    for part, results in zip(parts, evaluated, strict=True):
-        for name, result in results.items():
-            wholes[name][known[part]] = result
+    wholes = {name: np.full((samples, *shape), np.nan) for name, shape in _shapes(functions).items()}
+    for part in blocks(len(known), _SAMPLES_PER_BLOCK):
+        at = known[part]
+        for name, result in _block(functions, tree.x[at], q[at], v[at], a[at]).items():
+            wholes[name][at] = result
     share = wholes.pop("share")
     quantities = {name: _split(robot, whole) for name, whole in wholes.items()}
     return MotionDerivatives(parameters=design.names, share=read_only(share), **quantities)

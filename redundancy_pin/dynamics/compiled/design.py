@@ -24,7 +24,7 @@ from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mea
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_declaration
-from redundancy_pin.robot.urdf import declaration_path, known_values, render
+from redundancy_pin.robot.urdf import declaration_path, render
 
 _STEP = 0.01
 """Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and
@@ -70,7 +70,8 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
 
     The tree's own are exact. For a number of the xacro file the file is loaded seven times or less with changed
     arguments, and placements and inertias are differenced, to order six: polynomials of the sixth degree are exact to
-    rounding, other smooth functions to 1e-14 or so. Nothing else is differenced.
+    rounding, other smooth functions to 1e-14 or so. Nothing else is differenced. All other arguments are held, also
+    those whose defaults would follow.
 
     Args:
         robot: the robot.
@@ -228,8 +229,7 @@ def _reloaded(robot: Robot, name: str, value: float, trust: bool) -> Robot:
     file = read_declaration(path)
     with file.naming():
         source = path.parent / file.data["urdf"]
-        arguments = {**robot.parameters, name: value}
-        urdf, parameters = render(source, known_values(source, arguments) | arguments, trust=trust)
+        urdf, parameters = render(source, {**robot.parameters, name: value}, trust=trust)
         other = build(parse(file.data, parameters), path, urdf, parameters, None, None)
     if not _alike(robot.model, other.model):
         raise UnsupportedRobotError(
