@@ -278,6 +278,7 @@ def test_by_numbers_of_the_tree(name: str) -> None:
 
     changes = {
         f"{joint}.mass": body(j, mass=1.0),
+        f"{joint}.centre.x": body(j, lever=(1, 0, 0)),
         f"{joint}.centre.y": body(j, lever=(0, 1, 0)),
         f"{other}.centre.x": body(o, lever=(1, 0, 0)),
         f"{joint}.inertia.zz": body(j, about=(0, 0, 0, 0, 0, 1)),
