@@ -11,6 +11,7 @@ from redundancy_pin import _moved, _startup
 
 if TYPE_CHECKING:
     from redundancy_pin import simulation, trajectory
+    from redundancy_pin.codegen import write_c
     from redundancy_pin.dynamics.compiled import CompiledDynamics
     from redundancy_pin.dynamics.compiled.symbolic import symbolic
     from redundancy_pin.dynamics.distribution import distribute
@@ -57,6 +58,7 @@ _PLACES = {
     "simulate": "simulation",
     "singular_locus": "singularities.locus",
     "symbolic": "dynamics.compiled.symbolic",
+    "write_c": "codegen",
 }
 """Names of ``__all__`` that are no modules, by where they are defined; the imports above say it to type checkers."""
 
@@ -90,6 +92,7 @@ __all__ = [
     "singular_locus",
     "symbolic",
     "trajectory",
+    "write_c",
 ]
 __version__ = "0.1.0"
 

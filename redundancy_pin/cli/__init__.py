@@ -14,6 +14,7 @@ __all__ = ["main"]
 
 COMMANDS: Mapping[str, str] = {
     "check": "Judge a saved plan anew.",
+    "codegen": "Write C for a controller.",
     "info": "Show a robot, or which there are.",
     "inverse-dynamics": "Compute the efforts along a motion.",
     "map": "What a machine can do: two parameters swept.",

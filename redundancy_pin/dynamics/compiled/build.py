@@ -19,7 +19,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -113,8 +113,23 @@ def define(robot: Robot) -> Definition:
     return Definition(chain, functions)
 
 
-def source(definition: Definition, driver: Sequence[str] = ("driver.c", "batch.c")) -> str:
-    """Return the C of a robot: generated functions, sizes and tables, and the files of the driver."""
+def source(definition: Definition) -> str:
+    """Return the C of a robot as Python calls it: generated functions, sizes and tables, driver, batches."""
+    turning = ", ".join(map(str, definition.chain.turning)) or "0"
+    return "\n".join(
+        [
+            driver_source(definition, definition.functions.values()),
+            f"const int rp_turning[] = {{{turning}}};",
+            _text("batch.c"),
+        ]
+    )
+
+
+def driver_source(definition: Definition, functions: Iterable[Any], storage: str = "") -> str:
+    """Return the C that closes a robot's loops: generated functions, sizes and tables, and ``driver.c``.
+
+    With ``storage`` "static" nothing of it is seen from other files; who stands behind it calls all of it.
+    """
     chain, robot = definition.chain, definition.chain.robot
     sizes = {
         "NQ": chain.model.nq,
@@ -136,15 +151,17 @@ def source(definition: Definition, driver: Sequence[str] = ("driver.c", "batch.c
         "static const int ACTUATED": robot.actuated_velocity,
         "static const double WEIGHT": chain.velocity_scale[chain.pose_columns] ** 2,
         "static const double ROW_WEIGHT": 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2,
-        "const int rp_turning": chain.turning,
     }
-    text = ["#include <math.h>", c_functions(definition.functions.values())]
+    text = ["#include <math.h>", f"#define EXPORTED {storage}".strip(), c_functions(functions, storage)]
     text += [f"#define {name} {value!r}" for name, value in sizes.items()]
     for name, values in tables.items():
         listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
         text.append(f"{name}[] = {{{listed or '0'}}};")
-    here = importlib.resources.files(__package__)
-    return "\n".join([*text, *(here.joinpath(name).read_text(encoding="utf-8") for name in driver)])
+    return "\n".join([*text, _text("driver.c")])
+
+
+def _text(name: str) -> str:
+    return importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 _WRITTEN = ("symbols.py", "build.py", "emit.py", "driver.c", "batch.c")
@@ -163,8 +180,7 @@ def key(robot: Robot, compiler: str) -> str:
         robot.working_modes,
     ]
     versions = [importlib.metadata.version(name) for name in ("casadi", "pin")]
-    here = importlib.resources.files(__package__)
-    written = [here.joinpath(name).read_text(encoding="utf-8") for name in _WRITTEN]
+    written = [_text(name) for name in _WRITTEN]
     parts = [
         model.saveToString(),
         repr(roles),

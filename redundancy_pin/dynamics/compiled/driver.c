@@ -1,5 +1,5 @@
 /* Closing the loops of one robot. The functions rp_turns, rp_rows, rp_bias, rp_moved, rp_modes and rp_project, and the
-   sizes and tables in capitals, are generated in front of this text, see build.py. No memory is allocated; of the standard library
+   sizes, tables and EXPORTED in capitals, are generated in front of this text, see build.py. No memory is allocated; of the standard library
    math.h alone is used.
 
    Newton's method is trusted only while it contracts: each step at most CONTRACTION times the one before. Inside that
@@ -235,7 +235,7 @@ static int start_at(Pose *pose, const double *q, const double *x) { return newto
 /* One sample: in = x, xd, xdd, s, sd, sdd; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
    sample is closed on the same side of every type I singularity. */
-int rp_sample(double *state, const double *in, double *out) {
+EXPORTED int rp_sample(double *state, const double *in, double *out) {
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
   double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1];
   Pose pose;

@@ -55,12 +55,12 @@ _BINARY = {
 }
 
 
-def c_functions(functions: Iterable[Any]) -> str:
-    """Return the C of casadi Functions of scalar expressions."""
-    return "\n".join(_function(function) for function in functions)
+def c_functions(functions: Iterable[Any], storage: str = "") -> str:
+    """Return the C of casadi Functions of scalar expressions; ``storage`` may be ``"static"``."""
+    return "\n".join(_function(function, f"{storage} void".strip()) for function in functions)
 
 
-def _function(function: Any) -> str:
+def _function(function: Any, returned: str) -> str:
     ca = casadi()
     unary = {getattr(ca, name): form for name, form in _UNARY.items()}
     binary = {getattr(ca, name): form for name, form in _BINARY.items()}
@@ -87,7 +87,7 @@ def _function(function: Any) -> str:
                 remedy="Interpret this robot: CompiledDynamics(robot, interpret=True).",
             )
     unused = [f"  (void){name};" for name, used in (("arg", "arg["), ("res", "res[")) if not _used(lines, used)]
-    head = f"void {function.name()}(const double *const *arg, double *const *res) {{"
+    head = f"{returned} {function.name()}(const double *const *arg, double *const *res) {{"
     return "\n".join([head, *unused, *lines, "}\n"])
 
 

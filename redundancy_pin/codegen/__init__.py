@@ -1,0 +1,100 @@
+"""C for a controller: inverse dynamics, forward kinematics, Jacobians and margins of one robot, in C99 and math.h.
+
+The expressions and the closing of loops are those of ``dynamics.compiled``; ``controller.c`` stands behind them
+(``source``). What the test program expects comes from ``RneaDynamics`` (``recorded``), which shares nothing with them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from redundancy_pin.codegen.pages import pages
+from redundancy_pin.codegen.recorded import record
+from redundancy_pin.errors import InputError, shown
+from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot import Robot
+
+__all__ = ["GeneratedCode", "write_c"]
+
+_LONGEST_PREFIX = 40
+"""Letters: compilers that count only the first 63 of a name still tell all functions apart."""
+
+
+@dataclass(frozen=True)
+class GeneratedCode:
+    """C that was written.
+
+    Attributes:
+        folder: where it is.
+        prefix: what all its names begin with.
+        files: names of the files in the folder.
+        samples: samples of the motion that its test program compares with.
+    """
+
+    folder: Path
+    prefix: str
+    files: tuple[str, ...]
+    samples: int
+
+
+def write_c(
+    robot: Robot,
+    folder: str | Path,
+    *,
+    prefix: str | None = None,
+    motion: PlatformMotion | None = None,
+    carriers: CarrierMotion | None = None,
+) -> GeneratedCode:
+    """Write C99 for a controller into a folder: source, header, CMake file, README, and a test program.
+
+    The code allocates nothing, has no state but what its caller holds, and calls math.h alone. Its functions give W,
+    f, τ with the statuses of ``distribute``, and carrier forces; platform coordinates from actuated positions (with at
+    least as many actuators as freedoms); constraint Jacobians; margins to singularities.
+
+    Args:
+        robot: the robot; its dimensions, masses, gravity and working mode become constants.
+        folder: missing, empty, or one that this function filled before, which is replaced as a whole.
+        prefix: what names in C begin with; the robot's name when left out.
+        motion: N samples that the test program compares with ``RneaDynamics``, unreachable ones left out, thinned
+            out to 200; a random motion about the reference when left out.
+        carriers: N samples of the carriers for it; parked when left out.
+
+    Raises:
+        InputError: a prefix that is no name in C; the motion does not fit, or no sample of it can be reached; no
+            actuators.
+        OutputError: the folder cannot be written, or holds other files.
+        UnsupportedRobotError: a joint of a type that is not covered.
+        RedundancyPinError: casadi is not installed.
+    """
+    require_replaceable(folder)
+    name = _prefix(robot.name, prefix)
+    if not robot.m:
+        raise InputError(f"{robot.name} has no main actuators.", remedy="Declare which joints are actuated.")
+    if carriers is not None and motion is None:
+        raise InputError("carriers are given without a motion.", remedy="Pass both, or neither.")
+    recorded = record(robot, motion, carriers)
+    written = pages(robot, name, recorded)
+    with replacing_folder(folder) as temporary:
+        for file, text in written.items():
+            write_text(temporary / file, text)
+        write_text(temporary / MANIFEST, json.dumps({"robot": robot.name, "prefix": name, "files": [*written]}) + "\n")
+    return GeneratedCode(Path(folder), name, (*written, MANIFEST), len(recorded))
+
+
+def _prefix(robot: str, given: str | None) -> str:
+    if given is None:
+        name = re.sub(r"[^A-Za-z0-9]+", "_", robot).strip("_").lower()[:_LONGEST_PREFIX].strip("_")
+        # rp_ begins the names of what is generated; a digit begins no name
+        return name if re.match(r"[a-z]", name) and name != "rp" else f"robot_{name}".strip("_")[:_LONGEST_PREFIX]
+    fits = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", given, flags=re.ASCII) and len(given) <= _LONGEST_PREFIX
+    if not fits or given == "rp":
+        raise InputError(
+            f"prefix is {shown(given)}, which cannot begin names in C here.",
+            remedy=f"Choose a letter, then letters, digits and underscores, at most {_LONGEST_PREFIX}, and not rp.",
+            name="prefix",
+        )
+    return given

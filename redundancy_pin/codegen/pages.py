@@ -1,0 +1,209 @@
+"""The files of generated C: source, header, test program, CMake file and README of one robot."""
+
+from __future__ import annotations
+
+import importlib.resources
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import redundancy_pin
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, NEAR_SINGULAR_MARGIN, RANK_TOLERANCE
+from redundancy_pin.codegen.recorded import Recorded
+from redundancy_pin.dynamics.compiled.build import define, driver_source
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, FORCE_TOLERANCE
+from redundancy_pin.kinematics.coordinates import mode_name, row_scale
+from redundancy_pin.robot import Robot
+
+_FUNCTIONS = ("turns", "rows", "bias", "moved", "modes", "coordinates", "project")
+"""Generated functions that ``driver.c`` and ``controller.c`` call; a static one that nobody calls is a warning."""
+
+
+def pages(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, str]:
+    """Return the text of each file, by name."""
+    facts = _facts(robot, prefix, recorded)
+    rendered = {
+        f"{prefix}.h": "controller.h.j2",
+        f"test_{prefix}.c": "test.c.j2",
+        "CMakeLists.txt": "CMakeLists.txt.j2",
+        "README.md": "README.md.j2",
+    }
+    return {f"{prefix}.c": source(robot, prefix)} | {
+        name: _rendered(template, facts) for name, template in rendered.items()
+    }
+
+
+def source(robot: Robot, prefix: str) -> str:
+    """Return the C source: expressions, driver and what a controller calls."""
+    definition = define(robot)
+    chain = definition.chain
+    functions = [definition.functions[f"rp_{name}"] for name in _FUNCTIONS]
+    if robot.m >= robot.n:
+        functions.append(_drives(chain))
+    constants = {
+        "RANK_TOLERANCE": RANK_TOLERANCE,
+        "NEAR_SINGULAR": NEAR_SINGULAR_MARGIN,
+        "CONSISTENCY_TOLERANCE": CONSISTENCY_TOLERANCE,
+        "FORCE_TOLERANCE": FORCE_TOLERANCE,
+    }
+    tables = {"ROW_SCALE": chain.row_scale, "COLUMN_SCALE": chain.column_scale, "REFERENCE": robot.q_reference}
+    text = importlib.resources.files(__package__).joinpath("controller.c").read_text(encoding="utf-8")
+    named = re.sub(r"\brobot_(?=[a-z])", f"{prefix}_", re.sub(r"\bROBOT_(?=[A-Z])", f"{prefix.upper()}_", text))
+    return "\n".join(
+        [
+            f"/* {_plain(robot.name)}, written by redundancy_pin {redundancy_pin.__version__}; see {prefix}.h. */",
+            f'#include "{prefix}.h"',
+            driver_source(definition, functions, "static"),
+            *(f"#define {name} {value!r}" for name, value in constants.items()),
+            *(f"static const double {name}[] = {_listed(values)};" for name, values in tables.items()),
+            named,
+        ]
+    )
+
+
+def _drives(chain: SymbolicChain) -> Any:
+    """Return the function of what actuated positions miss: (q, positions) to (m)."""
+    ca, robot = casadi(), chain.robot
+    position, off = ca.SX.sym("position", robot.m), []
+    for i, name in enumerate(robot.actuated):
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        q = chain.q[joint.idx_q : joint.idx_q + joint.nq]
+        if joint.nq == 1:
+            off.append(position[i] - q)
+        else:  # cosine and sine: the angle of the turn from one to the other
+            c, s = ca.cos(position[i]), ca.sin(position[i])
+            off.append(ca.atan2(s * q[0] - c * q[1], c * q[0] + s * q[1]))
+    return ca.Function("rp_drives", [chain.q, position], [ca.densify(ca.vertcat(*off))])
+
+
+def _rendered(template: str, facts: dict[str, Any]) -> str:
+    import jinja2
+
+    made = jinja2.Environment(  # braces and hashes are C's own
+        loader=jinja2.PackageLoader(__package__, ""),
+        undefined=jinja2.StrictUndefined,
+        variable_start_string="@{",
+        variable_end_string="}@",
+        comment_start_string="{@",
+        comment_end_string="@}",
+        keep_trailing_newline=True,
+        autoescape=False,  # C and Markdown; names from files are made plain
+    )
+    return made.get_template(template).render(facts)
+
+
+def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
+    platform, model = robot.platform, robot.model
+    pose = platform is not None and platform.is_pose
+    names = list(platform.axes) if platform else list(robot.independent_joints)
+    turning = [axis.startswith("r") for axis in platform.axes] if platform else _turning(robot, names)
+    lengths = [name for name, turns in zip(names, turning, strict=True) if not turns or not platform]
+    frame = f"of frame {_plain(platform.frame)} in the base frame" if platform else "of the independent joints"
+    rates = _units(names, turning, "m/s", "rad/s")
+    closures = [f"{_plain(closure.name)} {axis}" for closure in robot.closures for axis in closure.axes]
+    jacobian = recorded.closure
+    return {
+        "version": redundancy_pin.__version__,
+        "title": _plain(robot.name),
+        "prefix": prefix,
+        "PREFIX": prefix.upper(),
+        "n": robot.n,
+        "m": robot.m,
+        "k": robot.k,
+        "nq": model.nq,
+        "nv": model.nv,
+        "r": len(closures),
+        "nx": 16 if pose else robot.n,
+        "pose": pose,
+        "near": NEAR_SINGULAR_MARGIN,
+        "tolerance": CLOSURE_TOLERANCE,
+        "length": repr(float(robot.characteristic_length)),
+        "mode": mode_name(robot.working_mode) or "that of the reference",
+        "gravity": ", ".join(f"{value:g}" for value in robot.gravity),
+        "x_text": f"pose {frame}: homogeneous 4 x 4, row by row, m"
+        if pose
+        else f"{_units(names, turning, 'm', 'rad')} {frame}",
+        "xd_text": f"{rates} {frame}: velocity of its origin and angular velocity, base axes"
+        if platform
+        else f"{rates} {frame}",
+        "carriers": _of_joints(robot, robot.carriers, "m", "rad"),
+        "carrier_efforts": _of_joints(robot, robot.carriers, "N", "N m"),
+        "efforts": _of_joints(robot, robot.actuated, "N", "N m"),
+        "drives": _of_joints(robot, robot.actuated, "m", "rad"),
+        "closures": ", ".join(closures),
+        "velocities": ", ".join(_plain(name) for name in model.names[1:]),
+        "parameters": [(_plain(name), _plain(str(value))) for name, value in robot.parameters.items()],
+        "samples": len(recorded),
+        "recorded": ",\n".join(_record(robot, recorded, i) for i in range(len(recorded))),
+        "closure": _listed([*jacobian.tolist(), [0.0] * model.nv]),
+        "closure_scale": repr(max(float(np.abs(jacobian).max(initial=0.0)), 1e-3)),
+        "gamma": _listed(recorded.gamma),
+        "gamma_scale": repr(float(np.abs(recorded.gamma).max())),
+        "row_scale": _listed(row_scale(robot)),
+        "residual_scale": repr(float(1.0 / row_scale(robot).min())),
+        "far": next((i for i, name in enumerate(names) if name in lengths and _is_plain(robot, name)), None),
+        "far_drive": next((i for i, name in enumerate(robot.actuated) if _is_plain(robot, name)), None),
+    } | ({"far": 3} if pose else {})
+
+
+def _is_plain(robot: Robot, name: str) -> bool:
+    """Whether a coordinate has one number that does not come back to itself: no endless joint."""
+    model = robot.model
+    return not model.existJointName(name) or int(model.joints[model.getJointId(name)].nq) == 1
+
+
+def _record(robot: Robot, recorded: Recorded, i: int) -> str:
+    motion, carriers, efforts = recorded.motion, recorded.carriers, recorded.efforts
+    parts: list[ArrayLike] = [motion[0][i].reshape(-1), motion[1][i], motion[2][i]]
+    parts += [carriers[0][i], carriers[1][i], carriers[2][i]] if robot.k else []
+    fields: list[ArrayLike] = [
+        int(efforts.status[i]),
+        efforts.tau[i],
+        recorded.reduced.W[i],
+        recorded.reduced.f[i],
+        [*recorded.reduced.carrier_force[i].tolist(), 0.0],
+        efforts.residual[i],
+        efforts.margin[i],
+        efforts.condition[i],
+        recorded.type_I_margin[i],
+        recorded.position[i],
+        recorded.velocity[i],
+    ]
+    inputs = "{" + ", ".join(map(_listed, parts)) + "}"
+    return "  {" + ", ".join([inputs, *map(_listed, fields)]) + "}"
+
+
+def _listed(values: ArrayLike) -> str:
+    """Return an initialiser in C of a number or an array."""
+    array = np.asarray(values)
+    if array.ndim:
+        return "{" + ", ".join(_listed(part) for part in array) + "}"
+    if array.dtype.kind == "i":
+        return str(int(array))
+    number = float(array)
+    if np.isnan(number):
+        return "NAN"
+    return repr(number) if np.isfinite(number) else "INFINITY" if number > 0.0 else "-INFINITY"
+
+
+def _plain(text: str) -> str:
+    """Return a name from a file as a comment can hold it: nothing that ends one, no line, no trigraph."""
+    return re.sub(r"[^A-Za-z0-9_.:+ -]", "_", text)[:80]
+
+
+def _turning(robot: Robot, names: Iterable[str]) -> list[bool]:
+    joints = [robot.model.joints[robot.model.getJointId(name)] for name in names]
+    return [not str(joint.shortname()).startswith("JointModelP") for joint in joints]
+
+
+def _of_joints(robot: Robot, names: Sequence[str], straight: str, turned: str) -> str:
+    return _units(names, _turning(robot, names), straight, turned)
+
+
+def _units(names: Sequence[str], turning: Sequence[bool], straight: str, turned: str) -> str:
+    listed = (f"{_plain(name)} [{turned if turns else straight}]" for name, turns in zip(names, turning, strict=True))
+    return ", ".join(listed)

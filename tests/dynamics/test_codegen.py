@@ -1,0 +1,517 @@
+"""C for a controller against the RNEA backend and ``distribute``; that it compiles, and needs nothing but math.h."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import re
+import shutil
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import spatial_chains
+import zoo
+from generated_c import COMPILERS, NOTHING_WRITTEN, Code, actuated_by, compiled, filled_with, folder_of, run
+from prescribed import factors, times
+
+import redundancy_pin as rp
+from redundancy_pin import codegen
+from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.distribution import SampleStatus
+from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.robot import Robot
+
+pytestmark = pytest.mark.skipif("gcc" not in COMPILERS, reason="gcc is not installed")
+
+EQUAL = 1e-12
+"""Relative to the largest value of a motion, as the issue of generated C asks for; efforts times the condition number."""
+
+MASSIVE = {
+    "2rpr": {"end_effector_mass": 0.4, "cylinder_mass": 0.5, "piston_mass": 0.3, "gravity": (0.0, -9.81, 0.0)},
+    "3rrr": {"gravity": (0.0, -9.81, 0.0)},
+    "four_bar": {},
+    "gough": {"payload_mass": 2.0},
+}
+SMALL = ("2rpr", "3rrr", "four_bar", "universal", "continuous", "more actuators", "fewer actuators")
+LARGE = pytest.param("gough", marks=pytest.mark.long)
+
+
+@cache
+def robot_of(name: str) -> Robot:
+    if name == "more actuators":
+        return actuated_by("four_bar", "crank", "rocker")
+    if name == "fewer actuators":
+        return actuated_by("five_bar", "left_base")
+    return spatial_chains.chain_of(name) if name in spatial_chains.CHAINS else zoo.robot_of(name, **MASSIVE[name])
+
+
+@cache
+def code_of(name: str) -> Code:
+    return Code(robot_of(name))
+
+
+def assert_near(got: object, want: np.ndarray, what: str, factor: float = 1.0, scale: float | None = None) -> None:
+    size = max(np.nanmax(np.abs(want), initial=0.0) if scale is None else scale, 1e-3)
+    np.testing.assert_allclose(got, want, rtol=0.0, atol=EQUAL * size * factor, err_msg=what)
+
+
+# --- the compiler's view -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("name", [*SMALL, LARGE])
+def test_it_compiles_and_its_own_test_passes(name: str, compiler: str, tmp_path: Path) -> None:
+    folder = folder_of(robot_of(name))
+    sources = [folder / "unit.c", folder / "test_unit.c"]
+    for level in ("-O0", "-O2", "-O3"):
+        done = run(compiled(sources, tmp_path / "program", level, compiler=compiler))
+        assert done.returncode == 0, done.stdout
+        assert done.stdout.startswith("0 failures")
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "universal", "more actuators", "fewer actuators", LARGE])
+def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
+    folder = folder_of(robot_of(name))
+    sources = [folder / "unit.c", folder / "test_unit.c"]
+    flags = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    done = run(compiled(sources, tmp_path / "program", *flags))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == ""
+
+
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
+@pytest.mark.parametrize("name", ["2rpr", "universal", "more actuators"])
+def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
+    folder = folder_of(robot_of(name))
+    program = compiled([folder / "unit.c", folder / "test_unit.c"], tmp_path / "program", "-O1", "-g")
+    done = run(Path("valgrind"), "-q", "--error-exitcode=9", "--leak-check=full", str(program))
+    assert done.returncode == 0, done.stderr
+
+
+MATH = {
+    "sin",
+    "cos",
+    "sincos",
+    "tan",
+    "atan2",
+    "atan",
+    "acos",
+    "asin",
+    "sqrt",
+    "hypot",
+    "fabs",
+    "floor",
+    "fmax",
+    "fmin",
+}
+
+
+@pytest.mark.skipif(shutil.which("nm") is None, reason="nm is not installed")
+@pytest.mark.parametrize("name", SMALL)
+def test_it_needs_math_alone_and_keeps_no_state(name: str, tmp_path: Path) -> None:
+    folder = folder_of(robot_of(name))
+    included = re.findall(r"^\s*#\s*include\s*(\S+)", (folder / "unit.c").read_text(encoding="utf-8"), flags=re.M)
+    assert sorted(included) == ['"unit.h"', "<math.h>"]
+    assert "#include" not in (folder / "unit.h").read_text(encoding="utf-8")
+    for level in ("-O0", "-O2"):
+        target = compiled([folder / "unit.c"], tmp_path / "unit.o", level, "-c")
+        listed = subprocess.run(["nm", str(target)], capture_output=True, text=True, check=True).stdout
+        symbols = [line.split()[-2:] for line in listed.splitlines()]
+        assert {symbol for kind, symbol in symbols if kind == "U"} <= MATH
+        assert {kind for kind, _ in symbols} <= {"U", "T", "t", "r"}  # no b, d: nothing static that changes
+        public = {symbol for kind, symbol in symbols if kind == "T"}
+        assert all(symbol.startswith("unit_") for symbol in public)
+        assert ("unit_forward_kinematics" in public) is (name != "fewer actuators")
+
+
+def test_two_robots_are_linked_into_one_program(tmp_path: Path) -> None:
+    for name in ("2rpr", "four_bar"):
+        written = codegen.write_c(robot_of(name), tmp_path / name)
+        assert written.prefix == {"2rpr": "robot_2rpr", "four_bar": "four_bar"}[name]
+    main = tmp_path / "main.c"
+    main.write_text(
+        '#include "robot_2rpr.h"\n#include "four_bar.h"\n'
+        "int main(void) { robot_2rpr_state a; four_bar_state b; return robot_2rpr_reset(&a) + four_bar_reset(&b); }\n"
+    )
+    sources = [main, tmp_path / "2rpr" / "robot_2rpr.c", tmp_path / "four_bar" / "four_bar.c"]
+    program = compiled(sources, tmp_path / "both", f"-I{tmp_path / '2rpr'}", f"-I{tmp_path / 'four_bar'}")
+    assert run(program).returncode == 0
+
+
+def test_its_own_test_can_fail(tmp_path: Path) -> None:
+    folder = folder_of(robot_of("2rpr"))
+    text, tests = ((folder / file).read_text(encoding="utf-8") for file in ("unit.c", "test_unit.c"))
+    broken = {
+        "f": text.replace("copy(efforts->f, f, N);", "copy(efforts->f, f, N); efforts->f[1] *= 1.0 + 1e-9;"),
+        "tau": text.replace("u[j] * COLUMN_SCALE[j]", "u[j] * (1.0 + 1e-9)"),
+        "carrier force": text.replace("copy(efforts->carrier_force, rest, NK)", "copy(efforts->carrier_force, f, NK)"),
+        "xd": text.replace("xd[i] = result[i] / ROW_SCALE[i]", "xd[i] = result[i] * 1.000001"),
+        "closure Jacobian": text.replace("= K[i + j * NP];", "= -K[i + j * NP];"),
+        "status of a bad input": text.replace("if (!finite(in, NX", "if (0 && !finite(in, NX"),
+        "a state that was written to": text.replace(
+            "int closed = rp_sample(from, in, out);", "int closed = rp_sample(from, in, out); state->sign = 2.0;"
+        ),
+    }
+    (tmp_path / "unit.h").write_bytes((folder / "unit.h").read_bytes())
+    (tmp_path / "test_unit.c").write_text(tests)
+    for what, changed in broken.items():
+        assert changed != text, what
+        (tmp_path / "unit.c").write_text(changed)
+        done = run(compiled([tmp_path / "unit.c", tmp_path / "test_unit.c"], tmp_path / "program"))
+        assert done.returncode == 1
+        assert what in done.stdout, (what, done.stdout)
+
+
+# --- the same as RNEA and distribute -------------------------------------------------------------------------------
+
+
+def rows_of(motion: rp.PlatformMotion, carriers: rp.CarrierMotion, k: int) -> list[np.ndarray]:
+    parts = (carriers.s, carriers.sd, carriers.sdd) if carriers.s.shape[1] else ()
+    return [part[k] for part in (motion.x, motion.xd, motion.xdd, *parts)]
+
+
+def assert_same(name: str, motion: rp.PlatformMotion, carriers: rp.CarrierMotion) -> list[int]:
+    """Compare samples in order with the RNEA backend, each from the state before; return their statuses."""
+    robot, code = robot_of(name), code_of(name)
+    reduced = rp.RneaDynamics(robot).reduce(motion, carriers)
+    want = rp.distribute(reduced)
+    state, scale = code.start(), np.nanmax(np.abs(want.tau))
+    assert code.go_to(state, motion.x[0]) == 0
+    for k in range(len(motion)):
+        got = code.efforts(state, *rows_of(motion, carriers, k))
+        if got.status == NOTHING_WRITTEN:  # farther away than a control cycle goes
+            assert code.go_to(state, motion.x[k]) == 0
+            got = code.efforts(state, *rows_of(motion, carriers, k))
+        assert got.status == want.status[k], k
+        assert_near(got.W.reshape(robot.n, robot.m), reduced.W[k], "W", scale=np.abs(reduced.W).max())
+        assert_near(got.f, reduced.f[k], "f", scale=np.abs(reduced.f).max())
+        if robot.k:
+            force = reduced.carrier_force
+            assert_near(got.carrier_force, force[k], "carrier force", scale=np.abs(force).max())
+        condition = min(max(want.condition[k], 1.0), 1e9)
+        assert_near(got.tau, want.tau[k], "tau", factor=condition, scale=scale)
+        assert got.rank == want.rank[k]
+        assert_near(got.margin, want.margin[k], "margin", scale=1.0)
+        if np.isnan(want.tau[k]).any():
+            largest = np.abs(reduced.f / reduced.row_scale).max()
+            assert_near(got.residual, want.residual[k], "residual", scale=largest)
+        assert got.gap < 1e-11
+    return want.status.tolist()
+
+
+@pytest.mark.parametrize("name", [*SMALL, LARGE])
+@pytest.mark.parametrize("seed", range(3))
+def test_smooth_motions(name: str, seed: int) -> None:
+    robot, t = robot_of(name), np.linspace(0.0, 2.0, 150)
+    assert_same(name, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "universal"])
+def test_samples_in_any_order(name: str) -> None:
+    robot, t = robot_of(name), np.linspace(0.0, 2.0, 120)
+    order = np.random.default_rng(2).permutation(len(t))
+    motion, carriers = zoo.smooth_motion(robot, 7).at(t), zoo.carriers_at(robot, t, 7)
+    shuffled = rp.PlatformMotion(t, *(part[order] for part in (motion.x, motion.xd, motion.xdd)))
+    assert_same(name, shuffled, rp.CarrierMotion(*(part[order] for part in (carriers.s, carriers.sd, carriers.sdd))))
+
+
+def test_through_type_two() -> None:
+    robot = robot_of("2rpr")
+    motion = rp.trajectory.reference.circle().sample(dt=0.004)  # crosses the line of the base twice
+    statuses = assert_same("2rpr", motion, zoo.carriers_at(robot, motion.t))
+    assert {SampleStatus.REGULAR, SampleStatus.NEAR_SINGULAR} <= set(statuses)
+    still, moving = np.zeros(2), np.array([0.3, -0.7])
+    for rate, acceleration in ((still, still), (moving, np.array([1.0, 2.0]))):  # on the line itself
+        at = rp.PlatformMotion([0.0], [[0.2, 0.0]], rate[None], acceleration[None])
+        assert assert_same("2rpr", at, rp.CarrierMotion.parked(1, 2)) == [SampleStatus.SINGULAR_INCONSISTENT]
+
+
+PROBE = """
+#include "unit.c"
+int probe(const double *W, const double *f, unit_efforts *out);
+int probe(const double *W, const double *f, unit_efforts *out) { return distribute(W, f, out); }
+"""
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "gough", "more actuators", "fewer actuators"])
+def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -> None:
+    robot, random = robot_of(name), np.random.default_rng(3)
+    folder = folder_of(robot)
+    (tmp_path / "probe.c").write_text(PROBE)
+    library = ctypes.CDLL(
+        str(compiled([tmp_path / "probe.c"], tmp_path / "probe.so", f"-I{folder}", "-O2", "-shared", "-fPIC"))
+    )
+    n, m, count, seen = robot.n, robot.m, 20, set()
+    home = zoo.home_of(robot)[None]
+    scales = rp.RneaDynamics(robot).reduce(rp.PlatformMotion([0.0], home, np.zeros((1, n)), np.zeros((1, n))))
+    for rank in range(min(n, m) + 1):
+        for inside in (1.0, 0.0):
+            for least in (1.0, 1e-3, 1e-7):
+                values = np.where(np.arange(min(n, m)) < rank, np.geomspace(2.0, least, min(n, m)), 0.0)
+                U, A, _ = factors(random, count, n, m, values)
+                W = A * scales.row_scale[:, None] / scales.column_scale
+                g = times(A, random.normal(size=(count, m)))
+                g += (1.0 - inside) * times(U, random.normal(size=(count, n)))
+                nothing = np.zeros((count, 0))
+                reduced = ReducedDynamics(
+                    np.arange(count, dtype=float), g * scales.row_scale, W, nothing, np.ones(count, dtype=bool),
+                    np.zeros(count), scales.row_scale, scales.column_scale,
+                )  # fmt: skip
+                want = rp.distribute(reduced)
+                seen |= set(want.status.tolist())
+                for k in range(count):
+                    out = code_type(robot)()
+                    row, force = np.ascontiguousarray(W[k]), np.ascontiguousarray(reduced.f[k])
+                    pointers = [ctypes.c_void_p(array.ctypes.data) for array in (row, force)]
+                    status = library.probe(*pointers, ctypes.byref(out))
+                    assert status == want.status[k]
+                    assert out.rank == want.rank[k]
+                    condition = min(want.condition[k], 1e9)
+                    assert_near(np.array(out.tau), want.tau[k], "tau", factor=condition)
+                    np.testing.assert_allclose(out.margin, want.margin[k], rtol=0.0, atol=1e-14)
+                    if status >= SampleStatus.SINGULAR_INCONSISTENT:
+                        np.testing.assert_allclose(out.residual, want.residual[k], rtol=1e-9, atol=0.0)
+    expected = {SampleStatus.REGULAR, SampleStatus.NEAR_SINGULAR, SampleStatus.SINGULAR_CONSISTENT}
+    if n > m:
+        expected |= {SampleStatus.UNDERACTUATED_INCONSISTENT}
+    assert expected | {SampleStatus.SINGULAR_INCONSISTENT} <= seen
+
+
+def code_type(robot: Robot) -> type[ctypes.Structure]:
+    return code_of(next(name for name in (*SMALL, "gough") if robot_of(name) is robot)).efforts_type
+
+
+# --- forward kinematics ---------------------------------------------------------------------------------------------
+
+
+def drives_along(robot: Robot, motion: rp.PlatformMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and rates of the actuators, from the lifted tree."""
+    tree, model = rp.lift(robot, motion), robot.model
+    joints = [model.joints[model.getJointId(name)] for name in robot.actuated]
+    columns = [
+        tree.q[:, joint.idx_q] if joint.nq == 1 else np.arctan2(tree.q[:, joint.idx_q + 1], tree.q[:, joint.idx_q])
+        for joint in joints
+    ]
+    return np.stack(columns, axis=1), tree.v[:, robot.actuated_velocity]
+
+
+@pytest.mark.parametrize("name", [*(name for name in SMALL if name != "fewer actuators"), LARGE])
+def test_the_platform_follows_from_its_actuators(name: str) -> None:
+    robot, code, t = robot_of(name), code_of(name), np.linspace(0.0, 2.0, 150)
+    motion = zoo.smooth_motion(robot, 4).at(t)
+    positions, velocities = drives_along(robot, motion)
+    condition = rp.distribute(rp.RneaDynamics(robot).reduce(motion)).condition
+    state = code.start()
+    assert code.go_to(state, motion.x[0]) == 0
+    for k in range(len(t)):
+        got = code.platform(state, positions[k], velocities[k])
+        assert got.status in (SampleStatus.REGULAR, SampleStatus.NEAR_SINGULAR)
+        assert_near(got.x, motion.x[k].ravel(), "x", factor=condition[k], scale=np.abs(motion.x).max())
+        assert_near(got.xd, motion.xd[k], "xd", factor=condition[k], scale=np.abs(motion.xd).max())
+        assert got.mismatch < 1e-11
+
+
+def test_the_branch_is_that_of_the_state() -> None:
+    """The end-effector of a 2-RPR lies above or below its base for the same legs."""
+    code = code_of("2rpr")
+    motion = rp.PlatformMotion([0.0], [[0.25, 0.2]], [[0.1, 0.3]], [[0.0, 0.0]])
+    positions, velocities = drives_along(robot_of("2rpr"), motion)
+    for side in (1.0, -1.0):
+        state = code.start()
+        assert code.go_to(state, np.array([0.24, 0.19 * side])) == 0
+        got = code.platform(state, positions[0], velocities[0])
+        np.testing.assert_allclose(got.x, [0.25, 0.2 * side], rtol=0.0, atol=1e-11)
+        np.testing.assert_allclose(got.xd, [0.1, 0.3 * side], rtol=0.0, atol=1e-11)
+
+
+def test_more_actuators_than_freedoms_take_the_nearest_pose() -> None:
+    robot, code = robot_of("more actuators"), code_of("more actuators")
+    motion = rp.PlatformMotion([0.0], zoo.home_of(robot)[None], [[0.5]], [[0.0]])
+    positions, velocities = drives_along(robot, motion)
+    off = np.array([2e-3, -1e-3])
+    got = code.platform(state := code.start(), positions[0] + off, velocities[0])
+    assert got.status == 0
+    there = rp.PlatformMotion([0.0], got.x[None], [[0.0]], [[0.0]])
+    missed = positions[0] + off - drives_along(robot, there)[0][0]
+    W = rp.RneaDynamics(robot).reduce(there).W[0]
+    assert np.abs(W @ missed).max() < 1e-9  # no other pose misses less; torques count alike here
+    np.testing.assert_allclose(got.mismatch, robot.characteristic_length * np.linalg.norm(missed), rtol=1e-6)
+    assert got.mismatch > 1e-5
+    assert code.at("margins", state).rank == 1
+
+
+# --- Jacobians and margins ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*SMALL, LARGE])
+def test_jacobians_and_margins(name: str) -> None:
+    robot, code, t = robot_of(name), code_of(name), np.linspace(0.0, 2.0, 20)
+    motion = zoo.smooth_motion(robot, 9).at(t)
+    tree = rp.lift(robot, motion)
+    want, efforts = ConstraintSystem(robot).evaluate(tree.q).Jc, rp.distribute(rp.RneaDynamics(robot).reduce(motion))
+    state, nv = code.start(), robot.model.nv
+    for k in range(len(t)):
+        assert code.go_to(state, motion.x[k]) == 0
+        got, margins = code.at("jacobians", state), code.at("margins", state)
+        assert got.status == margins.status == 0
+        gamma = got.gamma.reshape(nv, robot.n)
+        assert_near(gamma, tree.gamma[k], "gamma")
+        assert_near(got.W.reshape(robot.n, robot.m), tree.gamma[k][robot.actuated_velocity].T, "W")
+        closure = got.closure.reshape(-1, nv)
+        assert_near(closure, want[k], "closure")
+        assert np.abs(closure @ gamma).max() < 1e-12
+        assert_near(margins.type_I, tree.serial_margin_bound[k], "type I", scale=1.0)
+        assert_near(margins.type_II, efforts.margin[k], "type II", scale=1.0)
+        np.testing.assert_allclose(margins.condition, efforts.condition[k], rtol=1e-10)
+
+
+# --- what cannot be --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", "universal"])
+def test_bad_input_gets_a_status_and_nothing_is_written(name: str) -> None:
+    robot, code = robot_of(name), code_of(name)
+    n, k = robot.n, robot.k
+    good = [zoo.home_of(robot), np.ones(n), np.ones(n), *([np.zeros(k)] * 3 if k else [])]
+    untouched, state = bytes(filled_with(code.efforts_type, 7.0)), code.start()
+    kept = bytes(state)
+    for i, part in enumerate(good):
+        for bad in (np.nan, np.inf, -np.inf, 1e300):
+            given = [each.copy() for each in good]
+            given[i].flat[part.size - 1] = bad
+            got = code.efforts(state, *given)
+            assert got.status >= NOTHING_WRITTEN, (i, bad)
+            assert (got.raw, bytes(state)) == (untouched, kept)
+    state.q[0] = np.nan
+    assert code.efforts(state, *good).status == 9
+    assert code.at("margins", state).status == 9
+    assert code.go_to(state, good[0]) == 9
+
+
+def test_out_of_reach_and_type_one() -> None:
+    code = code_of("3rrr")
+    still = [np.zeros(3)] * 5
+    state = code.start()
+    kept = bytes(state)
+    assert code.efforts(state, np.array([9.0, 0.5, 0.0]), *still).status == 6
+    assert code.go_to(state, np.array([2.9, 0.5, 0.0])) == 6
+    assert bytes(state) == kept
+    two = code_of("2rpr")
+    state = two.start()
+    assert two.go_to(state, np.array([1e-3, 0.0])) == 0
+    assert two.efforts(state, np.array([1e-8, 0.0]), *[np.zeros(2)] * 5).status in (6, 7)  # a leg of no length
+
+
+def test_each_state_is_its_own() -> None:
+    robot, code, t = robot_of("3rrr"), code_of("3rrr"), np.linspace(0.0, 1.0, 100)
+    motions = [zoo.smooth_motion(robot, seed).at(t) for seed in range(4)]
+    wanted = [rp.RneaDynamics(robot).reduce(motion).f for motion in motions]
+    got: list[list[np.ndarray]] = [[] for _ in motions]
+
+    def work(i: int) -> None:
+        state, motion = code.start(), motions[i]
+        code.go_to(state, motion.x[0])
+        for k in range(len(t)):
+            got[i].append(code.efforts(state, motion.x[k], motion.xd[k], motion.xdd[k], *[np.zeros(3)] * 3).f)
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(len(motions))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for mine, want in zip(got, wanted, strict=True):
+        assert_near(np.array(mine), want, "f")
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_names_from_a_file_cannot_leave_their_comments(tmp_path: Path) -> None:
+    odd = 'x */ int y = "; /* ??/\n\\ é'
+    robot = robot_of("four_bar")
+    robot = replace(
+        robot,
+        name=odd,
+        closures=tuple(replace(closure, name=odd) for closure in robot.closures),
+        parameters={**robot.parameters, odd: odd},
+    )
+    written = codegen.write_c(robot, tmp_path / "code")
+    assert re.fullmatch(r"[a-z][a-z0-9_]*", written.prefix)
+    sources = [tmp_path / "code" / f"{stem}{written.prefix}.c" for stem in ("", "test_")]
+    assert run(compiled(sources, tmp_path / "program")).returncode == 0
+
+
+@pytest.mark.parametrize(("name", "prefix"), [("rp", "robot_rp"), ("…", "robot"), ("3-RRR (new)", "robot_3_rrr_new")])
+def test_prefixes(name: str, prefix: str) -> None:
+    assert codegen._prefix(name, None) == prefix
+
+
+@pytest.mark.parametrize("prefix", ["", "2rpr", "a-b", "é", "rp", "x" * 41, "a\n"])
+def test_prefixes_that_are_no_names(prefix: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="prefix"):
+        codegen.write_c(robot_of("four_bar"), tmp_path / "code", prefix=prefix)
+    assert not (tmp_path / "code").exists()
+
+
+def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, folder = robot_of("four_bar"), tmp_path / "code"
+    codegen.write_c(robot, folder, prefix="first")
+    written = codegen.write_c(robot, folder, prefix="second")
+    assert {path.name for path in folder.iterdir()} == set(written.files)
+    assert set(json.loads((folder / "summary.json").read_text())["files"]) == set(written.files) - {"summary.json"}
+    assert not any("first" in name for name in written.files)
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(codegen, "write_text", full)
+    with pytest.raises(OSError, match="No space"):
+        codegen.write_c(robot, folder, prefix="third")
+    monkeypatch.undo()
+    assert {path.name for path in folder.iterdir()} == set(written.files)
+    assert [path.name for path in tmp_path.iterdir()] == ["code"]
+    (folder / "mine.txt").touch()
+    with pytest.raises(OutputError, match=r"mine\.txt"):
+        codegen.write_c(robot, folder)
+
+
+def test_a_motion_of_ones_own(tmp_path: Path) -> None:
+    robot = robot_of("2rpr")
+    motion = rp.trajectory.reference.circle().sample(dt=0.01)
+    written = codegen.write_c(robot, tmp_path / "code", motion=motion, prefix="circle")
+    assert written.samples == min(200, len(motion))
+    program = compiled([tmp_path / "code" / f"{stem}circle.c" for stem in ("", "test_")], tmp_path / "program")
+    assert run(program).stdout.startswith("0 failures")
+    with pytest.raises(InputError):
+        codegen.write_c(robot, tmp_path / "other", motion=zoo.smooth_motion(robot_of("3rrr")).at(np.zeros(1)))
+    with pytest.raises(InputError, match="without a motion"):
+        codegen.write_c(robot, tmp_path / "other", carriers=rp.CarrierMotion.parked(3, 2))
+    away = rp.PlatformMotion([0.0], [[0.0, 0.0]], [[0.0, 0.0]], [[0.0, 0.0]])  # a leg of no length
+    with pytest.raises(RedundancyPinError):
+        codegen.write_c(robot, tmp_path / "other", motion=away)
+    assert not (tmp_path / "other").exists()
+
+
+def test_without_casadi_there_is_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(RedundancyPinError, match="casadi"):
+        codegen.write_c(robot_of("four_bar"), tmp_path / "code")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_times_are_printed(tmp_path: Path) -> None:
+    folder = folder_of(robot_of("2rpr"))
+    program = compiled([folder / "unit.c", folder / "test_unit.c"], tmp_path / "program", "-O2")
+    done = run(program, "--time", "200")
+    assert done.returncode == 0
+    assert done.stdout.startswith("200 random samples; inverse dynamics wrote 200")
+    found = re.findall(r"median ([\d.]+) us, 99\.9 % ([\d.]+) us, worst ([\d.]+) us", done.stdout)
+    assert len(found) == 4
+    assert run(program, "--time").returncode == 2
