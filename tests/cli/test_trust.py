@@ -35,6 +35,7 @@ COMMANDS = {
     "singularities": ("singularities", "--trajectory", "line"),
     "show": ("show", "--html", "{folder}/out.html"),
     "validate": ("validate", "--samples", "5"),
+    "codegen": ("codegen", "--out", "{folder}/code"),
     "plan": ("plan", "switch-off", "--trajectory", "line", "--threshold", "1000"),
     "map": ("map", *MAP, "--refine", "0", "--jobs", "1", "--out", "{folder}/map"),
 }

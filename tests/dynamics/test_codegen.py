@@ -31,7 +31,7 @@ from redundancy_pin.robot import Robot
 pytestmark = pytest.mark.skipif("gcc" not in COMPILERS, reason="gcc is not installed")
 
 EQUAL = 1e-12
-"""Relative to the largest value of a motion, as the issue of generated C asks for; efforts times the condition number."""
+"""Relative to the largest value of a motion, as generated C was asked for; efforts times the condition number."""
 
 MASSIVE = {
     "2rpr": {"end_effector_mass": 0.4, "cylinder_mass": 0.5, "piston_mass": 0.3, "gravity": (0.0, -9.81, 0.0)},
@@ -41,6 +41,8 @@ MASSIVE = {
 }
 SMALL = ("2rpr", "3rrr", "four_bar", "universal", "continuous", "more actuators", "fewer actuators")
 LARGE = pytest.param("gough", marks=pytest.mark.long)
+LONG = [pytest.param(name, marks=pytest.mark.long) for name in ("3rrr", "universal", "gough")]
+"""What takes a compiler long under a sanitiser."""
 
 
 @cache
@@ -48,7 +50,7 @@ def robot_of(name: str) -> Robot:
     if name == "more actuators":
         return actuated_by("four_bar", "crank", "rocker")
     if name == "fewer actuators":
-        return actuated_by("five_bar", "left_base")
+        return actuated_by("five_bar", "base_1")
     return spatial_chains.chain_of(name) if name in spatial_chains.CHAINS else zoo.robot_of(name, **MASSIVE[name])
 
 
@@ -70,13 +72,13 @@ def assert_near(got: object, want: np.ndarray, what: str, factor: float = 1.0, s
 def test_it_compiles_and_its_own_test_passes(name: str, compiler: str, tmp_path: Path) -> None:
     folder = folder_of(robot_of(name))
     sources = [folder / "unit.c", folder / "test_unit.c"]
-    for level in ("-O0", "-O2", "-O3"):
+    for level in ("-O0", "-O2", "-O3") if name in ("2rpr", "3rrr") else ("-O2",):
         done = run(compiled(sources, tmp_path / "program", level, compiler=compiler))
         assert done.returncode == 0, done.stdout
         assert done.stdout.startswith("0 failures")
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr", "universal", "more actuators", "fewer actuators", LARGE])
+@pytest.mark.parametrize("name", ["2rpr", "more actuators", "fewer actuators", *LONG])
 def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     folder = folder_of(robot_of(name))
     sources = [folder / "unit.c", folder / "test_unit.c"]
@@ -87,7 +89,7 @@ def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
-@pytest.mark.parametrize("name", ["2rpr", "universal", "more actuators"])
+@pytest.mark.parametrize("name", ["2rpr", "fewer actuators", *LONG])
 def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
     folder = folder_of(robot_of(name))
     program = compiled([folder / "unit.c", folder / "test_unit.c"], tmp_path / "program", "-O1", "-g")
@@ -154,7 +156,7 @@ def test_its_own_test_can_fail(tmp_path: Path) -> None:
         "carrier force": text.replace("copy(efforts->carrier_force, rest, NK)", "copy(efforts->carrier_force, f, NK)"),
         "xd": text.replace("xd[i] = result[i] / ROW_SCALE[i]", "xd[i] = result[i] * 1.000001"),
         "closure Jacobian": text.replace("= K[i + j * NP];", "= -K[i + j * NP];"),
-        "status of a bad input": text.replace("if (!finite(in, NX", "if (0 && !finite(in, NX"),
+        "status of a bad input": text.replace("if (!finite(in, NX + 2 * N + 3 * NK) ||", "if ("),
         "a state that was written to": text.replace(
             "int closed = rp_sample(from, in, out);", "int closed = rp_sample(from, in, out); state->sign = 2.0;"
         ),
@@ -182,7 +184,7 @@ def assert_same(name: str, motion: rp.PlatformMotion, carriers: rp.CarrierMotion
     robot, code = robot_of(name), code_of(name)
     reduced = rp.RneaDynamics(robot).reduce(motion, carriers)
     want = rp.distribute(reduced)
-    state, scale = code.start(), np.nanmax(np.abs(want.tau))
+    state, scale = code.start(), np.nanmax(np.abs(want.tau), initial=0.0)
     assert code.go_to(state, motion.x[0]) == 0
     for k in range(len(motion)):
         got = code.efforts(state, *rows_of(motion, carriers, k))
@@ -240,7 +242,7 @@ int probe(const double *W, const double *f, unit_efforts *out) { return distribu
 """
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr", "gough", "more actuators", "fewer actuators"])
+@pytest.mark.parametrize("name", ["2rpr", "3rrr", LARGE, "more actuators", "fewer actuators"])
 def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -> None:
     robot, random = robot_of(name), np.random.default_rng(3)
     folder = folder_of(robot)
@@ -254,7 +256,7 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
     for rank in range(min(n, m) + 1):
         for inside in (1.0, 0.0):
             for least in (1.0, 1e-3, 1e-7):
-                values = np.where(np.arange(min(n, m)) < rank, np.geomspace(2.0, least, min(n, m)), 0.0)
+                values = np.where(np.arange(min(n, m)) < rank, np.geomspace(least, 2.0, min(n, m))[::-1], 0.0)
                 U, A, _ = factors(random, count, n, m, values)
                 W = A * scales.row_scale[:, None] / scales.column_scale
                 g = times(A, random.normal(size=(count, m)))
@@ -277,7 +279,9 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
                     assert_near(np.array(out.tau), want.tau[k], "tau", factor=condition)
                     np.testing.assert_allclose(out.margin, want.margin[k], rtol=0.0, atol=1e-14)
                     if status >= SampleStatus.SINGULAR_INCONSISTENT:
-                        np.testing.assert_allclose(out.residual, want.residual[k], rtol=1e-9, atol=0.0)
+                        # the range of a matrix moves by rounding over its least singular value
+                        allowed = 1e-14 / least * np.linalg.norm(g[k])
+                        np.testing.assert_allclose(out.residual, want.residual[k], rtol=0.0, atol=allowed)
     expected = {SampleStatus.REGULAR, SampleStatus.NEAR_SINGULAR, SampleStatus.SINGULAR_CONSISTENT}
     if n > m:
         expected |= {SampleStatus.UNDERACTUATED_INCONSISTENT}
@@ -383,7 +387,7 @@ def test_bad_input_gets_a_status_and_nothing_is_written(name: str) -> None:
     untouched, state = bytes(filled_with(code.efforts_type, 7.0)), code.start()
     kept = bytes(state)
     for i, part in enumerate(good):
-        for bad in (np.nan, np.inf, -np.inf, 1e300):
+        for bad in (np.nan, np.inf, -np.inf):
             given = [each.copy() for each in good]
             given[i].flat[part.size - 1] = bad
             got = code.efforts(state, *given)

@@ -220,7 +220,7 @@ static double rates(const Pose *pose, const double *xd, const double *xdd, doubl
 }
 
 static int in_mode(const Pose *pose) {
-  double values[LEGS + 1];
+  double values[LEGS + 1] = {0.0};
   const double *const arg[] = {pose->q, pose->trig};
   double *const res[] = {values};
   if (LEGS) rp_modes(arg, res);
@@ -237,7 +237,7 @@ static int start_at(Pose *pose, const double *q, const double *x) { return newto
    sample is closed on the same side of every type I singularity. */
 EXPORTED int rp_sample(double *state, const double *in, double *out) {
   const double *x = in, *xd = in + NX, *xdd = xd + N, *s = xdd + N;
-  double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1];
+  double v[NV], a[NV], gamma[NV * N + 1], W[N * M + 1], f[N + 1], force[NK + 1] = {0.0};
   Pose pose;
   if (!newton(state, x, 0, &pose) || pose.sign * state[NQ] < 0.0) return LOST;
   double margin = rates(&pose, xd, xdd, v, a, gamma, W);
