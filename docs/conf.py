@@ -92,6 +92,7 @@ TOPICS = (
     "feasibility_map",
     "forward_dynamics",
     "control",
+    "codegen",
     "robustness",
     "engines",
 )
