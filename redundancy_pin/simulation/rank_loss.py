@@ -22,6 +22,7 @@ everywhere. The closure forces λ, from J_cᵀ λ = rnea − u, need not be fini
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -61,12 +62,6 @@ _STEP = 0.03
 
 _REGULAR = 0.03
 """Share of the largest ratio of singular values on a line that every point of it must have; the innermost have 0.08."""
-
-_APART = 1e-6
-"""rad; rank losses nearer to each other are one."""
-
-_REAL = 1e-4
-"""rad; imaginary part of a root that may be a real one of higher multiplicity."""
 
 _PROBE = 1e-4
 """Step of the differences that tell which way rank is lost, rad."""
@@ -171,30 +166,23 @@ class _Follower:
         scaled = self.jacobian(place) * self._inverse_scale
         return float(rank_ratio(scaled[None][:, :, self.chain.pose_columns])[0])
 
-    def roots(self, nodes: Array, places: Array) -> Array:
-        """Return (l,) complex roots between nodes (m,) of det D, D the dependent block of J_c: there rank is lost.
+    def roots(self, nodes: Array, configurations: Sequence[Array]) -> Array:
+        """Return (l,) complex roots of det D along configurations (nq,) at nodes (m,): there rank is lost.
 
+        D is the dependent block of J_c. Between the nodes roots are those of J_c; farther off they mean nothing.
         The interpolant of D is linearised in barycentric form: Σ D_j x_j = 0, x_j = w_j x / (s − s_j). Loops that lose
         rank together are eigenvalues of the pencil as often, and each as well conditioned as one alone.
         """
-        blocks = [self.jacobian(place)[:, self.dependent] * self._inverse_scale[self.dependent] for place in places]
-        r, weights = len(self.dependent), _barycentric(nodes)
+        r, weights, blocks = len(self.dependent), _barycentric(nodes), []
+        for q in configurations:
+            self.chain.update(q, self._still)
+            blocks.append(self.chain.jacobian()[:, self.dependent] * self._inverse_scale[self.dependent])
         pencil, unit = np.zeros((2, r * (len(nodes) + 1), r * (len(nodes) + 1)))
         pencil[:r, r:] = np.concatenate(blocks, axis=1)
         pencil[r:, :r] = np.kron(weights[:, None] / np.abs(weights).max(), np.eye(r))
         pencil[r:, r:], unit[r:, r:] = np.kron(np.diag(nodes), np.eye(r)), np.eye(r * len(nodes))
-        roots = eigvals(pencil, unit, check_finite=False)
-        within: Array = roots[(roots.real > nodes.min()) & (roots.real < nodes.max())]
-        return within
-
-    def losses(self, nodes: Array, places: Array) -> Array:
-        """Return (l,) where between the outermost nodes rank is lost, in order."""
-        roots, weights = self.roots(nodes, places), _barycentric(nodes)
-        real = np.sort(roots.real[np.abs(roots.imag) < _REAL])
-        lost = [self.ratio(_lagrange(nodes, s, weights) @ places) <= LOST for s in real.tolist()]
-        found = real[np.array(lost, dtype=bool)]
-        apart: Array = found[np.diff(found, prepend=-np.inf) > _APART]
-        return apart
+        roots: Array = eigvals(pencil, unit, check_finite=False)
+        return roots[np.isfinite(roots)]
 
     def steepest(self) -> Array:
         """Return (d,) the gradient of the ratio of singular values at the origin, by z times its scale.
@@ -244,7 +232,6 @@ class Sheet:
         centre: (d,) z of the rank loss on the way that led here.
         along: (d,) direction of the line in z times its scale, of unit length.
         half: half of the line's length.
-        losses: (l,) where rank is lost on the line through the centre: there, and maybe at other places nearby.
         nodes: (m,) positions on the line, from the centre.
         points: (m, nv, d + 2) of the sheet there (``_Follower``), a₀ for unit speed along the line.
     """
@@ -253,7 +240,6 @@ class Sheet:
     centre: Array
     along: Array
     half: float
-    losses: Array
     nodes: Array
     points: Array
 
@@ -264,18 +250,6 @@ class Sheet:
     def position(self, q: Array) -> float:
         """Return where on its line a configuration is, from its middle."""
         return float(self.along @ self._relative(q))
-
-    def distances(self, q: Array) -> Array:
-        """Return how far beyond each rank loss (l,) on its line a configuration is; NaN where one has gone."""
-        relative = self._relative(q)
-        s, losses = float(self.along @ relative), self.losses
-        if len(relative) > 1:
-            points = self._beside(relative, np.zeros(len(relative)))
-            there = np.array([np.inf]) if points is None else self.follower.losses(self.nodes, points[:, :, 0])
-            nearest = np.append(there, np.inf)[np.abs(np.append(there, np.inf) - losses[:, None]).argmin(axis=1)]
-            losses = np.where(np.abs(nearest - losses) < _STEP, nearest, np.nan)
-        distances: Array = s - losses
-        return distances
 
     def speed(self, v: Array) -> float:
         """Return the speed along the line, 1/s."""
@@ -343,11 +317,9 @@ class _Way:
         last = max(side * at for at in self._at)
         while last < side * to:
             # a point may fall on the rank loss itself, where nothing closes; the next one will not
-            for last in (last + _STEP, last + 1.37 * _STEP):  # noqa: B007, B020 - goes on from where it closed
-                place = self._follower.close(self.guess(side * last))
-                if place is not None:
-                    break
-            else:
+            tries = ((at, self._follower.close(self.guess(side * at))) for at in (last + _STEP, last + 1.37 * _STEP))
+            last, place = next(((at, place) for at, place in tries if place is not None), (last, None))
+            if place is None:
                 return False
             self._at.append(side * last)
             self._places.append(place)
@@ -355,21 +327,22 @@ class _Way:
         return True
 
     def rank_loss(self, reach: float) -> float | None:
-        """Return where J_c may lose rank, ahead within reach or just behind; None where it does not."""
+        """Return where J_c may lose rank: the first place ahead within reach, else one just behind, if there is any."""
+        self.extend(-2.0 * _STEP)
         for side, most in ((1.0, reach), (-1.0, WITHIN * WIDEST)):
-            while max(side * at for at in self._at) < most:
-                if not self.extend(side * (max(side * at for at in self._at) + _STEP)):
-                    break
-                order = np.argsort(self._at)
+            while (last := max(side * at for at in self._at)) < most and self.extend(side * (last + _STEP)):
+                order = np.argsort(side * np.array(self._at))
                 at, ratios = np.array(self._at)[order], np.array(self._ratios)[order]
-                lowest = int(ratios.argmin())
-                if 2 <= lowest < len(at) - 2 or (lowest and ratios[lowest] < LOST and lowest < len(at) - 1):
-                    part = order[max(lowest - 3, 0) : lowest + 4]
-                    roots = self._follower.roots(np.array(self._at)[part], np.array(self._places)[part])
-                    nearest = roots[np.abs(roots - at[lowest]).argsort()]
-                    return float(nearest[0].real) if len(nearest) else float(at[lowest])
-                if side > 0.0 and lowest == 0 and len(at) > 3:
-                    break  # it moves away: the rank loss can be behind only
+                low = len(at) - 3  # two points back: all places before were looked at
+                if low < 1 or not ratios[low - 1] >= ratios[low] < ratios[low + 1]:
+                    continue
+                near = order[max(low - 3, 0) :]
+                places = [self._follower.configuration(self._places[i]) for i in near.tolist()]
+                roots = self._follower.roots(np.array(self._at)[near], places)
+                # others are of sheets that keep apart, or beyond the points
+                roots = roots[(np.abs(roots.imag) < _STEP) & (np.abs(roots.real - at[low]) < 2.0 * _STEP)]
+                if len(roots):
+                    return float(roots.real[np.abs(roots - at[low]).argmin()])
         return None
 
     def sheet(self, centre: float, half: float) -> Sheet | None:
@@ -384,11 +357,13 @@ class _Way:
             return None
         # a point that by chance is on another rank loss would be as bad as one on this one
         ratios = [follower.ratio(place) for place in points[:, :, 0]]
-        losses = follower.losses(nodes, points[:, :, 0]) if min(ratios) >= _REGULAR * max(ratios) else np.empty(0)
-        if not len(losses):
+        if min(ratios) < _REGULAR * max(ratios):
             return None
-        root = float(losses[np.abs(losses - centre).argmin()])
-        return Sheet(follower, root * rate, rate * follower.scale, half, losses - root, nodes - root, points)
+        roots = follower.roots(nodes, [follower.configuration(place) for place in points[:, :, 0]])
+        root = float(roots.real[np.abs(roots - centre).argmin()])
+        if not (abs(root - centre) < half and follower.ratio(_lagrange(nodes, root) @ points[:, :, 0]) <= LOST):
+            return None
+        return Sheet(follower, root * rate, rate * follower.scale, half, nodes - root, points)
 
 
 def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet | float | None:
