@@ -52,8 +52,9 @@ _JUMP, _STIR = 0.05, 1e-3
 """The projection may change a velocity by this share of the largest, and this much, m/s or rad/s. It takes away what a
 step has gained in error; a change beyond that leads to another branch of the motion."""
 
-_TOUCHED = 1e-4
-"""Ratio of singular values of J_c below which a step has come through a rank loss, as far as it is resolved."""
+_TOUCHED = 1e-4, 0.05
+"""Ratio of singular values of J_c below which a step has come through a rank loss, as far as it is resolved: at least,
+and for each rad that it moves."""
 
 _FARTHEST = 4.0 * np.pi
 """rad; a step that moves farther and may come to a rank loss is taken again, shorter."""
@@ -345,7 +346,7 @@ def _require_no_rank_loss(problem: Problem, earlier: Progress, step: Step) -> No
     ahead = sheet_ahead(machine.chain, q, v, 1.2 * travel + WIDEST)
     if isinstance(ahead, Sheet):
         raise RetryStep(min(length, 0.5 * ahead.half / max(abs(ahead.speed(v)), 1e-300)), ahead, "")
-    if ahead is None and functions.least_rank(step) > _TOUCHED:
+    if ahead is None and functions.least_rank(step) > max(_TOUCHED[0], _TOUCHED[1] * travel):
         return
     if ahead is None or ahead <= 1.1 * travel:
         lost = "its closures lose rank just ahead, or nearly so, and no smooth motion is known to lead across"

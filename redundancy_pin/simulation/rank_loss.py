@@ -184,17 +184,6 @@ class _Follower:
         roots: Array = eigvals(pencil, unit, check_finite=False)
         return roots[np.isfinite(roots)]
 
-    def steepest(self) -> Array:
-        """Return (d,) the gradient of the ratio of singular values at the origin, by z times its scale.
-
-        A line along it meets the rank loss at the same place when it is shifted, to first order.
-        """
-        start = self.point(self._still, np.zeros(len(self.scale)))
-        steps = np.zeros((0, len(self._still))) if start is None else (start[:, 1:-1] * (_PROBE / self.scale)).T
-        sides = [[self.close(sign * step) for sign in (1.0, -1.0)] for step in steps]
-        ratios = [[np.nan if place is None else self.ratio(place) for place in pair] for pair in sides]
-        return np.array([(after - before) / (2.0 * _PROBE) for after, before in ratios])
-
     def close(self, guess: Array) -> Array | None:
         """Return the closed place (nv,) with the z of a guess."""
         chain, place, last = self.chain, guess.copy(), np.inf
@@ -345,6 +334,35 @@ class _Way:
                     return float(roots.real[np.abs(roots - at[low]).argmin()])
         return None
 
+    def steepest(self, loss: float) -> _Way | None:
+        """Return the way from beside a rank loss along the gradient of the ratio of singular values, where there is one.
+
+        A line along it meets the rank loss at the same place when it is shifted, to first order. It is taken beside the
+        rank loss, for elsewhere another loop may be the one that is nearer to its own.
+        """
+        away = np.abs(np.array(self._at) - loss)
+        place = self._places[int(np.where(away < _STEP, np.inf, away).argmin())]
+        old = self._follower
+        new = _Follower(old.chain, old.configuration(place), old.independent, old.dependent)
+        start = new.point(np.zeros(len(place)), np.zeros(len(new.scale)))
+        if start is None:
+            return None
+        steps = (start[:, 1:-1] * (_PROBE / new.scale)).T
+        sides = [[new.close(sign * step) for sign in (1.0, -1.0)] for step in steps]
+        ratios = [[np.nan if place is None else new.ratio(place) for place in pair] for pair in sides]
+        along = np.array([(after - before) / (2.0 * _PROBE) for after, before in ratios])
+        length = float(np.linalg.norm(along))
+        if not length > 1e-9:
+            return None
+        along *= np.copysign(1.0, along @ (self._tangent[new.independent] * new.scale)) / length
+        return _Way(new, start[:, 1:-1] @ (along / new.scale))
+
+    def position(self, q: Array) -> float:
+        """Return how far along the line a configuration (nq,) is."""
+        follower = self._follower
+        z = pin.difference(follower.chain.model, follower.origin, q)[follower.independent] * follower.scale
+        return float(z @ (self._tangent[follower.independent] * follower.scale))
+
     def sheet(self, centre: float, half: float) -> Sheet | None:
         """Return the sheet on a line around a place, or None where it is not smooth or does not lose rank there."""
         if not (self.extend(centre + half) and self.extend(centre - half)):
@@ -398,28 +416,25 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     _, _, order = qr(allowed.T, pivoting=True, mode="economic")
     independent = columns[order[:count]]
     dependent = np.setdiff1d(columns, independent)
-    follower = _Follower(chain, q.copy(), independent, dependent)
-    along = moving[independent] * scale[independent] if count == 1 else follower.steepest()
+    along = moving[independent] * scale[independent]
     length = float(np.linalg.norm(along))
-    if not length > 1e-9 * (size if count == 1 else 1.0):
+    if not length > 1e-9 * size:
         return None
-    tangent = moving / length
-    if count > 1:
-        point = follower.point(np.zeros(model.nv), np.zeros(count))
-        if point is None:
-            return None
-        along *= np.copysign(1.0, along @ (moving[independent] * scale[independent])) / length
-        tangent = point[:, 1:-1] @ (along / scale[independent])
-    way = _Way(follower, tangent)
+    way: _Way | None = _Way(_Follower(chain, q.copy(), independent, dependent), moving / length)
     centre = way.rank_loss(reach)
-    if centre is None:
+    if centre is None or centre > WITHIN * WIDEST:
+        return centre
+    if count > 1:
+        way = way.steepest(centre)
+        centre = None if way is None else way.rank_loss(WIDEST)
+    if way is None or centre is None:
         return None
+    ahead = centre - way.position(q)
     half = WIDEST
     while half >= NARROWEST:
-        if abs(centre) <= WITHIN * half:
-            sheet = way.sheet(centre, half)
-            if sheet is not None:
-                return sheet
+        sheet = way.sheet(centre, half) if abs(ahead) <= WITHIN * half else None
+        if sheet is not None:
+            return sheet
         half *= 0.7
     # a narrower line than reaches here may be smooth: it is tried from nearer by
-    return centre if centre > WITHIN * NARROWEST else None
+    return ahead if ahead > WITHIN * NARROWEST else None
