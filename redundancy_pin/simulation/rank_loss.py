@@ -22,7 +22,7 @@ everywhere. The closure forces λ, from J_cᵀ λ = rnea − u, need not be fini
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -166,7 +166,7 @@ class _Follower:
         scaled = self.jacobian(place) * self._inverse_scale
         return float(rank_ratio(scaled[None][:, :, self.chain.pose_columns])[0])
 
-    def roots(self, nodes: Array, configurations: Sequence[Array]) -> Array:
+    def roots(self, nodes: Array, configurations: Iterable[Array]) -> Array:
         """Return (l,) complex roots of det D along configurations (nq,) at nodes (m,): there rank is lost.
 
         D is the dependent block of J_c. Between the nodes roots are those of J_c; farther off they mean nothing.
@@ -335,7 +335,7 @@ class _Way:
         return None
 
     def steepest(self, loss: float) -> _Way | None:
-        """Return the way from beside a rank loss along the gradient of the ratio of singular values, where there is one.
+        """Return the way from beside a rank loss along the gradient of the ratio of singular values, if it has one.
 
         A line along it meets the rank loss at the same place when it is shifted, to first order. It is taken beside the
         rank loss, for elsewhere another loop may be the one that is nearer to its own.
