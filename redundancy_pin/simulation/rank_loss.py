@@ -420,15 +420,16 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     length = float(np.linalg.norm(along))
     if not length > 1e-9 * size:
         return None
-    way: _Way | None = _Way(_Follower(chain, q.copy(), independent, dependent), moving / length)
+    way = _Way(_Follower(chain, q.copy(), independent, dependent), moving / length)
     centre = way.rank_loss(reach)
     if centre is None or centre > WITHIN * WIDEST:
         return centre
     if count > 1:
-        way = way.steepest(centre)
-        centre = None if way is None else way.rank_loss(WIDEST)
-    if way is None or centre is None:
-        return None
+        steepest = way.steepest(centre)
+        centre = None if steepest is None else steepest.rank_loss(WIDEST)
+        if steepest is None or centre is None:
+            return None
+        way = steepest
     ahead = centre - way.position(q)
     half = WIDEST
     while half >= NARROWEST:

@@ -151,8 +151,8 @@ def require_change_point(seed: int, options: Mapping[str, Any], within: float) -
 @pytest.mark.parametrize("options", ALL)
 def test_random_change_point_linkages_stay_on_their_branch(options: str) -> None:
     within = EXACT if "RK45" not in options else 1e-5
-    crossed = [require_change_point(seed, ALL[options], within) for seed in range(4)]
-    assert sum(crossed) > 4
+    first = 2 * list(ALL).index(options)
+    assert sum(require_change_point(seed, ALL[options], within) for seed in (first, first + 1)) > 1
 
 
 @pytest.mark.long
