@@ -244,8 +244,12 @@ class ForwardDynamics:
         chain.update(q, v)
         missing = np.array(pin.rnea(self.robot.model, chain.data, q, v, a)) - force
         # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
-        dependent = self.choose_partition(q).dependent if sheet is None else sheet.follower.dependent
-        block, closure = chain.jacobian()[:, dependent], np.full(chain.rows, np.nan)
+        jacobian, closure = chain.jacobian(), np.full(chain.rows, np.nan)
+        if sheet is None:
+            dependent = choose(jacobian, self._scale, chain.pose_columns, self._free, self._given, q).dependent
+        else:
+            dependent = sheet.follower.dependent
+        block = jacobian[:, dependent]
         if sheet is None or rank_ratio((block / self._scale[dependent])[None])[0] > LOST:
             closure = np.linalg.solve(block.T, missing[dependent])
         return Acceleration(a, closure, missing[self._carriers] if self.prescribed else force[self._carriers])

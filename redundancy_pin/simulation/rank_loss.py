@@ -295,7 +295,7 @@ class _Way:
         nearest = np.argsort(np.abs(at - s))[:_ORDER]
         place: Array = s * self._tangent
         if len(nearest) > 1:
-            place = _lagrange(at[nearest], s) @ np.array(self._places)[nearest]
+            place = _lagrange(at[nearest], s) @ np.array([self._places[i] for i in nearest.tolist()])
         z = self._follower.independent
         place[z] = s * self._tangent[z]
         return place
@@ -320,18 +320,17 @@ class _Way:
         self.extend(-2.0 * _STEP)
         for side, most in ((1.0, reach), (-1.0, WITHIN * WIDEST)):
             while (last := max(side * at for at in self._at)) < most and self.extend(side * (last + _STEP)):
-                order = np.argsort(side * np.array(self._at))
-                at, ratios = np.array(self._at)[order], np.array(self._ratios)[order]
-                low = len(at) - 3  # two points back: all places before were looked at
-                if low < 1 or not ratios[low - 1] >= ratios[low] < ratios[low + 1]:
+                near = np.argsort(side * np.array(self._at))[-6:].tolist()  # the outermost points
+                before, low, after = [np.inf, *(self._ratios[i] for i in near)][-4:-1]
+                if not before >= low < after:
                     continue
-                near = order[max(low - 3, 0) :]
-                places = [self._follower.configuration(self._places[i]) for i in near.tolist()]
-                roots = self._follower.roots(np.array(self._at)[near], places)
+                at = self._at[near[-3]]
+                configurations = [self._follower.configuration(self._places[i]) for i in near]
+                roots = self._follower.roots(np.array([self._at[i] for i in near]), configurations)
                 # others are of sheets that keep apart, or beyond the points
-                roots = roots[(np.abs(roots.imag) < _STEP) & (np.abs(roots.real - at[low]) < 2.0 * _STEP)]
+                roots = roots[(np.abs(roots.imag) < _STEP) & (np.abs(roots.real - at) < 2.0 * _STEP)]
                 if len(roots):
-                    return float(roots.real[np.abs(roots - at[low]).argmin()])
+                    return float(roots.real[np.abs(roots - at).argmin()])
         return None
 
     def steepest(self, loss: float) -> _Way | None:
