@@ -11,18 +11,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import OdeSolver
-from scipy.optimize import bisect, brentq, minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import ModeIndicator, velocity_scale
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.rank_loss import NEAR, Sheet, rank_ratio
+from redundancy_pin.simulation.rank_loss import LOST, NEAR, Sheet, rank_ratio
 
 KINDS = ("track", "joint_limit", "type_I", "type_II", "closure_rank")
 """A carrier at an end of its track; another joint at its limit; a leg at full stretch or folded, where the platform
@@ -51,7 +50,11 @@ _SAME = 1e-4
 """s; a determinant with a zero of third order gives its time no better than this."""
 
 _TURN = 1e-6
-"""Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it."""
+"""Part of a step to which it is known where a joint turns back: what it moves meanwhile is of second order in it. Rank
+losses that are nearer to each other are one."""
+
+_POINTS = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 12))
+"""Fractions of a step on a sheet, of a third of a radian at most, between which closure rows are interpolated."""
 
 
 @dataclass(frozen=True)
@@ -296,7 +299,7 @@ def find_events(
     else:
         events = _find_exactly(functions, before, step, looks)
     if sheet is not None:
-        return _with_rank_loss(functions, events, step, sheet), values[-1], values[:, -1]
+        return _with_rank_loss(functions, events, before, step, sheet), values[-1], values[:, -1]
     count = int(functions.travel(states, step.end - step.start) / _BETWEEN)
     return events, values[-1], values[:, -1] if count < len(values) else functions.ratios(step, count)
 
@@ -310,39 +313,35 @@ def may_touch_zero(values: Array, near: float) -> bool:
     return bool((values[1:] + values[:-1]).min() <= 1.5 * change)
 
 
-def turning_point(step: Step, sheet: Sheet, nq: int) -> float | None:
-    """Return the fraction of a step at which a motion on a sheet turns back, if it does."""
-
-    def speed(fraction: float) -> float:
-        return sheet.speed(step.at(fraction)[nq:])
-
-    return float(brentq(speed, 0.0, 1.0, xtol=_TURN)) if speed(0.0) * speed(1.0) < 0.0 else None
-
-
-def _with_rank_loss(functions: EventFunctions, events: list[Event], step: Step, sheet: Sheet) -> list[Event]:
+def _with_rank_loss(
+    functions: EventFunctions, events: list[Event], before: Array, step: Step, sheet: Sheet
+) -> list[Event]:
     """Return events with the rank losses of the closures that a motion on a sheet comes to in this step.
 
     The determinants of type I and type II vanish there too, as often as rank is lost, and with a sign or without: they
     are events there whatever their sign does.
     """
+    places = np.array([step.at(fraction)[: functions.nq] for fraction in _POINTS])
+    ratios = functions(places)[:, -1]
+    if not may_touch_zero(ratios, LOST):
+        return events
+    # what starts at a rank loss has not come to it, what ends there has
+    first, last = (_TURN if ratio <= LOST else 0.0 for ratio in (before[-1], ratios[-1]))
+    roots = sheet.follower.roots(_POINTS, places)
+    near = np.sort(roots.real[(np.abs(roots.imag) < _TURN) & (roots.real > first) & (roots.real <= 1.0 + last)])
+    times = [step.time(min(x, 1.0)) for x in near[np.diff(near, prepend=-np.inf) > _TURN].tolist()]
+    others = [
+        event
+        for event in events
+        if event.kind not in functions.determinants or all(abs(event.t - t) > _SAME for t in times)
+    ]
+    return _until_terminal([*others, *(event for t in times for event in functions.rank_loss(t))])
 
-    def beyond(fraction: float) -> Array:
-        distances = sheet.distances(step.at(fraction)[: functions.nq])
-        distances[np.abs(distances) <= _ROUNDING] = 0.0
-        return distances
 
-    turn = turning_point(step, sheet, functions.nq)
-    ends = [0.0, 1.0] if turn is None else [0.0, turn, 1.0]
-    values = np.array([beyond(fraction) for fraction in ends])
-    # what starts there has not come to it
-    crossed = (values[:-1] * values[1:] <= 0.0) & (values[:-1] != 0.0)
-    for part, i in np.argwhere(crossed):
-        fraction = brentq(lambda x, i=i: beyond(x)[i], ends[part], ends[part + 1], xtol=1e-14, rtol=1e-14)
-        t = step.time(float(fraction))
-        apart = [event for event in events if event.kind not in functions.determinants or abs(event.t - t) > _SAME]
-        events = sorted([*apart, *functions.rank_loss(t)], key=lambda event: event.t)
-    end = next((i for i, event in enumerate(events) if event.terminal), len(events))
-    return events[: end + 1]
+def _until_terminal(events: list[Event]) -> list[Event]:
+    """Return events in order of time, up to the first terminal one."""
+    events.sort(key=lambda event: event.t)
+    return events[: next((i for i, event in enumerate(events) if event.terminal), len(events)) + 1]
 
 
 def _turns(functions: EventFunctions, step: Step, states: Array, looks: Sequence[float]) -> BoolArray:
@@ -360,14 +359,10 @@ def _find_exactly(functions: EventFunctions, before: Array, step: Step, looks: S
     ends = sorted([*ends, *turns])
     after = functions(np.array([step.at(x) for x in ends[1:]])[:, : functions.nq])
     values = np.concatenate([before[None], after])
-    events = [
-        functions.event(i, _root(functions, step, i, ends[part], ends[part + 1]))
-        for part, (earlier, later) in enumerate(pairwise(values))
-        for i in np.flatnonzero(functions.sign_changes(earlier, later)).tolist()
-    ]
-    events.sort(key=lambda event: event.t)
-    last = next((i for i, event in enumerate(events) if event.terminal), len(events))
-    return events[: last + 1]
+    changes = np.argwhere(functions.sign_changes(values[:-1], values[1:])).tolist()
+    return _until_terminal(
+        [functions.event(i, _root(functions, step, i, ends[part], ends[part + 1])) for part, i in changes]
+    )
 
 
 def _root(functions: EventFunctions, step: Step, index: int, left: float, right: float) -> float:
@@ -378,9 +373,8 @@ def _root(functions: EventFunctions, step: Step, index: int, left: float, right:
 
     at_left, at_right = value(left), value(right)
     if at_left * at_right < 0.0:
-        fraction, result = brentq(value, left, right, xtol=1e-14, rtol=1e-14, full_output=True, disp=False)
-        if not result.converged:  # a root of third order or more, where secants crawl
-            fraction = bisect(value, left, right, xtol=1e-14, rtol=1e-14)
+        # secants crawl towards a root of third order or more
+        fraction = brentq(value, left, right, xtol=1e-14, rtol=1e-14, maxiter=10_000)
     else:  # zero to rounding at one end: it starts or ends there
         fraction = left if abs(at_left) <= abs(at_right) else right
     return step.time(fraction)

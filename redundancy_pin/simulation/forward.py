@@ -243,27 +243,16 @@ class ForwardDynamics:
         chain = self.chain
         chain.update(q, v)
         missing = np.array(pin.rnea(self.robot.model, chain.data, q, v, a)) - force
-        closure: Array = np.zeros(chain.rows)
-        if sheet is not None:
-            jacobian = chain.jacobian()[:, sheet.follower.dependent]
-            ratio = rank_ratio((jacobian / self._scale[sheet.follower.dependent])[None])[0]
-            finite = ratio > LOST
-            closure = (
-                np.asarray(np.linalg.solve(jacobian.T, missing[sheet.follower.dependent]))
-                if finite
-                else closure + np.nan
-            )
-        elif chain.rows:
-            # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
-            dependent, jacobian = self.partition.dependent, chain.jacobian()
-            factor, _, closure, _ = lapack.dgesv(jacobian[:, dependent].T, missing[dependent])
-            pivots = np.abs(factor.diagonal())
-            if not pivots.min() >= _POOR_CHOICE * pivots.max():
-                self._set(self.choose_partition(q))
-                dependent = self.partition.dependent
-                _, _, closure, _ = lapack.dgesv(jacobian[:, dependent].T, missing[dependent])
-        carrier = missing[self._carriers] if self.prescribed else force[self._carriers]
-        return Acceleration(a, np.asarray(closure), np.asarray(carrier))
+        # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
+        jacobian, closure = chain.jacobian(), np.full(chain.rows, np.nan)
+        if sheet is None:
+            dependent = choose(jacobian, self._scale, chain.pose_columns, self._free, self._given, q).dependent
+        else:
+            dependent = sheet.follower.dependent
+        block = jacobian[:, dependent]
+        if sheet is None or rank_ratio((block / self._scale[dependent])[None])[0] > LOST:
+            closure = np.linalg.solve(block.T, missing[dependent])
+        return Acceleration(a, closure, missing[self._carriers] if self.prescribed else force[self._carriers])
 
     def velocity_basis(self, q: Array) -> Array:
         """Return N (nv, d) at a configuration (nq,): the tree velocities that the closures allow.

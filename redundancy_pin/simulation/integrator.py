@@ -19,13 +19,14 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 from scipy.integrate import DOP853, RK45, OdeSolver
+from scipy.optimize import brentq
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.simulation.controllers.base import Command, Sampling
-from redundancy_pin.simulation.events import Event, EventFunctions, Step, find_events, may_touch_zero, turning_point
-from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, rank_ratio, sheet_ahead
+from redundancy_pin.simulation.events import Event, EventFunctions, Step, find_events, may_touch_zero
+from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.system import Machine
 
@@ -51,8 +52,9 @@ _JUMP, _STIR = 0.05, 1e-3
 """The projection may change a velocity by this share of the largest, and this much, m/s or rad/s. It takes away what a
 step has gained in error; a change beyond that leads to another branch of the motion."""
 
-_TOUCHED = 1e-4
-"""Ratio of singular values of J_c below which a step has come through a rank loss, as far as it is resolved."""
+_TOUCHED = 1e-4, 0.05
+"""Ratio of singular values of J_c below which a step has come through a rank loss, as far as it is resolved: at least,
+and for each rad that it moves."""
 
 _FARTHEST = 4.0 * np.pi
 """rad; a step that moves farther and may come to a rank loss is taken again, shorter."""
@@ -61,7 +63,7 @@ _LEAST_TRAVEL = 0.01
 """rad; a rank loss that is nearer, and cannot be carried across, is given up."""
 
 _AT_REST, _AT = 1e-10, 1e-8
-"""Speed, 1/s, and distance from a rank loss at which a motion may go on on either sheet."""
+"""Speed, 1/s, and ratio of singular values at which a motion may go on on either sheet."""
 
 
 @dataclass(frozen=True)
@@ -277,7 +279,7 @@ def _step(
         _require_no_rank_loss(problem, earlier, step)
         near = 0.5 * float(ratios.min())  # a look ahead takes as long as some steps: the next one from nearer by
     stop = events[-1].t if events and events[-1].terminal else None
-    rest = None if rate.sheet is None else _rest(step, rate.sheet, machine.robot.model.nq)
+    rest = None if rate.sheet is None else _rest(problem.functions, step, rate.sheet)
     if rest is not None and (stop is None or rest < stop):
         events, stop = [event for event in events if event.t < rest], rest
     y, gap, left = machine.project(solver.t, solver.y, rate.sheet)
@@ -289,13 +291,8 @@ def _step(
         progress = replace(progress, t=stop, y=y, status=SimulationStatus.STOPPED_BY_EVENT)
         if stop != rest:
             return progress
-        return progress.failed(
-            _at_pose(
-                machine,
-                y[: problem.functions.nq],
-                "it rests where its closures lose rank, and its motion is undetermined",
-            )
-        )
+        why = "it rests where its closures lose rank, and its motion is undetermined"
+        return progress.failed(_at_pose(problem.functions, y[: problem.functions.nq], why))
     largest = max(progress.largest_correction, gap)
     progress = replace(progress, y=y, values=values, largest_correction=largest)
     progress = replace(progress, near=near if ratios[-1] < NEAR else NEAR)
@@ -313,13 +310,16 @@ def _step(
     return progress
 
 
-def _rest(step: Step, sheet: Sheet, nq: int) -> float | None:
+def _rest(functions: EventFunctions, step: Step, sheet: Sheet) -> float | None:
     """Return the time in a step at which a motion comes to rest at a rank loss, if it does."""
-    turn = turning_point(step, sheet, nq)
-    fraction = 1.0 if turn is None else turn
-    q, v = np.split(step.at(fraction), [nq])
-    at_rest = turn is not None or abs(sheet.speed(v)) < _AT_REST
-    return step.time(fraction) if at_rest and (np.abs(sheet.distances(q)) < _AT).any() else None
+
+    def speed(fraction: float) -> float:
+        return sheet.speed(step.at(fraction)[functions.nq :])
+
+    turns = speed(0.0) * speed(1.0) < 0.0
+    fraction = float(brentq(speed, 0.0, 1.0, xtol=1e-6)) if turns else 1.0
+    lost = functions(step.at(fraction)[None, : functions.nq])[0, -1] < _AT
+    return step.time(fraction) if lost and (turns or abs(speed(1.0)) < _AT_REST) else None
 
 
 class RetryStep(Exception):  # noqa: N818 - it tells the integration to go back, and is no failure
@@ -335,22 +335,22 @@ class RetryStep(Exception):  # noqa: N818 - it tells the integration to go back,
 
 def _require_no_rank_loss(problem: Problem, earlier: Progress, step: Step) -> None:
     """Raise RetryStep where the closures lose rank in a step, with the sheet that leads across if it is near enough."""
-    machine, length = problem.machine, step.end - step.start
+    machine, functions, length = problem.machine, problem.functions, step.end - step.start
     q, v = np.split(earlier.y, [machine.robot.model.nq])
     way = velocity_scale(machine.robot) / machine.robot.characteristic_length
     moved = pin.difference(machine.robot.model, q, step.at(1.0)[: len(q)]) * way
     moved[machine.robot.carrier_velocity] = 0.0
     travel = float(np.linalg.norm(moved))
     if travel > _FARTHEST:  # the way ahead is followed point by point
-        raise RetryStep(0.5 * length, None, _at_pose(machine, q, "its closures may lose rank within a step of turns"))
+        raise RetryStep(0.5 * length, None, _at_pose(functions, q, "its closures may lose rank within a step of turns"))
     ahead = sheet_ahead(machine.chain, q, v, 1.2 * travel + WIDEST)
     if isinstance(ahead, Sheet):
         raise RetryStep(min(length, 0.5 * ahead.half / max(abs(ahead.speed(v)), 1e-300)), ahead, "")
-    if ahead is None and problem.functions.least_rank(step) > _TOUCHED:
+    if ahead is None and functions.least_rank(step) > max(_TOUCHED[0], _TOUCHED[1] * travel):
         return
     if ahead is None or ahead <= 1.1 * travel:
         lost = "its closures lose rank just ahead, or nearly so, and no smooth motion is known to lead across"
-        raise RetryStep(0.5 * length if travel > _LEAST_TRAVEL else 0.0, None, _at_pose(machine, q, lost))
+        raise RetryStep(0.5 * length if travel > _LEAST_TRAVEL else 0.0, None, _at_pose(functions, q, lost))
 
 
 def _require_continuous(
@@ -374,13 +374,9 @@ def _require_continuous(
         )
 
 
-def _at_pose(machine: Machine, q: Array, why: str) -> str:
+def _at_pose(functions: EventFunctions, q: Array, why: str) -> str:
     """Return a reason with the pose and the singular values of the closures there."""
-    columns = machine.chain.pose_columns
-    machine.chain.update(q, np.zeros(machine.robot.model.nv))
-    scaled = machine.chain.jacobian()[:, columns] / velocity_scale(machine.robot)[columns]
-    ratio = float(rank_ratio(scaled[None])[0])
-    pose = (np.round(q, 6) + 0.0).tolist()
+    pose, ratio = (np.round(q, 6) + 0.0).tolist(), float(functions(q[None])[0, -1])
     return f"{why} (q = {pose}, ratio of singular values {ratio:.2g})"
 
 

@@ -22,13 +22,13 @@ everywhere. The closure forces λ, from J_cᵀ λ = rnea − u, need not be fini
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import lapack, qr
-from scipy.optimize import minimize_scalar
+from scipy.linalg import eigvals, lapack, qr
 
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.kinematics.chain import ClosedChain
@@ -62,9 +62,6 @@ _STEP = 0.03
 
 _REGULAR = 0.03
 """Share of the largest ratio of singular values on a line that every point of it must have; the innermost have 0.08."""
-
-_APART = 1e-6
-"""rad; rank losses nearer to each other are one."""
 
 _PROBE = 1e-4
 """Step of the differences that tell which way rank is lost, rad."""
@@ -102,28 +99,10 @@ def _lagrange(nodes: Array, s: float, weights: Array | None = None) -> Array:
     return share
 
 
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """A point of a sheet: joints' positions from an origin, N, a₀ at some rate, and the ratio of singular values."""
-
-    place: Array
-    basis: Array
-    bias: Array
-    ratio: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """Points of a sheet on a line: ``places`` (m, nv), ``bases`` (m, nv, d), ``biases`` (m, nv), ``ratios`` (m,)."""
-
-    places: Array
-    bases: Array
-    biases: Array
-    ratios: Array
-
-
 class _Follower:
     """Points of a sheet from guesses near it, with the independent joints where the guess has them.
+
+    A point is (nv, d + 2): the joints' positions from an origin (its place), N, and a₀ at some rate.
 
     Attributes:
         chain: evaluator of the robot.
@@ -134,7 +113,7 @@ class _Follower:
 
     def __init__(self, chain: ClosedChain, origin: Array, independent: IntArray, dependent: IntArray) -> None:
         self.chain, self.origin, self.independent, self.dependent = chain, origin, independent, dependent
-        self._columns, scale = chain.pose_columns, velocity_scale(chain.robot)
+        scale = velocity_scale(chain.robot)
         self.scale, self._inverse_scale = scale[independent] / chain.robot.characteristic_length, 1.0 / scale
         self._still = np.zeros(chain.model.nv)
 
@@ -143,7 +122,7 @@ class _Follower:
         q: Array = pin.integrate(self.chain.model, self.origin, place)
         return q
 
-    def point(self, guess: Array, rate: Array) -> _Point | None:
+    def point(self, guess: Array, rate: Array) -> Array | None:
         """Return the point that a guess (nv,) leads to, with a₀ at ż (d,); None where Newton's method fails."""
         place = self.close(guess)
         if place is None:
@@ -151,16 +130,17 @@ class _Follower:
         chain, dependent, independent = self.chain, self.dependent, self.independent
         jacobian = chain.jacobian()
         solve = np.linalg.inv(jacobian[:, dependent])
-        basis = np.zeros((len(place), len(independent)))
+        point = np.zeros((len(place), len(independent) + 2))
+        basis = point[:, 1:-1]
+        point[:, 0] = place
         basis[independent, np.arange(len(independent))] = 1.0
         basis[dependent] = -solve @ jacobian[:, independent]
-        bias = np.zeros(len(place))
         chain.update(self.configuration(place), basis @ rate)
-        bias[dependent] = -solve @ chain.bias()
-        return _Point(place, basis, bias, self._ratio(jacobian))
+        point[dependent, -1] = -solve @ chain.bias()
+        return point
 
-    def line(self, guesses: Array, rate: Array, nodes: Array, weights: Array) -> _Line | None:
-        """Return the line through guesses (m, nv) at nodes about 0, or None where it is not on one smooth sheet.
+    def line(self, guesses: Array, rate: Array, nodes: Array, weights: Array) -> Array | None:
+        """Return the points (m, nv, d + 2) from guesses (m, nv) at nodes about 0; None where no smooth sheet has all.
 
         Where Newton's method has taken some points to another sheet, the interpolated closures gape between them.
         """
@@ -168,93 +148,53 @@ class _Follower:
         closed = [point for point in points if point is not None]
         if len(closed) < len(points):
             return None
-        places, bases, biases = (np.array([getattr(p, name) for p in closed]) for name in ("place", "basis", "bias"))
-        ends = np.sort(nodes)
+        values, ends = np.array(closed), np.sort(nodes)
         for s in (0.5 * (ends[1:] + ends[:-1])).tolist():
-            share = _lagrange(nodes, s, weights)
-            gap, apart = self.gap(share @ places, np.tensordot(share, bases, 1) @ rate)
-            if not (gap <= GAP and apart <= SLOPE):
+            point = np.tensordot(_lagrange(nodes, s, weights), values, 1)
+            parting = self.jacobian(point[:, 0]) @ (point[:, 1:-1] @ rate)
+            if not (np.abs(self.chain.residual()).max() <= GAP and np.abs(parting).max() <= SLOPE):
                 return None
-        return _Line(places, bases, biases, np.array([point.ratio for point in closed]))
+        return values
 
-    def loss_near(self, nodes: Array, places: Array, guess: float, reach: float) -> float:
-        """Return where between nodes, within reach of a guess, rank is lost; NaN where it is not."""
-        weights = _barycentric(nodes)
-
-        def ratio(s: float) -> float:
-            return self.ratio(_lagrange(nodes, s, weights) @ places)
-
-        bounds = guess - reach, guess + reach
-        lowest = minimize_scalar(ratio, bounds=bounds, method="bounded", options={"xatol": 1e-9})
-        # |s − s₀| on both sides of its zero tells where that is, better than a search for what is least
-        s = float(lowest.x)
-        left, right = s - 0.1 * _APART, s + 0.1 * _APART
-        before, after = ratio(left), ratio(right)
-        s = (left * after + right * before) / (before + after)
-        return s if ratio(s) <= LOST else np.nan
-
-    def losses(self, nodes: Array, places: Array) -> Array:
-        """Return (l,) where between the outermost nodes rank is lost."""
-        weights, ends = _barycentric(nodes), np.sort(nodes)
-
-        def ratio(s: float) -> float:
-            return self.ratio(_lagrange(nodes, s, weights) @ places)
-
-        def minima(looks: Array) -> Array:
-            ratios = np.array([ratio(s) for s in looks.tolist()])
-            lowest = np.flatnonzero((ratios[1:-1] <= ratios[:-2]) & (ratios[1:-1] < ratios[2:])) + 1
-            reach = np.maximum(looks[lowest + 1] - looks[lowest], looks[lowest] - looks[lowest - 1])
-            losses = [
-                self.loss_near(nodes, places, *at) for at in zip(looks[lowest].tolist(), reach.tolist(), strict=True)
-            ]
-            return np.array([loss for loss in losses if np.isfinite(loss)])
-
-        step = (ends[-1] - ends[0]) / (8 * len(nodes))
-        losses = minima(np.arange(ends[0], ends[-1], step))
-        # two that are nearer to each other than the looks: seen from the one by looks closer and closer to it
-        closer = step * 0.5 ** np.arange(-1.0, 15.0)
-        beside = [minima(loss + np.append(-closer, closer[::-1])) for loss in losses.tolist()]
-        found = np.sort(np.concatenate([losses, *beside]))
-        apart: Array = found[np.diff(found, prepend=-np.inf) > _APART]
-        return apart
+    def jacobian(self, place: Array) -> Array:
+        """Return J_c (r, nv) at a place (nv,)."""
+        self.chain.update(self.configuration(place), self._still)
+        return self.chain.jacobian()
 
     def ratio(self, place: Array) -> float:
         """Return the ratio of singular values at a place (nv,)."""
-        self.chain.update(self.configuration(place), self._still)
-        return self._ratio(self.chain.jacobian())
+        scaled = self.jacobian(place) * self._inverse_scale
+        return float(rank_ratio(scaled[None][:, :, self.chain.pose_columns])[0])
 
-    def steepest(self) -> Array:
-        """Return (d,) the gradient of the ratio of singular values at the origin, by z times its scale.
+    def roots(self, nodes: Array, configurations: Iterable[Array]) -> Array:
+        """Return (l,) complex roots of det D along configurations (nq,) at nodes (m,): there rank is lost.
 
-        A line along it meets the rank loss at the same place when it is shifted, to first order.
+        D is the dependent block of J_c. Between the nodes roots are those of J_c; farther off they mean nothing.
+        The interpolant of D is linearised in barycentric form: Σ D_j x_j = 0, x_j = w_j x / (s − s_j). Loops that lose
+        rank together are eigenvalues of the pencil as often, and each as well conditioned as one alone.
         """
-        start = self.point(self._still, np.zeros(len(self.scale)))
-        steps = np.zeros((0, len(self._still))) if start is None else (start.basis * (_PROBE / self.scale)).T
-        sides = [[self.close(sign * step) for sign in (1.0, -1.0)] for step in steps]
-        ratios = [[np.nan if place is None else self.ratio(place) for place in pair] for pair in sides]
-        return np.array([(after - before) / (2.0 * _PROBE) for after, before in ratios])
-
-    def gap(self, place: Array, velocity: Array) -> tuple[float, float]:
-        """Return the closure gap, m, at a place (nv,), and how fast closures part at a velocity (nv,), m/s."""
-        self.chain.update(self.configuration(place), self._still)
-        apart = self.chain.jacobian() @ velocity
-        return float(np.abs(self.chain.residual()).max()), float(np.abs(apart).max())
-
-    def _ratio(self, jacobian: Array) -> float:
-        return float(rank_ratio((jacobian * self._inverse_scale)[None][:, :, self._columns])[0])
+        r, weights, blocks = len(self.dependent), _barycentric(nodes), []
+        for q in configurations:
+            self.chain.update(q, self._still)
+            blocks.append(self.chain.jacobian()[:, self.dependent] * self._inverse_scale[self.dependent])
+        pencil, unit = np.zeros((2, r * (len(nodes) + 1), r * (len(nodes) + 1)))
+        pencil[:r, r:] = np.concatenate(blocks, axis=1)
+        pencil[r:, :r] = np.kron(weights[:, None] / np.abs(weights).max(), np.eye(r))
+        pencil[r:, r:], unit[r:, r:] = np.kron(np.diag(nodes), np.eye(r)), np.eye(r * len(nodes))
+        roots: Array = eigvals(pencil, unit, check_finite=False)
+        return roots[np.isfinite(roots)]
 
     def close(self, guess: Array) -> Array | None:
         """Return the closed place (nv,) with the z of a guess."""
         chain, place, last = self.chain, guess.copy(), np.inf
         for _ in range(12):
-            chain.update(self.configuration(place), self._still)
-            residual = chain.residual()
+            jacobian, residual = self.jacobian(place), chain.residual()
             gap = float(np.abs(residual).max())
             if gap <= 1e-16 or (gap < GAP and gap > 0.3 * last):
                 return place
             if not gap <= 10.0 * last:
                 return None
-            _, _, step, singular = lapack.dgesv(chain.jacobian()[:, self.dependent], residual)
+            _, _, step, singular = lapack.dgesv(jacobian[:, self.dependent], residual)
             if singular or not np.abs(step).max() < 0.5:
                 return None
             place[self.dependent] -= step
@@ -281,22 +221,16 @@ class Sheet:
         centre: (d,) z of the rank loss on the way that led here.
         along: (d,) direction of the line in z times its scale, of unit length.
         half: half of the line's length.
-        losses: (l,) where rank is lost on the line through the centre: there, and maybe at other places nearby.
         nodes: (m,) positions on the line, from the centre.
-        places: (m, nv) joints' positions from the origin on the line through the centre.
-        bases: (m, nv, d) N there.
-        curvature: (m, nv) a₀ there for unit speed along the line.
+        points: (m, nv, d + 2) of the sheet there (``_Follower``), a₀ for unit speed along the line.
     """
 
     follower: _Follower
     centre: Array
     along: Array
     half: float
-    losses: Array
     nodes: Array
-    places: Array
-    bases: Array
-    curvature: Array
+    points: Array
 
     @cached_property
     def _weights(self) -> Array:
@@ -305,17 +239,6 @@ class Sheet:
     def position(self, q: Array) -> float:
         """Return where on its line a configuration is, from its middle."""
         return float(self.along @ self._relative(q))
-
-    def distances(self, q: Array) -> Array:
-        """Return how far beyond each rank loss (l,) on its line a configuration is; NaN where one has gone."""
-        relative = self._relative(q)
-        s = float(self.along @ relative)
-        if len(self.follower.independent) == 1:
-            return s - self.losses
-        beside = self._beside(relative - s * self.along, np.zeros(len(relative)))
-        if beside is None:
-            return np.full(len(self.losses), np.nan)
-        return s - np.array([self.follower.loss_near(self.nodes, beside.places, loss, _STEP) for loss in self.losses])
 
     def speed(self, v: Array) -> float:
         """Return the speed along the line, 1/s."""
@@ -331,30 +254,25 @@ class Sheet:
 
     def at(self, q: Array, v: Array) -> Motion | None:
         """Return the state on the sheet that has the z and ż of a state, with N and a₀; None beyond the line's ends."""
-        relative = self._relative(q)
+        relative, rate = self._relative(q), v[self.follower.independent]
         s = float(self.along @ relative)
         if not abs(s) <= 1.05 * self.half:
             return None
-        rate = v[self.follower.independent]
-        share = _lagrange(self.nodes, s, self._weights)
-        if len(self.follower.independent) == 1:
-            place, basis = share @ self.places, np.tensordot(share, self.bases, 1)
-            particular = (share @ self.curvature) * self.speed(v) ** 2
-        else:
-            beside = self._beside(relative - s * self.along, rate)
-            if beside is None:
-                return None
-            place, basis = share @ beside.places, np.tensordot(share, beside.bases, 1)
-            particular = share @ beside.biases
+        points = self.points if len(rate) == 1 else self._beside(relative, rate)
+        if points is None:
+            return None
+        point = np.tensordot(_lagrange(self.nodes, s, self._weights), points, 1)
+        basis, particular = point[:, 1:-1], point[:, -1] * (self.speed(v) ** 2 if len(rate) == 1 else 1.0)
         columns, robot = self.follower.chain.pose_columns, self.follower.chain.robot
-        closed, speed = self.follower.configuration(place), v.copy()
+        closed, speed = self.follower.configuration(point[:, 0]), v.copy()
         closed[robot.carrier_position] = q[robot.carrier_position]
         speed[columns] = basis[columns] @ rate
         return Motion(closed, speed, basis, particular)
 
-    def _beside(self, away: Array, rate: Array) -> _Line | None:
-        """Return the line ``away`` (d,) from that through the centre, a₀ at a rate ż (d,)."""
-        guesses = self.places + self.bases @ (away / self.follower.scale)
+    def _beside(self, relative: Array, rate: Array) -> Array | None:
+        """Return the points of the line through z ``relative`` (d,) to the centre, times its scale; a₀ at ż (d,)."""
+        away = (relative - (self.along @ relative) * self.along) / self.follower.scale
+        guesses = self.points[:, :, 0] + self.points[:, :, 1:-1] @ away
         return self.follower.line(guesses, rate, self.nodes, self._weights)
 
 
@@ -375,10 +293,9 @@ class _Way:
         """Return the place at s, extrapolated from the points nearest to it."""
         at = np.array(self._at)
         nearest = np.argsort(np.abs(at - s))[:_ORDER]
-        if len(nearest) == 1:
-            place: Array = self._places[0] + s * self._tangent
-        else:
-            place = _lagrange(at[nearest], s) @ np.array(self._places)[nearest]
+        place: Array = s * self._tangent
+        if len(nearest) > 1:
+            place = _lagrange(at[nearest], s) @ np.array([self._places[i] for i in nearest.tolist()])
         z = self._follower.independent
         place[z] = s * self._tangent[z]
         return place
@@ -388,77 +305,82 @@ class _Way:
         side = np.copysign(1.0, to)
         last = max(side * at for at in self._at)
         while last < side * to:
-            last += _STEP
-            place = self._follower.close(self.guess(side * last))
+            # a point may fall on the rank loss itself, where nothing closes; the next one will not
+            tries = ((at, self._follower.close(self.guess(side * at))) for at in (last + _STEP, last + 1.37 * _STEP))
+            last, place = next(((at, place) for at, place in tries if place is not None), (last, None))
             if place is None:
-                # a point may fall on the rank loss itself, where nothing closes; the next one will not
-                last += 0.37 * _STEP
-                place = self._follower.close(self.guess(side * last))
-                if place is None:
-                    return False
+                return False
             self._at.append(side * last)
             self._places.append(place)
             self._ratios.append(self._follower.ratio(place))
         return True
 
     def rank_loss(self, reach: float) -> float | None:
-        """Return where J_c may lose rank, ahead within reach or just behind; None where it does not."""
+        """Return where J_c may lose rank: the first place ahead within reach, else one just behind, if there is any."""
+        self.extend(-2.0 * _STEP)
         for side, most in ((1.0, reach), (-1.0, WITHIN * WIDEST)):
-            while max(side * at for at in self._at) < most:
-                if not self.extend(side * (max(side * at for at in self._at) + _STEP)):
-                    break
-                order = np.argsort(self._at)
-                at, ratios = np.array(self._at)[order], np.array(self._ratios)[order]
-                lowest = int(ratios.argmin())
-                if 2 <= lowest < len(at) - 2 or (lowest and ratios[lowest] < LOST and lowest < len(at) - 1):
-                    return _touch(at, ratios, lowest)
-                if side > 0.0 and lowest == 0 and len(at) > 3:
-                    break  # it moves away: the rank loss can be behind only
+            while (last := max(side * at for at in self._at)) < most and self.extend(side * (last + _STEP)):
+                near = np.argsort(side * np.array(self._at))[-6:].tolist()  # the outermost points
+                before, low, after = [np.inf, *(self._ratios[i] for i in near)][-4:-1]
+                if not before >= low < after:
+                    continue
+                at = self._at[near[-3]]
+                configurations = [self._follower.configuration(self._places[i]) for i in near]
+                roots = self._follower.roots(np.array([self._at[i] for i in near]), configurations)
+                # others are of sheets that keep apart, or beyond the points
+                roots = roots[(np.abs(roots.imag) < _STEP) & (np.abs(roots.real - at) < 2.0 * _STEP)]
+                if len(roots):
+                    return float(roots.real[np.abs(roots - at).argmin()])
         return None
+
+    def steepest(self, loss: float) -> _Way | None:
+        """Return the way from beside a rank loss along the gradient of the ratio of singular values, if it has one.
+
+        A line along it meets the rank loss at the same place when it is shifted, to first order. It is taken beside the
+        rank loss, for elsewhere another loop may be the one that is nearer to its own.
+        """
+        away = np.abs(np.array(self._at) - loss)
+        place = self._places[int(np.where(away < _STEP, np.inf, away).argmin())]
+        old = self._follower
+        new = _Follower(old.chain, old.configuration(place), old.independent, old.dependent)
+        start = new.point(np.zeros(len(place)), np.zeros(len(new.scale)))
+        if start is None:
+            return None
+        steps = (start[:, 1:-1] * (_PROBE / new.scale)).T
+        sides = [[new.close(sign * step) for sign in (1.0, -1.0)] for step in steps]
+        ratios = [[np.nan if place is None else new.ratio(place) for place in pair] for pair in sides]
+        along = np.array([(after - before) / (2.0 * _PROBE) for after, before in ratios])
+        length = float(np.linalg.norm(along))
+        if not length > 1e-9:
+            return None
+        along *= np.copysign(1.0, along @ (self._tangent[new.independent] * new.scale)) / length
+        return _Way(new, start[:, 1:-1] @ (along / new.scale))
+
+    def position(self, q: Array) -> float:
+        """Return how far along the line a configuration (nq,) is."""
+        follower = self._follower
+        z = pin.difference(follower.chain.model, follower.origin, q)[follower.independent] * follower.scale
+        return float(z @ (self._tangent[follower.independent] * follower.scale))
 
     def sheet(self, centre: float, half: float) -> Sheet | None:
         """Return the sheet on a line around a place, or None where it is not smooth or does not lose rank there."""
         if not (self.extend(centre + half) and self.extend(centre - half)):
             return None
         nodes = centre + half * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
-        rate = self._tangent[self._follower.independent]
+        follower, rate = self._follower, self._tangent[self._follower.independent]
         guesses = np.array([self.guess(s) for s in nodes.tolist()])
-        line = self._follower.line(guesses, rate, nodes - centre, _barycentric(nodes))
+        points = follower.line(guesses, rate, nodes - centre, _barycentric(nodes))
+        if points is None:
+            return None
         # a point that by chance is on another rank loss would be as bad as one on this one
-        if line is None or line.ratios.min() < _REGULAR * line.ratios.max():
+        ratios = [follower.ratio(place) for place in points[:, :, 0]]
+        if min(ratios) < _REGULAR * max(ratios):
             return None
-        losses = self._follower.losses(nodes, line.places)
-        if not len(losses):
+        roots = follower.roots(nodes, [follower.configuration(place) for place in points[:, :, 0]])
+        root = float(roots.real[np.abs(roots - centre).argmin()])
+        if not (abs(root - centre) < half and follower.ratio(_lagrange(nodes, root) @ points[:, :, 0]) <= LOST):
             return None
-        root = float(losses[np.abs(losses - centre).argmin()])
-        return Sheet(
-            follower=self._follower,
-            centre=root * rate,
-            along=rate * self._follower.scale,
-            half=half,
-            losses=losses - root,
-            nodes=nodes - root,
-            places=line.places,
-            bases=line.bases,
-            curvature=line.biases,
-        )
-
-
-def _touch(at: Array, ratios: Array, lowest: int) -> float:
-    """Return where a function that looks like |s − s₀| touches zero, from points on both sides of it."""
-    part = slice(max(lowest - 3, 0), lowest + 4)
-    s, value = at[part] - at[lowest], ratios[part]
-    powers = np.vander(s, min(4, len(s) - 1))
-    results = []
-    for last in (0.0, at[lowest - 1] - at[lowest]):  # the lowest point lies before the zero, or behind
-        signed = np.where(s <= last, -value, value)
-        fit, *_ = np.linalg.lstsq(powers, signed, rcond=None)
-        roots = np.roots(fit)
-        real = roots.real[np.abs(roots.imag) < 1e-9]
-        if len(real):
-            near = float(real[np.abs(real).argmin()])
-            results.append((float(np.abs(powers @ fit - signed).max()), near))
-    return float(at[lowest]) + (min(results)[1] if results else 0.0)
+        return Sheet(follower, root * rate, rate * follower.scale, half, nodes - root, points)
 
 
 def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet | float | None:
@@ -493,29 +415,26 @@ def sheet_ahead(chain: ClosedChain, q: Array, v: Array, reach: float) -> Sheet |
     _, _, order = qr(allowed.T, pivoting=True, mode="economic")
     independent = columns[order[:count]]
     dependent = np.setdiff1d(columns, independent)
-    follower = _Follower(chain, q.copy(), independent, dependent)
-    along = moving[independent] * scale[independent] if count == 1 else follower.steepest()
+    along = moving[independent] * scale[independent]
     length = float(np.linalg.norm(along))
-    if not length > 1e-9 * (size if count == 1 else 1.0):
+    if not length > 1e-9 * size:
         return None
-    if count == 1:
-        tangent = moving / length
-    else:
-        point = follower.point(np.zeros(model.nv), np.zeros(count))
-        if point is None:
-            return None
-        along *= np.copysign(1.0, along @ (moving[independent] * scale[independent])) / length
-        tangent = point.basis @ (along / scale[independent])
-    way = _Way(follower, tangent)
+    way = _Way(_Follower(chain, q.copy(), independent, dependent), moving / length)
     centre = way.rank_loss(reach)
-    if centre is None:
-        return None
+    if centre is None or centre > WITHIN * WIDEST:
+        return centre
+    if count > 1:
+        steepest = way.steepest(centre)
+        centre = None if steepest is None else steepest.rank_loss(WIDEST)
+        if steepest is None or centre is None:
+            return None
+        way = steepest
+    ahead = centre - way.position(q)
     half = WIDEST
     while half >= NARROWEST:
-        if abs(centre) <= WITHIN * half:
-            sheet = way.sheet(centre, half)
-            if sheet is not None:
-                return sheet
+        sheet = way.sheet(centre, half) if abs(ahead) <= WITHIN * half else None
+        if sheet is not None:
+            return sheet
         half *= 0.7
     # a narrower line than reaches here may be smooth: it is tried from nearer by
-    return centre if centre > WITHIN * NARROWEST else None
+    return ahead if ahead > WITHIN * NARROWEST else None

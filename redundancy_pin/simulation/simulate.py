@@ -29,7 +29,7 @@ from redundancy_pin.simulation.controllers.base import (
     FeedForward,
     Sampling,
     as_controller,
-    limit,
+    load_limits,
     one_of,
     positive,
 )
@@ -141,7 +141,7 @@ def simulate(
             "carrier_force_limit cannot hold for carriers that are driven by motion.",
             remedy='Leave it out, or pass carriers="force".',
         )
-    limits = limit(effort_limit, robot.m, "effort_limit"), limit(carrier_force_limit, robot.k, "carrier_force_limit")
+    limits = load_limits(robot, effort_limit, carrier_force_limit)
     machine = Machine(robot, Amplifiers(controller, *limits), law, external, method)
     functions = EventFunctions(machine.chain, tuple(stop_at))
     first = machine.state(state.t, np.concatenate([state.q, state.v]))

@@ -17,49 +17,6 @@ from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.rank_loss import Sheet
 from redundancy_pin.simulation.state import Manifold, State
 
-Rate = Callable[[Array, Array], Array]
-
-
-def configuration_rate(model: pin.Model) -> Rate:
-    """Return the function from q (nq,) and v (nv,) to q̇ (nq,).
-
-    It is linear in q and defined off the unit circle and the unit sphere too, so that an integrator may call it at its
-    inner stages.
-    """
-    if model.nq == model.nv:
-        return lambda q, v: v
-    joints = [(str(joint.shortname()), joint.idx_q, joint.nq, joint.idx_v) for joint in list(model.joints)[1:]]
-
-    def rate(q: Array, v: Array) -> Array:
-        result = np.empty(model.nq)
-        for kind, iq, nq, iv in joints:
-            result[iq : iq + nq] = _joint_rate(kind, q[iq : iq + nq], v[iv : iv + 6])
-        return result
-
-    return rate
-
-
-def _joint_rate(kind: str, q: Array, v: Array) -> Array:
-    if kind == "JointModelFreeFlyer":  # its linear velocity is in the frame of the body
-        turned = q[3:] / np.linalg.norm(q[3:])
-        linear = pin.Quaternion(turned.copy()).toRotationMatrix() @ v[:3]
-        return np.concatenate([linear, _quaternion_rate(q[3:], v[3:6])])
-    if kind == "JointModelSpherical":
-        return _quaternion_rate(q, v[:3])
-    if kind == "JointModelPlanar":
-        c, s = q[2], q[3]
-        return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], -s * v[2], c * v[2]])
-    if len(q) == 2:
-        return np.array([-q[1] * v[0], q[0] * v[0]])
-    return v[: len(q)]
-
-
-def _quaternion_rate(q: Array, omega: Array) -> Array:
-    """Return half the product of a quaternion (x, y, z, w) and an angular velocity in the body's frame."""
-    vector, scalar = q[:3], q[3]
-    return 0.5 * np.append(scalar * omega + np.cross(vector, omega), -vector @ omega)
-
-
 DAMPING = 1e-8
 """Proximal damping μ. The out-of-plane row of a planar closure is empty, and μ = 0 gives NaN there."""
 
@@ -71,11 +28,11 @@ MOST_ITERATIONS = 30
 
 def has_point_closures(robot: Robot) -> bool:
     """Return whether all closures are points in a plane or in space, which is what ``ConstraintDynamics`` covers."""
-    return all(_is_point(closure) for closure in robot.closures)
+    return not _other_closures(robot)
 
 
-def _is_point(closure: Closure) -> bool:
-    return set(closure.axes) in ({"x", "y"}, {"x", "y", "z"})
+def _other_closures(robot: Robot) -> list[Closure]:
+    return [closure for closure in robot.closures if set(closure.axes) not in ({"x", "y"}, {"x", "y", "z"})]
 
 
 class ConstraintDynamics:
@@ -91,7 +48,7 @@ class ConstraintDynamics:
     """
 
     def __init__(self, robot: Robot) -> None:
-        for other in (closure for closure in robot.closures if not _is_point(closure)):
+        for other in _other_closures(robot):
             raise UnsupportedRobotError(
                 f"Pinocchio's constraintDynamics cannot take closure {other.name!r} along {', '.join(other.axes)}.",
                 remedy="Use the projected equations, which take every closure.",
@@ -153,7 +110,6 @@ class Machine:
         self.chain = self.dynamics.chain
         self.manifold = Manifold(self.chain)
         self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
-        self._configuration_rate = configuration_rate(robot.model)
         self._compiled = _compiled(robot, method, carrier_law is not None)
         self._split = robot.model.nq
 
@@ -172,7 +128,10 @@ class Machine:
             IllPosedModelError, SingularPoseError: there is none.
         """
         acceleration = self._acceleration(state, self._force(state, command), sheet)
-        return np.concatenate([self._configuration_rate(state.q, state.v), acceleration])
+        model, q, v = self.robot.model, state.q, state.v
+        # defined off the unit circle and the unit sphere too, where the inner stages of an integrator are
+        rate = v if model.nq == model.nv else pin.tangentMap(model, q) @ v
+        return np.concatenate([rate, acceleration])
 
     def loads(self, state: State, command: Command, sheet: Sheet | None = None) -> Acceleration:
         """Return accelerations and forces at a closed state under a command; raises like ``rate``."""

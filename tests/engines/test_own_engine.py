@@ -145,9 +145,10 @@ def test_efforts_are_those_of_the_task_from_the_side_of_their_jumps():
 
 
 def test_a_task_that_cannot_go_on_is_a_result():
+    """Forces under which a millimetre takes 1e-9 s: every step is too short to be a machine's."""
     robot = zoo.robot_of("2rpr", **SHORT.arguments)
     q, v = np.array(robot.q_reference), np.zeros(robot.model.nv)
-    run = run_own(Task(robot, 0.0, 1.0, q, v, lambda t, side="right": np.full((len(t), 4), 1e9)))
+    run = run_own(Task(robot, 0.0, 1.0, q, v, lambda t, side="right": np.full((len(t), 4), 1e16)))
     assert run.status is RunStatus.STOPPED
     assert run.t[-1] < 1.0
     assert run.message

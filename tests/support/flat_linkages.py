@@ -119,7 +119,7 @@ def rocker_and_coupler(lengths: tuple[float, float, float, float], angle: float,
 @functools.cache
 def parallelogram(variant: str = "", incline: float | None = None) -> Robot:
     """Return cranks of 1 m, 2 m apart, at 1.2 rad; with joints "continuous", a "pendulum" on the middle of the coupler
-    (a second freedom), or a "carrier" on the second crank.
+    (a second freedom), a "second" one beside it that moves by itself, or a "carrier" on the second crank.
 
     ``incline``: a third crank, 2 m from the first at this angle, rad, moves with it by a coupler of its own: flat at
     that angle, where the other loop is not.
@@ -143,6 +143,13 @@ def parallelogram(variant: str = "", incline: float | None = None) -> Robot:
     if variant == "pendulum":
         parts += [_rod("p", 0.7, 1.0), _hinge("pendulum", "b1", "p", 1.0)]
         free["pendulum"] = -1.0
+    if variant == "second":
+        parts += [_rod("d0", 1.0, 1.0), _rod("d1", 1.0, 1.0), _rod("e1", 2.0, 1.0), _tip("e1", 2.0), _tip("d1", 1.0)]
+        parts += [_hinge("second_0", "base", "d0", 5.0), _hinge("beam", "d0", "e1", 1.0)]
+        parts += [_hinge("second_1", "base", "d1", 7.0)]
+        free["second_0"] = 1.2
+        guess |= {"second_0": 1.2, "second_1": 1.2, "beam": -1.2}
+        declaration["closures"].append({"frames": ["e1_tip", "d1_tip"], "axes": ["x", "y"]})
     if variant == "carrier":
         parts.append(
             '<link name="m"><inertial><mass value="0.5"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'

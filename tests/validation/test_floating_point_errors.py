@@ -72,4 +72,4 @@ def test_crossings_and_loci() -> None:
     robot = rp.load_robot("2rpr")
     assert rp.find_crossings(robot, rp.trajectory.reference.circle(speed=0.5))
     for name in ("2rpr", "3rrr", "five_bar", "four_bar"):
-        assert np.isfinite(rp.singular_locus(rp.load_robot(name), resolution=25).serial_margin).any()
+        assert np.isfinite(rp.singular_locus(rp.load_robot(name), resolution=13).serial_margin).any()

@@ -193,21 +193,18 @@ def test_a_free_floating_chain_keeps_its_momentum_under_internal_forces(tmp_path
 def rocker_and_coupler(theta, lengths):
     """Return the angles of coupler and rocker of the open four-bar, by circle intersection, and their rates per θ̇."""
     ground, crank, coupler, rocker = lengths
-    pin = crank * np.array([np.cos(theta), np.sin(theta)])
-    base = np.array([ground, 0.0]) - pin
-    far = np.hypot(*base)
+    tip = crank * np.exp(1j * theta)
+    far = np.abs(ground - tip)
     along = (far**2 + coupler**2 - rocker**2) / (2 * far)
-    height = np.sqrt(coupler**2 - along**2)
-    unit = base / far
-    joint = pin + along * unit + height * np.array([-unit[1], unit[0]])
-    beta = np.arctan2(*(joint - pin)[::-1])
-    phi = np.arctan2(*(joint - [ground, 0.0])[::-1])
-    # ẋ of the joint from both sides: coupler·β̇ n(β) − rocker·φ̇ n(φ) = −crank·θ̇ n(θ)
-    matrix = np.array(
-        [[-coupler * np.sin(beta), rocker * np.sin(phi)], [coupler * np.cos(beta), -rocker * np.cos(phi)]]
+    joint = tip + (ground - tip) / far * (along + 1j * np.sqrt(coupler**2 - along**2))
+    beta, phi = np.angle(joint - tip), np.angle(joint - ground)
+    # ẋ of the joint from both sides, crank·θ̇ e^{iθ} + coupler·β̇ e^{iβ} = rocker·φ̇ e^{iφ}, across rocker and coupler
+    across = np.sin(beta - phi)
+    return (
+        beta,
+        phi,
+        (crank * np.sin(phi - theta) / (coupler * across), crank * np.sin(beta - theta) / (rocker * across)),
     )
-    rates = np.linalg.solve(matrix, crank * np.array([np.sin(theta), -np.cos(theta)]))
-    return beta, phi, rates
 
 
 def four_bar_lagrange(lengths, masses, gravity, torque):
@@ -217,23 +214,22 @@ def four_bar_lagrange(lengths, masses, gravity, torque):
 
     def inertia_and_height(theta):
         beta, phi, (beta_rate, phi_rate) = rocker_and_coupler(theta, lengths)
-        centre = crank * np.array([-np.sin(theta), np.cos(theta)])
-        centre = centre + 0.5 * coupler * beta_rate * np.array([-np.sin(beta), np.cos(beta)])
-        inertia = crank_mass * crank**2 / 3 + coupler_mass * (centre @ centre + coupler**2 * beta_rate**2 / 12)
+        centre = crank * np.exp(1j * theta) + 0.5 * coupler * beta_rate * np.exp(1j * beta)
+        inertia = crank_mass * crank**2 / 3 + coupler_mass * (np.abs(centre) ** 2 + coupler**2 * beta_rate**2 / 12)
         inertia += rocker_mass * rocker**2 * phi_rate**2 / 3
         height = crank_mass * crank * np.sin(theta) / 2
         height += coupler_mass * (crank * np.sin(theta) + coupler * np.sin(beta) / 2)
         height += rocker_mass * rocker * np.sin(phi) / 2
         return np.array([inertia, height])
 
-    weights, offsets = np.array([-1, 9, -45, 45, -9, 1]) / 60.0, np.array([-3, -2, -1, 1, 2, 3])
+    weights, offsets = np.array([-1, 9, -45, 0, 45, -9, 1]) / 60.0, np.arange(-3, 4)
     step = 2e-3
 
     def rate(t, y):
         theta, omega = y
-        inertia = inertia_and_height(theta)[0]
-        slope = sum(w * inertia_and_height(theta + k * step) for w, k in zip(weights, offsets, strict=True)) / step
-        return np.array([omega, (torque - 0.5 * slope[0] * omega**2 - gravity * slope[1]) / inertia])
+        values = inertia_and_height(theta + offsets * step)
+        slope = values @ weights / step
+        return np.array([omega, (torque - 0.5 * slope[0] * omega**2 - gravity * slope[1]) / values[0, 3]])
 
     return rate
 

@@ -1,5 +1,7 @@
 """Plans driven open loop through forward dynamics: the machine does what the plan says."""
 
+from functools import cache
+
 import moving
 import numpy as np
 import pytest
@@ -12,6 +14,20 @@ FOLLOWED = 1e-6
 """m and rad, as required; what is reached is 1e-11."""
 
 
+@cache
+def crossing():
+    """The 2-RPR with mass through two type II poses, and the circle it was planned for."""
+    robot, circle = rp.load_robot("2rpr", end_effector_mass=0.5), rp.trajectory.reference.circle(speed=0.5)
+    return robot, circle, rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, dt=0.01)
+
+
+@cache
+def stepwise_corner():
+    """The 3-RRR around a corner step by step, without regard to efforts."""
+    robot, corner = rp.load_robot("3rrr"), rp.trajectory.reference.corner(radius=0.025)
+    return robot, corner, rp.plan_stepwise(rp.RneaDynamics(robot), corner, dt=0.01, lam=0.0)
+
+
 def largest_error(run, reference):
     points = [reference.at(float(t)) for t in run.t]
     platform = np.abs(run.x - [point.x for point in points]).max()
@@ -21,9 +37,7 @@ def largest_error(run, reference):
 
 @pytest.mark.parametrize("with_trajectory", [True, False])
 def test_a_whole_trajectory_plan_through_two_singular_poses(with_trajectory):
-    robot = rp.load_robot("2rpr", end_effector_mass=0.5)
-    circle = rp.trajectory.reference.circle(speed=0.5)
-    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, dt=0.01)
+    robot, circle, plan = crossing()
     singular = plan.diagnostics["singular_instants"]
     assert len(singular) == 2
     drive = FeedForward(plan, motion=circle if with_trajectory else None)
@@ -52,9 +66,7 @@ def test_a_whole_trajectory_plan_of_the_corner():
 
 
 def test_a_stepwise_plan_as_the_continuous_motion_it_stands_for():
-    robot = rp.load_robot("3rrr")
-    corner = rp.trajectory.reference.corner(radius=0.025)
-    plan = rp.plan_stepwise(rp.RneaDynamics(robot), corner, lam=0.0)
+    robot, corner, plan = stepwise_corner()
     drive = FeedForward(plan)
     run = rp.simulate(robot, drive, dt=0.01)
     assert run.status.value == "completed"
@@ -64,9 +76,7 @@ def test_a_stepwise_plan_as_the_continuous_motion_it_stands_for():
 
 def test_holding_the_efforts_of_the_samples_is_another_command():
     # what a replay must not do: the samples of a stepwise plan, held over a step, lead away from the path
-    robot = rp.load_robot("3rrr")
-    corner = rp.trajectory.reference.corner(radius=0.025)
-    plan = rp.plan_stepwise(rp.RneaDynamics(robot), corner, lam=0.0)
+    robot, corner, plan = stepwise_corner()
     keep = np.append(np.diff(plan.t) > 0.0, True)
     times, tau, force = plan.t[keep], plan.tau[keep], plan.carrier_force[keep]
 

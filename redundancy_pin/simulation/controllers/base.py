@@ -250,8 +250,12 @@ class Amplifiers:
         )
 
 
-def limit(values: ArrayLike | None, count: int, name: str) -> Array:
-    """Return (count,) limits from a positive scalar, one value each, or None for no limit."""
+def load_limits(robot: Robot, effort: ArrayLike | None, carrier_force: ArrayLike | None) -> Command:
+    """Return largest |τ| (m,), N or N·m, and |F| (k,), N, each from a positive scalar, one value each, or None."""
+    return _limit(effort, robot.m, "effort_limit"), _limit(carrier_force, robot.k, "carrier_force_limit")
+
+
+def _limit(values: ArrayLike | None, count: int, name: str) -> Array:
     given = np.full(1, np.inf) if values is None else np.atleast_1d(np.asarray(values, dtype=float))
     if given.shape not in ((1,), (count,)) or not (given > 0.0).all():
         raise InputError(

@@ -23,7 +23,7 @@ from redundancy_pin.simulation.controllers.base import (
     Sampling,
     Tracking,
     largest_loads,
-    limit,
+    load_limits,
     middles,
     positive,
     positive_each,
@@ -185,8 +185,7 @@ class ComputedTorque(Tracking):
         largest_tau, _ = largest_loads(self.reference)
         largest_sdd = np.abs([self.reference.carriers(t)[2] for t in middles(self.reference)]).max(axis=0)
         self.carrier_scale = positive_each(carrier_scale, CARRIER_SHARE * largest_sdd, LEAST_SHARE, "carrier_scale")
-        self.effort_limit = limit(effort_limit, robot.m, "effort_limit")
-        self.carrier_force_limit = limit(carrier_force_limit, robot.k, "carrier_force_limit")
+        self.effort_limit, self.carrier_force_limit = load_limits(robot, effort_limit, carrier_force_limit)
         self.history: deque[TorqueCommand] = deque(maxlen=HISTORY)
         self._model = ReducedModel(robot)
         self._manifold = Manifold(self._model.chain)

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import make_interp_spline
 from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve, expm, solve_continuous_are, solve_discrete_are
 
-from redundancy_pin.arrays import Array, Frozen, IntArray, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, frozen, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
@@ -24,7 +25,7 @@ from redundancy_pin.simulation.controllers.base import (
     Sampling,
     Tracking,
     largest_loads,
-    limit,
+    load_limits,
     positive,
     positive_each,
 )
@@ -185,15 +186,8 @@ class LinearModel(Frozen):
 
     def at(self, times: Array) -> tuple[Array, Array]:
         """Return A (N, 2d, 2d) and B (N, 2d, m + k) at times (N,); outside the nodes those at the ends."""
-        i, share = _between(self.t, times)
-        share = share[:, None, None]
-        return (1.0 - share) * self.A[i] + share * self.A[i + 1], (1.0 - share) * self.B[i] + share * self.B[i + 1]
-
-
-def _between(nodes: Array, times: Array | float) -> tuple[IntArray, Array]:
-    """Return at which node (N,) the intervals of times (N,) begin, and the share of each that is over, 0 … 1."""
-    i = np.clip(np.searchsorted(nodes, times, side="right") - 1, 0, len(nodes) - 2)
-    return i, np.clip((times - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0)
+        within = np.clip(times, self.t[0], self.t[-1])
+        return make_interp_spline(self.t, self.A, k=1)(within), make_interp_spline(self.t, self.B, k=1)(within)
 
 
 def linear_model(reference: MotionReference, step: float) -> LinearModel:
@@ -305,14 +299,14 @@ class TimeVaryingLqr(Tracking):
             )
         self.weights = bryson_weights(reference) if weights is None else weights
         _require_weights(self.weights, 2 * (robot.n + robot.k), robot.m + robot.k)
-        self._limit = np.concatenate(
-            [limit(effort_limit, robot.m, "effort_limit"), limit(carrier_force_limit, robot.k, "carrier_force_limit")]
-        )
+        self._limit = np.concatenate(load_limits(robot, effort_limit, carrier_force_limit))
         self.model = linear_model(reference, step)
         if sampling is None:
             self.t, self.riccati, self.holds_end = _continuous(self.model, self.weights)
         else:
             self.t, self.riccati, self.holds_end = _sampled(self.model, self.weights, sampling)
+        if sampling is None:
+            self._gain = make_interp_spline(self.t, self.riccati.K, k=1)
         nothing = np.zeros(robot.m + robot.k)
         # time of the last answer of a digital controller, its δu, and the δu that acted then: δu of the sample before
         self._memory: tuple[float, Array, Array] = (np.inf, nothing, nothing)
@@ -324,8 +318,7 @@ class TimeVaryingLqr(Tracking):
             i = int(np.searchsorted(self.t, t + 1e-6 * self.sampling.period, side="right")) - 1
             gain: Array = K[min(max(i, 0), len(K) - 1)]
             return gain
-        j, share = _between(self.t, t)
-        between: Array = (1.0 - share) * K[j] + share * K[j + 1]
+        between: Array = self._gain(min(max(t, self.t[0]), self.t[-1]))
         return between
 
     def effort(self, t: float, state: State) -> Command:
