@@ -6,12 +6,14 @@ configuration Pinocchio's joint Jacobian and its rate are there already, which i
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.kinematics.closure import PlacedRows, constraint_system
-from redundancy_pin.kinematics.coordinates import joint_position, platform_coordinates
+from redundancy_pin.kinematics.coordinates import is_pose, measured_axes
 from redundancy_pin.robot import Robot
 
 
@@ -29,6 +31,7 @@ class ClosedChain:
         rows: number r of closure rows.
         pose_columns: velocity indices that move the pose.
         closures: the closure rows, placed at the last state.
+        vectors: (12 F,) axes and origin of each of Pinocchio's F frames, world axes, at the last state.
         J, dJ: (6, nv) joint Jacobian about the world origin and its rate, at the last state.
     """
 
@@ -41,21 +44,32 @@ class ClosedChain:
         self.system = system = constraint_system(robot)
         self.pose_columns, self.rows = system.pose_columns, len(system.rows)
         pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
-        self._vectors, self._copied = _frame_memory(model, data)
-        platform = robot.platform and data.oMf[model.getFrameId(robot.platform.frame, pin.FrameType.BODY)]
-        self._platform_pose = platform and (platform.rotation, platform.translation)
+        self.vectors, self._copied = _frame_memory(model, data)
+        platform = None
+        if robot.platform is not None:
+            platform = data.oMf[model.getFrameId(robot.platform.frame, pin.FrameType.BODY)]
+        self._platform_pose = None if platform is None else (platform.rotation, platform.translation)
+        self._is_pose = is_pose(robot)
+        self._axes = measured_axes(robot, np.eye(3) if platform is None else platform.rotation)
+        joints = (model.joints[model.getJointId(name)] for name in robot.independent_joints)
+        self._joints = [(int(joint.idx_q), joint.nq == 2) for joint in joints]
         self.J, self.dJ = data.J, data.dJ
 
     def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot]]:
         """Make another one where this is copied or sent to: views into Pinocchio's memory would not be views there."""
         return ClosedChain, (self.robot,)
 
+    def place(self, q: Array) -> None:
+        """Set ``vectors`` and ``J`` at q (nq,), and nothing else: for those who place rows of their own."""
+        pin.computeJointJacobians(self.model, self.data, q)
+        self._update_frames()
+
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
         pin.computeJointJacobiansTimeVariation(self.model, self.data, q, v)
         self._update_frames()
         self.q, self.v = q, v
-        self.closures = self.system.closures.place(self._vectors)
+        self.closures = self.system.closures.place(self.vectors)
         self._platform: PlacedRows | None = None  # closures alone are what most calls need
 
     def _update_frames(self) -> None:
@@ -81,17 +95,28 @@ class ClosedChain:
 
     def platform_position(self) -> Array:
         """Return the independent coordinates: (n,), or a pose (4, 4). A single rotation lies in (−π, π]."""
-        robot = self.robot
+        return self.coordinates(self.q)
+
+    def coordinates(self, q: Array) -> Array:
+        """Return the independent coordinates at the configuration (nq,) that was placed last."""
         if self._platform_pose is None:
-            return np.array([joint_position(robot, name, self.q[None])[0] for name in robot.independent_joints])
+            return np.array([math.atan2(q[i + 1], q[i]) if circle else q[i] for i, circle in self._joints])
         rotation, origin = self._platform_pose
-        position: Array = platform_coordinates(robot, rotation[:, :, None], origin[:, None])[0]
-        return position
+        if self._is_pose:
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = rotation, origin
+            return pose
+        return np.array(
+            [
+                origin[k] if column < 0 else math.atan2(rotation[j, column], rotation[k, column])
+                for k, j, column in self._axes
+            ]
+        )
 
     def platform_rows(self) -> PlacedRows:
         """Return the rows of the platform's twist, at the state."""
         if self._platform is None:
-            self._platform = self.system.platform.place(self._vectors)
+            self._platform = self.system.platform.place(self.vectors)
         return self._platform
 
     def platform_jacobian(self) -> Array:
@@ -123,7 +148,5 @@ def _frame_memory(model: pin.Model, data: pin.Data) -> tuple[Array, list[tuple[A
     else:
         return np.lib.stride_tricks.as_strided(first, (12 * len(parts),), (8,), writeable=False), []
     vectors = np.zeros((len(parts), 4, 3))
-    copied = [
-        pair for v, (R, p) in zip(vectors, parts, strict=True) for pair in ((v[:3].T, R), (v[3], p))
-    ]
+    copied = [pair for v, (R, p) in zip(vectors, parts, strict=True) for pair in ((v[:3].T, R), (v[3], p))]
     return vectors.reshape(-1), copied

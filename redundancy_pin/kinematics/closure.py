@@ -302,6 +302,7 @@ class ConstraintSystem:
         rows: the r closure rows.
         closures, platform, all_rows: closure rows; rows of the platform's twist (none where the independent velocities
             are those of joints); both.
+        aligned: pairs of frames and the number of an axis that points the same way in both when closed.
         pose_columns: velocity indices that move the pose: all but the carriers.
         selection: (m, nv) S, the main actuators among the velocities.
         independent: (n, nv) unit rows of the independent joints; zero where there is a platform.
@@ -324,6 +325,7 @@ class ConstraintSystem:
         platform = _platform_rows(robot, at)
         sets = self.rows, platform, (*self.rows, *platform)
         self.closures, self.platform, self.all_rows = (RowSet(rows, support, ids) for rows in sets)
+        self.aligned = [(c.frame_a, c.frame_b, k) for c in robot.closures for k in _aligned(c)]
         self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity)
         self.selection = np.zeros((robot.m, nv))
         self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
@@ -371,13 +373,10 @@ class ConstraintSystem:
         two rotation rows have no such axes.
         """
         angle = np.zeros(state.pose.samples)
-        for closure in self.robot.closures:
-            free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
-            # they coincide when closed: the free axis of a hinge, all three of a weld
-            for k in {0: [0, 1, 2], 1: free}.get(len(free), []):
-                a, b = (state.pose.frame_rotation[frame][:, k] for frame in (closure.frame_a, closure.frame_b))
-                cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-                angle = np.maximum(angle, np.arccos(np.clip(cosine, -1.0, 1.0)))
+        for frame_a, frame_b, k in self.aligned:
+            a, b = (state.pose.frame_rotation[frame][:, k] for frame in (frame_a, frame_b))
+            cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+            angle = np.maximum(angle, np.arccos(np.clip(cosine, -1.0, 1.0)))
         return angle
 
 
@@ -385,6 +384,12 @@ def independent_velocity(robot: Robot) -> list[int]:
     """Return the velocity index of each independent joint of a robot without a platform."""
     model = robot.model
     return [int(model.joints[model.getJointId(name)].idx_v) for name in robot.independent_joints]
+
+
+def _aligned(closure: Closure) -> list[int]:
+    """Return the axes that coincide when closed: the free axis of a hinge, all three of a weld."""
+    free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
+    return {0: [0, 1, 2], 1: free}.get(len(free), [])
 
 
 def _row(closure: Closure, axis: str, at: dict[str, int]) -> Row:

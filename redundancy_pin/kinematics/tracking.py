@@ -1,0 +1,197 @@
+"""One pose after another, at one state: predictor, Newton and the checks of ``continuation`` in tens of microseconds.
+
+``continuation`` and ``lift`` work on many poses at once, in numpy; for a single pose the calls cost a hundred times the
+arithmetic. Here rows and Jacobians come from Pinocchio (``kinematics.chain``), and only what is plainly regular is
+taken: Newton converges without a line search, the step is what Γ at both ends says, the sign of det K and the working
+mode stay, and no rank loss is near. Everything else is None, and for those who have time.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg.blas import idamax
+from scipy.linalg.lapack import dgesv, dgetri
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, project, projection_scale
+from redundancy_pin.kinematics.chain import ClosedChain
+from redundancy_pin.kinematics.closure import PlacedRows
+from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, CONTINUITY, NEAR_RANK_LOSS, ROUNDING, Point
+from redundancy_pin.kinematics.coordinates import angle_columns, is_pose, mode_indicators, pose_rows, row_scale
+from redundancy_pin.robot import Robot
+
+_MOST_ITERATIONS = 10
+_MOST_PIECES = 100
+"""Longer ways are left to the batches of ``continuation``."""
+_REACHED, _ROUNDED = 1e-13, 1e-14
+"""A Newton step (rad, m) or a residual (m, rad) this small is rounding."""
+
+
+class Tracked(NamedTuple):
+    """A pose reached on a branch: the point, the rows there, K⁻¹ (p, r + n), closure gap (m or rad), scaled margin."""
+
+    point: Point
+    rows: PlacedRows
+    inverse: Array
+    gap: float
+    margin: float
+
+
+class Tracker:
+    """Follows a branch from pose to pose; holds Pinocchio data, see ``tracker``.
+
+    Args:
+        robot: the robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.chain = chain = ClosedChain(robot)
+        self.robot, self._model, self._rows = robot, robot.model, chain.system.all_rows
+        self._columns, self._closures, nv = chain.pose_columns, chain.rows, robot.model.nv
+        self._flat = robot.model.nq == nv
+        self._scale = projection_scale(chain.system).T.ravel()
+        self._order = np.arange(len(self._columns))
+        self._unit = row_scale(robot)
+        self._longest = ANCHOR_SPACING * robot.characteristic_length
+        self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
+        self._is_pose, self._turns = is_pose(robot), angle_columns(robot)
+        self._pose_rows = pose_rows(robot)
+        self._legs = [(leg.column, leg.sine) for leg in mode_indicators(robot)]
+        ids = {name: 12 * robot.model.getFrameId(name, pin.FrameType.BODY) for name in chain.system.tree.support}
+        self._aligned = [(ids[a] + 3 * k, ids[b] + 3 * k) for a, b, k in chain.system.aligned]
+        reference = np.array(robot.q_reference)
+        chain.place(reference)
+        gamma = project(chain.system, chain.system.evaluate(reference[None])).gamma[0]
+        self.home = Point(chain.coordinates(reference), reference, gamma, self.side(reference))
+        """The reference configuration; its Γ is NaN where that is singular."""
+
+    def side(self, q: Array) -> float:
+        """Return the sign of det K at a configuration (nq,)."""
+        return float(np.linalg.slogdet(self.chain.system.evaluate(q[None]).K[0])[0])
+
+    def towards(self, start: Point, x: Array) -> Tracked | None:
+        """Return the pose at x, (n,) or (4, 4), on the branch of a point, by steps along the straight line to it."""
+        increment = self._difference(x, start.x)
+        length = float(np.linalg.norm(increment * self._unit)) / self._longest
+        pieces = max(math.ceil(length), 1) if length < _MOST_PIECES else 0
+        reached = None
+        for piece in range(1, pieces + 1):
+            target = x if piece == pieces else self._moved(start.x, increment * (piece / pieces))
+            reached = self._step(start if reached is None else reached.point, target)
+            if reached is None:
+                return None
+        return reached
+
+    def rates(self, tracked: Tracked, xd: Array, xdd: Array) -> tuple[Array, Array]:
+        """Return v and a (nv,) at a pose, for rates (n,) of the independent coordinates."""
+        chain, v = self.chain, tracked.point.gamma.dot(xd)
+        pin.computeJointJacobiansTimeVariation(self._model, chain.data, tracked.point.q, v)
+        rest = np.zeros(len(self._columns))
+        rest[self._closures :] = xdd
+        rest[: self._rows.size] -= self._rows.bias_at(tracked.rows, chain.J, chain.dJ, v)
+        a = np.zeros(len(v))
+        a[self._columns] = tracked.inverse.dot(rest)
+        return v, a
+
+    def _step(self, here: Point, x: Array) -> Tracked | None:
+        chain, columns, r = self.chain, self._columns, self._closures
+        increment = self._difference(x, here.x)
+        q = self._integrate(here.q, here.gamma.dot(increment))
+        step, rest, size = np.zeros(self._model.nv), np.zeros(len(columns)), math.inf
+        for _ in range(_MOST_ITERATIONS):
+            chain.place(q)
+            placed = self._rows.place(chain.vectors)
+            K = self._rows.times(placed.wrench, chain.J).take(columns, 1)
+            if self._fixed is not None:
+                K = np.concatenate([K, self._fixed])
+            rest[:r] = placed.residual()[:r]
+            rest[:r] *= -1.0
+            rest[r:] = self._difference(x, chain.coordinates(q))
+            before, size = size, math.sqrt(rest.dot(rest))
+            lu, pivots, change, info = dgesv(K, rest)
+            longest = abs(float(change[idamax(change)]))
+            if info != 0 or not longest < 1.0 or (size >= before and size > CLOSURE_TOLERANCE):
+                return None
+            step[columns] = change
+            q = self._integrate(q, step)
+            if size < _ROUNDED or longest < _REACHED or (size >= before and longest < SETTLED_STEP):
+                return self._checked(here, x, q, increment, placed, lu, pivots, float(np.abs(rest).max()))
+        return None
+
+    def _checked(
+        self, here: Point, x: Array, q: Array, increment: Array, rows: PlacedRows, lu: Array, pivots: Array, gap: float
+    ) -> Tracked | None:
+        inverse = dgetri(lu, pivots)[0]
+        size = math.sqrt((inverse * inverse).T.ravel().dot(self._scale))
+        gamma = np.zeros((self._model.nv, self.robot.n))
+        gamma[self._columns] = inverse[:, self._closures :]
+        predicted = (0.5 * (here.gamma + gamma)).dot(increment)
+        missed = (q - here.q if self._flat else pin.difference(self._model, here.q, q)) - predicted
+        allowed = CONTINUITY * abs(float(predicted[idamax(predicted)])) + ROUNDING
+        # each row swapped by the decomposition turns the sign of the determinant over
+        side = -1.0 if np.count_nonzero((pivots != self._order) ^ (lu.diagonal() < 0.0)) % 2 else 1.0
+        if (
+            not gap < CLOSURE_TOLERANCE
+            or not size < 1.0 / NEAR_RANK_LOSS
+            or not abs(float(missed[idamax(missed)])) <= allowed
+            or side * here.side < 0.0
+            or not self._in_mode(q, here.q)
+            or not self._upright()
+        ):
+            return None
+        for array in (q, gamma):
+            array.setflags(write=False)
+        return Tracked(Point(x, q, gamma, side), rows, inverse, gap, 1.0 / size)
+
+    def _in_mode(self, q: Array, before: Array) -> bool:
+        """Return whether every leg is, and was, on the same side."""
+        for column, turns in self._legs:
+            new, old = float(q[column]), float(before[column])
+            if not (math.sin(new) * math.sin(old) if turns else new * old) > 0.0:
+                return False
+        return True
+
+    def _upright(self) -> bool:
+        """Return whether axes that must coincide do, and are not turned over."""
+        axes = self.chain.vectors
+        return all(float(axes[a : a + 3].dot(axes[b : b + 3])) > math.cos(TURNED_OVER) for a, b in self._aligned)
+
+    def _integrate(self, q: Array, step: Array) -> Array:
+        result: Array = q + step if self._flat else pin.integrate(self._model, q, step)
+        return result
+
+    def _difference(self, target: Array, start: Array) -> Array:
+        """Return ``coordinates.difference`` of one pose."""
+        if self._is_pose:
+            turn = pin.log3(target[:3, :3].dot(start[:3, :3].T))
+            return np.concatenate([target[:3, 3] - start[:3, 3], turn])[self._pose_rows]
+        delta = target - start
+        for k in self._turns:
+            delta[k] = (delta[k] + math.pi) % (2.0 * math.pi) - math.pi
+        return delta
+
+    def _moved(self, start: Array, increment: Array) -> Array:
+        if not self._is_pose:
+            result: Array = start + increment
+            return result
+        full, pose = np.zeros(6), start.copy()
+        full[self._pose_rows] = increment
+        pose[:3, 3] += full[:3]
+        pose[:3, :3] = pin.exp3(full[3:]).dot(start[:3, :3])
+        return pose
+
+
+@lru_cache(maxsize=32)
+def _tracker(robot: Robot, thread: int) -> Tracker:
+    return Tracker(robot)
+
+
+def tracker(robot: Robot) -> Tracker:
+    """Return the tracker of a robot in this thread, made once: it is a workspace, and no two threads share one."""
+    return _tracker(robot, threading.get_ident())
