@@ -135,13 +135,13 @@ class RneaDynamics(Dynamics):
         tree = lift(robot, motion, start=None if start is None else start.point)
         one = RneaAlongMotion(tree).reduce(carriers)
         margin = float(tree.serial_margin_bound[0])
-        side = tracker(robot).side(tree.q[0]) if margin > NEAR_RANK_LOSS else 0.0
+        side = tracker(robot, many=True).side(tree.q[0]) if margin > NEAR_RANK_LOSS else 0.0
         point = Point(motion.x[0], tree.q[0], tree.gamma[0], side)
         return RneaSample(one.W[0], one.f[0], one.carrier_force[0], point, float(tree.gap[0]), margin)
 
     def _plain_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None) -> RneaSample | None:
         """Return a sample that needs neither a second look at its kinematics nor a word about its input."""
-        robot, follower = self._robot, tracker(self._robot)
+        robot, follower = self._robot, tracker(self._robot, many=True)
         try:
             x, xd, xdd, *carriers = (np.array(part, dtype=float) for part in given)
         except (TypeError, ValueError):
