@@ -25,6 +25,8 @@ from plain_loop import PlainLoop, seconds, smooth_motion
 import redundancy_pin as rp
 
 SAMPLES = 10_000
+ONE_BY_ONE = 1000
+"""Samples of those asked for one by one: the same steps in time."""
 REPEATS = 5
 FAST_CALLS = 10
 """Calls of the faster side in each pair: one of them takes milliseconds, less than a processor needs to settle."""
@@ -59,6 +61,43 @@ def compare(title, slow, fast, least):
     return row
 
 
+def one_by_one(loop, dynamics, motion, carriers):
+    """Sample after sample, each from the one before: W, f and carrier forces against efforts by the plain loop."""
+
+    def ask():
+        start, efforts = None, []
+        for k in range(len(motion)):
+            tracks = carriers.s[k], carriers.sd[k], carriers.sdd[k]
+            start = dynamics.sample(motion.x[k], motion.xd[k], motion.xdd[k], *tracks, start=start)
+            efforts.append(start.f)
+        return np.array(efforts), np.array(start.W)
+
+    ratios, times = [], []
+    ask()
+    for _ in range(REPEATS):
+        plain, tau = seconds(lambda: loop.from_platform_motion(motion, carriers))
+        own, (f, W) = seconds(ask)
+        ratios.append(own / plain)
+        times.append((1e6 * plain / len(motion), 1e6 * own / len(motion)))
+    plain, own = (statistics.median(part) for part in zip(*times, strict=True))
+    row = {
+        "what": "RNEA backend, sample after sample, against the plain loop",
+        "ratio": statistics.median(ratios),
+        "ratio_min": min(ratios),
+        "ratio_max": max(ratios),
+        "target": 2.0,
+        "plain_us_per_sample": plain,
+        "own_us_per_sample": own,
+        "relative_difference": np.abs(W @ tau[-1] - f[-1]).max() / np.abs(f[-1]).max(),
+    }
+    print(
+        f"{row['what']}: {row['ratio']:.2f} of its time (target at most {row['target']:g}, range "
+        f"{row['ratio_min']:.2f} to {row['ratio_max']:.2f}); {plain:.0f} -> {own:.0f} us a sample; W tau and f "
+        f"differ by {row['relative_difference']:.1e}"
+    )
+    return row
+
+
 def memory(action):
     tracemalloc.start()
     action()
@@ -86,6 +125,7 @@ def main():
             3,
         ),
     ]
+    rows.append(one_by_one(loop, rnea, motion[:ONE_BY_ONE], carriers[:ONE_BY_ONE]))
     along = rnea.along(motion)
     q, v, a = (np.ascontiguousarray(part.T) for part in along.tree_motion(carriers))
     rows.append(

@@ -57,6 +57,7 @@ def objects() -> dict[str, Any]:
         "two legs": rp.VirtualWork(small)._mechanism.legs(circle.sample(dt=0.1).x),
         "reduced": reduced,
         "derivatives": along.carrier_derivatives(carriers),
+        "one sample": dynamics.sample(motion.x[0], motion.xd[0], motion.xdd[0]),
         "efforts": efforts,
         "reactions": rp.joint_reactions(along, efforts.tau, carriers),
         "assemblies": forward_displacement(ThreeRrrGeometry(0.5, 0.1, 0.3, 0.3), [0.3, 2.0, -1.5]),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, peak
 from redundancy_pin.errors import CarrierLimitError, InputError
@@ -53,6 +54,30 @@ class ReducedDynamics(Frozen):
             f"ReducedDynamics(N={len(self.t)}, n={self.W.shape[1]}, m={self.W.shape[2]}, "
             f"k={self.carrier_force.shape[1]}{unreached}; {peak('f', self.f, 'N or N·m')})"
         )
+
+
+class ReducedSample(Protocol):
+    """W τ = f at one sample; what ``Dynamics.sample`` returns."""
+
+    @property
+    def W(self) -> Array:
+        """(n, m) actuation matrix."""
+
+    @property
+    def f(self) -> Array:
+        """(n,) generalised force, N and N·m, in the base frame."""
+
+    @property
+    def carrier_force(self) -> Array:
+        """(k,) force of each carrier's own actuator, N."""
+
+
+class Sample(NamedTuple):
+    """One sample of the equation of motion: W (n, m), f (n,), carrier_force (k,); see ``ReducedDynamics``."""
+
+    W: Array
+    f: Array
+    carrier_force: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +176,53 @@ class Dynamics(Protocol):
         if check_track:
             require_on_track(self.robot, require_matching_carriers(self.robot, carriers, len(motion)), motion.t)
         return self.along(motion, unreachable=unreachable).reduce(carriers)
+
+    def sample(
+        self,
+        x: ArrayLike,
+        xd: ArrayLike,
+        xdd: ArrayLike,
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        sdd: ArrayLike = (),
+    ) -> ReducedSample:
+        """Return W, f and carrier forces at one sample: ``reduce`` for those who ask sample after sample.
+
+        Tracks are not checked.
+
+        Args:
+            x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
+            xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
+            xdd: (n,) their second rates.
+            s: (k,) positions of the carriers on their tracks, m; 0 when left out.
+            sd: (k,) their rates, m/s; 0 when left out.
+            sdd: (k,) their second rates, m/s²; 0 when left out.
+
+        Raises:
+            InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
+        """
+        motion, carriers = one_sample(self.robot, x, xd, xdd, s, sd, sdd)
+        one = self.along(motion).reduce(carriers)
+        return Sample(one.W[0], one.f[0], one.carrier_force[0])
+
+
+def one_sample(
+    robot: Robot, x: ArrayLike, xd: ArrayLike, xdd: ArrayLike, s: ArrayLike, sd: ArrayLike, sdd: ArrayLike
+) -> tuple[PlatformMotion, CarrierMotion]:
+    """Return motions of one sample, at t = 0; arguments as of ``Dynamics.sample``.
+
+    Raises:
+        InputError: wrong shapes, or values that are not finite.
+    """
+    still = np.zeros(robot.k)
+    carriers = CarrierMotion(*(_stacked(still if np.shape(part) == (0,) else part) for part in (s, sd, sdd)))
+    motion = PlatformMotion([0.0], *(_stacked(part) for part in (x, xd, xdd)))
+    return motion, require_matching_carriers(robot, carriers, 1)
+
+
+def _stacked(part: ArrayLike) -> ArrayLike:
+    """Return one sample as one of many; what is wrong with it is said by the motion."""
+    return cast(ArrayLike, [part])
 
 
 _TRACK_ROUNDING = 1e-12

@@ -24,13 +24,17 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    one_sample,
     require_choice,
     require_matching_carriers,
 )
+from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
 from redundancy_pin.kinematics.closure import ConstraintState, constraint_system
+from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, Point
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
+from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 
@@ -39,6 +43,27 @@ _SAMPLES_PER_BLOCK = 20_000
 
 _SAMPLES_PER_THREAD = 500
 """Below this a second thread costs more than it brings."""
+
+
+@dataclass(frozen=True, eq=False)
+class RneaSample(Frozen):
+    """One sample of the equation of motion, and where the next one may start from.
+
+    Attributes:
+        W: (n, m) actuation matrix.
+        f: (n,) generalised force, N and N·m, in the base frame.
+        carrier_force: (k,) force of each carrier's own actuator, N.
+        point: the pose, its configuration q (nq,) with carriers at zero, and Γ (nv, n).
+        gap: closure gap, m or rad.
+        serial_margin_bound: lower bound of the distance to a type I singularity, scaled.
+    """
+
+    W: Array
+    f: Array
+    carrier_force: Array
+    point: Point
+    gap: float
+    serial_margin_bound: float
 
 
 class RneaDynamics(Dynamics):
@@ -57,6 +82,7 @@ class RneaDynamics(Dynamics):
     ) -> None:
         self._robot, self._progress = robot, progress
         self._threads = threads or os.cpu_count() or 1
+        self._parked = frozen(np.zeros(robot.k))
 
     @property
     def robot(self) -> Robot:
@@ -69,6 +95,73 @@ class RneaDynamics(Dynamics):
         marked = unreachable == "mark"
         tree = lift(self._robot, motion, mark_unreachable=marked, progress=self._progress)
         return RneaAlongMotion(tree, self._threads)
+
+    def sample(
+        self,
+        x: ArrayLike,
+        xd: ArrayLike,
+        xdd: ArrayLike,
+        s: ArrayLike = (),
+        sd: ArrayLike = (),
+        sdd: ArrayLike = (),
+        *,
+        start: RneaSample | None = None,
+    ) -> RneaSample:
+        """Return W, f and carrier forces at one sample; see ``Dynamics.sample``.
+
+        Args:
+            x: as there, and so are the other arguments.
+            xd: its rate.
+            xdd: its second rate.
+            s: carriers.
+            sd: their rates.
+            sdd: their second rates.
+            start: an earlier result, of a pose nearby. The branch is followed from there on a straight line, in tens of
+                microseconds, and not from the reference configuration; where it does not lead to x, that is an error.
+
+        Raises:
+            InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
+        """
+        robot = self._robot
+        if start is not None and not isinstance(start, RneaSample):
+            raise InputError(
+                f"start is a {type(start).__name__}, expected what an earlier sample of RneaDynamics returned.",
+                remedy="Pass that, or leave it out.",
+            )
+        plain = self._plain_sample((x, xd, xdd, s, sd, sdd), start)
+        if plain is not None:
+            return plain
+        motion, carriers = one_sample(robot, x, xd, xdd, s, sd, sdd)
+        tree = lift(robot, motion, start=None if start is None else start.point)
+        one = RneaAlongMotion(tree).reduce(carriers)
+        margin = float(tree.serial_margin_bound[0])
+        side = tracker(robot, many=True).side(tree.q[0]) if margin > NEAR_RANK_LOSS else 0.0
+        point = Point(motion.x[0], tree.q[0], tree.gamma[0], side)
+        return RneaSample(one.W[0], one.f[0], one.carrier_force[0], point, float(tree.gap[0]), margin)
+
+    def _plain_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None) -> RneaSample | None:
+        """Return a sample that needs neither a second look at its kinematics nor a word about its input."""
+        robot, follower = self._robot, tracker(self._robot, many=True)
+        try:
+            x, xd, xdd, *carriers = (np.array(part, dtype=float) for part in given)
+        except (TypeError, ValueError):
+            return None
+        s, sd, sdd = (self._parked if part.shape == (0,) else part for part in carriers)
+        shapes = [part.shape for part in (xd, xdd, s, sd, sdd)]
+        if x.shape != follower.home.x.shape or shapes != [(robot.n,)] * 2 + [(robot.k,)] * 3:
+            return None
+        finite = bool(np.isfinite(np.concatenate((xd, xdd, s, sd, sdd))).all())
+        home = follower.home if start is None else start.point
+        reached = follower.towards(home, read_only(x)) if finite and home.x.shape == x.shape else None
+        if reached is None:
+            return None
+        v, a = follower.rates(reached, xd, xdd)
+        gamma, q = reached.point.gamma, reached.point.q.copy()
+        q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
+        effort = pin.rnea(robot.model, follower.chain.data, q, v, a)
+        parts = gamma.take(robot.actuated_velocity, 0).T, gamma.T.dot(effort), effort.take(robot.carrier_velocity)
+        W, f, force = (read_only(part) for part in parts)
+        return RneaSample(W, f, force, reached.point, reached.gap, reached.margin)
 
 
 class RneaAlongMotion(Frozen):

@@ -8,13 +8,13 @@ singular exactly where the platform velocity does not determine the joint veloci
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, read_only
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import (
     coordinates,
@@ -25,7 +25,7 @@ from redundancy_pin.kinematics.coordinates import (
     velocity_scale,
 )
 
-_SETTLED_STEP = 1e-8
+SETTLED_STEP = 1e-8
 """A Newton step this small (rad, m) leaves an error of its square: below rounding."""
 
 _SUFFICIENT_DECREASE = 1e-4
@@ -33,7 +33,7 @@ _SUFFICIENT_DECREASE = 1e-4
 _LONGEST_STEP = 1.0
 """Longest Newton step, rad or m: beyond it the linear model says nothing about a revolute joint."""
 
-_TURNED_OVER = 1.0
+TURNED_OVER = 1.0
 """Axes further apart than this (rad) at the end of Newton have closed the wrong way round, which takes π/2 or more."""
 
 SINGULAR_MARGIN = float(np.sqrt(2.0 * CLOSURE_TOLERANCE))
@@ -145,7 +145,7 @@ def assemble(
         reached = _line_search(equations, q[active], step, residual, shortest_step)
         state, residual = reached.state, reached.residual
         q[active] = state.q
-        done |= reached.stalled | (reached.longest < _SETTLED_STEP)
+        done |= reached.stalled | (reached.longest < SETTLED_STEP)
         if done.all():
             break
         if 2 * done.sum() > len(done):  # go on with the rest alone; to leave out fewer costs more than it saves
@@ -156,16 +156,21 @@ def assemble(
         residual = everything.residual(state)
     gap = np.abs(residual).max(axis=1, initial=0.0)
     misaligned = system.misalignment(state)
-    gap = np.where(misaligned > _TURNED_OVER, np.maximum(gap, misaligned), gap)
+    gap = np.where(misaligned > TURNED_OVER, np.maximum(gap, misaligned), gap)
     return Assembly(system, state, gap)
+
+
+@lru_cache(maxsize=64)
+def projection_scale(system: ConstraintSystem) -> Array:
+    """Return (p, r + n) what turns the squares of the entries of K⁻¹ into scaled units."""
+    rows = np.concatenate([system.closure_scale, row_scale(system.robot)])
+    return read_only(np.outer(velocity_scale(system.robot)[system.pose_columns] ** 2, 1.0 / rows**2))
 
 
 def project(system: ConstraintSystem, state: ConstraintState) -> Projection:
     """Invert K at evaluated configurations."""
     robot, columns = system.robot, system.pose_columns
-    inverse = inverses(state.K)
-    rows = np.concatenate([system.closure_scale, row_scale(robot)])
-    scale = np.outer(velocity_scale(robot)[columns] ** 2, 1.0 / rows**2)
+    inverse, scale = inverses(state.K), projection_scale(system)
     # 1 / σ_min is the 2-norm of the scaled inverse; the Frobenius norm bounds it within √p and needs no decomposition
     with np.errstate(over="ignore"):  # next to a singularity, where the margin is zero all the same
         size = np.sqrt(np.einsum("nij,nij,ij->n", inverse, inverse, scale))
@@ -254,7 +259,7 @@ def _line_search(equations: _Equations, q: Array, step: Array, residual: Array, 
     size = np.linalg.norm(residual, axis=1)
     longest = np.abs(step).max(axis=1, initial=0.0)
     scale = 1.0 / np.maximum(longest / _LONGEST_STEP, 1.0)
-    fine = longest < _SETTLED_STEP
+    fine = longest < SETTLED_STEP
     while True:
         state = system.evaluate(integrate(system.robot.model, q, step * scale[:, None]))
         new = equations.residual(state)

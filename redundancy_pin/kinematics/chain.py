@@ -6,12 +6,14 @@ configuration Pinocchio's joint Jacobian and its rate are there already, which i
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.kinematics.closure import PlacedRows, constraint_system
-from redundancy_pin.kinematics.coordinates import joint_position, platform_coordinates
+from redundancy_pin.kinematics.coordinates import is_pose, measured_axes
 from redundancy_pin.robot import Robot
 
 
@@ -29,6 +31,7 @@ class ClosedChain:
         rows: number r of closure rows.
         pose_columns: velocity indices that move the pose.
         closures: the closure rows, placed at the last state.
+        vectors: (12 F,) axes and origin of each of Pinocchio's F frames, world axes, at the last state.
         J, dJ: (6, nv) joint Jacobian about the world origin and its rate, at the last state.
     """
 
@@ -40,35 +43,43 @@ class ClosedChain:
         self.data = data = model.createData()
         self.system = system = constraint_system(robot)
         self.pose_columns, self.rows = system.pose_columns, len(system.rows)
-        names = list(system.tree.support)
         pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
-        axes = np.zeros((3, len(names) + 1, 4))
-        axes[:, -1, :3] = np.eye(3)
-        self._vectors = axes.reshape(3, -1)
-        # views into Pinocchio's memory and into ours, taken once: looking them up costs as much as the arithmetic
-        placements = [data.oMf[model.getFrameId(name, pin.FrameType.BODY)] for name in names]
-        self._frames = [(axes[:, i, :3], axes[:, i, 3], M.rotation, M.translation) for i, M in enumerate(placements)]
-        self._of_platform = names.index(robot.platform.frame) if robot.platform is not None else -1
+        self.vectors, self._copied = _frame_memory(model, data)
+        platform = None
+        if robot.platform is not None:
+            platform = data.oMf[model.getFrameId(robot.platform.frame, pin.FrameType.BODY)]
+        self._platform_pose = None if platform is None else (platform.rotation, platform.translation)
+        self._is_pose = is_pose(robot)
+        self._axes = measured_axes(robot, np.eye(3) if platform is None else platform.rotation)
+        joints = (model.joints[model.getJointId(name)] for name in robot.independent_joints)
+        self._joints = [(int(joint.idx_q), joint.nq == 2) for joint in joints]
         self.J, self.dJ = data.J, data.dJ
 
     def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot]]:
         """Make another one where this is copied or sent to: views into Pinocchio's memory would not be views there."""
         return ClosedChain, (self.robot,)
 
+    def place(self, q: Array) -> None:
+        """Set ``vectors`` and ``J`` at q (nq,), and nothing else: for those who place rows of their own."""
+        pin.computeJointJacobians(self.model, self.data, q)
+        self._update_frames()
+
     def update(self, q: Array, v: Array) -> None:
         """Set the state: q (nq,), v (nv,)."""
         pin.computeJointJacobiansTimeVariation(self.model, self.data, q, v)
-        pin.updateFramePlacements(self.model, self.data)
-        for axes, origin, rotation, translation in self._frames:
-            axes[:] = rotation
-            origin[:] = translation
+        self._update_frames()
         self.q, self.v = q, v
-        self.closures = self.system.closures.place(self._vectors)
+        self.closures = self.system.closures.place(self.vectors)
         self._platform: PlacedRows | None = None  # closures alone are what most calls need
+
+    def _update_frames(self) -> None:
+        pin.updateFramePlacements(self.model, self.data)
+        for target, source in self._copied:
+            target[:] = source
 
     def residual(self) -> Array:
         """Return (r,) the closure residuals Φ, m; for rotation rows the sine of the angle that is off."""
-        return self.system.closures.residual(self.closures)
+        return self.closures.residual()
 
     def jacobian(self) -> Array:
         """Return J_c (r, nv)."""
@@ -76,9 +87,7 @@ class ClosedChain:
 
     def bias(self) -> Array:
         """Return J̇_c v (r,)."""
-        rows, J, v = self.system.closures, self.J, self.v
-        between = (rows.mask * v).T
-        return self.closures.bias(rows.twists(J, v), J.dot(between), self.dJ.dot(between))
+        return self.system.closures.bias_at(self.closures, self.J, self.dJ, self.v)
 
     def jacobian_rate(self) -> Array:
         """Return J̇_c (r, nv)."""
@@ -86,27 +95,58 @@ class ClosedChain:
 
     def platform_position(self) -> Array:
         """Return the independent coordinates: (n,), or a pose (4, 4). A single rotation lies in (−π, π]."""
-        robot = self.robot
-        if robot.platform is None:
-            return np.array([joint_position(robot, name, self.q[None])[0] for name in robot.independent_joints])
-        rotation, origin, _, _ = self._frames[self._of_platform]
-        position: Array = platform_coordinates(robot, rotation[:, :, None], origin[:, None])[0]
-        return position
+        return self.coordinates(self.q)
+
+    def coordinates(self, q: Array) -> Array:
+        """Return the independent coordinates at the configuration (nq,) that was placed last."""
+        if self._platform_pose is None:
+            return np.array([math.atan2(q[i + 1], q[i]) if circle else q[i] for i, circle in self._joints])
+        rotation, origin = self._platform_pose
+        if self._is_pose:
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = rotation, origin
+            return pose
+        return np.array(
+            [
+                origin[k] if column < 0 else math.atan2(rotation[j, column], rotation[k, column])
+                for k, j, column in self._axes
+            ]
+        )
 
     def platform_rows(self) -> PlacedRows:
         """Return the rows of the platform's twist, at the state."""
         if self._platform is None:
-            self._platform = self.system.platform.place(self._vectors)
+            self._platform = self.system.platform.place(self.vectors)
         return self._platform
 
     def platform_jacobian(self) -> Array:
         """Return J_x (n, nv): rows of the platform twist, world-aligned at its origin, or unit rows of joints."""
-        if self._of_platform < 0:
+        if self._platform_pose is None:
             return self.system.independent
         return self.system.platform.times(self.platform_rows().wrench, self.J)
 
     def platform_jacobian_rate(self) -> Array:
         """Return J̇_x (n, nv)."""
-        if self._of_platform < 0:
+        if self._platform_pose is None:
             return np.zeros_like(self.system.independent)
         return self.platform_rows().jacobian_rate(self.J, self.dJ, self.v)
+
+
+def _frame_memory(model: pin.Model, data: pin.Data) -> tuple[Array, list[tuple[Array, Array]]]:
+    """Return (12 F,) axes and origin of each frame, and what is to be copied into them after each update.
+
+    Pinocchio keeps a placement as three axes and an origin, and one placement behind the other: its memory is the array
+    itself. To copy it out frame by frame takes longer than all the arithmetic with it. Where the layout is another one
+    (that of an alignment beyond eight bytes), it is copied all the same.
+    """
+    parts = [(data.oMf[i].rotation, data.oMf[i].translation) for i in range(model.nframes)]
+    first = parts[0][0]
+    for i, (rotation, translation) in enumerate(parts):
+        places = rotation.ctypes.data - first.ctypes.data, translation.ctypes.data - first.ctypes.data
+        if places != (96 * i, 96 * i + 72) or rotation.strides != (8, 24) or translation.strides != (8,):
+            break
+    else:
+        return np.lib.stride_tricks.as_strided(first, (12 * len(parts),), (8,), writeable=False), []
+    vectors = np.zeros((len(parts), 4, 3))
+    copied = [pair for v, (R, p) in zip(vectors, parts, strict=True) for pair in ((v[:3].T, R), (v[3], p))]
+    return vectors.reshape(-1), copied

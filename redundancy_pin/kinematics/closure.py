@@ -34,14 +34,19 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, IntArray
-from redundancy_pin.kinematics.tree import TreeKinematics, TreePose, cross
+from redundancy_pin.kinematics.tree import AFTER, NEXT, TreeKinematics, TreePose, cross
 from redundancy_pin.robot import AXES, Closure, Robot
 
 _ORIGIN = 3
 """Column of a frame's origin, behind its three axes."""
+
+
+_PAIRED = np.array([0, 1, 1, 0])
+"""Of axis and partner, what ȧ, ċ, Δω × c and a × Δω are made with."""
 
 
 class Row(NamedTuple):
@@ -65,20 +70,32 @@ class RowSet:
     Args:
         rows: the rows.
         support: (F, nv) 1 where a velocity moves a frame.
+        ids: (F,) Pinocchio's index of each frame.
     """
 
-    def __init__(self, rows: Sequence[Row], support: Array) -> None:
+    def __init__(self, rows: Sequence[Row], support: Array, ids: IntArray) -> None:
         self.size = size = len(rows)
         # axes of all rows, then their partners
         pairs = np.array([[row.axis for row in rows], [row.partner for row in rows]], dtype=np.intp).reshape(2, size, 2)
         frames, columns = pairs[:, :, 0], pairs[:, :, 1]
-        self._vectors, self._origins = 4 * frames + columns, 4 * frames[0] + _ORIGIN
+        self._vectors = 4 * frames + columns
         self._carried = support[frames.ravel()]
         signs, moving = np.array([row.sign for row in rows]), (columns == _ORIGIN).astype(float)
-        self._shaped = (signs, moving), (signs[:, None], moving[:, :, None])
-        self._signed = bool((signs < 0.0).any())
+        self.sliding = bool(moving[1].all())
+        """Whether all rows are translations."""
+        self._signs, self._moving = signs if (signs < 0.0).any() else None, moving
+        # at one state: both vectors, the factors of c × a (c's, then a's), and p_A, by one look-up
+        axis, partner, origin = (
+            12 * ids[frame] + 3 * column + np.arange(3)[:, None]
+            for frame, column in (*zip(frames, columns, strict=True), (frames[0], _ORIGIN))
+        )
+        both = np.stack([axis, partner], axis=1).reshape(6, size)
+        self._taken = np.concatenate([both, partner[NEXT], axis[AFTER], origin])
+        self._taken_signs = np.where(np.isin(np.arange(21), [0, 2, 4, *range(12, 18)])[:, None], signs, 1.0)
         first, second = np.array([row[2:4] for row in rows], dtype=np.intp).reshape(size, 2).T
         self.mask = support[second] - support[first]
+        self._moved = np.concatenate([self._carried, self.mask, -self.mask])
+        self._slides = np.stack([*moving, moving[1], np.zeros(size)])
         self.groups = [
             (part, frames[:, part.start], first[part.start], second[part.start])
             for part in _runs(np.stack([*frames, first, second], axis=1))
@@ -90,26 +107,45 @@ class RowSet:
             for column in np.flatnonzero(self.mask[part.start]).tolist()
         ]
 
-    def place(self, vectors: Array | list[Array]) -> PlacedRows:
-        """Return the rows at a configuration.
+    def place(self, vectors: Array) -> PlacedRows:
+        """Return the rows at one configuration.
 
         Args:
-            vectors: three axes and the origin of each frame, world axes: (3, 4 F), or a list of 4 F arrays (3, N).
+            vectors: (12 F',) three axes and the origin of each of Pinocchio's frames, world axes.
         """
-        signs, moving = self._shaped[isinstance(vectors, list)]
-        pairs = _taken(vectors, self._vectors)
-        if self._signed:
-            pairs[:, 0] *= signs
-        axis, partner = pairs[:, 0], pairs[:, 1]
-        wrench = np.empty((6, *axis.shape[1:]))
-        np.multiply(axis, moving[1], out=wrench[:3])
-        cross(partner, axis, wrench[3:])
-        return PlacedRows(self, vectors, pairs, moving, wrench)
+        taken = vectors.take(self._taken)
+        if self._signs is not None:
+            taken *= self._taken_signs
+        pairs = taken[:6].reshape(3, 2, self.size)
+        products = taken[6:12] * taken[12:18]
+        wrench = np.empty((6, self.size))
+        np.multiply(pairs[:, 0], self._moving[1], out=wrench[:3])
+        np.subtract(products[:3], products[3:], out=wrench[3:])
+        return PlacedRows(self, pairs, taken[18:], self._moving, wrench)
 
-    def residual(self, placed: PlacedRows) -> Array:
-        """Return Φ, (R,) or (R, N), m; for rotation rows the sine of the angle that is off."""
-        axis, partner = placed.pairs[:, 0], placed.pairs[:, 1]
-        phi: Array = np.add.reduce(axis * (partner - _taken(placed.vectors, self._origins) * placed.moving[1]))
+    def place_many(self, vectors: list[Array]) -> PlacedRows:
+        """Return the rows at N configurations, from 4 F vectors (3, N); ``origins`` are left out: they take memory."""
+        shape = (3, 2, self.size, vectors[0].shape[-1])
+        pairs, wrench = np.empty(shape), np.empty((6, *shape[2:]))
+        for side, which in enumerate(self._vectors.tolist()):
+            for row, index in enumerate(which):
+                pairs[:, side, row] = vectors[index]
+        if self._signs is not None:
+            pairs[:, 0] *= self._signs[:, None]
+        axis, partner = pairs[:, 0], pairs[:, 1]
+        np.multiply(axis, self._moving[1, :, None], out=wrench[:3])
+        cross(partner, axis, wrench[3:])
+        return PlacedRows(self, pairs, vectors[0][:, :0], self._moving[:, :, None], wrench)
+
+    def residuals(self, placed: PlacedRows, vectors: list[Array]) -> Array:
+        """Return (R, N) Φ at N configurations; the rows are the first of the placed ones."""
+        phi = np.empty((self.size, placed.pairs.shape[-1]))
+        for part, _, first, _ in self.groups:
+            axis, offset, moving = placed.pairs[:, 0, part], placed.pairs[:, 1, part], self._moving[1, part, None]
+            if moving.any():
+                origin = vectors[4 * first + _ORIGIN][:, None]
+                offset = offset - (origin if moving.all() else origin * moving)
+            np.einsum("krn,krn->rn", axis, offset, out=phi[part])
         return phi
 
     def times(self, wrench: Array, J: Array, out: Array | None = None) -> Array:
@@ -126,6 +162,19 @@ class RowSet:
                 result[block, column] *= -1.0
         return result
 
+    def bias_at(self, placed: PlacedRows, J: Array, dJ: Array, v: Array) -> Array:
+        """Return J̇ v (R,) at one state.
+
+        With Δ = V_B − V_A,  ẇ · Δ = ȧ · (σ Δv + Δω × c) + ċ · (a × Δω): four cross products, all at once.
+        """
+        moved = (self._moved * v).T
+        twists = J.dot(moved).reshape(6, 4, self.size)
+        parts = cross(twists[3:], placed.pairs.take(_PAIRED, 1)) + twists[:3] * self._slides
+        products = (parts[:, :2] * parts[:, 2:]).reshape(6, self.size)
+        rest = placed.wrench * dJ.dot(moved[:, 2 * self.size : 3 * self.size])
+        bias: Array = np.add.reduce(products + rest)
+        return bias
+
     def twists(self, J: Array, v: Array) -> Array:
         """Return (6, 2, R) the sums of J v over the joints that carry each axis, and each partner."""
         twists: Array = J.dot((self._carried * v).T).reshape(6, 2, self.size)
@@ -138,31 +187,29 @@ def _runs(values: NDArray[Any]) -> list[slice]:
     return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(values)], strict=False)]
 
 
-def _taken(vectors: Array | list[Array], which: IntArray) -> Array:
-    if isinstance(vectors, list):
-        if not which.size:  # an open tree has no rows
-            return np.empty((3, *which.shape, vectors[0].shape[-1]))
-        return np.stack([vectors[i] for i in which.ravel()], axis=1).reshape(3, *which.shape, -1)
-    taken: Array = vectors.take(which, 1)
-    return taken
-
-
 class PlacedRows(NamedTuple):
-    """Rows at a configuration, or at N; made by ``RowSet.place``.
+    """Rows at a configuration, or at N; made by ``RowSet.place`` and ``RowSet.place_many``.
 
     Attributes:
         rows: the rows.
-        vectors: what they were placed with.
         pairs: (3, 2, R) or (3, 2, R, N) each axis, and each partner.
+        origins: (3, R) p_A, at one configuration.
         moving: (2, R) or (2, R, 1) 1 for an origin, 0 for an axis; of the partners it is σ.
         wrench: (6, R) or (6, R, N) w.
     """
 
     rows: RowSet
-    vectors: Array | list[Array]
     pairs: Array
+    origins: Array
     moving: Array
     wrench: Array
+
+    def residual(self) -> Array:
+        """Return (R,) Φ at one configuration, m; for rotation rows the sine of the angle that is off."""
+        axis, partner = self.pairs[:, 0], self.pairs[:, 1]
+        origins = self.origins if self.rows.sliding else self.origins * self.moving[1]
+        phi: Array = np.add.reduce(axis * (partner - origins))
+        return phi
 
     def rates(self, twists: Array) -> tuple[Array, Array]:
         """Return ȧ and ċ, and ẇ, for the twists (6, 2, R) of the bodies that carry a and c."""
@@ -188,7 +235,8 @@ class PlacedRows(NamedTuple):
     def jacobian_rate(self, J: Array, dJ: Array, v: Array) -> Array:
         """Return (R, nv) the rate of the rows at one state."""
         rows = self.rows
-        return rows.times(self.rates(rows.twists(J, v))[1], J) + rows.times(self.wrench, dJ)
+        rate: Array = rows.mask * (self.rates(rows.twists(J, v))[1].T.dot(J) + self.wrench.T.dot(dJ))
+        return rate
 
     def time_derivatives(self, J: Array, dJ: Array, ddJ: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
         """Return (R, nv) the rows and their first and second time derivative along a motion v, a (nv,)."""
@@ -252,8 +300,9 @@ class ConstraintSystem:
 
     Attributes:
         rows: the r closure rows.
-        closures, platform: closure rows, and rows of the platform's twist (none where the independent velocities are
-            those of joints).
+        closures, platform, all_rows: closure rows; rows of the platform's twist (none where the independent velocities
+            are those of joints); both.
+        aligned: pairs of frames and the number of an axis that points the same way in both when closed.
         pose_columns: velocity indices that move the pose: all but the carriers.
         selection: (m, nv) S, the main actuators among the velocities.
         independent: (n, nv) unit rows of the independent joints; zero where there is a platform.
@@ -267,14 +316,16 @@ class ConstraintSystem:
             frames.append(robot.platform.frame)
         self.tree = TreeKinematics(robot.model, tuple(dict.fromkeys(frames)))
         at = {name: i for i, name in enumerate(self.tree.support)}
-        # the world is one more frame, which nothing moves
-        support = np.zeros((len(at) + 1, nv))
+        # the world is one more frame, which nothing moves: Pinocchio's first
+        support, ids = np.zeros((len(at) + 1, nv)), np.zeros(len(at) + 1, dtype=np.intp)
         for name, columns in self.tree.support.items():
             support[at[name], list(columns)] = 1.0
+            ids[at[name]] = robot.model.getFrameId(name, pin.FrameType.BODY)
         self.rows = tuple(_row(closure, axis, at) for closure in robot.closures for axis in closure.axes)
         platform = _platform_rows(robot, at)
-        self.closures, self.platform = RowSet(self.rows, support), RowSet(platform, support)
-        self._all = RowSet((*self.rows, *platform), support)
+        sets = self.rows, platform, (*self.rows, *platform)
+        self.closures, self.platform, self.all_rows = (RowSet(rows, support, ids) for rows in sets)
+        self.aligned = [(c.frame_a, c.frame_b, k) for c in robot.closures for k in _aligned(c)]
         self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity)
         self.selection = np.zeros((robot.m, nv))
         self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
@@ -290,19 +341,19 @@ class ConstraintSystem:
         for name, origin in (*pose.frame_origin.items(), ("", world[:, 0])):  # nobody asks for the world's origin
             axes = pose.frame_rotation.get(name, world)
             vectors += [axes[:, 0], axes[:, 1], axes[:, 2], origin]
-        rows = self._all.place(vectors)
+        rows = self.all_rows.place_many(vectors)
         jacobian = np.zeros((r + self.robot.n, self.robot.model.nv, pose.samples))
-        self._all.times(rows.wrench, pose.jacobian, jacobian)
+        self.all_rows.times(rows.wrench, pose.jacobian, jacobian)
         if self.robot.platform is None:
             jacobian[r:] = self.independent[:, :, None]
-        return ConstraintState(q, pose, rows, rows.rows.residual(rows)[:r].T, jacobian, self.pose_columns)
+        return ConstraintState(q, pose, rows, self.closures.residuals(rows, vectors).T, jacobian, self.pose_columns)
 
     def bias(self, state: ConstraintState, v: Array) -> tuple[Array, Array]:
         """Return J̇_c v (N, r) and J̇_x v (N, n) at velocities v (N, nv)."""
         still, r = np.zeros((6, state.pose.samples)), len(self.rows)
         motions = [*self.tree.motions(state.pose, v).values(), (still, still)]
         result = np.zeros((r + self.robot.n, state.pose.samples))
-        for rows, (a, c), first, second in self._all.groups:
+        for rows, (a, c), first, second in self.all_rows.groups:
             twists = np.stack([motions[a][0], motions[c][0]], axis=1)[:, :, None]
             relative, rest = (
                 two[:, None] - one[:, None] for one, two in zip(motions[first], motions[second], strict=True)
@@ -322,13 +373,10 @@ class ConstraintSystem:
         two rotation rows have no such axes.
         """
         angle = np.zeros(state.pose.samples)
-        for closure in self.robot.closures:
-            free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
-            # they coincide when closed: the free axis of a hinge, all three of a weld
-            for k in {0: [0, 1, 2], 1: free}.get(len(free), []):
-                a, b = (state.pose.frame_rotation[frame][:, k] for frame in (closure.frame_a, closure.frame_b))
-                cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-                angle = np.maximum(angle, np.arccos(np.clip(cosine, -1.0, 1.0)))
+        for frame_a, frame_b, k in self.aligned:
+            a, b = (state.pose.frame_rotation[frame][:, k] for frame in (frame_a, frame_b))
+            cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+            angle = np.maximum(angle, np.arccos(np.clip(cosine, -1.0, 1.0)))
         return angle
 
 
@@ -336,6 +384,12 @@ def independent_velocity(robot: Robot) -> list[int]:
     """Return the velocity index of each independent joint of a robot without a platform."""
     model = robot.model
     return [int(model.joints[model.getJointId(name)].idx_v) for name in robot.independent_joints]
+
+
+def _aligned(closure: Closure) -> list[int]:
+    """Return the axes that coincide when closed: the free axis of a hinge, all three of a weld."""
+    free = [k for k in range(3) if AXES[3 + k] not in closure.axes]
+    return {0: [0, 1, 2], 1: free}.get(len(free), [])
 
 
 def _row(closure: Closure, axis: str, at: dict[str, int]) -> Row:

@@ -33,10 +33,10 @@ _DEEPEST_HALVING = 22
 is left: this many come within 1e-9 characteristic lengths of it."""
 _SHORTEST_STEP = 2.0**-3
 """Where Newton needs shorter steps than this the pose is approached in smaller steps instead."""
-_CONTINUITY = 0.25
+CONTINUITY = 0.25
 """Largest part of a step that its trapezoidal prediction may miss before the branch counts as lost; the step is halved
 first, which shrinks a smooth error eightfold and a jump not at all."""
-_ROUNDING = 1e-7
+ROUNDING = 1e-7
 """Changes of q below this (rad, m) are rounding of the closure solution between all but equal poses."""
 _MOST_ANCHORS = 20_000
 """Anchors laid along one path beyond one a sample: eight hundred characteristic lengths of path."""
@@ -51,7 +51,7 @@ _NODE_SPACINGS = (1e-2, 2.5e-3)
 narrow ones are for branches that turn fast."""
 
 _SAME_TANGENT = 0.05
-"""As ``_CONTINUITY``, for the step across a rank loss. A prediction by both slopes is wrong by less than a hundredth of
+"""As ``CONTINUITY``, for the step across a rank loss. A prediction by both slopes is wrong by less than a hundredth of
 a step of eight node spacings; a branch whose tangent is nearer than this to the own one would not be told apart."""
 
 _CARRIED = 1e-8
@@ -217,10 +217,10 @@ def continuous(system: ConstraintSystem, q: Array, gamma: Array, x: Array) -> Bo
     return follows(step, gamma[:-1], gamma[1:], difference(system.robot, x[1:], x[:-1]))
 
 
-def follows(step: Array, gamma0: Array, gamma1: Array, increment: Array, part: float = _CONTINUITY) -> BoolArray:
+def follows(step: Array, gamma0: Array, gamma1: Array, increment: Array, part: float = CONTINUITY) -> BoolArray:
     """Return (N,) whether steps (N, nv) of q are what Γ at both ends (N, nv, n) says of increments (N, n) of x."""
     predicted = np.einsum("nvi,ni->nv", 0.5 * (gamma0 + gamma1), increment)
-    allowed = part * np.abs(predicted).max(axis=1, initial=0.0) + _ROUNDING
+    allowed = part * np.abs(predicted).max(axis=1, initial=0.0) + ROUNDING
     result: BoolArray = np.abs(step - predicted).max(axis=1, initial=0.0) <= allowed
     return result
 
@@ -351,11 +351,16 @@ def crosses(system: ConstraintSystem, before: Point, after: Point) -> bool:
     if not np.isfinite(log).any():
         return False
     size = np.exp(log - log.max())
-    if sign[0] * sign[1] > 0.0 and size.min() > _ROUNDING:
+    if sign[0] * sign[1] > 0.0 and size.min() > ROUNDING:
         return False
     root = moved(system.robot, before.x[None], way * (size[0] / size.sum()))
     still = np.zeros_like(way)
-    return carry(system, before, root, still, still, way[0]) is not None
+    carried = carry(system, before, root, still, still, way[0])
+    if carried is None:
+        return False
+    # all but linear on a branch that goes through zero; on one that keeps its side nothing vanishes there
+    there = np.linalg.slogdet(system.evaluate(carried.q).K)[1][0]
+    return bool(there - log.max() < np.log(CONTINUITY))
 
 
 def _carried_to(system: ConstraintSystem, here: Point, target: Array) -> Point | None:

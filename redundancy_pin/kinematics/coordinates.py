@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -42,20 +43,29 @@ def platform_coordinates(robot: Robot, rotation: Array, origin: Array) -> Array:
         poses[:, :3, 3] = origin.T
         poses[:, 3, 3] = 1.0
         return poses
-    columns = []
-    for axis in robot.platform.axes:
-        is_rotation, k = divmod(AXES.index(axis), 3)
+    # without samples there is nothing to read off: any axis will do
+    axes = measured_axes(robot, rotation[:, :, 0] if rotation.shape[2] else np.eye(3))
+    parts = [origin[i] if k < 0 else np.arctan2(rotation[j, k], rotation[i, k]) for i, j, k in axes]
+    return np.stack(parts, axis=1)
+
+
+def measured_axes(robot: Robot, rotation: Array) -> list[tuple[int, int, int]]:
+    """Return how each coordinate of a platform is read off its placement.
+
+    An angle in the plane of the base axes i and j is that of one of the platform's axes: (i, j, axis). A translation
+    along the base axis k is (k, k, −1).
+
+    Args:
+        robot: the robot; nothing is returned where it has no platform.
+        rotation: (3, 3) any orientation that the platform takes.
+    """
+    axes = []
+    for is_rotation, k in (divmod(AXES.index(axis), 3) for axis in (robot.platform.axes if robot.platform else ())):
         i, j = (k + 1) % 3, (k + 2) % 3
-        columns.append(_turned(rotation, i, j) if is_rotation else origin[k])
-    return np.stack(columns, axis=1)
-
-
-def _turned(rotation: Array, i: int, j: int) -> Array:
-    """Return the angle (N,) of rotations (3, 3, N) in the plane of the base axes i and j."""
-    in_plane = np.hypot(rotation[i], rotation[j])[:, :1].max(axis=1, initial=0.0) > _IN_PLANE
-    column = next((axis for axis in (i, j) if in_plane[axis]), 3 - i - j)
-    angle: Array = np.arctan2(rotation[j, column], rotation[i, column])
-    return angle
+        in_plane = np.hypot(rotation[i], rotation[j]) > _IN_PLANE
+        column = next((axis for axis in (i, j) if in_plane[axis]), k)
+        axes.append((i, j, column) if is_rotation else (k, k, -1))
+    return axes
 
 
 _IN_PLANE = 0.5
@@ -74,7 +84,7 @@ def difference(robot: Robot, target: Array, start: Array) -> Array:
 
         rotation = Rotation.from_matrix(target[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1))
         delta = np.concatenate([target[:, :3, 3] - start[:, :3, 3], rotation.as_rotvec()], axis=1)
-        return delta[:, _pose_rows(robot)]
+        return delta[:, pose_rows(robot)]
     delta = target - start
     turns = angle_columns(robot)
     delta[:, turns] = (delta[:, turns] + np.pi) % (2.0 * np.pi) - np.pi
@@ -87,7 +97,7 @@ def moved(robot: Robot, start: Array, increment: Array) -> Array:
         from scipy.spatial.transform import Rotation
 
         full = np.zeros((len(start), 6))
-        full[:, _pose_rows(robot)] = increment
+        full[:, pose_rows(robot)] = increment
         result: Array = start.copy()
         result[:, :3, 3] += full[:, :3]
         result[:, :3, :3] = Rotation.from_rotvec(full[:, 3:]).as_matrix() @ start[:, :3, :3]
@@ -148,7 +158,7 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
         InputError: not sampled, wrong number of coordinates, or poses where coordinates belong.
     """
     require_sampled(motion)
-    wants_pose = robot.platform is not None and robot.platform.is_pose
+    wants_pose = is_pose(robot)
     names = robot.platform.axes if robot.platform else robot.independent_joints
     if motion.is_pose != wants_pose or motion.xd.shape[1] != robot.n:
         form = "(N, 4, 4) poses" if wants_pose else f"(N, {robot.n})"
@@ -166,7 +176,7 @@ def require_matching(robot: Robot, motion: PlatformMotion) -> None:
 
 def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:
     """Return declared reference coordinates as (1, n), or as a pose (1, 4, 4) from xyz and rpy."""
-    if robot.platform is not None and robot.platform.is_pose:
+    if is_pose(robot):
         from scipy.spatial.transform import Rotation
 
         pose: Array = np.eye(4)[None].copy()
@@ -176,7 +186,13 @@ def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:
     return np.array(checked(numbers, "reference", (robot.n,)))[None]
 
 
-def _pose_rows(robot: Robot) -> list[int]:
+def is_pose(robot: Robot) -> bool:
+    """Return whether the independent coordinates are a homogeneous pose."""
+    return robot.platform is not None and robot.platform.is_pose
+
+
+def pose_rows(robot: Robot) -> list[int]:
+    """Return which components of a twist the platform's velocities are; none without a platform."""
     return [AXES.index(axis) for axis in robot.platform.axes] if robot.platform else []
 
 
@@ -209,6 +225,24 @@ def mode_indicator(robot: Robot, q: Array) -> Array:
     return _indicator(robot)(q)
 
 
+class Indicator(NamedTuple):
+    """What tells the mode of one leg: a number of q, or its sine, times a sign."""
+
+    column: int
+    sine: bool
+    sign: float
+
+
+def mode_indicators(robot: Robot) -> list[Indicator]:
+    """Return the indicators of a robot's legs; none where it declares no modes."""
+    modes, legs = robot.working_modes, []
+    for name, sign in zip(modes.joints, modes.signs, strict=True) if modes else ():
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        # of a continuous joint the second number is the sine
+        legs.append(Indicator(joint.idx_q + (joint.nq == 2), joint.nq == 1 and is_revolute(robot, name), sign))
+    return legs
+
+
 class ModeIndicator:
     """``mode_indicator`` of one robot, the joints looked up once.
 
@@ -217,15 +251,10 @@ class ModeIndicator:
     """
 
     def __init__(self, robot: Robot) -> None:
-        modes = robot.working_modes
-        columns, sine = [], []
-        for name in modes.joints if modes else ():
-            joint = robot.model.joints[robot.model.getJointId(name)]
-            columns.append(joint.idx_q + (joint.nq == 2))  # of a continuous joint the second number is the sine
-            sine.append(joint.nq == 1 and not str(joint.shortname()).startswith("JointModelP"))
-        self._columns = np.array(columns, dtype=np.intp)
-        self._sine = np.array(sine, dtype=bool)
-        self._signs = np.array(modes.signs if modes else (), dtype=np.float64)
+        legs = mode_indicators(robot)
+        self._columns = np.array([leg.column for leg in legs], dtype=np.intp)
+        self._sine = np.array([leg.sine for leg in legs], dtype=bool)
+        self._signs = np.array([leg.sign for leg in legs], dtype=np.float64)
 
     def __call__(self, q: Array) -> Array:
         """Return (N, legs) the indicator at (N, nq) configurations."""

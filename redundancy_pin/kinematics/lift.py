@@ -32,7 +32,6 @@ from redundancy_pin.kinematics.continuation import (
     reacquire,
 )
 from redundancy_pin.kinematics.coordinates import (
-    coordinates,
     difference,
     in_working_mode,
     mode_indicator,
@@ -43,6 +42,7 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart
+from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 
@@ -101,6 +101,7 @@ def lift(
     *,
     mark_unreachable: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    start: Point | None = None,
 ) -> TreeMotion:
     """Lift a platform motion to the tree.
 
@@ -114,6 +115,8 @@ def lift(
             singularities, with NaN. Behind them the motion is reacquired in the working mode; a robot that declares no
             modes may come back on another branch, but never without a marked sample in between.
         progress: called with samples done and samples in all, now and then.
+        start: a point of the branch to come from, in place of the reference configuration: the first pose lies on the
+            straight line from it, and is not looked for elsewhere.
 
     Raises:
         InputError: the motion does not have the robot's coordinates.
@@ -123,12 +126,14 @@ def lift(
     """
     require_matching(robot, motion)
     system = constraint_system(robot)
+    if len(motion) == 1 and (tree := _lift_one(robot, motion, start)) is not None:
+        return tree
     # the guesses lie on the branch, so that all samples can be solved at once: no sample waits for the one before
-    solved = _solve(system, motion, _guesses(system, motion, mark_unreachable), progress)
-    _carry(motion, solved)
+    solved = _solve(system, motion, _guesses(system, motion, mark_unreachable, start), progress)
+    _carry(motion, solved, start)
     if not mark_unreachable:
         _require_closed_and_regular(motion, solved, 0)
-    good = solved.regular & _require_modes(motion, solved, mark=mark_unreachable)
+    good = solved.regular & _require_modes(motion, solved, start, mark=mark_unreachable)
     breaks = _branch_breaks(motion, solved, good)
     if len(breaks) and not mark_unreachable:
         k = int(breaks[0])
@@ -145,6 +150,19 @@ def lift(
         array[~good] = np.nan
     parts = (q, v, a, gamma, W, solved.gap, good, solved.margin)
     return TreeMotion(robot, motion, *(read_only(part) for part in parts))
+
+
+def _lift_one(robot: Robot, motion: PlatformMotion, start: Point | None) -> TreeMotion | None:
+    """Lift a motion of one sample where the way to it is plainly regular, as it mostly is."""
+    follower = tracker(robot)
+    reached = follower.towards(start or follower.home, motion.x[0])
+    if reached is None:
+        return None
+    v, a = follower.rates(reached, motion.xd[0], motion.xdd[0])
+    q, gamma = reached.point.q, reached.point.gamma
+    W = np.ascontiguousarray(gamma[robot.actuated_velocity].T)
+    parts = q, v, a, gamma, W, reached.gap, True, reached.margin
+    return TreeMotion(robot, motion, *(read_only(np.array([part])) for part in parts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +205,7 @@ def _solve(
     return _Lifted(system, guess, gamma, v, a, gap, margin, np.zeros(samples, dtype=bool))
 
 
-def _carry(motion: PlatformMotion, solved: _Lifted) -> None:
+def _carry(motion: PlatformMotion, solved: _Lifted, start: Point | None) -> None:
     """Replace the samples at and beside a rank loss of the closures that the branch goes through."""
     system, carried = solved.system, solved.carried
     near = (solved.gap < _ALMOST_CLOSED) & (solved.margin < NEAR_RANK_LOSS)
@@ -205,10 +223,10 @@ def _carry(motion: PlatformMotion, solved: _Lifted) -> None:
                 for k in (first - 1, stop)
                 if 0 <= k < len(near) and (carried[k] or (solved.regular[k] and not near[k]))
             ]
-            points = [Point(motion.x[k], solved.q[k], solved.gamma[k]) for k in neighbours]
+            points = [_point(motion, solved, k) for k in neighbours]
             if first == 0:
                 with contextlib.suppress(UnreachablePoseError, SingularPoseError, WorkingModeError):
-                    points.append(_point_on_branch(system, motion.x[0]))
+                    points.append(start or _point_on_branch(system, motion.x[0]))
             for point in points:
                 result = carry(system, point, motion.x[part], motion.xd[part], motion.xdd[part])
                 if result is not None:
@@ -238,12 +256,31 @@ def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Ar
     return _point_on_branch(system, x, sample).q
 
 
+def _point_from(system: ConstraintSystem, motion: PlatformMotion, start: Point) -> Point:
+    """Return the first sample on the branch of a point, and nowhere else."""
+    anchors = follow(system, np.stack([start.x, motion.x[0]]), start.q, start.gamma)
+    if anchors.valid[-1]:
+        return Point(motion.x[0], anchors.q[-1], anchors.gamma[-1])
+    last = assemble(system, anchors.q[-1:], motion.x[:1])
+    _require_closed_and_regular(motion[:1], last, 0)
+    raise WorkingModeError(
+        f"The pose of sample 0, x = {np.round(motion.x[0], 6).tolist()}, cannot be reached continuously from the "
+        f"start at x = {np.round(start.x, 6).tolist()}: the straight line leaves the workspace or passes a type I "
+        "singularity.",
+        remedy="Start nearer to it, or leave the start out.",
+        sample=0,
+    )
+
+
 def _point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Point:
-    robot, reference = system.robot, np.array(system.robot.q_reference)
-    home = coordinates(robot, system.evaluate(reference[None]))
-    anchors = follow(system, np.concatenate([home, x[None]]), reference)
-    reached = Point(x, anchors.q[-1], anchors.gamma[-1])
-    if anchors.valid[-1] and (in_working_mode(robot, reached.q[None])[0] or _between_modes(robot, reached.q)):
+    robot, home = system.robot, tracker(system.robot).home
+    reference, direct = home.q, tracker(robot).towards(home, x)
+    if direct is not None:
+        reached, valid = direct.point, True
+    else:
+        anchors = follow(system, np.stack([home.x, x]), reference)
+        reached, valid = Point(x, anchors.q[-1], anchors.gamma[-1]), bool(anchors.valid[-1])
+    if valid and (in_working_mode(robot, reached.q[None])[0] or _between_modes(robot, reached.q)):
         return reached
     q, gap, in_mode = multistart(system, reference, x)
     closed, pose = gap < CLOSURE_TOLERANCE, f"The pose of sample {sample}, x = {np.round(x, 6).tolist()},"
@@ -276,12 +313,12 @@ def _between_modes(robot: Robot, q: Array) -> bool:
     return bool((np.abs(mode_indicator(robot, q[None])) < _NO_SIDE).any())
 
 
-def _guesses(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> Array:
+def _guesses(system: ConstraintSystem, motion: PlatformMotion, mark: bool, start: Point | None) -> Array:
     """Return (N, nq) guesses along the branch: from the first sample solved on it onward, and from there back."""
-    start = _first_on_branch(system, motion, mark)
-    if start is None:
+    solved = _first_on_branch(system, motion, mark, start)
+    if solved is None:
         return np.repeat(system.robot.q_reference[None], len(motion), axis=0)
-    first, (_, q, slope, _) = start
+    first, (_, q, slope, _) = solved
     onward = motion.x[first:]
     anchors = follow(system, onward, q, slope, resume=mark)
     if not mark:
@@ -294,10 +331,12 @@ def _guesses(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> Ar
     return np.concatenate([before[:0:-1], guess])
 
 
-def _first_on_branch(system: ConstraintSystem, motion: PlatformMotion, mark: bool) -> tuple[int, Point] | None:
+def _first_on_branch(
+    system: ConstraintSystem, motion: PlatformMotion, mark: bool, start: Point | None
+) -> tuple[int, Point] | None:
     """Return the first sample that is solved on the branch, and its solution."""
     try:
-        return 0, _point_on_branch(system, motion.x[0])
+        return 0, _point_on_branch(system, motion.x[0]) if start is None else _point_from(system, motion, start)
     except (UnreachablePoseError, SingularPoseError, WorkingModeError):
         if not mark:
             raise
@@ -348,7 +387,7 @@ def _require_branch(system: ConstraintSystem, motion: PlatformMotion, anchors: A
     )
 
 
-def _require_modes(motion: PlatformMotion, solved: _Lifted, *, mark: bool) -> BoolArray:
+def _require_modes(motion: PlatformMotion, solved: _Lifted, start: Point | None, *, mark: bool) -> BoolArray:
     """Return (N,) which samples are in the working mode, or in the one that the branch has led to from it.
 
     Raises:
@@ -361,13 +400,18 @@ def _require_modes(motion: PlatformMotion, solved: _Lifted, *, mark: bool) -> Bo
     indicator = mode_indicator(robot, solved.q)
     side = np.where(carried[:, None] & (np.abs(indicator) < _NO_SIDE), 0.0, np.sign(indicator))
     declared = mode = np.array(robot.working_mode, dtype=float)
+    if start is not None:
+        own = np.sign(mode_indicator(robot, start.q[None])[0])
+        mode = np.where(own == 0.0, declared, own)
+        if regular[0] and (side[0] * mode < 0.0).any() and crosses(system, start, _point(motion, solved, 0)):
+            mode = np.where(side[0] == 0.0, mode, side[0])
     changes = np.flatnonzero((side[1:] != side[:-1]).any(axis=1) | (regular[1:] != regular[:-1])) + 1
     for first, stop in pairwise([0, *changes.tolist(), len(side)]):
         if first > 0 and not regular[first - 1]:
             mode = declared  # behind a gap the motion is reacquired
         if (side[first] * mode < 0.0).any() and first > 0 and regular[first - 1 : first + 1].all():
             known = np.flatnonzero(~carried[:first])  # a carried sample says little of its side
-            points = [Point(motion.x[k], solved.q[k], solved.gamma[k]) for k in (*known[-1:], first)]
+            points = [_point(motion, solved, k) for k in (*known[-1:], first)]
             # a motion that starts at a rank loss starts between two modes
             if len(points) == 1 or (regular[known[-1] : first].all() and crosses(system, *points)):
                 mode = np.where(side[first] == 0.0, mode, side[first])
@@ -377,6 +421,10 @@ def _require_modes(motion: PlatformMotion, solved: _Lifted, *, mark: bool) -> Bo
         k = int(np.argmax(wrong))
         raise _leaves_mode(motion, robot, k, solved.q[k])
     return in_mode
+
+
+def _point(motion: PlatformMotion, solved: _Lifted, k: int) -> Point:
+    return Point(motion.x[k], solved.q[k], solved.gamma[k])
 
 
 def _leaves_mode(motion: PlatformMotion, robot: Robot, k: int, q: Array) -> WorkingModeError:

@@ -135,13 +135,13 @@ class TreeKinematics:
 
 
 _FEW = 300
-_NEXT, _AFTER = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
+NEXT, AFTER = np.array([1, 2, 0, 2, 0, 1]), np.array([2, 0, 1, 1, 2, 0])
 
 
 def cross(a: Array, b: Array, out: Array | None = None) -> Array:
     """Return the cross product of (3, ...) vectors; numpy's own takes ten times as long on a few, twice on many."""
     if b.size < _FEW:  # the number of calls counts, and not that of products
-        products = a.take(_NEXT, 0) * b.take(_AFTER, 0)
+        products = a.take(NEXT, 0) * b.take(AFTER, 0)
         return np.subtract(products[:3], products[3:], out=out)
     result = np.empty(np.broadcast_shapes(a.shape, b.shape)) if out is None else out
     result[0] = a[1] * b[2] - a[2] * b[1]

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin.kinematics.assembly import integrate
-from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintSystem, Row, RowSet
 from redundancy_pin.robot import AXES, Closure, Robot
 
 MASKS = tuple(mask for size in range(1, 7) for mask in itertools.combinations(AXES, size))
@@ -252,3 +252,27 @@ def test_carriers_do_not_move_any_row() -> None:
     assert np.all(state.Jc[:, :, robot.carrier_velocity] == 0.0)
     assert np.all(state.Jx[:, :, robot.carrier_velocity] == 0.0)
     assert set(system.pose_columns) == set(range(robot.model.nv)) - set(robot.carrier_velocity.tolist())
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3])
+@pytest.mark.parametrize("nv", range(1, 18))
+def test_rows_times_columns_are_the_masked_products(nv: int, samples: int) -> None:
+    """At any number of velocities: eight of them and one sample once lost entries to a fault of numpy with AVX-512."""
+    rng = np.random.default_rng(nv)
+    support = np.concatenate([rng.integers(0, 2, (2, nv)), np.zeros((1, nv))]).astype(float)
+    support[:, 0] = [1.0, 0.0, 0.0]  # at least one velocity moves the first frame alone
+    chosen = [Row((0, k), (1, 3), 0, 1, 1.0) for k in range(3)] + [Row((0, 0), (1, 1), 0, 1, -1.0)]
+    rows = RowSet(chosen, support, np.array([1, 2, 0]))
+    vectors = rng.normal(size=(12, 3, samples))
+    J = rng.normal(size=(6, nv, samples))
+    placed = rows.place_many(list(vectors))
+    got = rows.times(placed.wrench, J)
+    for i, row in enumerate(chosen):
+        axis, partner = vectors[row.axis[1]] * row.sign, vectors[4 + row.partner[1]]
+        wrench = np.concatenate([axis * (not row.rotation), np.cross(partner, axis, axis=0)])
+        expected = (support[1] - support[0])[:, None] * np.einsum("kn,kvn->vn", wrench, J)
+        np.testing.assert_allclose(got[i], expected, rtol=1e-13, atol=1e-13)
+        for n in range(samples):
+            flat = np.concatenate([np.zeros(12), vectors[:8, :, n].ravel()])  # the world is Pinocchio's first frame
+            one = rows.place(flat)
+            np.testing.assert_allclose(rows.times(one.wrench, J[:, :, n])[i], expected[:, n], rtol=1e-13, atol=1e-13)

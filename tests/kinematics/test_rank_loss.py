@@ -11,9 +11,13 @@ from folding import folding_four_bar, joint, rocker_angle, rocker_motion
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError
+from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.continuation import Point, crosses
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import classify_motion
 
 POSITION = 1e-12
@@ -173,3 +177,33 @@ def test_a_crank_beyond_half_a_turn_starts_in_its_mode(tmp_path: Path) -> None:
     tree = lift(robot, turning(np.linspace(4.1, 4.2, 5)))
     np.testing.assert_allclose(tree.q[:, joint(robot, "crank")], tree.motion.x[:, 0], atol=POSITION)
     assert (mode_indicator(robot, tree.q) > 0.0).all()
+
+
+def flat_sides(robot: Robot, offset: float) -> list[list[Point]]:
+    """Return the points before and behind the flat pose with the coupler on either side: [before, behind][side]."""
+    system, coupler = constraint_system(robot), joint(robot, "coupler")
+    sides = []
+    for crank in (np.pi - offset, np.pi + offset):
+        starts = np.random.default_rng(1).uniform(-np.pi, np.pi, (40, robot.model.nq))
+        solution = assemble(system, starts, np.full((40, 1), crank))
+        up = np.sin(solution.q[:, coupler]) > 0.0
+        chosen = [int(np.argmax(solution.regular & (up == side))) for side in (True, False)]
+        assert solution.regular[chosen].all()
+        assert up[chosen].tolist() == [True, False]
+        wrapped = (solution.q + np.pi) % (2.0 * np.pi) - np.pi
+        wrapped[:, joint(robot, "crank")] = crank
+        sides.append([Point(np.array([crank]), wrapped[k], solution.gamma[k]) for k in chosen])
+    return sides
+
+
+@pytest.mark.parametrize("excess", [1e-3, 1e-5, 1e-7, 0.0])
+def test_only_a_smooth_branch_through_a_rank_loss_is_a_crossing(excess: float, tmp_path: Path) -> None:
+    """The coupler changes over where the linkage folds flat; where it almost does, no branch leads there."""
+    g, a, b, c = LINKAGES["folding"][0]
+    robot = folding_four_bar(tmp_path, (g, a, b, c + excess), LINKAGES["folding"][1])
+    before, behind = flat_sides(robot, 0.02)
+    system = constraint_system(robot)
+    for side in (0, 1):
+        assert crosses(system, before[side], behind[1 - side]) == (excess == 0.0)
+        assert not crosses(system, before[side], behind[side])
+        assert not crosses(system, before[side], before[side]._replace(x=before[side].x + 1e-3))

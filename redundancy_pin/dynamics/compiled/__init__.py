@@ -26,6 +26,7 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    Sample,
     require_choice,
     require_matching_carriers,
 )
@@ -61,14 +62,6 @@ _PER_THREAD = 400
 
 _TURN = 0.5
 """Longest turn, rad, of a pose at a time on the way from the reference: half a turn away the direction is lost."""
-
-
-class Sample(NamedTuple):
-    """One sample of the equation of motion: W (n, m), f (n,), carrier_force (k,); see ``ReducedDynamics``."""
-
-    W: Array
-    f: Array
-    carrier_force: Array
 
 
 class CompiledDynamics(Dynamics):

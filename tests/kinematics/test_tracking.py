@@ -1,0 +1,52 @@
+"""A pose from the one before: taken where it is plainly on the branch, left to a closer look everywhere else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+from folding import folding_four_bar
+
+from redundancy_pin.kinematics.assembly import assemble, integrate
+from redundancy_pin.kinematics.coordinates import moved
+from redundancy_pin.kinematics.tracking import tracker
+from redundancy_pin.robot import Robot
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_a_pose_nearby_is_the_one_that_assembly_closes(shipped: Robot, many: bool) -> None:
+    system, follower = zoo.system_of(shipped), tracker(shipped, many=many)
+    home = follower.home
+    increment = np.random.default_rng(5).uniform(-0.02, 0.02, shipped.n) * shipped.characteristic_length
+    x = moved(shipped, home.x[None], increment[None])
+    reached = follower.towards(home, x[0])
+    assert reached is not None
+    guess = integrate(shipped.model, home.q[None], (home.gamma @ increment)[None])
+    expected = assemble(system, guess, x)
+    np.testing.assert_allclose(reached.point.q, expected.q[0], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(reached.point.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
+    assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
+    assert reached.point.side == np.linalg.slogdet(expected.state.K[0])[0]
+
+
+def test_a_point_that_the_branch_contradicts_is_left_to_others() -> None:
+    robot = zoo.robot_of("3rrr")
+    follower = tracker(robot)
+    home, x = follower.home, follower.home.x + np.array([0.01, 0.0, 0.0])
+    assert follower.towards(home, x) is not None
+    assert follower.towards(home._replace(side=-home.side), x) is None
+    assert follower.towards(home._replace(gamma=3.0 * home.gamma), x) is None
+    assert follower.towards(home, x + 100.0) is None
+    assert follower.towards(home, x * np.nan) is None
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-6, 1e-4, -1e-4])
+def test_poses_beside_a_rank_loss_are_left_to_others(beside: float, tmp_path: Path) -> None:
+    """Newton's rounding shows in the rates there."""
+    robot = folding_four_bar(tmp_path, (0.4, 0.2, 0.35, 0.25), (1.0, 1.9, 1.5))
+    follower = tracker(robot)
+    near = follower.towards(follower.home, np.array([np.pi - 0.05]))
+    assert near is not None
+    assert follower.towards(near.point, np.array([np.pi + beside])) is None
