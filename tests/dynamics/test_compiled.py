@@ -362,7 +362,11 @@ def script(folder: Path, text: str) -> str:
 
 @pytest.mark.parametrize(
     ("text", "reason"),
-    [("echo out of luck >&2; exit 1", "out of luck"), ("exit 0", "cannot be loaded"), ("sleep 60", "did not end")],
+    [
+        ("echo out of luck >&2; exit 1", "out of luck"),
+        ("exit 0", "cannot be loaded"),
+        ("sleep 60; exit 0", "did not end"),
+    ],
 )
 def test_a_compiler_that_fails_is_done_without(
     text: str, reason: str, four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

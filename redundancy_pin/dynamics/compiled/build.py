@@ -17,6 +17,7 @@ import importlib.resources
 import json
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -345,17 +346,30 @@ def _compile(compiler: Compiler, text: str, target: Path) -> str:
         written = target.with_suffix(".c")
         written.write_text(text, encoding="utf-8")
         command = [compiler.path, *FLAGS, str(written), "-o", str(target), "-lm"]
-        run = subprocess.run(
+        process = subprocess.Popen(
             command,
-            capture_output=True,
-            timeout=PATIENCE,
-            check=False,
             stdin=subprocess.DEVNULL,
-            text=True,
-            errors="replace",
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
         )
-    except subprocess.TimeoutExpired:
-        return f"{compiler.path} did not end within {PATIENCE:g} s"
+        with process:
+            try:
+                _, complaints = process.communicate(timeout=PATIENCE)
+            except subprocess.TimeoutExpired:
+                _end(process)
+                return f"{compiler.path} did not end within {PATIENCE:g} s"
+            except BaseException:  # an interrupt
+                _end(process)
+                raise
     except OSError as error:
         return f"{compiler.path} cannot be used: {error}"
-    return "" if run.returncode == 0 else f"{compiler.path} failed: {shortened(run.stderr.strip() or 'no message')}"
+    message = complaints.decode(errors="replace").strip() or "no message"
+    return "" if process.returncode == 0 else f"{compiler.path} failed: {shortened(message)}"
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a compiler with the programs that it has started: one of them alive would keep us waiting for its output."""
+    with contextlib.suppress(OSError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
