@@ -262,14 +262,15 @@ def _step(
     message = solver.step()
     if solver.status == "failed":
         _require_answers(rate)
-        return progress.failed(f"no step is short enough: {rate.failure or message}")
+        why = f"no step is short enough: {rate.failure or message}"
+        q = progress.y[: problem.functions.nq]
+        return progress.failed(why if rate.sheet is None else _at_pose(problem.functions, q, why))
     is_short = solver.step_size < SHORTEST and solver.status == "running"  # the last one may have to be
     short = progress.short + 1 if is_short else 0
     progress = replace(progress, t=solver.t, y=solver.y, steps=progress.steps + 1, short=short)
     if short >= _MOST_SHORT:
         _require_answers(rate)
-        ratio = float(earlier.values[-1])
-        return progress.failed(f"the steps have shrunk to {solver.step_size:.2g} s: {_why(machine, ratio)}")
+        return progress.failed(f"the steps have shrunk to {solver.step_size:.2g} s: {_why(problem, earlier)}")
     rate.failure = None
     # events and samples come from the interpolant, which is that of the step before its end is projected
     step = Step(solver, before)
@@ -386,11 +387,11 @@ def _require_answers(rate: _Rate) -> None:
         raise rate.failure
 
 
-def _why(machine: Machine, ratio: float) -> str:
-    """Return what makes a motion blow up, as far as it shows, at a ratio of singular values of the closures."""
-    if ratio < NEAR * NEAR:
-        return f"its closures have nearly lost rank (ratio of singular values {ratio:.2g})"
-    inertia = machine.dynamics.least_inertia
+def _why(problem: Problem, earlier: Progress) -> str:
+    """Return what makes a motion blow up, as far as it shows."""
+    functions, inertia = problem.functions, problem.machine.dynamics.least_inertia
+    if earlier.values[-1] < NEAR * NEAR:
+        return _at_pose(functions, earlier.y[: functions.nq], "its closures have nearly lost rank")
     if inertia < _LITTLE_INERTIA:
         return (
             f"a free motion has hardly any inertia, {inertia:.2g} of the largest, so accelerations grow without "
