@@ -16,6 +16,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Frozen
 from redundancy_pin.crosscheck import run
 from redundancy_pin.dynamics.allocation import CarrierForces, allocate
+from redundancy_pin.dynamics.compiled import design_of
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry
 from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
 from redundancy_pin.planners.carrier_return import CarrierState
@@ -39,6 +40,7 @@ def objects() -> dict[str, Any]:
     reduced = along.reduce(carriers)
     efforts = rp.distribute(reduced)
     along.base_wrench()  # makes its pools
+    compiled = rp.CompiledDynamics(robot).along(motion)
     start = closed_state(robot, xd=[0.1, 0.0, 0.0])
     three = np.ones(3)
     poses = np.stack([np.eye(4), np.eye(4)])
@@ -53,6 +55,9 @@ def objects() -> dict[str, Any]:
         "virtual work": manual,
         "along": along,
         "virtual work along": manual.along(motion),
+        "compiled along": compiled,
+        "derivatives of compiled": compiled.derivatives(carriers, parameters=["carrier_1.mass"]),
+        "design": design_of(robot, ["carrier_1.mass"]),
         "legs": manual._mechanism.legs(motion.x),
         "two legs": rp.VirtualWork(small)._mechanism.legs(circle.sample(dt=0.1).x),
         "reduced": reduced,
