@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import json
 import re
 import shutil
@@ -27,6 +28,7 @@ from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.types import WorkingModes
 
 pytestmark = pytest.mark.skipif("gcc" not in COMPILERS, reason="gcc is not installed")
 
@@ -253,35 +255,33 @@ def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -
     n, m, count, seen = robot.n, robot.m, 20, set()
     home = zoo.home_of(robot)[None]
     scales = rp.RneaDynamics(robot).reduce(rp.PlatformMotion([0.0], home, np.zeros((1, n)), np.zeros((1, n))))
-    for rank in range(min(n, m) + 1):
-        for inside in (1.0, 0.0):
-            for least in (1.0, 1e-3, 1e-7):
-                values = np.where(np.arange(min(n, m)) < rank, np.geomspace(least, 2.0, min(n, m))[::-1], 0.0)
-                U, A, _ = factors(random, count, n, m, values)
-                W = A * scales.row_scale[:, None] / scales.column_scale
-                g = times(A, random.normal(size=(count, m)))
-                g += (1.0 - inside) * times(U, random.normal(size=(count, n)))
-                nothing = np.zeros((count, 0))
-                reduced = ReducedDynamics(
-                    np.arange(count, dtype=float), g * scales.row_scale, W, nothing, np.ones(count, dtype=bool),
-                    np.zeros(count), scales.row_scale, scales.column_scale,
-                )  # fmt: skip
-                want = rp.distribute(reduced)
-                seen |= set(want.status.tolist())
-                for k in range(count):
-                    out = code_type(robot)()
-                    row, force = np.ascontiguousarray(W[k]), np.ascontiguousarray(reduced.f[k])
-                    pointers = [ctypes.c_void_p(array.ctypes.data) for array in (row, force)]
-                    status = library.probe(*pointers, ctypes.byref(out))
-                    assert status == want.status[k]
-                    assert out.rank == want.rank[k]
-                    condition = min(want.condition[k], 1e9)
-                    assert_near(np.array(out.tau), want.tau[k], "tau", factor=condition)
-                    np.testing.assert_allclose(out.margin, want.margin[k], rtol=0.0, atol=1e-14)
-                    if status >= SampleStatus.SINGULAR_INCONSISTENT:
-                        # the range of a matrix moves by rounding over its least singular value
-                        allowed = 1e-14 / least * np.linalg.norm(g[k])
-                        np.testing.assert_allclose(out.residual, want.residual[k], rtol=0.0, atol=allowed)
+    cases = itertools.product(range(min(n, m) + 1), (0.0, 1e-8, 1.0), (1.0, 1e-3, 1e-7), (1.0, 1e-11))
+    for rank, off, least, size in cases:
+        values = np.where(np.arange(min(n, m)) < rank, np.geomspace(least, 2.0, min(n, m))[::-1], 0.0)
+        U, A, _ = factors(random, count, n, m, size * values)
+        W = A * scales.row_scale[:, None] / scales.column_scale
+        g = times(A, random.normal(size=(count, m)) / size) + off * times(U, random.normal(size=(count, n)))
+        nothing = np.zeros((count, 0))
+        reduced = ReducedDynamics(
+            np.arange(count, dtype=float), g * scales.row_scale, W, nothing, np.ones(count, dtype=bool),
+            np.zeros(count), scales.row_scale, scales.column_scale,
+        )  # fmt: skip
+        want = rp.distribute(reduced)
+        seen |= set(want.status.tolist())
+        for k in range(count):
+            out = code_type(robot)()
+            row, force = np.ascontiguousarray(W[k]), np.ascontiguousarray(reduced.f[k])
+            pointers = [ctypes.c_void_p(array.ctypes.data) for array in (row, force)]
+            status = library.probe(*pointers, ctypes.byref(out))
+            assert status == want.status[k]
+            assert out.rank == want.rank[k]
+            condition = min(want.condition[k], 1e9)
+            assert_near(np.array(out.tau), want.tau[k], "tau", factor=condition)
+            np.testing.assert_allclose(out.margin, want.margin[k], rtol=0.0, atol=1e-14)
+            if status >= SampleStatus.SINGULAR_INCONSISTENT:
+                # the range of a matrix moves by rounding over its least singular value
+                allowed = 1e-14 / least * np.linalg.norm(g[k])
+                np.testing.assert_allclose(out.residual, want.residual[k], rtol=0.0, atol=allowed)
     expected = {SampleStatus.REGULAR, SampleStatus.NEAR_SINGULAR, SampleStatus.SINGULAR_CONSISTENT}
     if n > m:
         expected |= {SampleStatus.UNDERACTUATED_INCONSISTENT}
@@ -333,6 +333,36 @@ def test_the_branch_is_that_of_the_state() -> None:
         got = code.platform(state, positions[0], velocities[0])
         np.testing.assert_allclose(got.x, [0.25, 0.2 * side], rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(got.xd, [0.1, 0.3 * side], rtol=0.0, atol=1e-11)
+
+
+def test_from_far_away_it_is_that_branch_or_none() -> None:
+    """Newton's method without its rule of contraction ends below the base here and there."""
+    code, random, statuses = code_of("2rpr"), np.random.default_rng(0), []
+    x = np.stack([random.uniform(-0.2, 0.7, 200), random.uniform(0.02, 0.5, 200)], axis=1)
+    still = np.zeros((1, 2))
+    for start, end in zip(x[::2], x[1::2], strict=True):
+        positions, _ = drives_along(robot_of("2rpr"), rp.PlatformMotion([0.0], end[None], still, still))
+        state = code.start()
+        assert code.go_to(state, start) == 0
+        kept = bytes(state)
+        got = code.platform(state, positions[0], np.zeros(2))
+        statuses.append(got.status)
+        if got.status == NOTHING_WRITTEN:
+            assert bytes(state) == kept
+        else:
+            np.testing.assert_allclose(got.x, end, rtol=0.0, atol=1e-9)
+    assert 10 < statuses.count(NOTHING_WRITTEN) < 90
+
+
+def test_at_type_two_actuators_do_not_determine_the_platform() -> None:
+    code, still = code_of("2rpr"), np.zeros((1, 2))
+    at = rp.PlatformMotion([0.0], [[0.2, 0.0]], still, still)
+    state = code.start()
+    assert code.go_to(state, at.x[0]) == 0
+    kept, untouched = bytes(state), bytes(filled_with(code.platform_type, 7.0))
+    got = code.platform(state, drives_along(robot_of("2rpr"), at)[0][0], np.zeros(2))
+    assert (got.status, got.raw, bytes(state)) == (10, untouched, kept)
+    assert code.at("margins", state).rank == 1
 
 
 def test_more_actuators_than_freedoms_take_the_nearest_pose() -> None:
@@ -411,6 +441,37 @@ def test_out_of_reach_and_type_one() -> None:
     state = two.start()
     assert two.go_to(state, np.array([1e-3, 0.0])) == 0
     assert two.efforts(state, np.array([1e-8, 0.0]), *[np.zeros(2)] * 5).status in (6, 7)  # a leg of no length
+
+
+def test_a_state_knows_its_side_of_type_one() -> None:
+    code, home = code_of("3rrr"), zoo.home_of(robot_of("3rrr"))
+    state = code.start()
+    side = state.sign
+    assert abs(side) == 1.0
+    assert code.efforts(state, home, *[np.zeros(3)] * 5).status < NOTHING_WRITTEN
+    assert state.sign == side
+    state.sign = -side
+    kept = bytes(state)
+    assert code.efforts(state, home, *[np.zeros(3)] * 5).status == 6
+    assert code.go_to(state, home) == 6
+    assert code.at("margins", state).status == code.at("jacobians", state).status == 6
+    assert bytes(state) == kept
+
+
+def test_another_working_mode_has_a_status_of_its_own() -> None:
+    """A mode read off the crank changes where nothing is singular, so that its own check is what notices."""
+    robot = robot_of("four_bar")
+    crank = replace(robot, working_modes=WorkingModes(("crank",), (1,)), working_mode=(1,))
+    code, still = Code(crank), np.zeros((1, 1))
+    assert np.sin(zoo.home_of(robot)[0]) > 0.0
+    state = code.start()
+    assert code.go_to(state, np.array([0.01])) == 0
+    kept = bytes(state)
+    beyond = rp.PlatformMotion([0.0], [[-0.01]], still, still)
+    assert code.efforts(state, beyond.x[0], still[0], still[0]).status == 8
+    assert code.go_to(state, beyond.x[0]) == 8
+    assert code.platform(state, drives_along(robot, beyond)[0][0], still[0]).status == 8
+    assert bytes(state) == kept
 
 
 def test_each_state_is_its_own() -> None:
