@@ -5,7 +5,9 @@ Neither judge shares code with it: not its kinematics, not its Newton-Euler recu
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import importlib.metadata
 import os
 import pickle
 import stat
@@ -14,8 +16,12 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import casadi
 import numpy as np
+import pinocchio as pin
 import pytest
 import spatial_chains
 import zoo
@@ -34,6 +40,7 @@ from redundancy_pin import (
     trajectory,
 )
 from redundancy_pin.dynamics.compiled import CompiledDynamics, build
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain
 from redundancy_pin.errors import (
     InputError,
     RedundancyPinError,
@@ -149,6 +156,63 @@ def test_plans_are_those_of_rnea() -> None:
     assert_equal(mine.tau, theirs.tau, "tau")  # one QP a step from coefficients that agree to rounding
 
 
+# --- joints of several freedoms, which no shipped model has -----------------------------------------------------------
+
+
+def test_every_type_of_joint_is_pinocchios() -> None:
+    # of what turns without end about a skew axis only the reader of URDF makes one
+    skew = '<joint name="skew" type="continuous"><parent link="a"/><child link="b"/><axis xyz="1 2 2"/></joint>'
+    model = pin.buildModelFromXML(f'<robot name="all"><link name="a"/><link name="b"/>{skew}</robot>')
+    joints = (
+        pin.JointModelFreeFlyer(),
+        pin.JointModelSpherical(),
+        pin.JointModelPlanar(),
+        pin.JointModelTranslation(),
+        pin.JointModelRUBY(),
+        pin.JointModelRevoluteUnaligned(np.array([2.0, -1.0, 2.0]) / 3.0),
+        pin.JointModelPrismaticUnaligned(np.array([2.0, 2.0, -1.0]) / 3.0),
+        pin.JointModelRX(),
+        pin.JointModelPZ(),
+    )
+    pin.seed(3)
+    for i, joint in enumerate(joints):
+        index = model.addJoint(i + 1, joint, pin.SE3.Random(), f"joint_{i}")
+        model.appendBodyToJoint(index, pin.Inertia.Random(), pin.SE3.Identity())
+    model.gravity.linear = np.array([1.0, 2.0, -9.0])
+    rng = np.random.default_rng(0)
+    model.armature = rng.uniform(0.1, 1.0, model.nv)
+    nothing: Any = SimpleNamespace(
+        model=model, n=0, platform=None, closures=(), independent_joints=(), working_modes=None,
+        characteristic_length=1.0,
+        **dict.fromkeys(("carrier_position", "carrier_velocity", "actuated_velocity"), np.zeros(0, dtype=int)),
+    )  # fmt: skip
+    chain = SymbolicChain(nothing)
+    evaluate = casadi.Function(
+        "all", [chain.q, chain.trig, chain.v, chain.a, chain.step],
+        [*chain.efforts, chain.energy, chain._rates[: model.nq], chain.moved],
+    )  # fmt: skip
+    data = model.createData()
+    for _ in range(5):
+        q = pin.integrate(model, pin.neutral(model), rng.uniform(-3.0, 3.0, model.nv))
+        v, a = rng.normal(size=(2, model.nv))
+        step = 1e-5 * v
+        got = evaluate(q, chain.trig_at(q[None])[0], v, a, step)
+        efforts, base, energy, rate, moved = (np.array(part)[:, 0] for part in got)
+        # from the inertia matrix: in it armature stands in every version of Pinocchio
+        inertia = pin.crba(model, data, q)
+        inertia = np.triu(inertia) + np.triu(inertia, 1).T
+        want = inertia @ a + pin.nonLinearEffects(model, data, q, v)
+        assert_equal(efforts, want, "efforts")
+        total = 0.5 * v @ inertia @ v + pin.computePotentialEnergy(model, data, q)
+        assert_equal(energy, np.array([total]), "energy")
+        ahead, behind = (pin.integrate(model, q, sign * step) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(rate, (ahead - behind) / 2e-5, rtol=0.0, atol=1e-8)
+        # a step keeps to the manifold and errs by its square
+        np.testing.assert_allclose(moved, ahead, rtol=0.0, atol=1e-9)
+        pin.rnea(model, data, q, v, a)
+        np.testing.assert_allclose(base, data.oMi[1].act(data.f[1]).vector, rtol=1e-10)
+
+
 # --- Lagrange's equations, for point masses -------------------------------------------------------------------------
 
 
@@ -178,6 +242,15 @@ def test_efforts_obey_lagrange(name: str, seed: int) -> None:
         np.testing.assert_allclose(got, want, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(want).max()))
         held = oracle.base_wrench(*state, gravity)
         np.testing.assert_allclose(wrench[k], held, rtol=0.0, atol=LAGRANGE * max(1.0, np.abs(held).max()))
+
+
+def test_the_layout_of_a_motion_in_memory_does_not_matter() -> None:
+    robot = robot_of("3rrr")
+    motion = zoo.smooth_motion(robot, 4).at(np.linspace(0.0, 1.0, 10))
+    turned = PlatformMotion(motion.t, *(np.asfortranarray(part) for part in (motion.x, motion.xd, motion.xdd)))
+    compiled = CompiledDynamics(robot)
+    assert compiled.compiled
+    np.testing.assert_array_equal(compiled.reduce(turned).f, compiled.reduce(motion).f)
 
 
 # --- one sample -----------------------------------------------------------------------------------------------------
@@ -413,8 +486,17 @@ def test_copies_and_pickles_compute_the_same(four_bar: Robot) -> None:
     assert not again.f.flags.writeable
 
 
-def test_without_casadi_there_is_one_clear_error(four_bar: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("has_compiler", [False, True])
+def test_without_casadi_there_is_one_clear_error(
+    has_compiler: bool, four_bar: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def version(name: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(name)
+
     monkeypatch.setitem(sys.modules, "casadi", None)
-    monkeypatch.setattr(build, "find_compiler", lambda: None)
-    with pytest.warns(RuntimeWarning), pytest.raises(RedundancyPinError, match="casadi"):
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    if not has_compiler:
+        monkeypatch.setattr(build, "find_compiler", lambda: None)
+    warned = contextlib.nullcontext() if has_compiler else pytest.warns(RuntimeWarning)
+    with warned, pytest.raises(RedundancyPinError, match="casadi"):
         CompiledDynamics(four_bar)

@@ -421,9 +421,11 @@ def _run(
 ) -> None:
     """Lift the samples from ``first`` on, in as many parts as there are threads; together again only if they join."""
     kernel, samples = dynamics._kernel, len(motion)
+    # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
+    t, xd, xdd = (np.ascontiguousarray(part) for part in (motion.t, motion.xd, motion.xdd))
 
     def lift(part: slice, q: Array) -> int:
-        rest = [array[part] for array in (motion.t, x, motion.xd, motion.xdd)]
+        rest = [array[part] for array in (t, x, xd, xdd)]
         outputs = [*(array[part] for array in arrays), status[part]]
         return kernel.call("rp_lift", part.stop - part.start, *rest, q, x[part.start], int(mark), *outputs)
 

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.dynamics.compiled.emit import c_functions
@@ -180,7 +181,11 @@ def key(robot: Robot, compiler: str) -> str:
         robot.carriers,
         robot.working_modes,
     ]
-    versions = [importlib.metadata.version(name) for name in ("casadi", "pin")]
+    try:
+        version = importlib.metadata.version("casadi")  # without the time that an import takes
+    except importlib.metadata.PackageNotFoundError:
+        version = str(casadi().__version__)  # installed by other means than pip, or not at all
+    versions = [version, str(pin.__version__)]
     written = [_text(name) for name in _WRITTEN]
     parts = [
         model.saveToString(),
@@ -188,6 +193,7 @@ def key(robot: Robot, compiler: str) -> str:
         repr((robot.working_mode, robot.characteristic_length, robot.gravity.tolist())),
         json.dumps(np.array(robot.q_reference).tolist()),
         *versions,
+        repr(CLOSURE_TOLERANCE),
         *written,
         compiler,
         *FLAGS,

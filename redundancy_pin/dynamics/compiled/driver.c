@@ -248,6 +248,8 @@ EXPORTED int rp_sample(double *state, const double *in, double *out) {
   rp_project(arg, res);
   for (int i = 0; i < N; ++i)
     if (!isfinite(f[i])) return NOT_FINITE; /* rates, or carriers, that are not */
+  for (int i = 0; i < NK; ++i)
+    if (!isfinite(force[i])) return NOT_FINITE; /* what f does not depend on: a carrier's s, straight on the base */
   copy(state, pose.q, NQ);
   state[NQ] = pose.sign;
   copy(out, W, N * M);

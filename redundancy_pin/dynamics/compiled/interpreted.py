@@ -218,7 +218,7 @@ class Interpreter:
                 return _OTHER_MODE
             carriers = rest[2 * n :].reshape(3, k)
             f, force = self._value("rp_project", pose.q, self._trig(pose.q), v, a, gamma.T, *carriers)
-            if not np.isfinite(f).all():
+            if not (np.isfinite(f).all() and np.isfinite(force).all()):
                 return _NOT_FINITE
             state[:-1], state[-1] = pose.q, pose.sign
             result[:] = np.concatenate([W.ravel(), f[:, 0], force[:, 0], [pose.gap, margin]])
