@@ -359,6 +359,22 @@ def test_marked_samples_are_those_of_rnea(interpret: bool) -> None:
         assert_equal(mine.f[mine.reachable], theirs.f[mine.reachable], "f")
 
 
+def test_a_motion_is_reacquired_from_the_reference_behind_a_gap() -> None:
+    robot = zoo.robot_of("2rpr")
+    motion = line([0.2, 0.1], [-0.2, -0.1], 4)  # through zero length: the way from the first sample is barred
+    theirs = RneaDynamics(robot).reduce(motion, unreachable="mark")
+    mine = CompiledDynamics(robot).reduce(motion, unreachable="mark")
+    np.testing.assert_array_equal(mine.reachable, [True, True, False, True])
+    np.testing.assert_array_equal(mine.reachable, theirs.reachable)
+    assert_equal(mine.f[mine.reachable], theirs.f[mine.reachable], "f")
+
+
+def test_rates_that_overflow_are_no_singularity() -> None:
+    robot = zoo.robot_of("3rrr")
+    with pytest.raises(InputError, match="not finite"):
+        CompiledDynamics(robot).sample(zoo.home_of(robot), [1e200] * 3, [0.0] * 3)
+
+
 def test_a_motion_in_parts_is_the_motion_in_one() -> None:
     robot = robot_of("3rrr")
     t = np.linspace(0.0, 3.0, 5000)

@@ -239,7 +239,10 @@ class _OneSample:
         # raises, unless the sample was only too far from the one before
         self._state[:-1] = _lifted(self._dynamics, motion, mark=False).q[0]
         self._state[-1] = 0.0
-        if self._evaluate() != _CLOSED:
+        status = self._evaluate()
+        if status == _NOT_FINITE:
+            raise InputError("The efforts of the sample are not finite.", remedy="Its rates are too large.")
+        if status != _CLOSED:
             raise SingularPoseError(
                 "The sample is at a type I singularity: the platform velocity does not determine the joint velocities.",
                 remedy="Keep the legs away from full stretch, full fold and zero length.",
@@ -389,13 +392,18 @@ def _lifted(dynamics: CompiledDynamics, motion: PlatformMotion, *, mark: bool) -
     shapes = ((nq,), (dynamics._kernel.trigs,), (nv,), (nv,), (nv, n), (n, m), (), ())
     arrays = [np.full((samples, *shape), np.nan) for shape in shapes]
     status = np.full(samples, _LOST, dtype=np.intc)
-    first = 0
+    first, failed = 0, 0
     start = _start(dynamics, motion, 0, mark)
-    while start is None and first + 1 < samples:  # marked: the motion begins out of reach
+    while True:
+        if start is not None:
+            failed = _run(dynamics, motion, x, first, start, arrays, status)
+            # the sample that cannot be followed stays marked: what is reacquired behind it may be another branch
+            first = failed
         first += 1
-        start = _start(dynamics, motion, first, mark=True, thorough=first & (first - 1) == 0)
-    if start is not None:
-        _run(dynamics, motion, x, first, start, mark, arrays, status)
+        if not mark or first >= samples:
+            break
+        away = first - failed
+        start = _start(dynamics, motion, first, mark, thorough=away & (away - 1) == 0)
     good: BoolArray = status == _CLOSED
     if not good.all():
         if not mark:
@@ -415,11 +423,13 @@ def _run(
     x: Array,
     first: int,
     start: Array,
-    mark: bool,
     arrays: list[Array],
     status: NDArray[np.intc],
-) -> None:
-    """Lift the samples from ``first`` on, in as many parts as there are threads; together again only if they join."""
+) -> int:
+    """Lift the samples from ``first`` on; return the first that is not closed, or how many there are.
+
+    A whole motion is lifted in as many parts as there are threads, which count only if they join.
+    """
     kernel, samples = dynamics._kernel, len(motion)
     # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
     t, xd, xdd = (np.ascontiguousarray(part) for part in (motion.t, motion.xd, motion.xdd))
@@ -427,10 +437,10 @@ def _run(
     def lift(part: slice, q: Array) -> int:
         rest = [array[part] for array in (t, x, xd, xdd)]
         outputs = [*(array[part] for array in arrays), status[part]]
-        return kernel.call("rp_lift", part.stop - part.start, *rest, q, x[part.start], int(mark), *outputs)
+        return kernel.call("rp_lift", part.stop - part.start, *rest, q, x[part.start], *outputs)
 
     parts = [slice(first + p.start, first + p.stop) for p in _parts(samples - first, dynamics._threads)]
-    if len(parts) > 1 and not mark:
+    if len(parts) > 1 and first == 0:
         starts = [start]
         for part in parts[1:]:
             q = starts[-1].copy()
@@ -442,9 +452,9 @@ def _run(
             if (status[first:] == _CLOSED).all() and all(
                 _joined(kernel, arrays[0], x, part.start) for part in parts[1:]
             ):
-                return
+                return samples
         status[first:] = _LOST  # the straight way to a part led elsewhere than the motion: one after the other
-    lift(slice(first, samples), start)
+    return first + lift(slice(first, samples), start)
 
 
 def _joined(kernel: Library | Interpreter, q: Array, x: Array, k: int) -> bool:

@@ -3,15 +3,14 @@
 const int rp_alignments = NALIGN, rp_turnings = NT;
 
 /* A motion of `samples` samples from the configuration q0, closed at x0; returns how many were done before one failed,
-   with its status in status[]. With `mark`, failing samples get their status and the others go on from q0. */
+   with its status in status[]. */
 int rp_lift(int samples, const double *t, const double *x, const double *xd, const double *xdd, const double *q0,
-            const double *x0, int mark, double *q, double *trig, double *v, double *a, double *gamma, double *W,
+            const double *x0, double *q, double *trig, double *v, double *a, double *gamma, double *W,
             double *gap, double *margin, int *status) {
-  Pose home, pose, next;
+  Pose pose, next;
   double guess[NQ], step[NP + 1], before = 0.0;
   int known = 0; /* samples before this one, at most two, from which its configuration can be extrapolated */
-  if (!start_at(&home, q0, x0)) return -1;
-  pose = home;
+  if (!start_at(&pose, q0, x0)) return 0;
   for (int k = 0; k < samples; ++k) {
     const double *xk = x + (long)k * NX;
     double *vk = v + (long)k * NV, *ak = a + (long)k * NV, dt = k ? t[k] - t[k - 1] : 0.0;
@@ -31,10 +30,6 @@ int rp_lift(int samples, const double *t, const double *x, const double *xd, con
       pose = next;
     else
       closed = follow(&pose, xk);
-    if (!closed && mark) {
-      pose = home;
-      closed = follow(&pose, xk);
-    }
     status[k] = closed ? CLOSED : LOST;
     gap[k] = closed ? pose.gap : NAN;
     if (closed) {
@@ -47,14 +42,9 @@ int rp_lift(int samples, const double *t, const double *x, const double *xd, con
       copy(q + (long)k * NQ, pose.q, NQ);
       copy(trig + (long)k * 2 * NT, pose.trig, 2 * NT);
     }
-    if (status[k] == CLOSED) {
-      known = known && dt > 0.0 ? 2 : 1; /* where an instant stands twice the acceleration jumps */
-      before = dt;
-    } else {
-      if (!mark) return k;
-      known = 0;
-      pose = home;
-    }
+    if (status[k] != CLOSED) return k;
+    known = known && dt > 0.0 ? 2 : 1; /* where an instant stands twice the acceleration jumps */
+    before = dt;
   }
   return samples;
 }

@@ -142,7 +142,6 @@ class Interpreter:
         xdd: Array,
         q0: Array,
         x0: Array,
-        mark: int,
         q: Array,
         trig: Array,
         v: Array,
@@ -155,7 +154,7 @@ class Interpreter:
     ) -> int:
         home = self._newton(q0, x0, None)
         if home is None:
-            return -1
+            return 0
         last, known = home, False
         for k in range(samples):
             pose = None
@@ -164,16 +163,16 @@ class Interpreter:
                 guess = self._moved(last.q, (dt * (v[k - 1] + 0.5 * dt * a[k - 1]))[self._columns])
                 pose = self._newton(guess, x[k], None)
                 pose = pose if pose is not None and pose.sign == last.sign else None
-            pose = pose or self._follow(last, x[k]) or (self._follow(home, x[k]) if mark else None)
+            pose = pose or self._follow(last, x[k])
             status[k] = _LOST
             if pose is not None:
                 q[k], trig[k], gap[k] = pose.q, self._trig(pose.q), pose.gap
                 v[k], a[k], gamma[k], W[k], margin[k] = self._rates(pose, xd[k], xdd[k])
                 status[k] = _SINGULAR if margin[k] < LEAST_MARGIN else _CLOSED if self._in_mode(pose.q) else _OTHER_MODE
             known = status[k] == _CLOSED
-            if not known and not mark:
+            if pose is None or not known:
                 return k
-            last = pose if known and pose is not None else home
+            last = pose
         return samples
 
     def assemble(self, q: Array, x: Array) -> float:

@@ -41,7 +41,7 @@ class SymbolicRobot(Frozen):
         bias: (q, v) to (r + n): the rates of J_c v and J_x v at v̇ = 0.
         gamma: Γ(q), (nv, n): velocities of the tree per unit of each independent velocity, J_c Γ = 0. Infinite at
             type I singularities.
-        moved: (q, step) to (nq): the configuration a tangent step (nv) away, to second order; q + step but for joints
+        moved: (q, step) to (nq): the configuration a tangent step (nv) away, to first order; q + step but for joints
             with more coordinates than freedoms.
         rnea: (q, v, a) to (nv): generalised forces of the open tree, N and N·m.
         f: (q, v, a) to (n): generalised force Γᵀ rnea; W τ = f.

@@ -381,7 +381,7 @@ class SymbolicChain:
 
     @cached_property
     def moved(self) -> SX:
-        """(nq) the configuration a tangent step away, to second order in the step."""
+        """(nq) the configuration a tangent step away, to first order in the step."""
         return casadi().vertcat(*(joint.moved for joint in self._joints))
 
     @cached_property
@@ -456,7 +456,8 @@ def _turned_by(q: SX, angle: SX) -> SX:
     """Return cosine and sine turned by an angle."""
     ca = casadi()
     c, s = ca.cos(angle), ca.sin(angle)
-    return ca.vertcat(q[0] * c - q[1] * s, q[1] * c + q[0] * s)
+    turned = ca.vertcat(q[0] * c - q[1] * s, q[1] * c + q[0] * s)
+    return turned / ca.sqrt(ca.dot(turned, turned))  # or rounding would pile up in a controller that runs for days
 
 
 def _of_quaternion(q: SX) -> SX:
