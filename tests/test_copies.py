@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from copies import arrays_of, digest, types_of
+from forked import import_all
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Frozen
@@ -58,6 +59,7 @@ def objects() -> dict[str, Any]:
         "compiled along": compiled,
         "derivatives of compiled": compiled.derivatives(carriers, parameters=["carrier_1.mass"]),
         "design": design_of(robot, ["carrier_1.mass"]),
+        "symbolic": rp.symbolic(small),
         "legs": manual._mechanism.legs(motion.x),
         "two legs": rp.VirtualWork(small)._mechanism.legs(circle.sample(dt=0.1).x),
         "reduced": reduced,
@@ -126,6 +128,7 @@ def test_another_process_gets_the_same(objects: dict[str, Any]) -> None:
 
 
 def test_every_type_with_read_only_arrays_is_among_them(objects: dict[str, Any]) -> None:
+    import_all()  # or it would depend on which tests this worker has run before
     found = {kind.__name__ for kind in types_of(objects)}
     pending, every = [Frozen], set()
     while pending:
