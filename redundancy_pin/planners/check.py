@@ -305,7 +305,6 @@ def check_plan(plan: Plan, dynamics: Dynamics) -> PlanCheck:
     left, size = imbalance(along.reduce(plan.carriers), plan.tau)
     unbalanced = left / (size or 1.0)
     balanced = unbalanced <= BALANCE_TOLERANCE
-    functions = None if plan.motion.is_pose and plan.functions is None else plan.functions_of_time
     again = finish_plan(
         along,
         plan.carriers,
@@ -316,7 +315,7 @@ def check_plan(plan: Plan, dynamics: Dynamics) -> PlanCheck:
         diagnostics={"optimal": plan.diagnostics.get("optimal", True)},
         prescribed=np.where(balanced[:, None], plan.tau, np.nan),
         carrier_limits=plan.limits.judged_by,
-        functions=functions,
+        functions=plan.functions_of_time,
         dynamics=dynamics,
         singular=np.flatnonzero(plan.sample_status == SampleStatus.SINGULAR_CONSISTENT),
         reconstructed=RECONSTRUCTED if plan.functions is None else 0.0,
@@ -329,7 +328,7 @@ def check_plan(plan: Plan, dynamics: Dynamics) -> PlanCheck:
         deviations=(
             *_effort_deviations(plan, unbalanced, balanced),
             *_sample_deviations(plan, again),
-            *_motion_deviations(plan, functions),
+            *_motion_deviations(plan),
             *_verdict_deviations(plan, again),
         ),
         wider_limits=_wider_limits(plan, dynamics),
@@ -370,9 +369,10 @@ def _sample_deviations(plan: Plan, again: Plan) -> list[Deviation]:
     return deviations
 
 
-def _motion_deviations(plan: Plan, functions: PlanFunctions | None) -> list[Deviation]:
+def _motion_deviations(plan: Plan) -> list[Deviation]:
     """Compare the samples with the functions of time that the plan carries."""
-    if functions is None or plan.functions is None:
+    functions = plan.functions
+    if functions is None:
         return []
     there = functions.platform.sample_at(plan.t)
     left, right = (functions.carriers_at(plan.t, side) for side in ("left", "right"))

@@ -123,11 +123,7 @@ class Plan(Frozen):
 
     @cached_property
     def functions_of_time(self) -> PlanFunctions:
-        """What the plan is between its samples: what ``simulate``, controllers and engines play.
-
-        Raises:
-            InputError: samples of poses only, which do not say how the platform turns between them.
-        """
+        """What the plan is between its samples: what ``simulate``, controllers and engines play."""
         return _functions_of_0_1_0(self) if self.functions is None else self.functions
 
     def functions_along(self, trajectory: TimedTrajectory) -> PlanFunctions:

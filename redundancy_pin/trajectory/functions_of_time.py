@@ -20,9 +20,11 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Legendre, Polynomial, chebyshev
 from numpy.typing import ArrayLike
 from scipy.interpolate import PPoly
+from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, Side, frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, Side, frozen, read_only
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.rotation_vector import angular_rates, vector_rates
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.trajectory.timing import SpeedProfile
 
@@ -51,6 +53,9 @@ LEAST_KNOT_DISTANCE = 1e-4
 DENSE = 1e-9
 """Rounding of the accelerations of the quintic, relative to the largest, from which samples count as dense: at 0.4 m
 and 1 m/s² about 2 ms apart."""
+
+MOST_TURN = 3.0
+"""Between two samples of a pose, rad: at half a turn its sense is not determined."""
 
 PLATFORM_TOLERANCE = 1e-12
 """Of the polynomials that stand for a trajectory in a file, relative to the largest x, ẋ and ẍ."""
@@ -440,7 +445,8 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMot
 
     A trajectory is asked for its own exact motion. Between the samples of a motion stands the quintic that matches
     x, ẋ, ẍ at both ends; its acceleration is off by O(Δt⁴). Where samples are so dense that the rounding of x shows in
-    it, velocity and acceleration are those of the cubic that matches ẋ and ẍ, off by O(Δt³).
+    it, velocity and acceleration are those of the cubic that matches ẋ and ẍ, off by O(Δt³). Of poses these are
+    polynomials of the origin and of the rotation vector from the left sample.
     """
     if isinstance(motion, PlatformMotion):
         return _from_samples(motion)
@@ -463,19 +469,16 @@ def _knots(motion: TimedTrajectory) -> list[float]:
 
 
 def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
-    if motion.is_pose:
-        raise InputError(
-            "A sampled motion of poses cannot be planned for: nothing says how it turns between the samples.",
-            remedy="Pass a trajectory.",
-        )
     left = np.flatnonzero(np.diff(motion.t) > 0.0)
     if len(left) == 0:
         raise InputError("The motion has a single instant.", remedy="Pass at least two samples.")
     right = left + 1
     edges = np.append(motion.t[left], motion.t[-1])
     h = np.diff(edges)[:, None]
-    _, v0, a0 = start = (motion.x[left], motion.xd[left], motion.xdd[left])
-    _, v1, a1 = end = (motion.x[right], motion.xd[right], motion.xdd[right])
+    if motion.is_pose:
+        start, end = _local_ends(motion, left, right)
+    else:
+        start, end = ((motion.x[at], motion.xd[at], motion.xdd[at]) for at in (left, right))
     position = PiecewisePolynomial.hermite(edges, start, end)
     velocity = position.derivative()
     acceleration = velocity.derivative()
@@ -484,13 +487,83 @@ def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
     # of the motion, not of its samples: between two at rest there may be one
     largest = max(np.abs(motion.xdd).max(), np.abs(position.derivative(2).ranges()).max())
     if rounding > DENSE * largest:
+        (_, v0, a0), (_, v1, a1) = start, end
         cubic = np.stack([v0, v0 + h * a0 / 3.0, v1 - h * a1 / 3.0, v1])
         velocity = PiecewisePolynomial.from_bernstein(cubic, edges)
         acceleration = velocity.derivative()
     polynomials = position.beside(velocity).beside(acceleration)
     breaks = frozen(motion.t[motion.jumps])
     knots = frozen(np.setdiff1d(edges[1:-1], breaks))
-    return ContinuousMotion(polynomials, float(edges[0]), float(edges[-1]), float(edges[-1]), breaks, knots, False)
+    source = _PosesBetween(polynomials, breaks, motion.x[left, :3, :3]) if motion.is_pose else polynomials
+    return ContinuousMotion(source, float(edges[0]), float(edges[-1]), float(edges[-1]), breaks, knots, False)
+
+
+def _local_ends(motion: PlatformMotion, left: IntArray, right: IntArray) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Return origin and rotation vector from the left sample (P, 6), and two derivatives, at both ends of each piece.
+
+    Raises:
+        InputError: samples half a turn apart, or a pose without six rates.
+    """
+    if motion.xd.shape[1] != 6:
+        raise InputError(
+            f"The poses have {motion.xd.shape[1]} rates: nothing says how the origin moves between the samples.",
+            remedy="Pass a trajectory.",
+        )
+    p, R = motion.x[:, :3, 3], motion.x[:, :3, :3]
+    turn = Rotation.from_matrix(R[right] @ R[left].transpose(0, 2, 1)).as_rotvec()
+    angle = np.linalg.norm(turn, axis=1)
+    if angle.max() > MOST_TURN:
+        k = int(left[angle.argmax()])
+        raise InputError(
+            f"The platform turns by {angle.max():.4g} rad between its samples at {motion.t[k]:.6g} and "
+            f"{motion.t[k + 1]:.6g} s: nothing says which way round.",
+            remedy="Sample the motion more densely.",
+            time=float(motion.t[k]),
+        )
+
+    def ends(at: IntArray, origin: Array, phi: Array) -> tuple[Array, ...]:
+        twist, rate = motion.xd[at], motion.xdd[at]
+        turning = (phi, *vector_rates(phi, twist[:, 3:], rate[:, 3:]))
+        moving = (origin, twist[:, :3], rate[:, :3])
+        return tuple(np.concatenate(pair, axis=1) for pair in zip(moving, turning, strict=True))
+
+    return ends(left, p[left], np.zeros_like(turn)), ends(right, p[right], turn)
+
+
+@dataclass(frozen=True, eq=False)
+class _PosesBetween(Frozen):
+    """A motion of poses between samples: origin and rotation vector from the left sample as polynomials.
+
+    Attributes:
+        local: on each of P pieces origin and rotation vector, m and rad, their rates and second derivatives (18).
+        breaks: (b,) times at which the acceleration jumps, s.
+        rotations: (P, 3, 3) of the samples that the pieces begin with.
+    """
+
+    local: PiecewisePolynomial
+    breaks: Array
+    rotations: Array
+
+    @property
+    def duration(self) -> float:
+        """Last time, s."""
+        return self.local.end
+
+    def sample_at(self, times: ArrayLike) -> PlatformMotion:
+        """Return the motion at (N,) increasing times, s; a break that occurs twice gets both accelerations."""
+        t = np.asarray(times, dtype=np.float64)
+        values, before = self.local(t), np.append(t[1:] == t[:-1], False)
+        piece = np.clip(np.searchsorted(self.local.edges, t, side="right") - 1, 0, len(self.rotations) - 1)
+        # the piece before a jump ends there
+        values[before], piece[before] = self.local(t[before], "left"), np.maximum(piece[before] - 1, 0)
+        (p, phi), (v, phid), (a, phidd) = (np.split(part, 2, axis=1) for part in np.split(values, 3, axis=1))
+        omega, alpha = angular_rates(phi, phid, phidd)
+        x = np.tile(np.eye(4), (len(t), 1, 1))
+        x[:, :3, :3] = Rotation.from_rotvec(phi).as_matrix() @ self.rotations[piece]
+        x[:, :3, 3] = p
+        xd, xdd = np.concatenate([v, omega], axis=1), np.concatenate([a, alpha], axis=1)
+        x[before], xd[before] = x[1:][before[:-1]], xd[1:][before[:-1]]  # bit for bit: it is one state
+        return PlatformMotion(t, x, xd, xdd)
 
 
 def _padded(coefficients: list[Array]) -> list[Array]:

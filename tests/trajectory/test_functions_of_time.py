@@ -7,7 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import chebyshev
 from scipy.spatial.transform import Rotation
+from zoo import robot_of, smooth_motion
 
+from redundancy_pin.errors import InputError
+from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion, preferred_middle
 
@@ -121,3 +124,49 @@ def test_an_interval_is_divided_at_its_most_central_knot_that_is_not_at_an_end()
         ([], 10.5),
     ):
         assert preferred_middle(left, right, np.array(knots)) == at
+
+
+def tumbling(step):
+    """Return a motion about all three axes, fast enough to turn by up to 0.2 rad a step, and its samples."""
+    exact = smooth_motion(robot_of("gough"), 1, scale=2.0, speed=12.0)
+    return exact, exact.at(np.arange(0.0, 1.0 + 0.5 * step, step))
+
+
+def pose_errors(step):
+    exact, samples = tumbling(step)
+    t = np.linspace(0.0, samples.t[-1], 499)
+    ours, theirs = continuous_motion(samples).sample_at(t), exact.at(t)
+    return [np.abs(getattr(ours, part) - getattr(theirs, part)).max() for part in ("x", "xd", "xdd")]
+
+
+def test_poses_between_samples_have_the_orders_of_a_quintic():
+    coarse, fine = np.array(pose_errors(0.05)), np.array(pose_errors(0.025))
+    orders = np.log2(coarse / fine)
+    np.testing.assert_allclose(orders, [6.0, 5.0, 4.0], atol=0.7)
+    assert (fine < [1e-7, 1e-5, 1e-3]).all()
+
+
+def test_dense_samples_of_poses_do_not_show_their_rounding():
+    position, speed, acceleration = pose_errors(5e-4)
+    assert position < 1e-14
+    assert speed < 1e-10
+    assert acceleration < 1e-7  # second differences would leave 60 · 2e-16 / 2.5e-7 = 5e-8 of noise, and more
+
+
+def test_an_acceleration_of_poses_that_jumps_has_two_sides():
+    _, samples = tumbling(0.05)
+    twice = np.insert(np.arange(len(samples)), 8, 7)  # the sample at 0.35 s
+    kick = np.where(np.arange(len(twice))[:, None] == 8, [0.0, 0.0, 1.0, 0.0, 2.0, 0.0], 0.0)
+    motion = PlatformMotion(samples.t[twice], samples.x[twice], samples.xd[twice], samples.xdd[twice] + kick)
+    continuous = continuous_motion(motion)
+    assert continuous.breaks.tolist() == [samples.t[7]]
+    there = continuous.sample_at(np.array([0.0, samples.t[7], samples.t[7], 0.5]))
+    np.testing.assert_allclose(there.xdd[2] - there.xdd[1], kick[8], atol=1e-9)
+    np.testing.assert_allclose(there.xdd[1], samples.xdd[7], atol=1e-9)
+
+
+def test_poses_that_do_not_say_which_way_they_turn_are_refused():
+    turned = np.tile(np.eye(4), (2, 1, 1))
+    turned[1, :3, :3] = Rotation.from_rotvec([0.0, 0.0, 3.1]).as_matrix()
+    with pytest.raises(InputError, match=r"turns by 3.1 rad between its samples at 0 and 1 s.*more densely"):
+        continuous_motion(PlatformMotion([0.0, 1.0], turned, np.zeros((2, 6)), np.zeros((2, 6))))

@@ -186,10 +186,8 @@ def plan_stepwise(
     if len(added):
         along = dynamics.along(_prolonged(motion, added))
     position = PiecewisePolynomial.joined(course.parts).made_continuous()
-    functions = None  # of poses of which there are samples only: they do not say how the platform turns between them
-    if is_timed(trajectory) or not motion.is_pose:
-        platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
-        functions = PlanFunctions(platform.prolonged_until(position.end), position)
+    platform = continuous_motion(trajectory if is_timed(trajectory) else motion)
+    functions = PlanFunctions(platform.prolonged_until(position.end), position)
     report = diagnostics(problems, course, box)
     aimed_at = None
     if baseline is not None and reference is not None:
