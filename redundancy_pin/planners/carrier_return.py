@@ -109,10 +109,18 @@ def shortest_return(
 
 def _sampled_uses(robot: Robot, force: CarrierForce, state: CarrierState, datum: Array, durations: Array) -> Array:
     """Return (T,) the largest limit use of the samples of each return."""
-    paths = [return_polynomial(state, duration, datum) for duration in durations]
-    times = np.array([np.linspace(path.start, path.end, SAMPLES) for path in paths])
-    motions = [carriers_at(path, t) for path, t in zip(paths, times, strict=True)]
-    s, sd, sdd = (np.concatenate([getattr(motion, name) for motion in motions]) for name in ("s", "sd", "sdd"))
+    # all at once, as one polynomial in the fraction of the time that has passed
+    fractions, T = np.linspace(0.0, 1.0, SAMPLES), durations[:, None]
+    end = np.broadcast_to(datum, (len(durations), len(datum))).ravel()
+    start = [np.ravel(value * T**order) for order, value in enumerate((state.s, state.sd, state.sdd))]
+    zero = np.zeros_like(end)
+    path = boundary_polynomial(0.0, 1.0, [*start, zero], [end, zero, zero, zero])
+    times = state.t + T * fractions
+    s, sd, sdd = (
+        np.swapaxes(path(fractions, order).reshape(SAMPLES, *T.shape[:1], -1), 0, 1).reshape(-1, len(datum))
+        / np.repeat(durations, SAMPLES)[:, None] ** order
+        for order in range(3)
+    )
     uses = limit_uses(robot, s, sd, sdd, force(times.ravel(), s, sd, sdd))
     largest: Array = uses.reshape(len(durations), -1).max(axis=1)
     return largest

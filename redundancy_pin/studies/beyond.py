@@ -24,7 +24,6 @@ from redundancy_pin.studies.measures import (
 from redundancy_pin.studies.planned import Chapter, Tell
 from redundancy_pin.studies.statements import claim, counted, ratios, verdict
 from redundancy_pin.studies.table import Record, Table, grouped, table, text
-from redundancy_pin.workers import parallel
 
 INFEASIBLE = "infeasible"
 """Status of a record whose planner has no plan."""
@@ -70,7 +69,7 @@ MODE_METHODS = (NONE, cases.PARKED, STEPWISE, cases.STEPWISE_HALF, EFFORT, PEAK,
 
 def parts(extent: Extent) -> int:
     """Return how often ``run_beyond`` tells of progress."""
-    return len(independent(extent)) + len(extent.races) + len(cases.TRADED)
+    return len(independent(extent)) + len(extent.races) + len(cases.TRADED) * (1 + len(extent.ratios))
 
 
 def independent(extent: Extent) -> list[tuple[Case, str]]:
@@ -104,15 +103,18 @@ def _started(extent: Extent) -> list[Case]:
 
 def run_beyond(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
     """Run the chapter, on several processes."""
-    plans.prepare(independent(extent), extent.jobs, tell)
-    records = [plan_record(plans, task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
-    cap = by_task(records)[cases.SINGULAR[0].name][SWITCH_OFF]["before"]
-    races = []
-    for race in parallel(run_race, [(race, extent, cap) for race in extent.races], extent.jobs, ordered=True):
-        races.append(race)
-        tell(f"as fast as the limits allow: {race['task']}")
+    first = cases.SINGULAR[0]
+    waited = [by_method(first, SWITCH_OFF, extent.coarser)]
+    waited += [by_method(task, EFFORT, extent.coarser) for task in cases.TRADED]
+    plans.prepare([(case, case.backends[0]) for case in waited], extent.jobs)
+    cap = plan_record(plans, first, SWITCH_OFF, extent.coarser)["before"]
     weighted = [case for task in cases.TRADED for _, _, case in weights(plans, task, extent)]
-    plans.prepare([(case, case.backends[0]) for case in weighted], extent.jobs)
+    alone = independent(extent) + [(case, case.backends[0]) for case in weighted]
+    # a race takes as long as a hundred plans: it begins before them, so that no process waits for it in the end
+    races = plans.prepare(alone, extent.jobs, tell, beside=[(run_race, race, extent, cap) for race in extent.races])
+    for race in races:
+        tell(f"as fast as the limits allow: {race['task']}")
+    records = [plan_record(plans, task, method, extent.coarser) for task in TASKS for method in cases.methods(task)]
     trades = []
     for task in cases.TRADED:
         trades.append(trade_record(plans, task, extent))

@@ -235,16 +235,29 @@ class Plans:
         return self._kept[key]
 
     def prepare(
-        self, cases: Sequence[tuple[Case, str]], jobs: int = -1, tell: Callable[[str], None] = lambda _: None
-    ) -> None:
-        """Plan cases by backends in several processes (-1: all cores), telling of each."""
+        self,
+        cases: Sequence[tuple[Case, str]],
+        jobs: int = -1,
+        tell: Callable[[str], None] = lambda _: None,
+        *,
+        beside: Sequence[tuple[Any, ...]] = (),
+    ) -> list[Any]:
+        """Plan cases by backends in several processes (-1: all cores), telling of each.
+
+        ``beside`` are functions with their arguments that are called first, in the same processes, for what takes
+        longest; what they return is returned.
+        """
         keys = {(replace(case, name="", title=""), backend): case.name for case, backend in cases}
         missing = [key for key in keys if key not in self._kept]
-        for key, outcome in zip(missing, parallel(_outcome, missing, jobs, ordered=True), strict=True):
+        calls = [*beside, *((_outcome, *key) for key in missing)]
+        results = parallel(_called, calls, jobs, ordered=True)
+        others = [next(results) for _ in beside]
+        for key, outcome in zip(missing, results, strict=True):
             self._kept[key] = outcome
             tell(keys[key])
         for _ in range(len(cases) - len(missing)):
             tell("plans that were there already")
+        return others
 
     def plan(self, case: Case, backend: str | None = None) -> Plan:
         """Return the plan of a case; InfeasiblePlanError where there is none."""
@@ -257,6 +270,10 @@ class Plans:
         """Return the cases that have a plan, with it."""
         pairs = [(case, self.outcome(case)) for case in cases]
         return [(case, result) for case, result in pairs if isinstance(result, Plan)]
+
+
+def _called(function: Callable[..., Any], *given: Any) -> Any:
+    return function(*given)
 
 
 def _outcome(case: Case, backend: str) -> Plan | InfeasiblePlanError:

@@ -55,8 +55,11 @@ def independent(extent: Extent) -> list[tuple[Case, str]]:
     """Return the plans of the chapter that do not depend on one another, each with its backend."""
     moded = [replace(case, working_mode=mode) for mode in extent.modes for case in MODE_CASES.values()]
     first = (*needed(extent), *moded, *map(cases.without_carriers, moded))
+    shortest = [case.with_options(return_time="shortest") for case in CROSSINGS]
+    stepped = [case.with_options(scheme=DIFFERENCES) for case in CROSSINGS]
+    others = [*shortest, *stepped, *map(cases.parked, (*CROSSINGS, *moded)), *_squares(extent.modes).values()]
     both = [(case, backend) for case in (*CROSSINGS, *CORNERS) for backend in case.backends]
-    return both + [(case, case.backends[0]) for case in first]
+    return both + [(case, case.backends[0]) for case in (*first, *others, cases.HEAVY_CROSSING)]
 
 
 def run_planned(plans: Plans, extent: Extent, tell: Tell) -> Chapter:
@@ -383,15 +386,20 @@ def _judged(stated: Record) -> Record:
 def square_returns(plans: Plans, modes: Sequence[Mode]) -> list[Record]:
     """Return the shortest returns on the square within all limits, s, or why there are none."""
     records = []
-    for mode in modes:
-        for lam in (0.0, 0.5):
-            outcome = plans.outcome(cases.square(lam, mode).with_options(return_time="shortest"))
-            if isinstance(outcome, Plan):
-                spans, why = np.asarray(outcome.diagnostics["returns"], dtype=float).reshape(-1, 2), ""
-            else:
-                spans, why = np.empty((0, 2)), outcome.message
-            records.append({"mode": mode, "lam": lam, "durations": spans[:, 1] - spans[:, 0], "why": why})
+    for (mode, lam), case in _squares(modes).items():
+        outcome = plans.outcome(case)
+        if isinstance(outcome, Plan):
+            spans, why = np.asarray(outcome.diagnostics["returns"], dtype=float).reshape(-1, 2), ""
+        else:
+            spans, why = np.empty((0, 2)), outcome.message
+        records.append({"mode": mode, "lam": lam, "durations": spans[:, 1] - spans[:, 0], "why": why})
     return records
+
+
+def _squares(modes: Sequence[Mode]) -> dict[tuple[Mode, float], Case]:
+    """Return the square with the shortest returns, by working mode and λ."""
+    pairs = [(mode, lam) for mode in modes for lam in (0.0, 0.5)]
+    return {(mode, lam): cases.square(lam, mode).with_options(return_time="shortest") for mode, lam in pairs}
 
 
 # --- conclusions of the thesis, from the chapter on its own planners -----------------------------------------------

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import functools
 import json
+import os
 import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -139,7 +140,7 @@ def reproduce(
     def step(what: str) -> None:
         tell(min(next(steps), total - 1), total, what)  # the last step is that everything is in its place
 
-    check = require_agreement(sorted({case.robot for case in motions}), samples, checked)
+    check = require_agreement(sorted({case.robot for case in motions}), samples, checked, extent.jobs)
     results = compute(motions, extent, check, step)
     with replacing_folder(folder) as temporary:
         write(temporary, results, step)
@@ -159,10 +160,10 @@ def _count(motions: Sequence[Case], extent: Extent) -> int:
 
 
 def require_agreement(
-    robots: Sequence[str], samples: int, progress: Callable[[int, int], None] | None = None
+    robots: Sequence[str], samples: int, progress: Callable[[int, int], None] | None = None, jobs: int = 1
 ) -> CrossCheckReport:
     """Run the cross-check with the seed of the job; CrossCheckError, with the failed rows, where a check fails."""
-    check = crosscheck.run(robots, samples, CROSS_CHECK_SEED, progress)
+    check = crosscheck.run(robots, samples, CROSS_CHECK_SEED, progress, jobs if jobs > 0 else os.cpu_count() or 1)
     if not check.passed:
         failed = [row for row in check.rows if not row.passed]
         first = failed[0]
@@ -178,9 +179,9 @@ def require_agreement(
 def compute(motions: Sequence[Case], extent: Extent, check: CrossCheckReport, tell: Callable[[str], None]) -> Results:
     """Run the motions and the chapters; every plan is made once."""
     runs: list[MotionRun] = []
-    for case in motions:
-        runs.append(run(case))
-        tell(case.name)
+    for result in parallel(run, [(case,) for case in motions], extent.jobs, ordered=True):
+        runs.append(result)
+        tell(result.case.name)
     plans = Plans()
     replays: list[Replay] = []
     chapters: dict[str, dict[str, Any]] = {}
@@ -257,10 +258,12 @@ def write(folder: Path, results: Results, tell: Callable[[str], None]) -> None:
         # names with commas would need quotes, which not every reader of CSV knows
         rows = [{**row, **{key: row[key].replace(",", ";") for key in ("plan", "drive")}} for row in records]
         write_text(folder / "replay.csv", Table.of([Column(name) for name in _REPLAY_COLUMNS], rows).csv(digits=4))
-    for chapter in pictures(results).values():
-        for picture in chapter:
-            save(picture.draw(results), *(folder / f"{picture.stem}{suffix}" for suffix in PICTURE_SUFFIXES))
-            tell(picture.title)
+    drawn = [picture for chapter in pictures(results).values() for picture in chapter]
+    files = [[folder / f"{picture.stem}{suffix}" for suffix in PICTURE_SUFFIXES] for picture in drawn]
+    # a picture is drawn in no time beside that of its layout and its files
+    saving = [(picture.draw(results), *paths) for picture, paths in zip(drawn, files, strict=True)]
+    for picture, _ in zip(drawn, parallel(save, saving, results.extent.jobs, ordered=True), strict=True):
+        tell(picture.title)
     page = report(results)
     write_text(folder / "report.md", page)
     write_text(folder / "report.html", html(page, folder))

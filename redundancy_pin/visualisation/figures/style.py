@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import io
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -18,50 +16,6 @@ from redundancy_pin.io.files import refusing, replacing_file
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.layout_engine import LayoutEngine
-
-
-_LAYOUT_DIGITS = 9  # of a fraction of the page
-_FINER = 1.6  # pixels of the picture per pixel of the page: lettering stays sharp on dense screens
-
-
-@functools.cache
-def _page_class() -> type[Figure]:
-    """Return the class of this package's figures; made when the first one is drawn, for it needs matplotlib."""
-    from matplotlib.figure import Figure
-
-    class Page(Figure):
-        """A figure that a notebook shows without pyplot or ``%matplotlib inline``.
-
-        IPython only knows how to show figures that pyplot made; those of this package keep out of its global state.
-        """
-
-        def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
-            """Return the picture and the width, pixels, at which it is shown."""
-            buffer = io.BytesIO()
-            self.savefig(buffer, format="png", dpi=_FINER * self.dpi)
-            return buffer.getvalue(), {"width": round(self.dpi * self.get_size_inches()[0])}
-
-    return Page
-
-
-def _layout() -> LayoutEngine:
-    """Return matplotlib's constrained layout, made repeatable.
-
-    Its solver visits objects in the order of their addresses, and its last digits, which names in an SVG are made of,
-    differ from run to run.
-    """
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-    from matplotlib.transforms import Bbox
-
-    class Repeatable(ConstrainedLayoutEngine):
-        def execute(self, fig: Any) -> Any:
-            result = super().execute(fig)
-            for axes in fig.axes:  # as the engine itself does; set_position would take them out of the layout
-                axes._set_position(Bbox(axes.get_position(original=True).get_points().round(_LAYOUT_DIGITS)))
-            return result
-
-    return Repeatable()
 
 
 @dataclass(frozen=True)
@@ -139,8 +93,10 @@ _SETTINGS: dict[str, Any] = {
 def figure(width: float, height: float, title: str = "") -> Iterator[Figure]:
     """Give an empty figure, inches, in the common style; no window and no global state. Long titles are broken."""
     require_matplotlib()
+    from redundancy_pin.visualisation.figures.page import Page, RepeatableLayout
+
     with _styled():
-        page = _page_class()(figsize=(width, height), layout=_layout())
+        page = Page(figsize=(width, height), layout=RepeatableLayout())
         if title:
             page.suptitle(textwrap.fill(title, int(_TITLE_LETTERS * width)))
         yield page
@@ -174,11 +130,16 @@ def save(drawn: Figure, *paths: str | Path) -> None:
     Raises:
         OutputError: a suffix that is no picture format, or a file that cannot be written.
     """
-    for path in paths:
-        kind = picture_format(path)
-        stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-        with replacing_file(path) as temporary, refusing(path), _styled():
-            drawn.savefig(temporary, format=kind, metadata=stamp)
+    engine = drawn.get_layout_engine()
+    try:
+        for path in paths:
+            kind = picture_format(path)
+            stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+            with replacing_file(path) as temporary, refusing(path), _styled():
+                drawn.savefig(temporary, format=kind, metadata=stamp)
+            drawn.set_layout_engine("none")  # it is laid out now, which takes as long as drawing it
+    finally:
+        drawn.set_layout_engine(engine)
 
 
 def picture_format(path: str | Path) -> str:
