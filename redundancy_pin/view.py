@@ -1,4 +1,4 @@
-"""One line to see a robot move: a plan, a motion, or just a robot."""
+"""One line to see a robot move: a plan, a simulation, a motion, or just a robot."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.loading import load_robot
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.planners.plan import Plan, load_robot_of
+from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.trajectory import reference
+from redundancy_pin.visualisation.figures.plots import curves_of_run
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import make_scene
+from redundancy_pin.visualisation.viewer.scene import make_scene, scene_of
 
 SWING_DURATION = 2.0  # of the default motion of a robot that has none in the thesis, s
 SWING = 0.15  # its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow
@@ -27,7 +30,7 @@ _DT = 0.005
 
 
 def show(
-    subject: Plan | Robot | str | Path,
+    subject: Plan | Simulation | Robot | str | Path,
     motion: PlatformMotion | None = None,
     carriers: CarrierMotion | None = None,
     *,
@@ -44,30 +47,45 @@ def show(
     read are named in a warning through ``logging``.
 
     Args:
-        subject: a plan; or a robot, or the name or path of one.
+        subject: a plan or a simulation; or a robot, or the name or path of one.
         motion: of a robot, its efforts by the RNEA backend; when left out, its trajectory in the thesis or a small
             swing there and back.
         carriers: of a robot; parked at zero when left out.
-        robot: of a plan, if its files have moved or it is already at hand.
+        robot: of a plan or a simulation, if its files have moved or it is already at hand.
         forces: whether arrows are shown at first.
         force_scale: factor on their length.
         height: of the picture in a notebook, pixels.
 
     Raises:
-        InputError: no plan, robot or name; a motion or carriers together with a plan; or a motion that is not sampled
-            or not the robot's.
+        InputError: no plan, simulation, robot or name; a motion or carriers together with a plan or a simulation; or a
+            motion that is not sampled or not the robot's.
         RedundancyPinError: what ``load_robot``, ``load_robot_of`` and ``lift`` raise.
     """
+    if isinstance(subject, (Plan, Simulation)) and (motion is not None or carriers is not None):
+        kind = "plan" if isinstance(subject, Plan) else "simulation"
+        raise InputError(f"A {kind} has its own motions.", remedy=f"Pass a robot instead of the {kind}, or no motion.")
+    if isinstance(subject, Simulation):
+        shown = robot or load_recorded(subject.robot)
+        drawn = curves_of_run(subject, shown)
+        scene = scene_of(
+            shown,
+            subject.t,
+            subject.q,
+            drawn.margin,
+            subject.tau,
+            subject.carrier_force,
+            title=drawn.title,
+            force_scale=force_scale,
+        )
+        return View(scene, forces=forces, height=height)
     if isinstance(subject, Plan):
-        if motion is not None or carriers is not None:
-            raise InputError("A plan has its own motions.", remedy="Pass a robot instead of the plan, or no motion.")
         shown = robot or load_robot_of(subject)
         motion, carriers, margin = subject.motion, subject.carriers, subject.margin
         tau, force = subject.tau, subject.carrier_force
         title = f"{shown.name}: {subject.planner.replace('_', ' ')}, {subject.status.value.replace('_', ' ')}"
     elif isinstance(subject, (Robot, str, Path)):
         if robot is not None:
-            raise InputError("robot= goes with a plan.", remedy="Pass the robot first, without robot=.")
+            raise InputError("robot= goes with a plan or a simulation.", remedy="Pass the robot first, without robot=.")
         shown = subject if isinstance(subject, Robot) else load_robot(subject)
         motion = default_motion(shown) if motion is None else motion
         require_sampled(motion)
@@ -77,7 +95,7 @@ def show(
         margin, tau, force, title = efforts.margin, efforts.tau, reduced.carrier_force, shown.name
     else:
         raise InputError(
-            f"A plan, a robot or its name can be shown, not {type(subject).__name__}.",
+            f"A plan, a simulation, a robot or its name can be shown, not {type(subject).__name__}.",
             remedy="Pass show(plan), or show(robot, motion, carriers).",
         )
     scene = make_scene(shown, motion, carriers, margin, tau, force, title=title, force_scale=force_scale)

@@ -91,6 +91,12 @@ def difference(robot: Robot, target: Array, start: Array) -> Array:
     return delta
 
 
+def distance(robot: Robot, target: Array, start: Array) -> Array:
+    """Return (N,) how far platform coordinates are apart, m; rotations count times the characteristic length."""
+    apart: Array = np.linalg.norm(difference(robot, target, start) * row_scale(robot), axis=1)
+    return apart
+
+
 def moved(robot: Robot, start: Array, increment: Array) -> Array:
     """Return the coordinates reached from ``start`` by an increment as returned by ``difference``."""
     if start.ndim == 3:

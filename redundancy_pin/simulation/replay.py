@@ -11,7 +11,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.errors import IllPosedModelError, InfeasiblePlanError, InputError, SingularPoseError
-from redundancy_pin.kinematics.coordinates import difference, moved, row_scale
+from redundancy_pin.kinematics.coordinates import distance, moved, row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Command, Controller, FeedForward, Sampling, Tracking
@@ -156,7 +156,7 @@ def replay(
     except InfeasiblePlanError as reason:
         return Replay(name, drive, "no_efforts", str(reason))
     planned = np.array([reference.platform(t)[0] for t in run.t.tolist()])
-    error = np.linalg.norm(difference(robot, np.array(run.x), planned) * row_scale(robot), axis=1)
+    error = distance(robot, np.array(run.x), planned)
     span = float(run.t[-1] - run.t[0])
     return Replay(
         plan=name,

@@ -136,7 +136,7 @@ def path_figure(_: Results, run: MotionRun, title: str) -> Figure:
 def comparison_figure(_: Results, runs: Sequence[MotionRun]) -> Figure:
     """Return the efforts of several runs along one motion."""
     efforts = {_carriers(run.case): (run.t, run.distribution.tau) for run in runs}
-    names = tuple(f"τ{i + 1}" for i in range(runs[0].robot.m))
+    names = runs[0].robot.actuated
     return plot_comparison(runs[0].case.title, names, runs[0].case.unit, efforts)
 
 
@@ -200,7 +200,7 @@ def forces(results: Results, case: Case) -> Figure:
     """Draw the forces of the main actuators and the condition number of a crossing."""
     plan = results.plans.plan(case)
     drawn, before = curves_of_plan(plan), plan.t <= float(window(plan)["exit"])
-    until = series(("τ1", "τ2"), plan.t[before], plan.tau[before])
+    until = series(plan.robot.actuated, plan.t[before], plan.tau[before])
     panels = (main_panel(drawn), Panel("force τ [N], until\nswitched on", until, height=1.2), singularity_panel(drawn))
     return plot_time_panels(f"{_off(case)}: main actuators", panels, plan=plan, instants=drawn.instants)
 
@@ -220,7 +220,9 @@ def torques(results: Results, case: Case) -> Figure:
     def panel(i: int) -> Panel:
         without = Curve("no carriers", none.t, none.tau[:, i], reference=True)
         parked = Curve("carriers parked", still.t, still.tau[:, i], 1)
-        return Panel(f"τ{i + 1} [N·m]", (without, parked, Curve("carriers moving", plan.t, plan.tau[:, i], 0)))
+        return Panel(
+            f"{plan.robot.actuated[i]} [N·m]", (without, parked, Curve("carriers moving", plan.t, plan.tau[:, i], 0))
+        )
 
     panels = [panel(i) for i in range(3)]
     return plot_time_panels(f"{_stepwise(case)}: base torques", panels, plan=plan)

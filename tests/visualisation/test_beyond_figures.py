@@ -43,7 +43,7 @@ def test_columns_show_each_plan_and_its_limits(plans: dict[str, Plan]) -> None:
     assert not carriers & mains
     (legend,) = figure.legends
     said = [text.get_text() for text in legend.get_texts()]
-    assert said == ["actuator 1", "actuator 2", "carrier 1", "carrier 2", "singular instant", "beyond a limit"]
+    assert said == ["slide_1", "slide_2", "carrier_1", "carrier_2", "singular instant", "beyond a limit"]
     hatched = [patch.get_bbox() for patch in axes[1, 0].patches if patch.get_hatch()]
     bottom, top = axes[1, 0].get_ylim()
     np.testing.assert_allclose(sorted((box.y0, box.y1) for box in hatched), [(bottom, -0.2), (0.2, top)])

@@ -155,7 +155,7 @@ def test_limits_that_differ_say_whose_they_are() -> None:
     drawn = plot_plan(_plan(limits=LimitReport((), (), (LIMITS, wide)), status=PlanStatus.WITHIN_LIMITS))
     axes = _panel(drawn, "carrier position")
     assert _horizontals(axes) == {0.2, 0.25, -0.2}
-    assert {text.get_text() for text in axes.texts} == {"limit of 1", "limit of 2"}
+    assert {text.get_text() for text in axes.texts} == {"limit of c1", "limit of c2"}
     (hatched,) = [patch for patch in axes.patches if patch.get_hatch()]  # what none of them may do
     assert _span(hatched) == pytest.approx((0.25, axes.get_ylim()[1]))
 
@@ -166,7 +166,7 @@ def test_broken_limits_are_marked_where_they_are_worst() -> None:
     marks = [line for line in position.lines if line.get_marker() == "X"]
     assert [(float(line.get_xdata()[0]), float(line.get_ydata()[0])) for line in marks] == [(0.5, 0.25)]
     assert any("0.05 beyond" in text for text in _texts(drawn))
-    assert "(track of carrier 1)" in drawn.get_suptitle()
+    assert "(track of c1)" in drawn.get_suptitle()
     for label in ("carrier speed", "carrier acceleration", "carrier force"):
         assert not [line for line in _panel(drawn, label).lines if line.get_marker() == "X"]
 

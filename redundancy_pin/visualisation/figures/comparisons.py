@@ -11,7 +11,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.figures.plots import Curves, carrier_panels, curves_of_plan
+from redundancy_pin.visualisation.figures.plots import LEAST_DISTANCE, Curves, carrier_panels, curves_of_plan
 from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, legend_below, log_scale
 from redundancy_pin.visualisation.figures.time_panels import (
     Background,
@@ -48,12 +48,11 @@ def plot_efforts(
 
     ``check`` (N, m) are the efforts of the second backend; ``scale`` (m,), m, turns efforts into forces.
     """
-    names = [f"carrier {i + 1}" for i in range(drawn.carrier_force.shape[1])]
     panels = [_both(drawn, check, backends)]
     if drawn.instants:
         panels.append(_bounded(drawn, check, scale, missing_force))
-    if names:
-        forces = series(names, drawn.t, drawn.carrier_force, carrier=True)
+    if drawn.carrier_names:
+        forces = series(drawn.carrier_names, drawn.t, drawn.carrier_force, carrier=True)
         panels.append(Panel("carrier force [N]", forces, height=0.9))
     panels.append(_difference(drawn, check, scale))
     return plot_time_panels(drawn.title, panels, instants=drawn.instants, windows=drawn.windows)
@@ -62,7 +61,7 @@ def plot_efforts(
 def _both(drawn: Curves, check: Array, backends: tuple[str, str]) -> Panel:
     """Return the first backend as lines and the second as markers on them, at regular samples."""
     shown, checked = (np.where(drawn.regular[:, None], tau, np.nan) for tau in (drawn.tau, check))
-    names = [f"τ{i + 1}" for i in range(check.shape[1])]
+    names = drawn.main_names
     lines = series([f"{name}, {backends[0]}" for name in names], drawn.t, shown)
     every, markers = max(1, len(drawn.t) // _MARKERS), []
     for i, name in enumerate(names):
@@ -107,9 +106,9 @@ def plot_side_by_side(title: str, plans: Mapping[str, Plan], unit: str, *, insta
     for name, plan in plans.items():
         first = not columns
         peak = f"peak {float(plan.peak_effort.max()):.3g} {unit}, {plan.status.value.replace('_', ' ')}"
-        names = [f"actuator {i + 1}" for i in range(plan.tau.shape[1])]
-        main = Panel(f"main effort τ [{unit}]" if first else "", series(names, plan.t, plan.tau), height=1.25,
-                     title=f"{name}\n{peak}", legend=False)  # fmt: skip
+        curves = series(plan.robot.actuated, plan.t, plan.tau)
+        label = f"main effort τ [{unit}]" if first else ""
+        main = Panel(label, curves, height=1.25, title=f"{name}\n{peak}", legend=False)
         rows = [
             replace(panel, label=panel.label.removeprefix("carrier ") if first else "", legend=False, shared=True)
             for panel in carrier_panels(curves_of_plan(plan))
@@ -199,12 +198,11 @@ def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
         return drawn
 
 
-LEAST = 1e-16  # m; what is smaller is drawn there
-
-
 def plot_tracking(title: str, curves: Mapping[str, tuple[Array, Array]]) -> Figure:
     """Draw distances (N,), m, from a planned motion over times (N,), s; both by label."""
-    lines = tuple(Curve(label, t, np.maximum(error, LEAST), i) for i, (label, (t, error)) in enumerate(curves.items()))
+    lines = tuple(
+        Curve(label, t, np.maximum(error, LEAST_DISTANCE), i) for i, (label, (t, error)) in enumerate(curves.items())
+    )
     top = max(float(np.nanmax(curve.value)) for curve in lines)
-    panel = Panel("distance from the plan [m]", lines, log=True, within=(0.5 * LEAST, 3.0 * top), height=1.8)
+    panel = Panel("distance from the plan [m]", lines, log=True, within=(0.5 * LEAST_DISTANCE, 3.0 * top), height=1.8)
     return plot_time_panels(title, [panel])

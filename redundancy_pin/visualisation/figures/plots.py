@@ -3,14 +3,15 @@
 One look for all: the same colour and line style for the same actuator, units on every axis, line styles that tell the
 curves apart in print without colour, singular instants dotted, near-singular stretches grey, what is forbidden hatched.
 
-    efforts     main efforts and carrier forces              of a plan or of ``curves``
-    carriers    position, speed, acceleration with limits     of a plan or of ``curves``
-    condition   condition number, thresholds, instants        of a plan or of ``curves``
+    efforts     main efforts and carrier forces              of a plan, a simulation or ``curves``
+    carriers    position, speed, acceleration with limits     of a plan, a simulation or ``curves``
+    condition   condition number, thresholds, instants        of a plan, a simulation or ``curves``
     plan        all of these on one page                      of a plan
-    path        the mechanism and where its platform goes     of a plan or a motion
-    snapshots   the mechanism at several instants             of a plan, a motion or a robot's ``View``
+    simulation  efforts, carriers, distance from a plan       of a simulation
+    path        the mechanism and where its platform goes     of a plan, a simulation or a motion
+    snapshots   the mechanism at several instants             of a plan's, a simulation's or a robot's ``View``
     locus       singular curves over the workspace            of ``singular_locus``
-    comparison  the efforts of several plans                  of plans or ``curves``
+    comparison  the efforts of several plans                  of plans, simulations or ``curves``
 
 All raise ``RedundancyPinError`` where matplotlib is not installed. A new figure over time is a function here that lists
 its panels: ``time_panels`` says how.
@@ -25,17 +26,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, PlanFileError
+from redundancy_pin.kinematics.coordinates import angle_columns, distance
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus, load_robot_of
-from redundancy_pin.planners.robot_record import RobotRecord, robot_record
+from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, robot_record
 from redundancy_pin.robot import CarrierLimits, Robot
-from redundancy_pin.singularities.classify import classify_motion
+from redundancy_pin.simulation.result import Simulation, SimulationStatus
+from redundancy_pin.singularities.classify import classify, classify_motion
 from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.visualisation.figures.paths import draw_locus as locus
 from redundancy_pin.visualisation.figures.paths import draw_snapshots as snapshots
@@ -67,8 +70,16 @@ __all__ = [
     "path",
     "plan",
     "save",
+    "simulation",
     "snapshots",
 ]
+
+
+LEAST_DISTANCE = 1e-16
+"""m; distances that are smaller are drawn there."""
+
+SHOWN_DISTANCES = 1e-6
+"""Smallest distance from a plan that is shown, relative to the largest: every simulation starts with rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +100,7 @@ class Curves:
         regular: (N,) samples that are neither near-singular nor singular: effort axes are scaled to these.
         instants: singular instants, s.
         thresholds: condition numbers that mean something to the motion.
+        main_names, carrier_names: of the joints, for legends; numbered where left out.
     """
 
     title: str
@@ -104,6 +116,14 @@ class Curves:
     carriers_turn: bool = False
     instants: tuple[float, ...] = ()
     thresholds: tuple[float, ...] = ()
+    main_names: tuple[str, ...] = ()
+    carrier_names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Number the joints that have no names."""
+        main, moved = self.tau.shape[1], self.carrier_force.shape[1]
+        assign(self, main_names=self.main_names or tuple(f"actuator {i + 1}" for i in range(main)))
+        assign(self, carrier_names=self.carrier_names or tuple(f"carrier {i + 1}" for i in range(moved)))
 
     @property
     def windows(self) -> tuple[tuple[float, float], ...]:
@@ -132,7 +152,50 @@ def curves_of_plan(plan: Plan) -> Curves:
         carriers_turn=carriers_turn,
         instants=numbers(plan.diagnostics.get("singular_instants")),
         thresholds=numbers([threshold]),
+        main_names=plan.robot.actuated,
+        carrier_names=plan.robot.carriers,
     )
+
+
+def curves_of_run(run: Simulation, robot: Robot | None = None) -> Curves:
+    """Return the curves of a simulation; without its robot at hand, it is loaded.
+
+    A robot whose files are gone leaves condition and margin unknown: NaN.
+    """
+    main_unit, carriers_turn = _units(run.robot)
+    condition = margin = np.full(len(run), np.nan)
+    try:
+        found = classify(robot or load_recorded(run.robot), run.q)
+        condition, margin = found.condition, found.parallel_margin
+    except PlanFileError:
+        pass
+    return Curves(
+        title=run_title(run),
+        t=run.t,
+        tau=run.tau,
+        main_unit=main_unit,
+        carrier_force=run.carrier_force,
+        carriers=run.carriers,
+        limits=run.robot.carrier_limits,
+        condition=condition,
+        margin=margin,
+        regular=np.ones(len(run), dtype=bool),  # the efforts are those that acted
+        carriers_turn=carriers_turn,
+        main_names=run.robot.actuated,
+        carrier_names=run.robot.carriers,
+    )
+
+
+def run_title(run: Simulation) -> str:
+    """Return one line: robot, what drove it, and how it ended."""
+    drive = str(run.parameters.get("drive", "")).replace("_", " ")
+    ended = run.status.value.replace("_", " ")
+    last = run.events[-1] if run.events else None
+    if last is not None and last.terminal:
+        ended = f"stopped at {last.t:.4g} s: {last.name}"
+    elif run.status is SimulationStatus.FAILED:
+        ended = f"failed at {run.t[-1]:.4g} s"
+    return f"{run.robot.name}: simulation{f', {drive}' if drive else ''}, {ended}"
 
 
 def curves(
@@ -182,6 +245,8 @@ def curves(
         carriers_turn=carriers_turn,
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
+        main_names=robot.actuated,
+        carrier_names=robot.carriers,
     )
 
 
@@ -206,29 +271,32 @@ def plan_title(plan: Plan) -> str:
     if plan.status is not PlanStatus.VIOLATES_LIMITS:
         return title
     broken: dict[str, list[str]] = {}
-    for i, name in enumerate(plan.robot.carriers):
+    for name in plan.robot.carriers:
         for quantity in sorted({event.quantity for event in plan.limits.violated if event.carrier == name}):
-            broken.setdefault(quantity, []).append(str(i + 1))
-    parts = [f"{quantity} of carrier{'s'[: len(of) > 1]} {', '.join(of)}" for quantity, of in broken.items()]
+            broken.setdefault(quantity, []).append(name)
+    parts = [f"{quantity} of {', '.join(of)}" for quantity, of in broken.items()]
     return f"{title} ({'; '.join(parts)})"
 
 
-def curves_of(subject: Plan | Curves) -> Curves:
-    """Return the curves of a plan, or curves as they are."""
+def curves_of(subject: Plan | Simulation | Curves) -> Curves:
+    """Return the curves of a plan or a simulation, or curves as they are."""
     if isinstance(subject, Plan):
         return curves_of_plan(subject)
+    if isinstance(subject, Simulation):
+        return curves_of_run(subject)
     if not isinstance(subject, Curves):
         raise InputError(
-            f"This figure draws a plan or curves, not a {type(subject).__name__}.",
-            remedy="Pass a plan, or rp.plot.curves(robot, reduced, efforts).",
+            f"This figure draws a plan, a simulation or curves, not a {type(subject).__name__}.",
+            remedy="Pass a plan, a simulation, or rp.plot.curves(robot, reduced, efforts).",
         )
     return subject
 
 
 def main_panel(drawn: Curves) -> Panel:
     """Return the main efforts; near a singularity they may leave the picture."""
-    names = [f"τ{i + 1}" for i in range(drawn.tau.shape[1])]
-    return Panel(f"main {drawn.main_unit}", series(names, drawn.t, drawn.tau, fitted=drawn.regular), height=1.3)
+    return Panel(
+        f"main {drawn.main_unit}", series(drawn.main_names, drawn.t, drawn.tau, fitted=drawn.regular), height=1.3
+    )
 
 
 def force_panel(drawn: Curves, events: Sequence[LimitEvent] = ()) -> Panel:
@@ -254,29 +322,29 @@ def carrier_panels(drawn: Curves, events: Sequence[LimitEvent] = ()) -> list[Pan
 def _carrier_panel(
     drawn: Curves, label: str, quantity: str, values: Array, limits: ArrayLike, events: Sequence[LimitEvent]
 ) -> Panel:
-    names = [f"carrier {i + 1}" for i in range(values.shape[1])]
     broken = [event for event in events if event.quantity == quantity]
     marks = tuple((event.worst, event.value, f"{event.amount:.2g} beyond") for event in broken)
-    return Panel(f"carrier {label}", series(names, drawn.t, values, carrier=True), limits=limits, marks=marks)
+    return Panel(f"carrier {label}", series(drawn.carrier_names, drawn.t, values, carrier=True), limits=limits,
+                 marks=marks)  # fmt: skip
 
 
-def efforts(subject: Plan | Curves) -> Figure:
+def efforts(subject: Plan | Simulation | Curves) -> Figure:
     """Draw the main efforts and, where there are carriers, their forces, over time.
 
     The axis of the main efforts is fitted to regular samples: next to a singularity they grow without bound.
 
     Args:
-        subject: a plan, or ``curves`` of an inverse-dynamics computation.
+        subject: a plan, a simulation, or ``curves`` of an inverse-dynamics computation.
     """
     drawn = curves_of(subject)
     return _over_time(drawn, [main_panel(drawn), *([force_panel(drawn)] if drawn.carriers.s.shape[1] else [])])
 
 
-def carriers(subject: Plan | Curves) -> Figure:
+def carriers(subject: Plan | Simulation | Curves) -> Figure:
     """Draw position, speed and acceleration of the carriers over time; what their limits forbid is hatched.
 
     Args:
-        subject: a plan, or ``curves`` of an inverse-dynamics computation.
+        subject: a plan, a simulation, or ``curves`` of an inverse-dynamics computation.
 
     Raises:
         InputError: the robot has no carriers.
@@ -287,13 +355,18 @@ def carriers(subject: Plan | Curves) -> Figure:
     return _over_time(drawn, carrier_panels(drawn))
 
 
-def condition(subject: Plan | Curves) -> Figure:
+def condition(subject: Plan | Simulation | Curves) -> Figure:
     """Draw the condition number of the scaled W over time, with thresholds and singular instants.
 
     Args:
-        subject: a plan, or ``curves`` of an inverse-dynamics computation.
+        subject: a plan, a simulation, or ``curves`` of an inverse-dynamics computation.
     """
     drawn = curves_of(subject)
+    if np.isnan(drawn.condition).all():
+        raise InputError(
+            f"The condition number is not known ({drawn.title}): the robot's files are gone.",
+            remedy="Draw the efforts, or rp.plot.curves(robot, reduced, efforts) of the robot where it is now.",
+        )
     return _over_time(drawn, [replace(singularity_panel(drawn), height=1.4)])
 
 
@@ -335,6 +408,70 @@ def plan(
     position, *rest = carrier_panels(drawn, events)
     right = [position, *(replace(panel, legend=False) for panel in rest)]
     return plot_panel_grid(title or plan_title(plan), [left, right], (9.6, 7.2), Background(plan, drawn.instants))
+
+
+def simulation(
+    run: Simulation, plan: Plan | None = None, *, robot: Robot | None = None, title: str | None = None
+) -> Figure:
+    """Draw a simulation, and the plan it was to follow in thin grey lines behind it.
+
+    Main efforts and the efforts of the carriers; with a plan the distance of the platform from it; position, speed and
+    acceleration of the carriers with what their limits forbid hatched.
+
+    Args:
+        run: the simulation.
+        plan: what it was to follow.
+        robot: that of the simulation, if its files have moved or it is already at hand.
+        title: of the figure; made from the simulation when left out.
+
+    Raises:
+        InputError: a plan of another kind of robot, or of other times.
+        PlanFileError: the robot is gone or has changed.
+    """
+    drawn = curves_of_run(run, robot)
+    left, right = [main_panel(drawn)], []
+    if drawn.carrier_names:
+        left.append(force_panel(drawn))
+        position, *rest = carrier_panels(drawn)
+        right = [position, *(replace(panel, legend=False) for panel in rest)]
+    if plan is not None:
+        planned = curves_of_plan(plan)
+        if (planned.main_names, planned.carrier_names) != (drawn.main_names, drawn.carrier_names):
+            raise InputError(
+                f"The plan is for {plan.robot.name}, the simulation of {run.robot.name}: they have other joints.",
+                remedy="Pass the plan that was simulated.",
+            )
+        behind = [main_panel(planned), *([force_panel(planned)] if right else [])]
+        left = [_over(*pair) for pair in zip(left, behind, strict=True)]
+        right = [_over(*pair) for pair in zip(right, carrier_panels(planned) if right else [], strict=True)]
+        left.append(_distance_panel(run, plan, robot or load_recorded(run.robot)))
+    # both columns have as many panels
+    columns = [left, right] if len(left) == len(right) else [[*left, *right]]
+    height = 1.1 + 1.75 * sum(panel.height for panel in columns[0])
+    size = (9.6 if len(columns) > 1 else 7.2, height)
+    return plot_panel_grid(title or drawn.title, columns, size, Background(None, windows=drawn.windows))
+
+
+def _over(panel: Panel, behind: Panel) -> Panel:
+    """Return a panel with the curves of another one thin behind its own."""
+    thin = tuple(replace(curve, label="" if i else "plan", reference=True) for i, curve in enumerate(behind.curves))
+    return replace(panel, curves=(*thin, *panel.curves))
+
+
+def _distance_panel(run: Simulation, plan: Plan, robot: Robot) -> Panel:
+    during = (run.t >= plan.t[0]) & (run.t <= plan.t[-1])
+    if np.count_nonzero(during) < 2:
+        raise InputError(
+            f"The plan runs from {plan.t[0]:.6g} to {plan.t[-1]:.6g} s, the simulation from {run.t[0]:.6g} to "
+            f"{run.t[-1]:.6g} s.",
+            remedy="Pass the plan that was simulated.",
+        )
+    t = run.t[during]
+    away = np.maximum(distance(robot, run.x[during], plan.platform_at(t).x), LEAST_DISTANCE)
+    ends = max(0.5 * LEAST_DISTANCE, SHOWN_DISTANCES * float(away.max())), 3.0 * float(away.max())
+    name = "angles count times the characteristic length" if angle_columns(robot) else ""
+    return Panel("distance of the platform\nfrom its plan [m]", (Curve(name, t, away),), log=True,
+                 within=ends)  # fmt: skip
 
 
 def path(
@@ -383,14 +520,14 @@ def path(
     )
 
 
-def comparison(subjects: Mapping[str, Plan | Curves], *, title: str | None = None) -> Figure:
+def comparison(subjects: Mapping[str, Plan | Simulation | Curves], *, title: str | None = None) -> Figure:
     """Draw the main efforts of several plans along the same motion, one panel an actuator, with their peaks.
 
     Of an inverse-dynamics computation, near-singular samples are left out of curves and peaks, and the title says so:
     efforts grow without bound there. Those of a plan are bounded, and all of them count.
 
     Args:
-        subjects: plans or ``curves`` by what the legend calls them; at most six.
+        subjects: plans, simulations or ``curves`` by what the legend calls them; at most six.
         title: of the figure.
 
     Raises:
@@ -403,11 +540,11 @@ def comparison(subjects: Mapping[str, Plan | Curves], *, title: str | None = Non
             f"{len(drawn)} plans with {sorted(kinds)} actuators cannot be compared in one figure.",
             remedy=f"Pass one to {len(STROKES)} plans of the same kind of robot.",
         )
-    (m, unit), first = next(iter(kinds)), next(iter(drawn.values()))
-    names = tuple(f"τ{i + 1}" for i in range(m))
+    (_, unit), first = next(iter(kinds)), next(iter(drawn.values()))
+    names = first.main_names
     cases, cut = {}, False
     for label, each in drawn.items():
-        counts = np.isfinite(each.tau) if isinstance(subjects[label], Plan) else each.regular[:, None]
+        counts = each.regular[:, None] if isinstance(subjects[label], Curves) else np.isfinite(each.tau)
         cut = cut or not counts.all()
         cases[label] = (each.t, np.where(counts, each.tau, np.nan))
     heading = title or first.title.partition(":")[0] + (", near-singular samples left out" if cut else "")

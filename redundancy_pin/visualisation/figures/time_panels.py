@@ -6,8 +6,7 @@ imported from here, and name it in its ``__all__``:
 
     def power(subject: Plan) -> Figure:
         \"\"\"Draw the power of the main actuators over time.\"\"\"
-        names = [f"P{i + 1}" for i in range(subject.tau.shape[1])]
-        panel = Panel("power [W]", series(names, subject.t, subject.tau * subject.actuated_rate))
+        panel = Panel("power [W]", series(subject.robot.actuated, subject.t, subject.tau * subject.actuated_rate))
         return plot_time_panels(curves_of_plan(subject).title, [panel], plan=subject)
 """
 
@@ -246,21 +245,21 @@ def _fit(axes: Axes, panel: Panel, alike: Sequence[Panel]) -> None:
     axes.set_ylim(ends)
     limits = np.reshape(panel.limits, (-1, 2))
     shown = in_reach(limits)
-    _draw_limits(axes, shown, ends)
+    _draw_limits(axes, shown, ends, [curve.label for curve in panel.curves if not curve.reference])
     if len(limits) and (limits == limits[0]).all() and np.isnan(shown).all() and np.isfinite(limits[0]).any():
         low, high = limits[0]
         text = f"limits ±{high:g}" if low == -high else f"limits {low:g}, {high:g}"
         axes.text(0.985, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#444444")
 
 
-def _draw_limits(axes: Axes, shown: Array, ends: tuple[float, float]) -> None:
-    """Draw limits (c, 2), say whose they are where they differ, and hatch what none of the curves may do."""
+def _draw_limits(axes: Axes, shown: Array, ends: tuple[float, float], names: Sequence[str]) -> None:
+    """Draw limits (c, 2) of curves by name, say whose they are where they differ, and hatch what no curve may do."""
     for side, end, outermost in zip(shown.T, ends, (np.min, np.max), strict=True):
         for edge in np.unique(side[np.isfinite(side)]):
             axes.axhline(edge, color="#000000", linewidth=0.8, zorder=1.5)
-            whose = np.flatnonzero(side == edge) + 1
+            whose = np.flatnonzero(side == edge)
             if len(whose) < len(side):
-                text = f"limit of {', '.join(map(str, whose))}"
+                text = f"limit of {', '.join(names[i] for i in whose.tolist())}"
                 axes.text(0.985, edge, text, transform=axes.get_yaxis_transform(), ha="right", va="center",
                           fontsize=7.0, zorder=1.6, bbox=_BOX)  # fmt: skip
         if len(side) and np.isfinite(side).all():

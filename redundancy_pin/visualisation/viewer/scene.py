@@ -112,8 +112,7 @@ def make_scene(
         InputError: a scale that is not a positive number, or samples that do not fit.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``lift``.
     """
-    if not (np.isfinite(force_scale) and force_scale > 0.0):
-        raise InputError(f"force_scale is {force_scale}.", remedy="Pass a positive number.")
+    _require_scale(force_scale)  # before the lift, which takes long
     if len(carriers) != len(motion) or carriers.s.shape[1] != robot.k:
         raise InputError(
             f"The carrier motion has shape {carriers.s.shape}, expected ({len(motion)}, {robot.k}).",
@@ -121,7 +120,26 @@ def make_scene(
         )
     q = lift(robot, motion).q.copy()
     q[:, robot.carrier_position] = carriers.s  # the lift does not move them: no closure contains a carrier
-    frames, points = frame_samples(motion.t), path_samples(margin)
+    return scene_of(robot, motion.t, q, margin, tau, carrier_force, title=title, force_scale=force_scale)
+
+
+def scene_of(
+    robot: Robot,
+    t: Array,
+    q: Array,
+    margin: Array,
+    tau: Array | None = None,
+    carrier_force: Array | None = None,
+    *,
+    title: str = "",
+    force_scale: float = 1.0,
+) -> Scene:
+    """Return the moving picture of (N, nq) configurations at (N,) times, s, such as a simulation's.
+
+    The rest is as for ``make_scene``.
+    """
+    _require_scale(force_scale)
+    frames, points = frame_samples(t), path_samples(margin)
     efforts: list[tuple[str, Group, Array]] = []
     if tau is not None:
         efforts += [(name, "main", tau[:, i]) for i, name in enumerate(robot.actuated)]
@@ -131,7 +149,7 @@ def make_scene(
     return Scene(
         title=title,
         names=("base", *(str(name) for name in list(robot.model.names)[1:])),
-        t=motion.t[frames] - motion.t[0],
+        t=t[frames] - t[0],
         placement=_placements(robot.model, q[frames]),
         solids=solids_of(robot),
         arrows=arrows,
@@ -141,6 +159,11 @@ def make_scene(
         size=robot.characteristic_length,
         captions=captions,
     )
+
+
+def _require_scale(force_scale: float) -> None:
+    if not (np.isfinite(force_scale) and force_scale > 0.0):
+        raise InputError(f"force_scale is {force_scale}.", remedy="Pass a positive number.")
 
 
 def frame_samples(t: Array) -> IntArray:
