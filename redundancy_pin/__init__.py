@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from redundancy_pin.planners.stepwise.planner import plan_stepwise
     from redundancy_pin.planners.switch_off.planner import plan_switch_off
     from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
+    from redundancy_pin.robot import Robot
     from redundancy_pin.simulation import simulate
     from redundancy_pin.singularities.classify import classify, classify_motion
     from redundancy_pin.singularities.crossings import find_crossings
@@ -39,6 +40,7 @@ _PLACES = {
     "CompiledDynamics": "dynamics.compiled",
     "Plan": "planners.plan",
     "PlatformMotion": "motion",
+    "Robot": "robot",
     "RneaDynamics": "dynamics.rnea",
     "VirtualWork": "dynamics.virtual_work",
     "check_plan": "planners.check",
@@ -71,6 +73,7 @@ __all__ = [
     "Plan",
     "PlatformMotion",
     "RneaDynamics",
+    "Robot",
     "VirtualWork",
     "check_plan",
     "classify",

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, frozen
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, IntArray, checked, frozen
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
-from redundancy_pin.kinematics.coordinates import mode_name, reference_coordinates, velocity_scale, working_modes
+from redundancy_pin.kinematics.coordinates import (
+    in_working_mode,
+    mode_name,
+    reference_coordinates,
+    velocity_scale,
+    working_modes,
+)
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
+from redundancy_pin.kinematics.selection import closed_near, selected
 from redundancy_pin.robot import AXES, Robot
-from redundancy_pin.robot.build import build, characteristic_length
-from redundancy_pin.robot.declaration import parse, read_declaration, require_conditions
+from redundancy_pin.robot.build import build, characteristic_length, put_together
+from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
+from redundancy_pin.robot.from_model import declared
 from redundancy_pin.robot.urdf import declaration_path, known_values, render
 
 
@@ -85,14 +94,28 @@ def _load(
     require_conditions(data, parameters)
     declaration = parse(data, parameters)
     robot = build(declaration, path, urdf, parameters, gravity, working_mode)
+    robot = replace(robot, urdf_folder=str(source_file.resolve().parent))
+    return _closed(robot, declaration, lambda: reference_coordinates(robot, declaration.coordinates(parameters)))
+
+
+def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] | None) -> Robot:
+    """Return the robot with its reference closed and its mobility checked.
+
+    Args:
+        robot: with the guess as reference.
+        declaration: what it was made of.
+        target: gives the reference coordinates, (1, n) or (1, 4, 4); None to close the loops by the smallest change.
+    """
     system = ConstraintSystem(robot)
     _check_mobility(system)
-    target = reference_coordinates(robot, declaration.coordinates(parameters))
-    listed = [robot.model.joints[robot.model.getJointId(name)] for name in declaration.reference.guess]
-    columns = [column for joint in listed for column in range(joint.idx_q, joint.idx_q + joint.nq)]
-    q, gap, closed = multistart_nearest(
-        system, np.array(robot.q_reference), target[0], np.array(columns, dtype=np.intp)
-    )
+    guess = np.array(robot.q_reference)
+    columns = _columns(robot.model, declaration.reference.guess)
+    if target is None:
+        # nothing prescribes where it is: the nearest closed configuration of all joints, kept as it is found
+        q = closed_near(robot, guess)
+        gap, closed = 0.0, bool(in_working_mode(robot, q[None])[0])
+    else:
+        q, gap, closed = multistart_nearest(system, guess, target()[0], columns)
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q, gap),
@@ -104,10 +127,15 @@ def _load(
         q_reference=frozen(q),
         characteristic_length=declaration.characteristic_length
         or characteristic_length(robot.model, q, robot.carriers),
-        urdf_folder=str(source_file.resolve().parent),
     )
     _check_reference_rank(ConstraintSystem(robot))
     return robot
+
+
+def _columns(model: pin.Model, names: Iterable[str]) -> IntArray:
+    """Return the indices in q of joints."""
+    listed = [model.joints[model.getJointId(name)] for name in names]
+    return np.array([c for joint in listed for c in range(joint.idx_q, joint.idx_q + joint.nq)], dtype=np.intp)
 
 
 def _not_closed(robot: Robot, nearest: Array, gap: float) -> str:
@@ -205,3 +233,83 @@ def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[s
     rank = int((diagonal > RANK_TOLERANCE * max(diagonal.max(initial=0.0), np.finfo(float).tiny)).sum())
     names = [f"{axis} of {closure.name!r}" for closure in system.robot.closures for axis in closure.axes]
     return rank, [names[row] for row in sorted(order[rank:])]
+
+
+# --- from a Pinocchio model -------------------------------------------------------------------------------------------
+
+
+def robot_from_model(
+    model: pin.Model,
+    *,
+    actuated: Sequence[str],
+    closures: Sequence[Any] = (),
+    carriers: Sequence[Any] = (),
+    independent: Any = None,
+    reference: Any = None,
+    name: str = "",
+    working_modes: Any = None,
+    working_mode: Sequence[int] | None = None,
+    characteristic_length: float | None = None,
+    urdf: str = "",
+    urdf_folder: str = "",
+) -> Robot:
+    """Return a robot as ``Robot.from_model`` says."""
+    if isinstance(model, pin.Model):
+        model = pin.Model(model)
+    data: dict[str, Any] = {
+        "name": name or str(getattr(model, "name", "")) or "robot",
+        "urdf": "model",
+        **declared(model, closures, actuated, carriers, independent),
+        "working_modes": working_modes,
+        "characteristic_length": characteristic_length,
+        "reference": reference if isinstance(reference, Mapping) else {},
+        "gravity": model.gravity.linear.tolist(),
+    }
+    near = not (reference is None or isinstance(reference, Mapping))
+    start = checked(reference, "reference", (model.nq,)) if near else None
+    loose = any(hasattr(each, "joint1_placement") for each in closures)
+    robot = made(data, model, start, loose=loose, urdf=urdf, mode=working_mode)
+    return replace(robot, urdf_folder=urdf_folder)
+
+
+def made(
+    data: Mapping[str, Any],
+    model: pin.Model,
+    start: Array | None,
+    *,
+    loose: bool,
+    urdf: str = "",
+    mode: Sequence[int] | None = None,
+) -> Robot:
+    """Return the robot of a declaration and a model that was built already.
+
+    Args:
+        data: the declaration, checked here; without ``independent`` joints are chosen.
+        model: the tree, which becomes the robot's own.
+        start: (nq,) where the reference is looked for, in place of the declaration's.
+        loose: leave out closure rows that are redundant.
+        urdf: what shapes are drawn from.
+        mode: ±1 a leg; as declared when left out.
+    """
+    chosen = dict(data)
+    chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
+    declaration = parse(chosen, {})
+    robot = put_together(declaration, model, name=str(declaration.name), urdf=urdf, mode=mode)
+    if start is not None:
+        robot = replace(robot, q_reference=frozen(start))
+    notes: list[str] = []
+    if loose or not data.get("independent"):
+        provisional = replace(robot, platform=None, independent_joints=())
+        selection = selected(provisional, np.array(robot.q_reference), redundant=loose)
+        robot = replace(robot, closures=selection.robot.closures)
+        if selection.left_out:
+            notes.append(
+                f"Redundant closure rows left out, the loops stay closed in them: {', '.join(selection.left_out)}."
+            )
+        if not data.get("independent"):
+            robot = replace(robot, independent_joints=selection.independent)
+            notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
+    given = declaration.reference
+    prescribed = start is None and (given.platform is not None or given.joints is not None)
+    target = (lambda: reference_coordinates(robot, declaration.coordinates({}))) if prescribed else None
+    return replace(_closed(robot, declaration, target), notes=tuple(notes))

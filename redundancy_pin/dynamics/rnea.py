@@ -307,10 +307,13 @@ class RneaAlongMotion(Frozen):
 
     @cached_property
     def _floating_pool(self) -> pin.ModelPool:
-        model = pin.buildModelFromXML(self.robot.urdf, pin.JointModelFreeFlyer())
+        free = pin.Model()
+        base = free.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "redundancy_pin::base")
+        frame = free.addFrame(pin.Frame("redundancy_pin::base", base, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        model = pin.appendModel(free, self.robot.model, frame, pin.SE3.Identity())
         model.gravity = self.robot.model.gravity
         # links fixed to the base stand on the ground: their weight is not the mechanism's
-        model.inertias[1] = pin.Inertia.Zero()
+        model.inertias[base] = pin.Inertia.Zero()
         return pin.ModelPool(model, self._threads)
 
 

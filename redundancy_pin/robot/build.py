@@ -45,12 +45,33 @@ def build(
     tree = read_tree(urdf, path.parent / declaration.urdf)
     model = _built(tree, urdf, path.parent / declaration.urdf)
     model.gravity.linear = np.array(declaration.gravity if gravity is None else checked(gravity, "gravity", (3,)))
+    name = path.parent.name if declaration.name is None else str(declaration.name)
+    return put_together(
+        declaration, model, name=name, parameters=parameters, urdf=urdf, source=source_of(path), mode=working_mode
+    )
+
+
+def put_together(
+    declaration: Declaration,
+    model: pin.Model,
+    *,
+    name: str,
+    parameters: Mapping[str, Argument] = MappingProxyType({}),
+    urdf: str = "",
+    source: str = "",
+    mode: Sequence[int] | None = None,
+) -> Robot:
+    """Return the robot that a declaration makes of a Pinocchio tree, its names and roles checked.
+
+    Raises:
+        DeclarationError, InputError: as ``build``.
+    """
     entries = tuple(entry for entry in declaration.carriers if entry.when)
     carriers = tuple(entry.joint for entry in entries)
-    _check_roles(declaration, carriers, model)
+    _check_roles(declaration, carriers, model, "URDF" if source else "model")
     guess = _guess(model, declaration.reference.guess)
     robot = Robot(
-        name=path.parent.name if declaration.name is None else str(declaration.name),
+        name=name,
         parameters=MappingProxyType(dict(parameters)),
         urdf=urdf,
         model=model,
@@ -65,10 +86,10 @@ def build(
         carrier_position=read_only(np.array([_joint(model, j).idx_q for j in carriers], dtype=np.intp)),
         q_reference=read_only(guess),
         working_modes=declaration.modes,
-        working_mode=_mode(declaration, working_mode),
+        working_mode=_mode(declaration, mode),
         characteristic_length=declaration.characteristic_length or characteristic_length(model, guess, carriers),
         closed_form=declaration.closed_form,
-        source=source_of(path),
+        source=source,
     )
     _check_carriers_carry(robot)
     return robot
@@ -157,19 +178,19 @@ def _joint(model: pin.Model, name: str) -> pin.JointModel:
     return model.joints[model.getJointId(name)]
 
 
-def _require_name(name: str, known: Sequence[str], what: str) -> None:
+def _require_name(name: str, known: Sequence[str], what: str, of: str) -> None:
     if name not in known:
         remedy = f"{did_you_mean(name, known)}It has: {', '.join(known)}."
-        raise _refused(name, f"The URDF has no {what} {name!r}.", remedy)
+        raise _refused(name, f"The {of} has no {what} {name!r}.", remedy)
 
 
-def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.Model) -> None:
+def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.Model, of: str) -> None:
     joints = tuple(str(name) for name in model.names)[1:]
     links = tuple(str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
     driven = (*declaration.actuated, *carriers, *declaration.independent.joints)
     modes, guess = declaration.modes, declaration.reference.guess
     for name in (*driven, *guess, *(modes.joints if modes else ())):
-        _require_name(name, joints, "moving joint")
+        _require_name(name, joints, "moving joint", of)
     for name in driven:
         if _joint(model, name).nv != 1:
             what = f"Joint {name!r} has {_joint(model, name).nv} freedoms."
@@ -180,12 +201,12 @@ def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.M
         raise _refused(twice[0], f"Joint {twice[0]!r} is declared in two roles.", remedy)
     for closure in declaration.loops:
         for name in (closure.frame_a, closure.frame_b):
-            _require_name(name, links, "link")
+            _require_name(name, links, "link", of)
         if _body_of(model, closure.frame_a) == _body_of(model, closure.frame_b):
             what = f"The closure {closure.name!r} joins two frames of one rigid body."
             raise _refused(closure.name, what, "Name frames on the two bodies that meet there.")
     if declaration.platform:
-        _require_name(declaration.platform.frame, links, "link")
+        _require_name(declaration.platform.frame, links, "link", of)
     for name in carriers:
         if name in guess:
             what = f"`reference.guess` sets the carrier {name!r}."

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import importlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import pinocchio as pin
 
@@ -110,6 +112,7 @@ class Robot(Frozen):
         urdf_folder: absolute path of the folder of the URDF, which names of mesh files are relative to; empty for a
             robot that was not loaded.
         own_meshes_only: draw it only with meshes of its own folder or package: a file chose it, not its user.
+        notes: what the loader chose for a model that does not say it, and what its file says that is not in force here.
     """
 
     name: str
@@ -133,6 +136,57 @@ class Robot(Frozen):
     source: str = ""
     urdf_folder: str = ""
     own_meshes_only: bool = False
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def from_model(
+        cls,
+        model: pin.Model,
+        *,
+        actuated: Sequence[str],
+        closures: Sequence[Any] = (),
+        carriers: Sequence[Any] = (),
+        independent: Any = None,
+        reference: Any = None,
+        name: str = "",
+        **more: Any,
+    ) -> Robot:
+        """Return a closed-chain robot made of a Pinocchio tree, with the checks that a file goes through.
+
+        Args:
+            model: the tree; it is copied. Its gravity counts. Frames of any type may be named.
+            actuated: names of the main actuators.
+            closures: the loops, each a ``Closure``, a mapping ``{"frames": [a, b], "axes": ["x", "y"]}``, a tuple
+                ``(a, b, axes)``, or a constraint model of Pinocchio; of the latter, rows that are redundant all along
+                the motion are left out, and ``notes`` says which.
+            carriers: names of carrier joints, or mappings as in a ``robot.yaml`` (``{"joint": ..., "speed": ...}``).
+            independent: names of joints, a ``Platform``, a mapping ``{"platform": frame, "axes": [...]}``; left out:
+                joints are chosen, actuated ones first.
+            reference: (nq,) a configuration near which the closed one is, a mapping ``{"platform": [...], "guess":
+                {...}}`` or ``{"joints": {...}, "guess": {...}}`` as in a ``robot.yaml``; left out: near the neutral
+                configuration of Pinocchio.
+            name: what to call it; the model's own name when left out.
+            **more: ``working_modes``, ``characteristic_length`` as in a ``robot.yaml``; ``working_mode``, ±1 a leg;
+                ``urdf``, text of the URDF that its shapes are drawn from, and ``urdf_folder`` of its mesh files.
+
+        Raises:
+            InputError: no Pinocchio model, or arguments of the wrong form.
+            DeclarationError: names that are not in the model, joints in two roles, over- or under-constrained chains, a
+                reference that does not close.
+            UnsupportedRobotError: a joint of a type that closed chains do not cover.
+        """
+        # a closed reference needs kinematics, which is above this room: looked up when it is called
+        made: Robot = importlib.import_module("redundancy_pin.loading").robot_from_model(
+            model,
+            actuated=actuated,
+            closures=closures,
+            carriers=carriers,
+            independent=independent,
+            reference=reference,
+            name=name,
+            **more,
+        )
+        return made
 
     def __repr__(self) -> str:
         """Return what tells robots apart, not their whole URDF."""

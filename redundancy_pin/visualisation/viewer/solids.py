@@ -103,6 +103,8 @@ def shapes_of_urdf(robot: Robot) -> tuple[Solid, ...]:
 
     Meshes that are not found or cannot be read are left out, with one warning through ``logging``.
     """
+    if not robot.urdf:  # made of a Pinocchio model
+        return ()
     import coal
 
     loader = coal.CachedMeshLoader()

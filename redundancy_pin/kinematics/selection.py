@@ -1,0 +1,260 @@
+"""Which closure rows count and which joints are independent, for models that do not say it.
+
+A loop closed by a ball or a weld has more rows than it needs: of the three of a ball in a planar loop one is redundant.
+Rows are left out where they depend on the others at the reference and all around it, and only where the loops stay
+closed in the rows that were left out. The rank at one configuration proves nothing: a mechanism that moves against
+Grübler's count (Bricard's six hinges) has rows that are redundant there and still keep a hinge from opening.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, IntArray
+from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, integrate
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.coordinates import velocity_scale
+from redundancy_pin.robot import Robot
+
+_NEIGHBOURS, _SPREAD, _SEED = 6, 0.1, 2014
+"""Configurations around the reference, how far the joints are from it (rad, or in characteristic lengths), and the
+generator's seed: the same rows every time."""
+
+_ITERATIONS, _SHORTEST, _CUT = 100, 2.0**-12, 1e-8
+"""Newton's method: most steps, the shortest share of one, and the relative singular value that counts as zero."""
+
+_STAYS_CLOSED = 1e-8
+"""m, or rad: how far the rows that are left out may open. Newton leaves 1e-11; the false ones open by 1e-3 and more."""
+
+_WELL_APART = 1e-2
+"""A velocity whose column is nearer to the others, in its own length, is taken as dependent only where there is no
+other: it would make a reference next to a singularity of type I."""
+
+
+class Selection(NamedTuple):
+    """What was chosen.
+
+    Attributes:
+        robot: the robot with the closures that are left, or the ones it had.
+        left_out: names of the rows left out, such as ``"z of 'left = right'"``.
+        independent: names of the independent joints.
+        q: (nq,) a closed configuration.
+    """
+
+    robot: Robot
+    left_out: tuple[str, ...]
+    independent: tuple[str, ...]
+    q: Array
+
+
+def closed_near(robot: Robot, q: Array) -> Array:
+    """Return the closed configuration (nq,) that the smallest change of q leads to.
+
+    Raises:
+        DeclarationError: Newton does not close the loops from there.
+    """
+    closed, gap = _close(ConstraintSystem(robot), q)
+    if not gap < CLOSURE_TOLERANCE:
+        raise DeclarationError(
+            f"The loops of {robot.name} do not close near the reference: a gap of {gap:.3g} is left.",
+            remedy="Name a reference that is nearer to a closed configuration, or correct the closures.",
+            gap=gap,
+        )
+    return closed
+
+
+def _close(system: ConstraintSystem, q: Array) -> tuple[Array, float]:
+    """Return what Newton with a line search reaches from q (nq,), and the gap that is left.
+
+    ``assemble`` takes rows to be independent; here they may be redundant, and steps are those of least norm.
+    """
+    model, columns = system.robot.model, system.pose_columns
+    scale = velocity_scale(system.robot)[columns]
+    state = system.evaluate(q[None])
+    for _ in range(_ITERATIONS):
+        step = np.zeros((1, model.nv))
+        step[0, columns] = -np.linalg.pinv(state.Jc[0][:, columns] / scale, rcond=_CUT) @ state.phi[0] / scale
+        longest = float(np.abs(step).max(initial=0.0))
+        if longest < SETTLED_STEP:  # the last, which needs no look at what it gains
+            state = system.evaluate(integrate(model, state.q, step))
+            break
+        size, share = np.linalg.norm(state.phi), 1.0 / max(longest, 1.0)
+        while share > _SHORTEST:
+            tried = system.evaluate(integrate(model, state.q, share * step))
+            if np.linalg.norm(tried.phi) < size:
+                break
+            share *= 0.5
+        else:
+            break
+        state = tried
+    gap = float(max(np.abs(state.phi).max(initial=0.0), _turned_over(system.misalignment(state)[0])))
+    closed: Array = state.q[0]
+    return closed, gap
+
+
+def _turned_over(angle: float) -> float:
+    return angle if angle > TURNED_OVER else 0.0
+
+
+def selected(robot: Robot, q: Array, *, redundant: bool) -> Selection:
+    """Choose closure rows and independent joints near a configuration.
+
+    Args:
+        robot: a robot without independent velocities.
+        q: (nq,) a configuration from which the loops can be closed.
+        redundant: let rows be redundant and leave them out; else they stay, and the loader refuses them by name.
+
+    Raises:
+        DeclarationError: the loops do not close; rows that depend on the others at the reference only; or a joint of
+            several freedoms that the loops leave free.
+    """
+    q = closed_near(robot, q)
+    left_out: tuple[str, ...] = ()
+    if redundant and robot.closures:
+        robot, left_out = _without_redundant_rows(robot, q)
+    return Selection(robot, left_out, _independent(robot, q), q)
+
+
+def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, ...]]:
+    system = ConstraintSystem(robot)
+    around = _neighbours(system, q)
+    rows = [_rows(system, each) for each in around]
+    ranks = [_rank(each) for each in rows]
+    # at a singular reference the rank is lower than around it, and the choice is made where it is not
+    best = int(np.argmax(ranks))
+    kept = np.sort(_pivots(rows[best].T, ranks[best]))
+    if len(kept) == len(system.rows):
+        return robot, ()
+    keep = np.zeros(len(system.rows), dtype=bool)
+    keep[kept] = True
+    fewer, left_out = _with_rows(robot, keep)
+    # with these rows alone, do the others stay closed?
+    again = _neighbours(ConstraintSystem(fewer), q)
+    opened = np.abs(system.evaluate(again).phi).max(axis=0)
+    wide = [name for name, gap in zip(_row_names(robot), opened, strict=True) if gap > _STAYS_CLOSED]
+    if wide:
+        raise DeclarationError(
+            f"{robot.name} is over-constrained: {len(system.rows)} closure rows have rank {ranks[best]}, but where "
+            f"{', '.join(left_out)} are left out the loops open, by {opened.max():.3g} in {', '.join(wide)}.",
+            remedy="It moves against Grübler's count. Give a joint of the loop the freedom that it needs, such as a "
+            "ball in place of a hinge.",
+            rank=ranks[best],
+            gap=float(opened.max()),
+        )
+    return fewer, left_out
+
+
+def _neighbours(system: ConstraintSystem, q: Array) -> Array:
+    """Return closed configurations (N, nq), the first of them q itself."""
+    robot, rng = system.robot, np.random.default_rng(_SEED)
+    scale = _SPREAD * robot.characteristic_length / velocity_scale(robot)
+    steps = rng.uniform(-1.0, 1.0, (_NEIGHBOURS, robot.model.nv)) * scale
+    steps[:, robot.carrier_velocity] = 0.0
+    steps[0] = 0.0
+    reached = [_close(system, each) for each in integrate(robot.model, np.repeat(q[None], len(steps), axis=0), steps)]
+    closed = [each for each, gap in reached if gap < CLOSURE_TOLERANCE]
+    return np.array(closed) if closed else q[None]
+
+
+def _rows(system: ConstraintSystem, q: Array) -> Array:
+    """Return (r, p) the closure rows at a configuration, in scaled units."""
+    columns = system.pose_columns
+    scaled: Array = system.evaluate(q[None]).Jc[0][:, columns] / velocity_scale(system.robot)[columns]
+    return scaled * system.closure_scale[:, None]
+
+
+def _rank(matrix: Array) -> int:
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return int((values > 1e3 * RANK_TOLERANCE * values.max(initial=0.0)).sum()) if values.size else 0
+
+
+def _pivots(matrix: Array, count: int) -> IntArray:
+    """Return the columns that pivoting takes first."""
+    from scipy.linalg import qr
+
+    _, _, order = qr(matrix, pivoting=True, mode="economic")
+    chosen: IntArray = order[:count]
+    return chosen
+
+
+def _with_rows(robot: Robot, keep: BoolArray) -> tuple[Robot, tuple[str, ...]]:
+    """Return the robot with some of its closure rows, and the names of the others."""
+    closures, row = [], 0
+    for closure in robot.closures:
+        axes = tuple(axis for i, axis in enumerate(closure.axes) if keep[row + i])
+        row += len(closure.axes)
+        if axes:
+            closures.append(replace(closure, axes=axes))
+    names = _row_names(robot)
+    return replace(robot, closures=tuple(closures)), tuple(
+        name for name, kept in zip(names, keep, strict=True) if not kept
+    )
+
+
+def _row_names(robot: Robot) -> list[str]:
+    return [f"{axis} of {closure.name!r}" for closure in robot.closures for axis in closure.axes]
+
+
+def _independent(robot: Robot, q: Array) -> tuple[str, ...]:
+    """Return the joints whose velocities the closures leave free, actuated ones where there is a choice.
+
+    Of joints with several freedoms none can be independent, so they are made dependent first, then passive joints.
+    """
+    model, system = robot.model, ConstraintSystem(robot)
+    columns = system.pose_columns.tolist()
+    rows = _rows(system, q) if len(system.rows) else np.zeros((0, len(columns)))
+    owner = {}
+    for index in range(1, model.njoints):
+        joint = model.joints[index]
+        owner.update({joint.idx_v + i: (str(model.names[index]), int(joint.nv)) for i in range(joint.nv)})
+    wide = [i for i, column in enumerate(columns) if owner[column][1] > 1]
+    driven = [i for i, column in enumerate(columns) if owner[column][0] in robot.actuated]
+    passive = [i for i in range(len(columns)) if i not in (*wide, *driven)]
+    dependent = _dependent(rows, [wide, passive, driven])
+    free = [i for i in range(len(columns)) if i not in dependent]
+    loose = sorted({owner[columns[i]][0] for i in free if i in wide})
+    if loose:
+        raise _refusal_of_free(robot, loose)
+    names = {owner[columns[i]][0] for i in free}
+    first = [name for name in robot.actuated if name in names]
+    return (*first, *(str(name) for name in model.names if str(name) in names and str(name) not in first))
+
+
+def _dependent(rows: Array, classes: Sequence[Sequence[int]]) -> set[int]:
+    """Return as many columns as the rows have rank, independent of one another, from the first classes where it can be.
+
+    Two rounds: columns that are nearly dependent on the ones taken already wait for the second.
+    """
+    rank = _rank(rows)
+    taken: list[int] = []
+    basis = np.zeros((len(rows), 0))
+    for apart in (_WELL_APART, RANK_TOLERANCE):
+        for group in classes:
+            waiting = [i for i in group if i not in taken]
+            while waiting and len(taken) < rank:
+                rest = rows[:, waiting] - basis @ (basis.T @ rows[:, waiting])
+                lengths = np.linalg.norm(rest, axis=0) / np.maximum(np.linalg.norm(rows[:, waiting], axis=0), 1e-300)
+                lengths[np.linalg.norm(rows[:, waiting], axis=0) < RANK_TOLERANCE] = 0.0
+                best = int(np.argmax(lengths))
+                if lengths[best] <= apart:
+                    break
+                direction = rest[:, best] / np.linalg.norm(rest[:, best])
+                direction = direction - basis @ (basis.T @ direction)
+                basis = np.column_stack([basis, direction / np.linalg.norm(direction)])
+                taken.append(waiting.pop(best))
+    return set(taken)
+
+
+def _refusal_of_free(robot: Robot, names: Sequence[str]) -> DeclarationError:
+    return DeclarationError(
+        f"{robot.name} has the joint(s) {', '.join(map(repr, names))} of several freedoms, which its loops leave "
+        "free in part: they cannot be independent, only joints of one freedom can.",
+        remedy="Make each of hinges and slides, one freedom each, or fix the freedom that turns nothing, such as the "
+        "spin of a rod between two balls (a universal joint at one end).",
+        joints=tuple(names),
+    )
