@@ -35,7 +35,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import read_only
-from redundancy_pin.errors import InputError, PlanFileError, RedundancyPinError, shortened, shown
+from redundancy_pin.errors import InputError, OutputError, PlanFileError, RedundancyPinError, shortened, shown
 from redundancy_pin.io.files import refusing, replacing_file
 from redundancy_pin.io.json_text import read_json
 from redundancy_pin.io.reading import opened
@@ -178,8 +178,9 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
 
     Raises:
         InputError: the record holds something that is not plain data.
-        OutputError: the file cannot be written.
+        OutputError: the file cannot be written, or its name says that it is of another format.
     """
+    _require_archive_name(path)
     arrays: Arrays = {}
     content = {
         "format": kind,
@@ -204,6 +205,20 @@ def write_archive(path: str | Path, kind: str, version: int, record: object) -> 
             stream.seek(0)
             stream.truncate()
             np.savez(stream, allow_pickle=False, **members)
+
+
+_OTHER_FORMATS = (".csv", ".tsv", ".txt", ".json", ".yaml", ".yml", ".mat", ".xlsx", ".h5", ".hdf5", ".parquet", ".pkl")
+"""Suffixes that other programs go by; names that say nothing are as good as ``.npz``."""
+
+
+def _require_archive_name(path: str | Path) -> None:
+    if isinstance(path, (str, Path)) and (suffix := Path(path).suffix.lower()) in _OTHER_FORMATS:
+        raise OutputError(
+            f"{path} is to be a {suffix} file by its name, and save writes npz archives.",
+            remedy=f"Save it as {Path(path).with_suffix('.npz').name}; plans also have to_csv, to_json, to_ros, to_mat and "
+            "to_dataframe.",
+            path=str(path),
+        )
 
 
 def read_archive(path: str | Path, kind: str, version: int, word: str, make: Callable[[Mapping[str, Any]], _T]) -> _T:

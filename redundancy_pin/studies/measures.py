@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
@@ -366,15 +366,25 @@ def peak_until_off(plan: Plan) -> float:
 
 def reversals(plan: Plan) -> IntArray:
     """Return (m,) how often each main effort turns round and then moves by more than ``SWING`` of the peak."""
+    return np.array([len(samples) for samples in _turns(plan)], dtype=np.intp)
+
+
+def reversals_beside_singularities(plan: Plan) -> IntArray:
+    """Return (m,) how many of the ``reversals`` are where W is near-singular."""
+    return np.array([(plan.margin[samples] < NEAR_SINGULAR_MARGIN).sum() for samples in _turns(plan)], dtype=np.intp)
+
+
+def _turns(plan: Plan) -> list[IntArray]:
+    """Return the samples at which each of the m main efforts turns round."""
     from scipy.signal import find_peaks  # it loads scipy.stats as well: 0.4 s that no other command should wait for
 
     least = SWING * float(plan.peak_effort_at_samples.max())
     if least == 0.0:
-        return np.zeros(plan.tau.shape[1], dtype=np.intp)
+        return [np.empty(0, dtype=np.intp)] * plan.tau.shape[1]
     tau = np.nan_to_num(plan.tau)
-    return np.array(
-        [sum(len(find_peaks(sign * effort, prominence=least)[0]) for sign in (1.0, -1.0)) for effort in tau.T]
-    )
+    return [
+        np.concatenate([find_peaks(sign * effort, prominence=least)[0] for sign in (1.0, -1.0)]) for effort in tau.T
+    ]
 
 
 def rms_acceleration(plan: Plan) -> float:

@@ -241,3 +241,18 @@ def test_wrong_limits_are_said_as_they_were_typed(given: str, said: str) -> None
     assert refused("plan", "whole-trajectory", "--robot", "3rrr", "--trajectory", "corner", "--max-effort", given) == (
         f"error: {said}"
     )
+
+
+@pytest.mark.parametrize(("objective", "advised"), [(("effort",), True), (("effort", "effort_rate=0.01"), False)])
+def test_efforts_that_swing_beside_singularities_are_calmed_by_what_the_plan_proposes(
+    objective: tuple[str, ...], advised: bool
+) -> None:
+    flags = [part for entry in objective for part in ("--objective", entry)]
+    told = json.loads(call(*CIRCLE, "--dt", "0.01", *flags, "--json").stdout)
+    assert told["backend"] == "virtual-work"  # as --backend writes it, not by its class
+    if advised:
+        assert "--objective effort --objective effort_rate=0.01" in told["advice"]
+        assert max(told["reversals"]) > 20
+    else:
+        assert told["advice"] is None
+        assert max(told["reversals"]) < 10

@@ -117,6 +117,14 @@ def test_the_name_is_kept_as_given(plan: Plan, tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------- bad output
 
 
+@pytest.mark.parametrize("name", ["plan.csv", "plan.JSON", "plan.mat"])
+def test_a_name_of_another_format_is_refused(name: str, plan: Plan, tmp_path: Path) -> None:
+    """A spreadsheet that opens a zip, or a program that finds no columns, would say it much later."""
+    with pytest.raises(OutputError, match=r"npz archives.*plan\.npz.*to_csv"):
+        plan.save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("target", ["nowhere/plan.npz", "."])
 def test_unwritable_places_are_refused(target: str, plan: Plan, tmp_path: Path) -> None:
     with pytest.raises(OutputError):

@@ -13,7 +13,14 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.studies.cases import EFFORT, SINGULAR, TURNS, by_method, parked, without_carriers
-from redundancy_pin.studies.measures import dense_peak, missing_force, numbers, plan_differences, reversals
+from redundancy_pin.studies.measures import (
+    dense_peak,
+    missing_force,
+    numbers,
+    plan_differences,
+    reversals,
+    reversals_beside_singularities,
+)
 
 CIRCLE, LINE, CORNER = SINGULAR[0], SINGULAR[4], TURNS[0]
 T = np.linspace(0.0, 1.0, 1001)
@@ -39,6 +46,12 @@ def test_reversals_count_turns_and_not_ripple() -> None:
     assert reversals(with_efforts(swing, 0.5 * swing)).tolist() == [10, 10]
     assert reversals(with_efforts(T + ripple, swing)).tolist() == [0, 10]
     assert reversals(with_efforts(0.0 * T, 0.0 * T)).tolist() == [0, 0]
+
+
+def test_only_turns_beside_singularities_are_told_as_such() -> None:
+    swing = np.sin(10.0 * np.pi * T)  # turns at 0.05, 0.15, ... 0.95 s
+    plan = replace(with_efforts(swing, swing), margin=np.where(T < 0.2, 0.04, 0.06))  # two of them beside one
+    assert reversals_beside_singularities(plan).tolist() == [2, 2]
 
 
 def test_switch_off_between_its_samples_is_what_finer_samples_show() -> None:
