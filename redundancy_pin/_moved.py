@@ -26,6 +26,7 @@ MOVED = {
     "kinematics.two_rpr": "dynamics.virtual_work.two_rpr",
     "planners.plan_file": "planners.plan",
     "simulation.control": "simulation.controllers.base",
+    "simulation.reference": "planners.reference",
     "visualisation.live_view": "visualisation.viewer.page",
     "visualisation.plots": "visualisation.figures.plots",
     "visualisation.scene": "visualisation.viewer.scene",

@@ -14,7 +14,7 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DEGREE, PlanFunctions
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.reference import MotionReference, plan_reference, reference_of
+from redundancy_pin.planners.reference import MotionReference, plan_reference, reference_of
 from redundancy_pin.trajectory.functions_of_time import (
     PiecewisePolynomial,
     TimedTrajectory,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,9 @@ from redundancy_pin.trajectory.functions_of_time import (
     TimedTrajectory,
     continuous_motion,
 )
+
+if TYPE_CHECKING:
+    from redundancy_pin.planners.export import PlanTable
 
 PLAN_FORMAT = "redundancy_pin plan"
 """What a saved plan calls itself."""
@@ -223,6 +226,88 @@ class Plan(Frozen):
             platform = replace(functions.platform, source=functions.platform.polynomials)
             functions = replace(functions, platform=platform)
         write_archive(path, PLAN_FORMAT, PLAN_VERSION, replace(self, functions=functions, robot=robot))
+
+    # Files of other programs; ``planners.export`` says what is in them, and is imported where one is asked for.
+
+    def table(
+        self, rate: float | None = None, *, two_sided: bool | None = None, robot: Robot | None = None
+    ) -> PlanTable:
+        """Return positions, rates, accelerations and efforts by joint name, at a rate, Hz, or at the samples.
+
+        Args:
+            rate: rows a second, by the functions of time of the plan; its samples when left out.
+            two_sided: whether an instant at which something jumps has two rows, before and after it. When left out,
+                rows at a rate have the values after the jump, and samples stay as they are.
+            robot: the robot of the plan; loaded when left out.
+
+        Raises:
+            InputError: a rate that is not positive, or makes too many rows.
+            InfeasiblePlanError: a rate, of a plan that has no finite efforts somewhere.
+            PlanFileError: the robot cannot be loaded, or is no longer what it was.
+        """
+        from redundancy_pin.planners.export import plan_table
+
+        return plan_table(self, rate, two_sided=two_sided, robot=robot)
+
+    def to_csv(
+        self,
+        path: str | Path,
+        rate: float | None = None,
+        *,
+        two_sided: bool | None = None,
+        robot: Robot | None = None,
+    ) -> None:
+        """Write ``table`` as CSV: names with units, such as ``elbow.effort [N m]``, then a row for each instant.
+
+        Arguments and errors are those of ``table``; OutputError where the file cannot be written.
+        """
+        from redundancy_pin.planners.export import write_csv
+
+        write_csv(self.table(rate, two_sided=two_sided, robot=robot), path)
+
+    def to_json(
+        self,
+        path: str | Path,
+        rate: float | None = None,
+        *,
+        two_sided: bool | None = None,
+        robot: Robot | None = None,
+    ) -> None:
+        """Write ``table`` as one JSON object, with ``units`` and ``columns`` by name; see ``to_csv``."""
+        from redundancy_pin.planners.export import write_json
+
+        write_json(self.table(rate, two_sided=two_sided, robot=robot), path)
+
+    def to_mat(
+        self,
+        path: str | Path,
+        rate: float | None = None,
+        *,
+        two_sided: bool | None = None,
+        robot: Robot | None = None,
+    ) -> None:
+        """Write ``table`` as a MAT file: ``t``, ``joints``, ``position``, ``rate``, ...; see ``to_csv``."""
+        from redundancy_pin.planners.export import write_mat
+
+        write_mat(self.table(rate, two_sided=two_sided, robot=robot), path)
+
+    def to_ros(self, path: str | Path, rate: float | None = None, *, robot: Robot | None = None) -> None:
+        """Write a message ``trajectory_msgs/JointTrajectory`` of ROS 2, as YAML or JSON by the name of the file.
+
+        Carriers are joints like the others. An instant at which something jumps has the values after the jump. The
+        rest as ``to_csv``; InputError where efforts are not finite.
+        """
+        from redundancy_pin.planners.export import write_ros
+
+        write_ros(self.table(rate, two_sided=False, robot=robot), path)
+
+    def to_dataframe(
+        self, rate: float | None = None, *, two_sided: bool | None = None, robot: Robot | None = None
+    ) -> Any:
+        """Return ``table`` as a pandas ``DataFrame`` over t, units in its ``attrs``; an error without pandas."""
+        from redundancy_pin.planners.export import data_frame
+
+        return data_frame(self.table(rate, two_sided=two_sided, robot=robot))
 
 
 def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) -> PlanFunctions:

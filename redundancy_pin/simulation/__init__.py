@@ -1,5 +1,6 @@
 """Forward dynamics of closed chains: accelerations, simulation, feed-forward of plans, linearisation."""
 
+from redundancy_pin.planners.reference import MotionReference, ReferencePoint, motion_reference, plan_reference
 from redundancy_pin.simulation.controllers.base import CarrierLaw, Constant, Controller, FeedForward, Sampling
 from redundancy_pin.simulation.derivatives import (
     DynamicsDerivatives,
@@ -10,7 +11,6 @@ from redundancy_pin.simulation.derivatives import (
 )
 from redundancy_pin.simulation.events import KINDS, Event
 from redundancy_pin.simulation.forward import ForwardDynamics
-from redundancy_pin.simulation.reference import MotionReference, ReferencePoint, motion_reference, plan_reference
 from redundancy_pin.simulation.result import Simulation, SimulationStatus, Statistics, load_simulation
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state, tree_state

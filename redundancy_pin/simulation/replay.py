@@ -13,11 +13,11 @@ from redundancy_pin.arrays import Array, frozen, read_only
 from redundancy_pin.errors import IllPosedModelError, InfeasiblePlanError, InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import distance, moved, row_scale
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Command, Controller, FeedForward, Sampling, Tracking
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
-from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
 from redundancy_pin.trajectory.functions_of_time import TimedTrajectory

@@ -17,6 +17,7 @@ from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseEr
 from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.kinematics.coordinates import angle_columns, coordinates
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import (
@@ -36,7 +37,6 @@ from redundancy_pin.simulation.controllers.base import (
 from redundancy_pin.simulation.events import EventFunctions
 from redundancy_pin.simulation.integrator import INTEGRATORS, Problem, Progress, Record, integrate
 from redundancy_pin.simulation.rank_loss import NEAR, WIDEST, Sheet, sheet_ahead
-from redundancy_pin.simulation.reference import plan_reference
 from redundancy_pin.simulation.result import Simulation, SimulationStatus, Statistics
 from redundancy_pin.simulation.state import State
 from redundancy_pin.simulation.system import External, Machine, Method

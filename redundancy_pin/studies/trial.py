@@ -14,12 +14,12 @@ from redundancy_pin.dynamics.allocation import AllocationStatus
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.loading import load_robot
+from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import Controller, Sampling, Tracking
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
-from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
 from redundancy_pin.studies.case import RNEA, Case, Planner, load, options

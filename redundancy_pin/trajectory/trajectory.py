@@ -32,7 +32,7 @@ MOST_SAMPLES = 10_000_000
 """Samples made at once; more would fill the memory of a usual computer in the dynamics that follow."""
 
 
-def _sample_times(duration: float, breaks: Array, dt: float | None, times: ArrayLike | None, two_sided: bool) -> Array:
+def sample_times(duration: float, breaks: Array, dt: float | None, times: ArrayLike | None, two_sided: bool) -> Array:
     """Return the times to sample at, s; a break occurs twice when it is to be two-sided.
 
     With ``dt``: 0, dt, 2 dt, ... and the duration, exactly. With ``times``: those. Two-sided, all breaks
@@ -128,7 +128,7 @@ class TimedMotion(ABC):
         Raises:
             InputError: both or none of ``dt`` and ``times``, or times outside [0, duration] or not increasing.
         """
-        return self.sample_at(_sample_times(self.duration, self.breaks, dt, times, two_sided))
+        return self.sample_at(sample_times(self.duration, self.breaks, dt, times, two_sided))
 
     @abstractmethod
     def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
-from redundancy_pin.simulation.reference import plan_reference
+from redundancy_pin.planners.reference import plan_reference
 
 EFFORT_TOLERANCE = 1e-6
 """N: beside a singular node the planner's own residual of 1e-9 N is divided by the distance to it."""

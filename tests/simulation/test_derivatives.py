@@ -15,10 +15,10 @@ from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.coordinates import moved
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.reference import inverse_dynamics
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.derivatives import inverse_derivatives, linearise, state_error
 from redundancy_pin.simulation.forward import ForwardDynamics
-from redundancy_pin.simulation.reference import inverse_dynamics
 from redundancy_pin.simulation.state import State, closed_state
 
 ACCURACY = 1e-6

@@ -8,9 +8,9 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.planners.reference import motion_reference
 from redundancy_pin.simulation.controllers.base import Sampling
 from redundancy_pin.simulation.controllers.encoders import PRISMATIC_STEP, REVOLUTE_STEP, Encoders, JointFriction
-from redundancy_pin.simulation.reference import motion_reference
 from redundancy_pin.simulation.state import closed_state, tree_state
 from redundancy_pin.trajectory import reference
 

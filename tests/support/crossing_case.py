@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 import redundancy_pin as rp
+from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.simulation.state import State, closed_state
 from redundancy_pin.trajectory import reference as trajectories
 

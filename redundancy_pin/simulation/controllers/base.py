@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, frozen
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.reference import MotionReference, plan_reference
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 

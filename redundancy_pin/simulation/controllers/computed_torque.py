@@ -16,6 +16,7 @@ from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.reference import MotionReference, ReferencePoint
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.controllers.base import (
     CarrierDrive,
@@ -29,7 +30,6 @@ from redundancy_pin.simulation.controllers.base import (
     positive_each,
 )
 from redundancy_pin.simulation.derivatives import state_error
-from redundancy_pin.simulation.reference import MotionReference, ReferencePoint
 from redundancy_pin.simulation.state import Manifold, State
 from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 

@@ -10,8 +10,8 @@ from redundancy_pin.arrays import Array, checked
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import turning_velocities
+from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.simulation.controllers.base import Command, Controller, EffortLaw, positive
-from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.state import Manifold, State
 
 

@@ -19,6 +19,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.simulation.controllers.base import (
     CarrierDrive,
     Command,
@@ -30,7 +31,6 @@ from redundancy_pin.simulation.controllers.base import (
     positive_each,
 )
 from redundancy_pin.simulation.derivatives import linearise, state_error
-from redundancy_pin.simulation.reference import MotionReference
 from redundancy_pin.simulation.state import State
 from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 

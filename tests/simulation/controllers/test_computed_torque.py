@@ -13,6 +13,7 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.reference import motion_reference
 from redundancy_pin.simulation.controllers import (
     AllocationStatus,
     ComputedTorque,
@@ -21,7 +22,6 @@ from redundancy_pin.simulation.controllers import (
     computed_torque,
 )
 from redundancy_pin.simulation.controllers.base import Sampling
-from redundancy_pin.simulation.reference import motion_reference
 from redundancy_pin.simulation.state import State, closed_state, tree_state
 
 BEFORE = 0.5

@@ -12,10 +12,10 @@ from scipy.linalg import solve_continuous_are
 
 import redundancy_pin as rp
 from redundancy_pin.errors import IllPosedModelError, InputError
+from redundancy_pin.planners.reference import motion_reference
 from redundancy_pin.simulation.controllers import LqrWeights, TimeVaryingLqr, bryson_weights
 from redundancy_pin.simulation.controllers.base import Sampling
 from redundancy_pin.simulation.derivatives import linearise, state_error
-from redundancy_pin.simulation.reference import motion_reference
 from redundancy_pin.simulation.state import tree_state
 from redundancy_pin.trajectory import reference as trajectories
 

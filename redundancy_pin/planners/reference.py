@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +23,7 @@ from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
-from redundancy_pin.planners.plan import Plan, load_robot_of
+from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.functions_of_time import (
     SHIFT,
@@ -31,6 +32,9 @@ from redundancy_pin.trajectory.functions_of_time import (
     chebyshev_times,
     continuous_motion,
 )
+
+if TYPE_CHECKING:
+    from redundancy_pin.planners.plan import Plan
 
 
 def inverse_dynamics(
@@ -148,6 +152,11 @@ class MotionReference:
         """Return everything at time t, s."""
         return ReferencePoint(t, *self.platform(t), *self.carriers(t), *self.tree(t), *self.loads(t))
 
+    def tree_and_loads(self, times: Array) -> tuple[Array, Array, Array, Array]:
+        """Return q (N, nq), v and a (N, nv), and main efforts and carrier forces side by side (N, m + k), at times."""
+        nv, tree = self.robot.model.nv, self._tree(times)
+        return tree[:, : -2 * nv], tree[:, -2 * nv : -nv], tree[:, -nv:], self.efforts(times)
+
 
 def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTrajectory | None = None) -> MotionReference:
     """Return the continuous motion that a plan stands for.
@@ -163,7 +172,7 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
         InfeasiblePlanError: some instant has no finite efforts.
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
     """
-    machine = load_robot_of(plan) if robot is None else robot
+    machine = load_recorded(plan.robot) if robot is None else robot
     functions = plan.functions_of_time if motion is None else plan.functions_along(motion)
     return reference_of(machine, functions, functions.pieces(plan.t), plan)
 

@@ -13,7 +13,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InfeasiblePlanError, InputError, PlanFileError
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.simulation.reference import motion_reference, plan_reference
+from redundancy_pin.planners.reference import motion_reference, plan_reference
 from redundancy_pin.trajectory.functions_of_time import carriers_at
 
 SERIES = 1e-10
