@@ -103,6 +103,9 @@ def test_without_a_rate_rows_are_the_samples(plan: Plan, corner: Plan, tmp_path:
         for i, name in enumerate(each.robot.actuated):
             unit = "N" if each is plan else "N m"
             np.testing.assert_array_equal(found[f"{name}.effort [{unit}]"], each.tau[:, i])
+        for i, name in enumerate(each.robot.carriers):
+            for title, values in (("position [m]", "s"), ("rate [m/s]", "sd"), ("acceleration [m/s^2]", "sdd")):
+                np.testing.assert_array_equal(found[f"{name}.{title}"], getattr(each.carriers, values)[:, i])
     rates = np.stack([found[f"{name}.rate [rad/s]"] for name in corner.robot.actuated], axis=1)
     np.testing.assert_allclose(rates, corner.actuated_rate, atol=1e-9)
     np.testing.assert_allclose(found["platform.rz [rad]"], corner.motion.x[:, 2], atol=1e-12)
