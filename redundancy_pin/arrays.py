@@ -178,6 +178,16 @@ ROUNDING = 1e-12
 what a few dozen additions of doubles lose, and far below any sampling interval."""
 
 
+def require_type(value: object, kind: type | tuple[type, ...], what: str, remedy: str) -> None:
+    """Check that an argument is of a kind, before an attribute that it lacks says it in other words.
+
+    Raises:
+        InputError: it is not; ``what`` was expected, such as "A plan".
+    """
+    if not isinstance(value, kind):
+        raise InputError(f"{what} was expected, not {type(value).__name__}.", remedy=remedy)
+
+
 def require_few(count: float, most: int, what: str, remedy: str, **details: object) -> None:
     """Check that something does not become too many, before time and memory go into it.
 

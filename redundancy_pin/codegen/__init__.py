@@ -16,7 +16,7 @@ from redundancy_pin.codegen.recorded import record
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import RobotLike, as_robot
 
 __all__ = ["GeneratedCode", "write_c"]
 
@@ -42,7 +42,7 @@ class GeneratedCode:
 
 
 def write_c(
-    robot: Robot,
+    robot: RobotLike,
     folder: str | Path,
     *,
     prefix: str | None = None,
@@ -56,7 +56,7 @@ def write_c(
     least as many actuators as freedoms); constraint Jacobians; margins to singularities.
 
     Args:
-        robot: the robot; its dimensions, masses, gravity and working mode become constants.
+        robot: the robot, or its name or path; its dimensions, masses, gravity and working mode become constants.
         folder: missing, empty, or one that this function filled before, which is replaced as a whole.
         prefix: what names in C begin with; the robot's name when left out.
         motion: N samples that the test program compares with ``RneaDynamics``, unreachable ones left out, thinned
@@ -70,6 +70,7 @@ def write_c(
         UnsupportedRobotError: a joint of a type that is not covered.
         RedundancyPinError: casadi is not installed.
     """
+    robot = as_robot(robot)
     require_replaceable(folder)
     name = _prefix(robot.name, prefix)
     if not robot.m:

@@ -8,7 +8,13 @@ from typing import Literal, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, peak
+from redundancy_pin.arrays import (
+    Array,
+    BoolArray,
+    Frozen,
+    peak,
+    require_type,
+)
 from redundancy_pin.errors import CarrierLimitError, InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
@@ -194,9 +200,9 @@ class Dynamics(Protocol):
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
             xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
             xdd: (n,) their second rates.
-            s: (k,) positions of the carriers on their tracks, m; 0 when left out.
-            sd: (k,) their rates, m/s; 0 when left out.
-            sdd: (k,) their second rates, m/s²; 0 when left out.
+            s: scalar or (k,) positions of the carriers on their tracks, m; 0 when left out.
+            sd: scalar or (k,) their rates, m/s; 0 when left out.
+            sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
 
         Raises:
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
@@ -215,9 +221,15 @@ def one_sample(
         InputError: wrong shapes, or values that are not finite.
     """
     still = np.zeros(robot.k)
-    carriers = CarrierMotion(*(_stacked(still if np.shape(part) == (0,) else part) for part in (s, sd, sdd)))
+    carriers = CarrierMotion(*(_stacked(_each(still, part)) for part in (s, sd, sdd)))
     motion = PlatformMotion([0.0], *(_stacked(part) for part in (x, xd, xdd)))
     return motion, require_matching_carriers(robot, carriers, 1)
+
+
+def _each(still: Array, part: ArrayLike) -> ArrayLike:
+    """Return (k,) what is given for the carriers: nothing for carriers at rest, one number for all of them."""
+    shape = np.shape(part)
+    return still if shape == (0,) else np.full(len(still), part) if shape == () else part
 
 
 def _stacked(part: ArrayLike) -> ArrayLike:
@@ -247,6 +259,9 @@ def require_matching_carriers(robot: Robot, carriers: CarrierMotion | None, samp
     """
     if carriers is None:
         return CarrierMotion.parked(samples, robot.k)
+    require_type(
+        carriers, CarrierMotion, "A carrier motion", "Pass a CarrierMotion, such as CarrierMotion.parked(N, k)."
+    )
     if carriers.s.shape != (samples, robot.k):
         raise InputError(
             f"The carrier motion has shape {carriers.s.shape}, expected {(samples, robot.k)}.",

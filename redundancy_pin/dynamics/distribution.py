@@ -150,11 +150,11 @@ def distribute(
     Args:
         reduced: f (N, n), W (N, n, m) and their scales. Samples that are not reachable, or whose f or W is not
             finite, get the status unreachable.
-        weights: (m,) positive weights w, 1/N² or 1/(N·m)² by joint. Left out: 1/column_scale², which counts a motor
-            torque as the force it exerts at the characteristic length, so that the sum is one of squared forces.
-        lower: (m,) or (N, m) smallest efforts, N or N·m by joint; −inf for none.
-        upper: (m,) or (N, m) largest efforts; inf for none. Where the efforts of least norm leave the bounds, those
-            of least norm within the bounds are returned, or NaN with the status bound_infeasible.
+        weights: scalar or (m,) positive weights w, 1/N² or 1/(N·m)² by joint. Left out: 1/column_scale², which counts a
+            motor torque as the force it exerts at the characteristic length, so that the sum is one of squared forces.
+        lower: scalar, (m,) or (N, m) smallest efforts, N or N·m by joint; −inf for none.
+        upper: scalar, (m,) or (N, m) largest efforts; inf for none. Where the efforts of least norm leave the bounds,
+            those of least norm within the bounds are returned, or NaN with the status bound_infeasible.
         near_singular: margin below which a sample is near-singular (scaled, no unit).
         rank_tolerance: singular values up to this fraction of the largest one, and up to this, count as zero.
         consistency_tolerance: fraction of f that may lie outside the range of W, ...
@@ -267,7 +267,7 @@ def _problem(
 
 
 def _positive(values: ArrayLike, name: str, length: int) -> Array:
-    array = checked(values, name, (length,))
+    array = checked(np.full(length, values) if np.ndim(values) == 0 else values, name, (length,))
     if not (array > 0.0).all():
         j = int(np.argmin(array))
         raise InputError(
@@ -299,6 +299,8 @@ def _bound(values: ArrayLike | None, name: str, absent: float, samples: int, m: 
         return checked(values, name, (m,))  # raises, and says why
     # finite stand-ins make checked() refuse everything but the infinity that means "no bound"
     is_absent = given == absent
+    if given.ndim == 0:
+        given = np.full(m, given)
     shape = (m,) if given.ndim == 1 else (samples, m)
     array = np.where(is_absent, absent, checked(np.where(is_absent, 0.0, given), name, shape))
     return np.broadcast_to(array, (samples, m))

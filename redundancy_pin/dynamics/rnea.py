@@ -18,7 +18,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, blocks, checked, frozen, read_only
+from redundancy_pin.arrays import (
+    Array,
+    Frozen,
+    blocks,
+    checked,
+    frozen,
+    read_only,
+    require_type,
+)
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
     Dynamics,
@@ -36,7 +44,7 @@ from redundancy_pin.kinematics.coordinates import column_scale, row_scale, veloc
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 
 _SAMPLES_PER_BLOCK = 20_000
 """Samples beyond these go through RNEA in blocks, so that the memory they take does not grow."""
@@ -72,17 +80,17 @@ class RneaDynamics(Dynamics):
     ``reduce`` is inherited: it is ``along(motion).reduce(carriers)`` after a check of the tracks (``Dynamics.reduce``).
 
     Args:
-        robot: the robot.
+        robot: the robot, or its name or path.
         threads: threads of the batched RNEA; as many as there are processors when left out.
         progress: called with samples done and samples in all while the kinematics of a motion are solved.
     """
 
     def __init__(
-        self, robot: Robot, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None
+        self, robot: RobotLike, *, threads: int | None = None, progress: Callable[[int, int], None] | None = None
     ) -> None:
-        self._robot, self._progress = robot, progress
+        self._robot, self._progress = as_robot(robot), progress
         self._threads = threads or os.cpu_count() or 1
-        self._parked = frozen(np.zeros(robot.k))
+        self._parked = frozen(np.zeros(self._robot.k))
 
     @property
     def robot(self) -> Robot:
@@ -369,6 +377,7 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     Raises:
         InputError: ``tau`` has the wrong shape.
     """
+    require_type(along, RneaAlongMotion, "RNEA dynamics along a motion", "Pass RneaDynamics(robot).along(motion).")
     robot, tree = along.robot, along.tree
     effort = np.asarray(tau, dtype=float)
     holes = np.isnan(effort).any(axis=-1, keepdims=True) if effort.ndim == 2 else np.zeros(1, dtype=bool)

@@ -43,8 +43,11 @@ from redundancy_pin.kinematics.coordinates import (
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart
 from redundancy_pin.kinematics.tracking import tracker
-from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.robot import Robot
+from redundancy_pin.motion import (
+    PlatformMotion,
+    require_sampled,
+)
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 
 _FAR_STARTS = 5
 """Samples of a motion that no Newton from the reference closes anywhere at which multistart is tried before it is
@@ -96,7 +99,7 @@ class TreeMotion(Frozen):
 
 
 def lift(
-    robot: Robot,
+    robot: RobotLike,
     motion: PlatformMotion,
     *,
     mark_unreachable: bool = False,
@@ -109,7 +112,7 @@ def lift(
     the branch is followed continuously.
 
     Args:
-        robot: the robot.
+        robot: the robot, or its name or path.
         motion: N samples of the independent coordinates.
         mark_unreachable: instead of raising, mark samples without a configuration in the working mode, and type I
             singularities, with NaN. Behind them the motion is reacquired in the working mode; a robot that declares no
@@ -124,6 +127,8 @@ def lift(
         SingularPoseError: a sample is a type I singularity.
         WorkingModeError: the motion leaves the working mode, or cannot be followed continuously.
     """
+    robot = as_robot(robot)
+    require_sampled(motion)
     require_matching(robot, motion)
     system = constraint_system(robot)
     if len(motion) == 1 and (tree := _lift_one(robot, motion, start)) is not None:

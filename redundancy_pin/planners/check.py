@@ -11,7 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray, IntArray, frozen, read_only
+from redundancy_pin.arrays import (
+    Array,
+    BoolArray,
+    IntArray,
+    frozen,
+    read_only,
+    require_type,
+)
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InputError
@@ -295,6 +302,7 @@ def check_plan(plan: Plan, dynamics: Dynamics) -> PlanCheck:
         InputError: no backend, or one of another robot.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``Dynamics.along``.
     """
+    require_type(plan, Plan, "A plan", "Pass load_plan(...).")
     require_dynamics(dynamics)
     other = record_difference(plan.robot, robot_record(dynamics.robot))
     if other:

@@ -25,7 +25,7 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import load_recorded
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.trajectory.trajectory import sample_times
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class PlanTable(Frozen):
 
 
 def plan_table(
-    plan: Plan, rate: float | None = None, *, two_sided: bool | None = None, robot: Robot | None = None
+    plan: Plan, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
 ) -> PlanTable:
     """Return a plan as a table.
 
@@ -100,7 +100,7 @@ def plan_table(
         InfeasiblePlanError: rows between the samples of a plan that has no finite efforts.
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
     """
-    machine = load_recorded(plan.robot) if robot is None else robot
+    machine = load_recorded(plan.robot) if robot is None else as_robot(robot)
     if rate is None:
         parts = _at_samples(plan, machine)
         if two_sided is False:  # the row after the jump stands for both

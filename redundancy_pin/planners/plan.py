@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import Array, Frozen, IntArray, Side, largest, peak, read_only, runs
+from redundancy_pin.arrays import Array, Frozen, IntArray, Side, largest, peak, read_only, require_type, runs
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError, shown
@@ -20,9 +20,9 @@ from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.io.schema import typed
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DenseCheck, PlanFunctions
-from redundancy_pin.planners.limits import LimitEvent, LimitReport
+from redundancy_pin.planners.limits import LimitEvent, LimitReport, require_dynamics
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
-from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot import CarrierLimits, Robot, RobotLike
 from redundancy_pin.trajectory.functions_of_time import (
     ContinuousMotion,
     PiecewisePolynomial,
@@ -166,6 +166,7 @@ class Plan(Frozen):
         Returns:
             Efforts; NaN on a type II singularity that is no interval without efforts: see ``tau`` there.
         """
+        require_dynamics(dynamics)
         instants = np.asarray(times, dtype=np.float64)
         reduced = dynamics.along(self.platform_at(instants)).reduce(self.carriers_at(instants))
         return self.functions_of_time.efforts(reduced)
@@ -230,7 +231,7 @@ class Plan(Frozen):
     # Files of other programs; ``planners.export`` says what is in them, and is imported where one is asked for.
 
     def table(
-        self, rate: float | None = None, *, two_sided: bool | None = None, robot: Robot | None = None
+        self, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
     ) -> PlanTable:
         """Return positions, rates, accelerations and efforts by joint name, at a rate, Hz, or at the samples.
 
@@ -255,7 +256,7 @@ class Plan(Frozen):
         rate: float | None = None,
         *,
         two_sided: bool | None = None,
-        robot: Robot | None = None,
+        robot: RobotLike | None = None,
     ) -> None:
         """Write ``table`` as CSV: names with units, such as ``elbow.effort [N m]``, then a row for each instant.
 
@@ -271,7 +272,7 @@ class Plan(Frozen):
         rate: float | None = None,
         *,
         two_sided: bool | None = None,
-        robot: Robot | None = None,
+        robot: RobotLike | None = None,
     ) -> None:
         """Write ``table`` as one JSON object, with ``units`` and ``columns`` by name; see ``to_csv``."""
         from redundancy_pin.planners.export import write_json
@@ -284,14 +285,14 @@ class Plan(Frozen):
         rate: float | None = None,
         *,
         two_sided: bool | None = None,
-        robot: Robot | None = None,
+        robot: RobotLike | None = None,
     ) -> None:
         """Write ``table`` as a MAT file: ``t``, ``joints``, ``position``, ``rate``, ...; see ``to_csv``."""
         from redundancy_pin.planners.export import write_mat
 
         write_mat(self.table(rate, two_sided=two_sided, robot=robot), path)
 
-    def to_ros(self, path: str | Path, rate: float | None = None, *, robot: Robot | None = None) -> None:
+    def to_ros(self, path: str | Path, rate: float | None = None, *, robot: RobotLike | None = None) -> None:
         """Write a message ``trajectory_msgs/JointTrajectory`` of ROS 2, as YAML or JSON by the name of the file.
 
         Carriers are joints like the others. An instant at which something jumps has the values after the jump. The
@@ -302,7 +303,7 @@ class Plan(Frozen):
         write_ros(self.table(rate, two_sided=False, robot=robot), path)
 
     def to_dataframe(
-        self, rate: float | None = None, *, two_sided: bool | None = None, robot: Robot | None = None
+        self, rate: float | None = None, *, two_sided: bool | None = None, robot: RobotLike | None = None
     ) -> Any:
         """Return ``table`` as a pandas ``DataFrame`` over t, units in its ``attrs``; an error without pandas."""
         from redundancy_pin.planners.export import data_frame
@@ -379,6 +380,7 @@ def load_robot_of(plan: Plan, source: str | Path | None = None, *, trust: bool =
         PlanFileError: the robot's files are gone, lie elsewhere than in the plan's folder, or describe another robot
             than when the plan was made.
     """
+    require_type(plan, Plan, "A plan", "Pass load_plan(...).")
     return load_recorded(plan.robot, source, trust=trust)
 
 

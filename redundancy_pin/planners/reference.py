@@ -24,7 +24,7 @@ from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.robot_record import load_recorded
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.trajectory.functions_of_time import (
     SHIFT,
     PiecewisePolynomial,
@@ -158,7 +158,9 @@ class MotionReference:
         return tree[:, : -2 * nv], tree[:, -2 * nv : -nv], tree[:, -nv:], self.efforts(times)
 
 
-def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTrajectory | None = None) -> MotionReference:
+def plan_reference(
+    plan: Plan, *, robot: RobotLike | None = None, motion: TimedTrajectory | None = None
+) -> MotionReference:
     """Return the continuous motion that a plan stands for.
 
     Args:
@@ -172,13 +174,15 @@ def plan_reference(plan: Plan, *, robot: Robot | None = None, motion: TimedTraje
         InfeasiblePlanError: some instant has no finite efforts.
         PlanFileError: the robot cannot be loaded, or is no longer what it was.
     """
-    machine = load_recorded(plan.robot) if robot is None else robot
+    if not hasattr(plan, "functions_of_time"):
+        raise InputError(f"A plan was expected, not {type(plan).__name__}.", remedy="Pass load_plan(...).")
+    machine = load_recorded(plan.robot) if robot is None else as_robot(robot)
     functions = plan.functions_of_time if motion is None else plan.functions_along(motion)
     return reference_of(machine, functions, functions.pieces(plan.t), plan)
 
 
 def motion_reference(
-    robot: Robot,
+    robot: RobotLike,
     motion: TimedTrajectory | PlatformMotion,
     carriers: ArrayLike = 0.0,
     *,
@@ -187,7 +191,7 @@ def motion_reference(
     """Return a platform motion with parked carriers as a reference, with its efforts.
 
     Args:
-        robot: the robot.
+        robot: the robot, or its name or path.
         motion: a trajectory, or samples with quintics between them.
         carriers: scalar or (k,) where the carriers are parked, m.
         step: longest piece, s, of the series that represent it.
@@ -198,7 +202,7 @@ def motion_reference(
     """
     if not step > 0.0:
         raise InputError(f"step is {step} s.", remedy="Pass a positive number.")
-    source = continuous_motion(motion)
+    robot, source = as_robot(robot), continuous_motion(motion)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]
     place = np.broadcast_to(np.asarray(carriers, dtype=float), (robot.k,))

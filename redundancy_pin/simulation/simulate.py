@@ -19,7 +19,7 @@ from redundancy_pin.kinematics.coordinates import angle_columns, coordinates
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import robot_record
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.simulation.controllers.base import (
     Amplifiers,
     CarrierDrive,
@@ -55,7 +55,7 @@ START_GAP = 1e-6
 
 
 def simulate(
-    robot: Robot,
+    robot: RobotLike,
     drive: Plan | Controller | EffortLaw | None = None,
     *,
     start: State | None = None,
@@ -83,7 +83,7 @@ def simulate(
     step it is projected onto the closures, at the level of positions and of velocities.
 
     Args:
-        robot: the robot; it may differ from the one that a plan was made for or a controller knows.
+        robot: the robot, or its name or path; it may differ from the one of a plan or controller.
         drive: a plan, whose efforts are fed forward (``FeedForward``); a ``Controller``, or any object with its
             ``effort``; or nothing: no efforts.
         start: state to start from, closed to within 1e-6 m; that of the plan or controller, else the reference
@@ -120,8 +120,7 @@ def simulate(
         SingularPoseError: at the start, the closures have lost rank.
         UnsupportedRobotError: see ``method`` and ``FeedForward``.
     """
-    if not isinstance(robot, Robot):
-        raise InputError(f"simulate was given {type(robot).__name__} for the robot.", remedy="Pass load_robot(...).")
+    robot = as_robot(robot)
     if way is not None:
         warnings.warn("simulate(way=...) is now simulate(method=...).", DeprecationWarning, stacklevel=2)
         method = way

@@ -35,6 +35,7 @@ from redundancy_pin.arrays import (
     Frozen,
     checked,
     read_only,
+    require_type,
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import inverses
@@ -42,7 +43,7 @@ from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem,
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion
 from redundancy_pin.kinematics.spectrum import oriented, spectrum_of
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import RobotLike, as_robot
 
 
 def serial_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
@@ -189,11 +190,11 @@ class Singularities(Frozen):
         return read_only(self.type_ii | (self.parallel_margin < NEAR_SINGULAR_MARGIN))
 
 
-def classify(robot: Robot, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
+def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -> Singularities:
     """Classify closed configurations, exact type I singularities included (where ``lift`` has to refuse).
 
     Args:
-        robot: the robot.
+        robot: the robot, or its name or path.
         q: (N, nq) or (nq,) configurations of the tree, closed; carriers do not matter.
         tolerance: singular values below this fraction of the largest (of W also below this) count as zero. A type I
             configuration that comes from a position (rather than from a joint angle) is only exact to the square root
@@ -205,7 +206,9 @@ def classify(robot: Robot, q: ArrayLike, *, tolerance: float = RANK_TOLERANCE) -
     """
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
-    configurations = checked(np.atleast_2d(np.asarray(q, dtype=float)), "q", ("N", robot.model.nq))
+    robot = as_robot(robot)
+    given = checked(q, "q", ("nq",)) if np.ndim(q) == 1 else q
+    configurations = checked(np.atleast_2d(given), "q", ("N", robot.model.nq))
     system = constraint_system(robot)
     state = system.evaluate(configurations)
     gap = np.abs(state.phi).max(axis=1, initial=0.0)
@@ -232,6 +235,7 @@ def classify_motion(motion: TreeMotion, *, tolerance: float = RANK_TOLERANCE) ->
     Raises:
         InputError: a tolerance outside (0, 1).
     """
+    require_type(motion, TreeMotion, "A lifted motion", "Pass what lift(robot, motion) returns.")
     good = motion.reachable
     part = vars(classify(motion.robot, motion.q[good], tolerance=tolerance))
     if good.all():

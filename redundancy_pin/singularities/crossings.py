@@ -16,7 +16,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, row_scale
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import RobotLike, as_robot
 from redundancy_pin.singularities.classify import SingularityKind, classify
 from redundancy_pin.singularities.followed_path import FollowedPath, TimedMotion, follow_law, position_law
 from redundancy_pin.singularities.roots import Zero, zeros
@@ -74,7 +74,7 @@ class Crossing(Frozen):
 
 
 def find_crossings(
-    robot: Robot,
+    robot: RobotLike,
     motion: PlatformMotion | TimedMotion,
     *,
     spacing: float = SPACING,
@@ -83,7 +83,7 @@ def find_crossings(
     """Return every singularity along a motion, in order of time.
 
     Args:
-        robot: the robot; the motion is followed in its working mode.
+        robot: the robot, or its name or path; the motion is followed in its working mode.
         motion: a trajectory (evaluated exactly at every time asked for), or N samples (interpolated by quintics
             through x, ẋ, ẍ; see ``position_law``).
         spacing: longest step of the search along the path, in characteristic lengths.
@@ -97,6 +97,7 @@ def find_crossings(
     for name, value in (("spacing", spacing), ("tolerance", tolerance)):
         if not 0.0 < value < 1.0:
             raise InputError(f"{name} is {value}.", remedy="Pass a number between 0 and 1.", name=name)
+    robot = as_robot(robot)
     path = follow_law(constraint_system(robot), position_law(robot, motion), spacing)
 
     def parallel(times: Array) -> Array:

@@ -19,7 +19,10 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import continuous
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, require_matching, row_scale
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.motion import (
+    PlatformMotion,
+    require_sampled,
+)
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.singularities.classify import Margins, margins_of
 
@@ -87,6 +90,8 @@ def position_law(robot: Robot, source: PlatformMotion | TimedMotion) -> Position
     """
     if not isinstance(source, PlatformMotion):
         trajectory = source
+        if not (hasattr(trajectory, "duration") and hasattr(trajectory, "sample_at")):
+            require_sampled(trajectory)
         require_matching(robot, trajectory.sample_at([0.0]))
         return PositionLaw(0.0, float(trajectory.duration), lambda times: trajectory.sample_at(times).x)
     require_matching(robot, source)

@@ -27,7 +27,7 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import assemble, integrate
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.singularities.classify import (
     SingularityKind,
     actuation_matrix,
@@ -145,7 +145,7 @@ class SingularLocus(Frozen):
 
 
 def singular_locus(
-    robot: Robot,
+    robot: RobotLike,
     *,
     orientation: float | None = None,
     bounds: Sequence[tuple[float, float]] | None = None,
@@ -173,6 +173,7 @@ def singular_locus(
     """
     if resolution < 3:
         raise InputError(f"resolution is {resolution}.", remedy="Pass at least 3, for example 200.")
+    robot = as_robot(robot)
     system = ConstraintSystem(robot)
     place = slice_of(system, orientation)
     grid = solve_grid(system, place, _axes(system, place, bounds, resolution))

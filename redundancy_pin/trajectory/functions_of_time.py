@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, Side, frozen, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.rotation_vector import angular_rates, vector_rates
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.trajectory.timing import SpeedProfile
 
 DEGREE = 15
@@ -450,6 +450,8 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMot
     """
     if isinstance(motion, PlatformMotion):
         return _from_samples(motion)
+    if not is_timed(motion):
+        require_sampled(motion)
     end = float(motion.duration)
     inner = [float(t) for t in motion.breaks if 0.0 < t < end]
     knots = [t for t in _knots(motion) if 0.0 < t < end]

@@ -158,6 +158,12 @@ class Trajectory(Frozen, TimedMotion):
     _break_time: Array
 
     def __init__(self, path: Path, timing: TimingLaw) -> None:
+        for part, what in ((path, "path"), (timing, "timing law")):
+            if not (hasattr(part, "length") and hasattr(part, "evaluate")):
+                raise InputError(
+                    f"A {what} was expected, not {type(part).__name__}.",
+                    remedy="A trajectory is a path, such as Line, and a timing law, such as RestToRest.",
+                )
         if abs(path.length - timing.length) > _LENGTH_TOLERANCE * path.length:
             raise InputError(
                 f"The path is {path.length:.9g} m long, the timing law {timing.length:.9g} m.",

@@ -269,8 +269,8 @@ def test_bad_starts_are_refused_by_name() -> None:
     ):
         with pytest.raises(InputError, match=said):
             rp.simulate(robot, start=start, duration=1.0)
-    with pytest.raises(InputError, match="given str for the robot"):
-        rp.simulate("3rrr", duration=1.0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="A robot was expected, not list"):
+        rp.simulate(["3rrr"], duration=1.0)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="s has shape"):
         closed_state(robot, s=[0.1, 0.2])
     assert rp.simulate(robot, start=closed_state(robot, s=[0.0, 1.5, 0.0]), duration=0.01, stop_at=()).s[0, 1] == 1.5

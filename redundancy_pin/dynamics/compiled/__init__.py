@@ -47,7 +47,7 @@ from redundancy_pin.errors import (
     WorkingModeError,
 )
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
 
@@ -72,7 +72,7 @@ class CompiledDynamics(Dynamics):
     which is warned of: the same numbers, ``compiled`` false, ten to fifty times as long.
 
     Args:
-        robot: the robot.
+        robot: the robot, or its name or path.
         threads: threads for many samples; as many as there are processors when left out.
         interpret: do not compile.
 
@@ -84,8 +84,8 @@ class CompiledDynamics(Dynamics):
         UnsupportedRobotError: a joint of a type that is not covered.
     """
 
-    def __init__(self, robot: Robot, *, threads: int | None = None, interpret: bool = False) -> None:
-        self._robot = robot
+    def __init__(self, robot: RobotLike, *, threads: int | None = None, interpret: bool = False) -> None:
+        self._robot = robot = as_robot(robot)
         self._threads = threads or os.cpu_count() or 1
         self._interpret = interpret
         library, reason = (None, "") if interpret else build_library(robot)
@@ -144,9 +144,9 @@ class CompiledDynamics(Dynamics):
             x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
             xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
             xdd: (n,) their second rates.
-            s: (k,) positions of the carriers on their tracks, m; 0 when left out.
-            sd: (k,) their rates, m/s; 0 when left out.
-            sdd: (k,) their second rates, m/s²; 0 when left out.
+            s: scalar or (k,) positions of the carriers on their tracks, m; 0 when left out.
+            sd: scalar or (k,) their rates, m/s; 0 when left out.
+            sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
 
         Raises:
             InputError: wrong shapes, or values that are not finite.
@@ -224,7 +224,9 @@ class _OneSample:
         except (TypeError, ValueError):
             self._refuse(values)
         if [part.shape for part in parts] != self._shapes:
-            parts = [part if part.size or i < 3 else self._parked for i, part in enumerate(parts)]
+            carried = [self._parked if not part.size else part for part in parts[3:]]
+            carried = [np.full(self._parked.shape, part) if part.ndim == 0 else part for part in carried]
+            parts[3:] = carried  # one number stands for all carriers
             if [part.shape for part in parts] != self._shapes:
                 self._refuse(values)
         parts[0] = parts[0].ravel()

@@ -12,7 +12,7 @@ from typing import Any
 
 from redundancy_pin.arrays import Frozen
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,7 +82,7 @@ class SymbolicRobot(Frozen):
         return f"SymbolicRobot({self.robot!r})"
 
 
-def symbolic(robot: Robot) -> SymbolicRobot:
+def symbolic(robot: RobotLike) -> SymbolicRobot:
     """Return the equations of a robot as casadi Functions, for an optimal-control problem of one's own.
 
     Args:
@@ -93,6 +93,7 @@ def symbolic(robot: Robot) -> SymbolicRobot:
         UnsupportedRobotError: a joint of a type that is not covered.
     """
     ca = casadi()
+    robot = as_robot(robot)
     chain = SymbolicChain(robot)
     q, v, a = chain.q, chain.v, chain.a
     r, n, nv = len(chain.closure_scale), robot.n, robot.model.nv

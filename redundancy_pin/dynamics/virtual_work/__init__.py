@@ -20,7 +20,7 @@ from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRr
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
 
@@ -37,15 +37,15 @@ class VirtualWork(Dynamics):
     backend that rests on them.
 
     Args:
-        robot: a robot with a closed form ("2rpr" or "3rrr").
+        robot: a robot with a closed form ("2rpr" or "3rrr"), or its name or path.
 
     Raises:
         UnsupportedRobotError: the robot declares no closed form, or one that is not known here.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self._mechanism = _mechanism_of(robot)
+    def __init__(self, robot: RobotLike) -> None:
+        self._robot = as_robot(robot)
+        self._mechanism = _mechanism_of(self._robot)
 
     @property
     def robot(self) -> Robot:

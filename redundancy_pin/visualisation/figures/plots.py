@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign, require_type
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
 from redundancy_pin.errors import InputError, PlanFileError
@@ -136,6 +136,7 @@ class Curves:
 
 def curves_of_plan(plan: Plan) -> Curves:
     """Return the curves of a plan; singular instants and threshold where its planner names them."""
+    require_type(plan, Plan, "A plan", "Pass load_plan(...).")
     threshold = plan.parameters.get("threshold") if plan.parameters.get("measure") == "condition" else None
     main_unit, carriers_turn = _units(plan.robot)
     return Curves(
