@@ -72,7 +72,7 @@ docs: $(DOCS_STAMP) ## build the documentation into build/docs; warnings are err
 
 clean: ## remove the environment, build products and caches (not the results)
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis \
-	  docs/reference/api/modules docs/tutorials/notebooks
+	  docs/reference/api/modules docs/reference/api/names.md docs/tutorials/notebooks
 	find redundancy_pin tests benchmarks -type d -name __pycache__ -prune -exec rm -rf {} +
 
 # An environment whose interpreter works and suits is kept (`make clean` to change PYTHON); any other is made anew.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -50,6 +51,26 @@ def write_pages(folder: Path) -> None:
     described: dict[int, str] = {}
     for name in modules:
         (folder / f"{name}.md").write_text(page(importlib.import_module(name), described), encoding="utf-8")
+    (folder.parent / "names.md").write_text(index(modules), encoding="utf-8")
+
+
+def index(modules: list[str]) -> str:
+    """Return a page with one sentence for each public function and class, as Markdown."""
+    text, seen = "# All names, a sentence each\n", set[int]()
+    for module in map(importlib.import_module, modules):
+        public = {name: getattr(module, name) for name in getattr(module, "__all__", ())}
+        new = {name: value for name, value in public.items() if callable(value) and id(value) not in seen}
+        seen |= {id(value) for value in new.values()}
+        rows = "".join(f"| `{name}` | {sentence(value)} |\n" for name, value in sorted(new.items()))
+        title = NAMES.get(module.__name__, module.__name__)
+        text += f"\n## [{title}](modules/{module.__name__}.md)\n\n| name | |\n|---|---|\n{rows}" if rows else ""
+    return text
+
+
+def sentence(value: object) -> str:
+    """Return the first sentence of a docstring, for a table."""
+    lines = (inspect.getdoc(value) or "").partition("\n\n")[0].split("\n")
+    return " ".join(lines).replace("``", "`").replace("|", "\\|")
 
 
 def page(module: ModuleType, described: dict[int, str]) -> str:

@@ -48,6 +48,13 @@ python_maximum_signature_line_length = 90
 html_theme = "furo"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+# system fonts lack letters with two dots, and would drop the dots: those come from the font of the formulas
+html_theme_options = {
+    "light_css_variables": {
+        "font-stack": 'system-ui, "Segoe UI", Helvetica, Arial, sans-serif, Formulas',
+        "font-stack--monospace": '"SFMono-Regular", Menlo, Consolas, "Liberation Mono", monospace, Formulas',
+    }
+}
 html_title = f"redundancy_pin {release}"
 html_show_copyright = False
 html_copy_source = False

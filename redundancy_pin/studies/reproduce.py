@@ -14,7 +14,7 @@ import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import count, pairwise
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -383,19 +383,34 @@ def html(markdown: str, folder: Path) -> str:
     tokens = renderer.parse(markdown)
     headings: list[tuple[str, str]] = []
     title = "Report"
-    for index, (token, inner) in enumerate(pairwise(tokens)):
+    shown: list[Token] = []
+    for index, token in enumerate(tokens):
+        inner = tokens[min(index + 1, len(tokens) - 1)].content
         if token.type == "heading_open":
-            anchor = f"s{index}-" + re.sub(r"[^a-z0-9]+", "-", inner.content.lower()).strip("-")
-            token.attrSet("id", anchor)
-            title = inner.content if token.tag == "h1" else title
-            headings += [(anchor, inner.content)] if token.tag == "h2" else []
+            anchor = f"s{index}-" + re.sub(r"[^a-z0-9]+", "-", inner.lower()).strip("-")
+            title = inner if token.tag == "h1" else title
+            if token.tag == "h2":
+                # what came out is the page; each chapter behind it unfolds, also when a link leads into it
+                layer = "</div></details>\n<details><summary>" if len(headings) > 1 else "<details><summary>"
+                shown += [_html(layer)] if headings else []
+                headings.append((anchor, inner))
+            if token.tag != "h2" or len(headings) == 1:
+                token.attrSet("id", anchor)
         elif token.type == "td_open":
-            head, colon, _ = inner.content.partition(":")
+            head, colon, _ = inner.partition(":")
             classes = [name for name, verdicts in VERDICTS.items() if head + colon in verdicts]
             token.attrs = {"class": classes[0]} if classes else {}
+        shown.append(token)
+        if token.type == "heading_close" and token.tag == "h2" and len(headings) > 1:
+            shown.append(_html(f'</summary><div id="{headings[-1][0]}">\n'))
+    tokens = shown + [_html("</div></details>\n")] * (len(headings) > 1)
     body = renderer.renderer.render(tokens, renderer.options, {})
     page = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.studies", ""), autoescape=True)
     return page.get_template("page.html.j2").render(title=title, headings=headings, body=body)
+
+
+def _html(content: str) -> Token:
+    return Token("html_block", "", 0, content=content)
 
 
 def _words(content: str) -> str:
