@@ -76,10 +76,55 @@ def whole(robot, title, drive, **options):
     return row
 
 
+def compiled(title, robot, drive=None, **options):
+    """One simulation with and without compiled dynamics, in turn."""
+    dynamics = rp.CompiledDynamics(robot)
+    rp.simulate(robot, drive, dynamics=dynamics, **options)  # which compiles them
+    pairs = []
+    for _ in range(REPEATS):
+        own, was = seconds(lambda: rp.simulate(robot, drive, **options))
+        code, run = seconds(lambda: rp.simulate(robot, drive, dynamics=dynamics, **options))
+        pairs.append((own, code, was.statistics.seconds / run.statistics.seconds))
+    span = float(run.t[-1] - run.t[0])
+    row = {
+        "what": f"simulated time per processor time with compiled dynamics, {title}",
+        "ratio": statistics.median(own / code for own, code, _ in pairs),
+        "target": 5.0,
+        "without": span / statistics.median(own for own, _, _ in pairs),
+        "with": span / statistics.median(code for _, code, _ in pairs),
+        "integration": statistics.median(ratio for *_, ratio in pairs),
+        "difference": float(np.abs(run.q - was.q).max()),
+    }
+    print(
+        f"{row['what']}: {row['with']:.1f}, without {row['without']:.2f}: {row['ratio']:.1f} times (target 5), the "
+        f"integration alone {row['integration']:.0f}; they differ by {row['difference']:.0e}",
+        flush=True,
+    )
+    return row
+
+
+def compiled_rows():
+    """A plan of the 3-RRR, a crossing of the 2-RPR, a four-bar let go."""
+    reference = rp.trajectory.reference
+    corner = rp.load_robot("3rrr")
+    line = rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3, piston_mass=0.2)
+    crank = rp.load_robot("four_bar")
+    plans = [
+        rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion)
+        for robot, motion in ((corner, reference.corner(0.025)), (line, reference.line(0.4, ramp_time=0.5)))
+    ]
+    return [
+        compiled("plan of the 3-RRR corner", corner, plans[0], stop_at=()),
+        compiled("plan of the 2-RPR line, through a type II pose", line, plans[1], stop_at=()),
+        compiled("four-bar let go", crank, start=closed_state(crank, xd=[3.0]), duration=5.0),
+    ]
+
+
 def rows():
     robot = rp.load_robot("3rrr")
     nothing = Constant(np.zeros(robot.m), np.zeros(robot.k))
     return [
+        *compiled_rows(),
         evaluation(robot),
         whole(robot, "projected equations", nothing),
         whole(robot, "Pinocchio's constraintDynamics", nothing, method="constraint_dynamics"),

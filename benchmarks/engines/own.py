@@ -10,6 +10,7 @@ import numpy as np
 from engines.run import EngineRun, RunStatus
 from engines.task import Task
 from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.result import SimulationStatus
 from redundancy_pin.simulation.simulate import ATOL, RTOL, simulate
@@ -40,6 +41,11 @@ class TaskEfforts:
         self._m = task.robot.m
         self._start = (task.start, task.q, task.v)
 
+    @property
+    def open_loop(self) -> PiecewisePolynomial:
+        """The efforts as polynomials of time."""
+        return self._efforts
+
     def effort(self, t: float, state: State) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
         both = self._efforts.at(t)
@@ -60,6 +66,7 @@ def run_own(
     restart_at: Literal["breaks", "jumps"] = "breaks",
     method: Method = "projected",
     dt: float = 0.01,
+    dynamics: Dynamics | None = None,
 ) -> EngineRun:
     """Integrate a task with ``simulate``; nothing ends it before its time, carriers off their tracks included.
 
@@ -71,6 +78,7 @@ def run_own(
         restart_at: "breaks" or "jumps", see ``simulate``.
         method: "projected" or "constraint_dynamics", see ``simulate``.
         dt: interval between the instants of the result, s.
+        dynamics: a backend with forward dynamics in machine code, see ``simulate``.
 
     Returns:
         The motion; ``steps`` are those of the integrator. Where it failed the status is ``STOPPED``.
@@ -81,7 +89,7 @@ def run_own(
         IllPosedModelError, SingularPoseError: at the start, forces do not determine the acceleration.
     """
     options = {"rtol": rtol, "atol": atol, "integrator": integrator, "restart_at": restart_at, "method": method}
-    found = simulate(task.robot, TaskEfforts(task), stop_at=(), dt=dt, **options)  # type: ignore[arg-type]
+    found = simulate(task.robot, TaskEfforts(task), stop_at=(), dt=dt, dynamics=dynamics, **options)  # type: ignore[arg-type]
     return EngineRun(
         engine="redundancy_pin",
         version=version("redundancy_pin"),

@@ -15,6 +15,7 @@ from redundancy_pin.arrays import (
     peak,
     require_type,
 )
+from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import CarrierLimitError, InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot
@@ -210,6 +211,10 @@ class Dynamics(Protocol):
         motion, carriers = one_sample(self.robot, x, xd, xdd, s, sd, sdd)
         one = self.along(motion).reduce(carriers)
         return Sample(one.W[0], one.f[0], one.carrier_force[0])
+
+    def forward(self) -> ForwardKernel | None:
+        """Return forward dynamics as machine code, where the backend has them; None where it does not."""
+        return None
 
 
 def one_sample(

@@ -14,6 +14,7 @@ Pinocchio gives the derivatives of rnea. Nothing here is singular at a type II p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, read_only
+from redundancy_pin.dynamics.forward import ForwardKernel, LinearParts
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import difference, row_scale, velocity_scale
@@ -170,20 +172,25 @@ def inverse_derivatives(
 def _inverse(robot: Robot, chain: ClosedChain, K: Array) -> Array:
     """Return (nv, r + n) the inverse of K, carrier rows zero; there is none at a type I pose."""
     columns = chain.pose_columns
-    scale = velocity_scale(robot)[columns]
-    rows = np.concatenate([np.ones(chain.rows), row_scale(robot)])
-    scaled = K[:, columns] / scale * rows[:, None]
-    values = np.linalg.svd(scaled, compute_uv=False)
-    if values[-1] <= RANK_TOLERANCE * values[0]:
+    margin = _margin(robot, K[:, columns])
+    if margin <= RANK_TOLERANCE:
         raise SingularPoseError(
-            f"{robot.name} is at a type I pose (margin {values[-1]:.3g}): platform and carriers do not describe its "
+            f"{robot.name} is at a type I pose (margin {margin:.3g}): platform and carriers do not describe its "
             "motion there.",
             remedy="Linearise at another pose.",
-            margin=float(values[-1]),
+            margin=margin,
         )
     inverse = np.zeros((robot.model.nv, len(K)))
     inverse[columns] = np.linalg.inv(K[:, columns])
     return inverse
+
+
+def _margin(robot: Robot, K: Array) -> float:
+    """Return the smallest over the largest singular value of K (p, p), its columns those of the pose, scaled."""
+    scale = np.delete(velocity_scale(robot), robot.carrier_velocity)
+    rows = np.concatenate([np.ones(len(K) - robot.n), row_scale(robot)])
+    values = np.linalg.svd(K / scale * rows[:, None], compute_uv=False)
+    return float(values[-1] / max(values[0], np.finfo(float).tiny))
 
 
 def _row_force_derivative(chain: ClosedChain, q: Array, multiplier: Array) -> Array:
@@ -242,24 +249,63 @@ def linearise(robot: Robot, state: State, tau: Array, carrier_force: Array | Non
         IllPosedModelError: a free motion has no inertia.
         UnsupportedRobotError: a joint has more than one freedom.
     """
-    force = np.zeros(robot.model.nv)
-    force[robot.actuated_velocity] = tau
     loads = np.zeros(robot.k) if carrier_force is None else np.asarray(carrier_force, dtype=float)
-    force[robot.carrier_velocity] = loads
     dynamics = ForwardDynamics(robot)
     dynamics.adapt(state.q)
-    a = dynamics.acceleration(state.q, state.v, force)
+    a = dynamics.acceleration(state.q, state.v, _forces(robot, tau, loads))
     inverse = inverse_derivatives(robot, state.q, state.v, a, np.asarray(tau, dtype=float), loads)
-    d = robot.n + robot.k
-    solved = np.linalg.solve(inverse.mass, np.concatenate([-inverse.force_y, -inverse.force_z, inverse.input], axis=1))
-    A = np.block([[inverse.rate_y, np.eye(d)], [solved[:, : 2 * d]]])
-    B = np.concatenate([np.zeros((d, robot.m + robot.k)), solved[:, 2 * d :]])
     chain = dynamics.chain
     chain.update(state.q, state.v)
     platform = chain.platform_jacobian() @ a + chain.platform_jacobian_rate() @ state.v
-    return Linearisation(
-        read_only(A), read_only(B), read_only(np.concatenate([platform, a[robot.carrier_velocity]])), read_only(a)
-    )
+    parts = LinearParts(inverse.mass, inverse.force_y, inverse.force_z, inverse.input)
+    return _linearisation(robot, parts, inverse.rate_y, platform, a)
+
+
+def linearise_along(
+    robot: Robot, states: Sequence[State], tau: Array, carrier_force: Array, kernel: ForwardKernel | None = None
+) -> list[Linearisation]:
+    """Linearise at N states, under efforts (N, m) and carrier forces (N, k); raises like ``linearise``.
+
+    With machine code its derivatives, of the same symbols, are taken for all states at once.
+    """
+    loads = list(zip(states, tau, carrier_force, strict=True))
+    found = None if kernel is None else [_code_acceleration(robot, kernel, *one) for one in loads]
+    if kernel is None or found is None or any(a is None for a in found):
+        return [linearise(robot, *one) for one in loads]  # which says what is wrong, if something is
+    q, v, a = np.array([s.q for s in states]), np.array([s.v for s in states]), np.array(found)
+    parts = kernel.linear(q, v, a, np.asarray(tau, dtype=float))
+    result = []
+    for i, state in enumerate(states):
+        equations, pose = kernel.equations(state.q, state.v), np.delete(np.arange(len(v[i])), robot.carrier_velocity)
+        rates = (equations.K @ a[i][pose] + equations.bias)[-robot.n :]
+        rotation = _rotation_rate(robot, (equations.K @ v[i][pose])[-robot.n :])
+        result.append(_linearisation(robot, LinearParts(*(part[i] for part in parts)), rotation, rates, a[i]))
+    return result
+
+
+def _code_acceleration(robot: Robot, kernel: ForwardKernel, state: State, tau: Array, loads: Array) -> Array | None:
+    """Return the acceleration of the tree; None at type I poses too, where there are no derivatives."""
+    K = kernel.equations(state.q, state.v).K
+    if not np.isfinite(K).all() or _margin(robot, K) <= RANK_TOLERANCE:
+        return None
+    return kernel.acceleration(state.q, state.v, _forces(robot, tau, loads))
+
+
+def _forces(robot: Robot, tau: Array, loads: Array) -> Array:
+    force = np.zeros(robot.model.nv)
+    force[robot.actuated_velocity], force[robot.carrier_velocity] = tau, loads
+    return force
+
+
+def _linearisation(robot: Robot, parts: LinearParts, rate_y: Array, platform: Array, a: Array) -> Linearisation:
+    """Return d(δz)/dt from the derivatives at one state; ``platform`` (n,) is ẍ there."""
+    d = robot.n + robot.k
+    right = np.concatenate([-parts.force_y, -parts.force_z, parts.input], axis=1)
+    solved = np.linalg.solve(parts.mass, right)
+    A = np.block([[rate_y, np.eye(d)], [solved[:, : 2 * d]]])
+    B = np.concatenate([np.zeros((d, robot.m + robot.k)), solved[:, 2 * d :]])
+    acceleration = np.concatenate([platform, a[robot.carrier_velocity]])
+    return Linearisation(read_only(A), read_only(B), read_only(acceleration), read_only(a))
 
 
 def state_error(robot: Robot, state: State, x: Array, xd: Array, s: Array, sd: Array) -> Array:

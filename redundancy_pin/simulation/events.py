@@ -40,10 +40,10 @@ _UNLIMITED = 1e6
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
 """Where in a step the functions are looked at."""
 
-_BRIEF = 2e-3
+BRIEF = 2e-3
 """s; in a step shorter than this only the end is looked at, and where joints turn back."""
 
-_BETWEEN = 0.2
+BETWEEN = 0.2
 """rad; no joint of the pose moves farther than this from look to look at the rank of the closures."""
 
 _SAME = 1e-4
@@ -84,6 +84,8 @@ class EventFunctions:
         robot = chain.robot
         self.nq = robot.model.nq
         labels, stops = _stops(robot)
+        self.stops = stops
+        """(4, l) index in q and in v, side and bound of each stop; they come first among the functions."""
         indices = stops[:2].astype(np.intp)
         self._position, self._rate, self._side, self._bound = indices[0], self.nq + indices[1], stops[2], stops[3]
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
@@ -188,7 +190,7 @@ class EventFunctions:
             return float(self(step.at(fraction)[None, : self.nq])[0, -1])
 
         travel = self.travel(np.array([step.at(fraction) for fraction in (0.0, *_LOOKS)]), step.end - step.start)
-        looks = np.linspace(0.0, 1.0, 33 + int(travel / _BETWEEN))
+        looks = np.linspace(0.0, 1.0, 33 + int(travel / BETWEEN))
         lowest = int(np.argmin(self.ratios(step, len(looks) - 1)))
         ends = looks[max(lowest - 1, 0)], looks[min(lowest + 1, len(looks) - 1)]
         return float(minimize_scalar(ratio, bounds=ends, method="bounded", options={"xatol": 1e-6}).fun)
@@ -287,7 +289,7 @@ def find_events(
     Also the ratios (L,) of singular values of the closures at its start, at equidistant looks and at its end.
     ``before`` (w,) are the functions at the start, ``sheet`` what the motion is on where the closures lose rank.
     """
-    fine = step.end - step.start > _BRIEF or before[-1] < NEAR
+    fine = step.end - step.start > BRIEF or before[-1] < NEAR
     looks, weights = (_LOOKS, _WEIGHTS) if fine else (_LOOKS[-1:], _WEIGHTS_OF_ENDS)
     states = step.estimates(weights)
     values = np.concatenate([before[None], functions(states[1:, : functions.nq])])
@@ -300,7 +302,7 @@ def find_events(
         events = _find_exactly(functions, before, step, looks)
     if sheet is not None:
         return _with_rank_loss(functions, events, before, step, sheet), values[-1], values[:, -1]
-    count = int(functions.travel(states, step.end - step.start) / _BETWEEN)
+    count = int(functions.travel(states, step.end - step.start) / BETWEEN)
     return events, values[-1], values[:, -1] if count < len(values) else functions.ratios(step, count)
 
 

@@ -7,12 +7,15 @@ step control would spend dozens of steps on finding it. And a digital controller
 time.
 
 What changes along the way is one value, ``Progress``: each step returns the next one.
+
+Where the machine has forward dynamics in machine code, that takes the ordinary steps, in which nothing happens, by the
+same method and rules; it stops before any other one, which is then taken here.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -21,14 +24,26 @@ import pinocchio as pin
 from scipy.integrate import DOP853, RK45, OdeSolver
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import RANK_TOLERANCE, Array
+from redundancy_pin.dynamics.forward import Advance, ForwardKernel, Integration, Rules
 from redundancy_pin.errors import IllPosedModelError, InputError, RedundancyPinError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.simulation.controllers.base import Command, Sampling
-from redundancy_pin.simulation.events import Event, EventFunctions, Step, find_events, may_touch_zero
+from redundancy_pin.simulation.events import (
+    BETWEEN,
+    BRIEF,
+    Event,
+    EventFunctions,
+    Step,
+    find_events,
+    may_touch_zero,
+)
+from redundancy_pin.simulation.forward import LEAST_INERTIA
 from redundancy_pin.simulation.rank_loss import BEYOND, NEAR, WIDEST, Sheet, sheet_ahead
 from redundancy_pin.simulation.result import SimulationStatus
+from redundancy_pin.simulation.state import GAP
 from redundancy_pin.simulation.system import Machine
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45}
 """Explicit Runge-Kutta methods of scipy of order 8 and 5. The lower order is cheaper where a sampled controller makes
@@ -110,7 +125,8 @@ class Problem:
     Attributes:
         machine: the differential equation.
         functions: whose zeros are events.
-        integrator: from ẏ(t, y), t, y and the last time to a solver of scipy; tolerances and longest step are in it.
+        method: its name in ``INTEGRATORS``.
+        settings: rtol, atol and max_step.
         max_steps: number of steps after which it is given up.
         grid: (G,) times at which to record, s, first and last included.
         breaks: inner times at which efforts jump, s.
@@ -119,7 +135,8 @@ class Problem:
 
     machine: Machine
     functions: EventFunctions
-    integrator: Callable[..., OdeSolver]
+    method: str
+    settings: Mapping[str, float]
     max_steps: int
     grid: Array
     breaks: Array
@@ -192,12 +209,16 @@ def integrate(
     began, machine, grid = time.perf_counter(), problem.machine, problem.grid
     record, commands, hold = Record(), [first], None
     progress = Progress(float(grid[0]), y, values, sheet)
+    parts = stretches(float(grid[0]), float(grid[-1]), problem.breaks, problem.sampling)
+    ordinary = None if machine.kernel is None else OrdinarySteps(machine.kernel, problem, parts)
     with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
-        for stretch in stretches(float(grid[0]), float(grid[-1]), problem.breaks, problem.sampling):
+        for stretch in parts:
+            if progress.t >= stretch.end:
+                continue  # machine code went on beyond it
             if stretch.reads:
                 commands.append(machine.amplifiers.command(machine.state(stretch.start, progress.y)))
             hold = None if stretch.acting is None else commands[stretch.acting]
-            progress = _integrate_stretch(problem, progress, stretch, hold, record)
+            progress = _integrate_stretch(problem, progress, stretch, hold, record, ordinary)
             if progress.status is not None:
                 break
     record.samples.append(_sample(machine, progress.t, progress.y, hold, progress.sheet))
@@ -229,14 +250,102 @@ class _Rate:
             return np.full(len(y), np.nan)
 
 
+class OrdinarySteps:
+    """The steps that machine code takes.
+
+    Args:
+        kernel: machine code of the machine.
+        problem: what is integrated.
+        parts: its stretches.
+    """
+
+    def __init__(self, kernel: ForwardKernel, problem: Problem, parts: list[Stretch]) -> None:
+        machine, grid, sampling = problem.machine, problem.grid, problem.sampling
+        self._problem, self._held = problem, sampling is not None
+        amplifiers = machine.amplifiers
+        self._by_time = machine.heeds_time_only and (self._held or amplifiers.open_loop is not None)
+        nothing = PiecewisePolynomial.constant(np.zeros(len(amplifiers.limits)), grid[0], grid[-1])
+        self._hold: Command | None = None
+        rules = Rules(
+            method=problem.method,
+            **problem.settings,
+            grid=grid,
+            same=SAME * float(grid[1] - grid[0]),
+            breaks=np.array([part.end for part in parts]),
+            efforts=(amplifiers.open_loop or nothing) if self._by_time else self._loads,
+            prescribed=machine.prescribed,
+            limits=amplifiers.limits,
+            stops=problem.functions.stops,
+            brief=BRIEF,
+            between=BETWEEN,
+            near_rank=NEAR,
+            shortest=SHORTEST,
+            gap=GAP,
+            gap_limit=GAP_LIMIT,
+            jump=_JUMP,
+            stir=_STIR,
+            rank_tolerance=RANK_TOLERANCE,
+            least_inertia=LEAST_INERTIA,
+        )
+        self._code: Integration = kernel.integration(rules)
+
+    def _loads(self, t: float, q: Array, v: Array) -> tuple[Array, tuple[Array, Array, Array] | None]:
+        return self._problem.machine.loads_at(t, q, v, self._hold)
+
+    def take(self, progress: Progress, stretch: Stretch, hold: Command | None, record: Record) -> Progress:
+        """Take the ordinary steps ahead, to the end of the stretch, or where nothing is held to the end of all."""
+        problem, grid = self._problem, self._problem.grid
+        self._hold = hold
+        if hold is not None and self._by_time:
+            self._code.hold(np.concatenate(hold))
+        end = stretch.end if self._held else float(grid[-1])
+        at = Advance(
+            progress.t,
+            progress.y,
+            progress.values,
+            progress.near,
+            -1.0 if progress.next_step is None else progress.next_step,
+            len(record.samples),
+            *(getattr(progress, name) for name in _COUNTED),
+        )
+        look = False
+        while not look and at.t < end and at.steps < problem.max_steps:  # in portions, so that it can be interrupted
+            look = self._code.advance(at, end, min(_PORTION, problem.max_steps - at.steps))
+        taken = slice(len(record.samples), at.sample)
+        states = zip(grid[taken].tolist(), self._code.recorded[taken].copy(), strict=True)
+        record.samples.extend([Sample(t, y, hold, None) for t, y in states])
+        counted = {name: getattr(at, name) for name in _COUNTED}
+        next_step = at.next_step if at.next_step > 0.0 else None
+        if at.steps > progress.steps:
+            progress = replace(progress, t=at.t, y=at.y, values=at.values, near=at.near, short=0)
+        return replace(progress, next_step=next_step, **counted)
+
+
+_COUNTED = ("steps", "evaluations", "restarts", "largest_correction")
+
+_PORTION = 1000
+"""Steps of machine code between two looks of Python at its signals."""
+
+
 def _integrate_stretch(
-    problem: Problem, progress: Progress, stretch: Stretch, hold: Command | None, record: Record
+    problem: Problem,
+    progress: Progress,
+    stretch: Stretch,
+    hold: Command | None,
+    record: Record,
+    ordinary: OrdinarySteps | None,
 ) -> Progress:
     """Integrate over one stretch, and add its samples and events to the record."""
     while progress.status is None and progress.t < stretch.end:
+        if ordinary is not None and progress.sheet is None:
+            progress = ordinary.take(progress, stretch, hold, record)
+            if progress.t >= stretch.end:
+                break
         rate = _Rate(problem.machine, hold, stretch.end, progress.sheet)
         step = None if progress.next_step is None else min(progress.next_step, stretch.end - progress.t)
-        solver = problem.integrator(rate, progress.t, progress.y, stretch.end, first_step=step)
+        solver = INTEGRATORS[problem.method](
+            rate, progress.t, progress.y, stretch.end, first_step=step, **problem.settings
+        )
         progress = replace(progress, restarts=progress.restarts + 1)
         again = None
         while solver.status == "running" and progress.status is None and again is None:
@@ -244,6 +353,8 @@ def _integrate_stretch(
                 progress = _step(problem, progress, solver, rate, hold, record)
             except RetryStep as retry:  # from where it began, on a sheet or with a shorter step
                 again = retry
+            if ordinary is not None and progress.sheet is None:
+                break  # the next one may be ordinary
         progress = replace(progress, next_step=solver.h_abs, evaluations=progress.evaluations + rate.evaluations)
         if again is not None:
             progress = replace(progress, sheet=again.sheet, next_step=again.length)
@@ -389,7 +500,7 @@ def _require_answers(rate: _Rate) -> None:
 
 def _why(problem: Problem, earlier: Progress) -> str:
     """Return what makes a motion blow up, as far as it shows."""
-    functions, inertia = problem.functions, problem.machine.dynamics.least_inertia
+    functions, inertia = problem.functions, problem.machine.least_inertia(earlier.t, earlier.y)
     if earlier.values[-1] < NEAR * NEAR:
         return _at_pose(functions, earlier.y[: functions.nq], "its closures have nearly lost rank")
     if inertia < _LITTLE_INERTIA:

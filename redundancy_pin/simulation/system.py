@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Literal
 
@@ -10,12 +11,13 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.dynamics.forward import ForwardKernel
+from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
 from redundancy_pin.robot import Closure, Robot
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command, one_of
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.rank_loss import Sheet
-from redundancy_pin.simulation.state import Manifold, State
+from redundancy_pin.simulation.state import GAP, Manifold, State
 
 DAMPING = 1e-8
 """Proximal damping μ. The out-of-plane row of a planar closure is empty, and μ = 0 gives NaN there."""
@@ -92,6 +94,7 @@ class Machine:
         carrier_law: prescribed motion of the carriers, or None where forces drive them.
         external: further generalised forces.
         method: how accelerations are computed.
+        kernel: machine code for it, and for the projection; what it refuses is computed here.
 
     Raises:
         InputError, UnsupportedRobotError: ``method`` is unknown, or cannot take prescribed carriers, or not the robot.
@@ -104,8 +107,10 @@ class Machine:
         carrier_law: CarrierLaw | None,
         external: External | None,
         method: Method,
+        kernel: ForwardKernel | None = None,
     ) -> None:
         self.robot = robot
+        self.kernel = kernel
         self.dynamics = ForwardDynamics(robot, prescribed=carrier_law is not None)
         self.chain = self.dynamics.chain
         self.manifold = Manifold(self.chain)
@@ -136,8 +141,14 @@ class Machine:
     def loads(self, state: State, command: Command, sheet: Sheet | None = None) -> Acceleration:
         """Return accelerations and forces at a closed state under a command; raises like ``rate``."""
         force = self._force(state, command)
-        a = self._acceleration(state, force, sheet)
-        loads = self.dynamics.forces(state.q, state.v, force, a, sheet=sheet)
+        found = None
+        if self.kernel is not None and sheet is None:
+            found = self.kernel.loads(state.q, state.v, force, self._given(state.t))
+        if found is not None:
+            loads = Acceleration(found.a, found.closure_force, found.missing[self.robot.carrier_velocity])
+        else:
+            a = self._acceleration(state, force, sheet)
+            loads = self.dynamics.forces(state.q, state.v, force, a, sheet=sheet)
         if self._law is None:  # what the actuators give, without friction and other external forces on the carriers
             loads = replace(loads, carrier_force=command[1])
         return loads
@@ -148,8 +159,46 @@ class Machine:
         motion = None if sheet is None else sheet.at(state.q, state.v)
         if motion is not None:
             return np.concatenate([motion.q, motion.v]), self._gap(state.q), self._gap(motion.q)
+        if self.kernel is not None and motion is None:
+            found = self.kernel.project(np.concatenate([state.q, state.v]), GAP)
+            if found is not None:
+                return found
         q, v, before, left = self.manifold.project(state.q, state.v)
         return np.concatenate([q, v]), before, left
+
+    def least_inertia(self, t: float, y: Array) -> float:
+        """Return the smallest pivot of the mass matrix over the largest, at the last state or, with code, at y."""
+        if self.kernel is not None:
+            state = self.state(t, y)
+            with suppress(IllPosedModelError, SingularPoseError):
+                self.dynamics.acceleration(state.q, state.v, np.zeros(len(state.v)), self._given(t))
+        return self.dynamics.least_inertia
+
+    @property
+    def heeds_time_only(self) -> bool:
+        """Whether what acts, but for commands that are held, is no function of the state."""
+        return self._law is None and self._external is None
+
+    @property
+    def prescribed(self) -> bool:
+        """Whether the carriers' motion is given."""
+        return self._law is not None
+
+    def loads_at(
+        self, t: float, q: Array, v: Array, hold: Command | None
+    ) -> tuple[Array, tuple[Array, Array, Array] | None]:
+        """Return what acts at a state, as machine code asks for it; the command is one that is held, or that of now.
+
+        NaN where there is no answer. Carriers are put into q and v where their law wants them.
+        """
+        law = None if self._law is None else self._law(t)
+        if law is not None:
+            q[self.robot.carrier_position], v[self.robot.carrier_velocity], _ = law
+        state = State(self.chain, t, q, v)
+        try:
+            return self._force(state, self.amplifiers.command(state) if hold is None else hold), law
+        except InputError:  # a trial step that is too long may leave a controller without an answer
+            return np.full(len(v), np.nan), law
 
     def _gap(self, q: Array) -> float:
         self.chain.update(q, np.zeros(self.robot.model.nv))
@@ -167,8 +216,15 @@ class Machine:
         # beside a rank loss Pinocchio's solver, damped, gives an acceleration that belongs to no sheet
         if self._compiled is not None and sheet is None:
             return self._compiled(state.q, state.v, force)
-        given = None if self._law is None else self._law(state.t)[2]
+        given = self._given(state.t)
+        if self.kernel is not None and sheet is None:
+            a = self.kernel.acceleration(state.q, state.v, force, given)
+            if a is not None:
+                return a
         return self.dynamics.acceleration(state.q, state.v, force, given, sheet=sheet)
+
+    def _given(self, t: float) -> Array | None:
+        return None if self._law is None else self._law(t)[2]
 
 
 def _compiled(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics | None:

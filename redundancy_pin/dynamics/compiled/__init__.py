@@ -38,6 +38,7 @@ from redundancy_pin.dynamics.compiled.derivatives import (
     motion_derivatives,
 )
 from redundancy_pin.dynamics.compiled.design import Design, design_of
+from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
 from redundancy_pin.errors import (
     InputError,
@@ -156,6 +157,19 @@ class CompiledDynamics(Dynamics):
         if one is None:
             one = self._local.one = _OneSample(self)
         return one(x, xd, xdd, s, sd, sdd)
+
+    def forward(self) -> CompiledForward | None:
+        """Return forward dynamics, compiled when they are first asked for; None where this is interpreted."""
+        return self._forward if self.compiled else None
+
+    @cached_property
+    def _forward(self) -> CompiledForward | None:
+        found, reason = forward_of(self._robot)
+        if reason:
+            warnings.warn(
+                f"The forward dynamics of {self._robot.name} are not compiled: {reason}.", RuntimeWarning, stacklevel=4
+            )
+        return found
 
     @cached_property
     def reference(self) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ import importlib.metadata
 import importlib.resources
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -23,7 +24,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -122,7 +123,7 @@ def source(definition: Definition) -> str:
         [
             driver_source(definition, definition.functions.values()),
             f"const int rp_turning[] = {{{turning}}};",
-            _text("batch.c"),
+            text_of("batch.c"),
         ]
     )
 
@@ -132,7 +133,12 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
 
     With ``storage`` "static" nothing of it is seen from other files; who stands behind it calls all of it.
     """
-    chain, robot = definition.chain, definition.chain.robot
+    return "\n".join([*tables(definition.chain, functions, storage), text_of("driver.c")])
+
+
+def tables(chain: SymbolicChain, functions: Iterable[Any], storage: str) -> list[str]:
+    """Return the C in front of a driver: generated functions, and sizes and tables in capitals."""
+    robot = chain.robot
     sizes = {
         "NQ": chain.model.nq,
         "NV": chain.model.nv,
@@ -159,10 +165,11 @@ def driver_source(definition: Definition, functions: Iterable[Any], storage: str
     for name, values in tables.items():
         listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
         text.append(f"{name}[] = {{{listed or '0'}}};")
-    return "\n".join([*text, _text("driver.c")])
+    return text
 
 
-def _text(name: str) -> str:
+def text_of(name: str) -> str:
+    """Return the text of a file of this package."""
     return importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
@@ -170,7 +177,7 @@ _WRITTEN = ("symbols.py", "build.py", "emit.py", "driver.c", "batch.c")
 """Files that decide what is compiled: who changes one gets a new library."""
 
 
-def key(robot: Robot, compiler: str) -> str:
+def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Sequence[str] = FLAGS) -> str:
     """Return what tells one library from another: a hash of all that goes into it."""
     model = robot.model
     roles = [
@@ -186,7 +193,7 @@ def key(robot: Robot, compiler: str) -> str:
     except importlib.metadata.PackageNotFoundError:
         version = str(casadi().__version__)  # installed by other means than pip, or not at all
     versions = [version, str(pin.__version__)]
-    written = [_text(name) for name in _WRITTEN]
+    written = [*files, *(text_of(name) for name in files)]
     parts = [
         model.saveToString(),
         repr(roles),
@@ -196,7 +203,7 @@ def key(robot: Robot, compiler: str) -> str:
         repr(CLOSURE_TOLERANCE),
         *written,
         compiler,
-        *FLAGS,
+        *flags,
     ]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
 
@@ -206,14 +213,13 @@ class Library:
 
     Args:
         path: the shared library.
-        digest: what its name is a hash of.
     """
 
     compiled = True
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._library = ctypes.CDLL(str(path))
+        self._library = loaded(path)
         for name in ("rp_lift", "rp_follow", "rp_sample", "rp_map", "rp_project"):
             getattr(self._library, name)  # AttributeError where the file is another one
         self._library.rp_assemble.restype = ctypes.c_double
@@ -260,6 +266,23 @@ class Library:
         return sample
 
 
+def loaded(path: Path) -> ctypes.CDLL:
+    """Return a shared library that says itself that it is the one of its name.
+
+    Raises:
+        OSError, AttributeError, ValueError: it is half a file, another machine's, or another robot's.
+    """
+    library = ctypes.CDLL(str(path))
+    own = (ctypes.c_char * (len(path.stem) + 1)).in_dll(library, _KEY).value.decode(errors="replace")
+    if own != path.stem:
+        raise ValueError(f"{path} is the library {own}.")
+    return library
+
+
+_KEY = "rp_key"
+"""In every library: the name that it was compiled under."""
+
+
 def _as_c(value: object) -> object:
     return ctypes.c_void_p(value.ctypes.data) if isinstance(value, np.ndarray) else value
 
@@ -270,31 +293,60 @@ def _pointers(arrays: Sequence[Array]) -> Any:
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler: its path, and what tells it from an older one of the same path."""
+    """A C compiler: the words of its command, and what tells it from an older one of the same path."""
 
-    path: str
+    command: tuple[str, ...]
     identity: str
 
 
 def find_compiler() -> Compiler | None:
-    """Return the compiler that ``$CC`` names, or the first of cc, gcc and clang; None where there is none."""
-    for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
-        path = shutil.which(name)
+    """Return the compiler that ``$CC`` names, with its arguments, or the first of cc, gcc and clang; None without."""
+    for named in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
+        try:
+            program, *arguments = [named] if shutil.which(named) else shlex.split(named)
+        except ValueError:  # a quotation without end, or nothing but spaces
+            continue
+        path = shutil.which(program)
         if path is not None:
             found = os.stat(path)
-            return Compiler(path, f"{path} {found.st_size} {found.st_mtime_ns}")
+            return Compiler(
+                (path, *arguments), " ".join([path, *arguments, str(found.st_size), str(found.st_mtime_ns)])
+            )
     return None
+
+
+T = TypeVar("T")
 
 
 def build_library(robot: Robot) -> tuple[Library | None, str]:
     """Return the compiled robot, from disk or new; or None and the reason why there is none."""
+    return built(robot, _WRITTEN, lambda: source(define(robot)), Library)
+
+
+def built(
+    robot: Robot,
+    files: Sequence[str],
+    write: Callable[[], str],
+    load: Callable[[Path], T],
+    flags: Sequence[str] = FLAGS,
+) -> tuple[T | None, str]:
+    """Return a library of a robot, from disk or new; or None and the reason why there is none.
+
+    Args:
+        robot: the robot.
+        files: those of this package that decide what is compiled.
+        write: returns the C.
+        load: opens a library; raises what ``loaded`` raises where it is another one.
+        flags: of the compiler.
+    """
     compiler = find_compiler()
     if compiler is None:
         return None, "there is no C compiler (cc, gcc or clang; $CC names another)"
-    name = f"{key(robot, compiler.identity)}.so"
+    digest = key(robot, compiler.identity, files, flags)
+    name = f"{digest}.so"
     folder = cache_folder()
     if folder is not None:
-        library = _loaded(folder / name)
+        library = _opened(folder / name, load)
         if library is not None:
             return library, ""
     with contextlib.ExitStack() as stack:
@@ -306,16 +358,17 @@ def build_library(robot: Robot) -> tuple[Library | None, str]:
             except OSError as error:
                 return None, f"there is no place to compile in: {error}"
             folder = None
-        reason = _compile(compiler, source(define(robot)), work / name)
+        text = f'{write()}\nconst char {_KEY}[] = "{digest}";\n'
+        reason = _compile(compiler, flags, text, work / name)
         if reason:
             return None, reason
         if folder is not None:
             with contextlib.suppress(OSError):
                 os.replace(work / name, folder / name)
-                library = _loaded(folder / name)
+                library = _opened(folder / name, load)
                 if library is not None:
                     return library, ""
-        library = _loaded(work / name)  # stays in memory when its file is gone
+        library = _opened(work / name, load)  # stays in memory when its file is gone
     return library, "" if library is not None else "what the compiler made cannot be loaded"
 
 
@@ -339,19 +392,19 @@ def cache_folder() -> Path | None:
     return root if not shared and os.access(root, os.W_OK | os.X_OK) else None
 
 
-def _loaded(path: Path) -> Library | None:
+def _opened(path: Path, load: Callable[[Path], T]) -> T | None:
     try:
-        return Library(path) if path.is_file() else None
-    except (OSError, AttributeError):  # half a file, or another machine's
+        return load(path) if path.is_file() else None
+    except (OSError, AttributeError, ValueError):  # half a file, another machine's, or another robot's
         return None
 
 
-def _compile(compiler: Compiler, text: str, target: Path) -> str:
+def _compile(compiler: Compiler, flags: Sequence[str], text: str, target: Path) -> str:
     """Compile a library; return what went wrong, or nothing."""
     try:
         written = target.with_suffix(".c")
         written.write_text(text, encoding="utf-8")
-        command = [compiler.path, *FLAGS, str(written), "-o", str(target), "-lm"]
+        command = [*compiler.command, *flags, str(written), "-o", str(target), "-lm"]
         process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -364,14 +417,14 @@ def _compile(compiler: Compiler, text: str, target: Path) -> str:
                 _, complaints = process.communicate(timeout=PATIENCE)
             except subprocess.TimeoutExpired:
                 _end(process)
-                return f"{compiler.path} did not end within {PATIENCE:g} s"
+                return f"{compiler.command[0]} did not end within {PATIENCE:g} s"
             except BaseException:  # an interrupt
                 _end(process)
                 raise
     except OSError as error:
-        return f"{compiler.path} cannot be used: {error}"
+        return f"{compiler.command[0]} cannot be used: {error}"
     message = complaints.decode(errors="replace").strip() or "no message"
-    return "" if process.returncode == 0 else f"{compiler.path} failed: {shortened(message)}"
+    return "" if process.returncode == 0 else f"{compiler.command[0]} failed: {shortened(message)}"
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -243,10 +243,14 @@ class SymbolicChain:
         return rotation @ turned, origin + arm, spin, speed + ca.cross(spin, arm)
 
     @cached_property
+    def configuration_rate(self) -> SX:
+        """(nq) q̇ = E(q) v."""
+        return casadi().vertcat(*(joint.rate for joint in self._joints))
+
+    @cached_property
     def _rates(self) -> SX:
         """Rates of q and trig, linear in v."""
-        ca = casadi()
-        q_rate = ca.vertcat(*(joint.rate for joint in self._joints))
+        ca, q_rate = casadi(), self.configuration_rate
         rates = [q_rate]
         for i, index in enumerate(self.turning):
             rates += [-self.trig[2 * i + 1] * q_rate[index], self.trig[2 * i] * q_rate[index]]

@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, frozen
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, plan_reference
+from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.state import State, closed_state, tree_state
-from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, TimedTrajectory
 
 CarrierLaw = Callable[[float], tuple[Array, Array, Array]]
 """From time to carrier positions, speeds and accelerations, each (k,); smooth between the controller's ``breaks``."""
@@ -68,6 +71,8 @@ class Controller(ABC):
         end: time at which the motion is over, s, or None.
         sampling: the ``Sampling`` it was made for, which the simulation must have; None where any will do.
         carrier_drive: the ``CarrierDrive`` it was made for, the same.
+        open_loop: main efforts and carrier forces (m + k) as polynomials of time, where they heed nothing else:
+            machine code then asks for no ``effort``.
     """
 
     breaks: ArrayLike = frozen(())
@@ -75,6 +80,7 @@ class Controller(ABC):
     end: float | None = None
     sampling: Sampling | None = None
     carrier_drive: CarrierDrive | None = None
+    open_loop: PiecewisePolynomial | None = None
 
     def class_name(self) -> str:
         """Return what errors and results call it."""
@@ -124,12 +130,22 @@ class _Adapted(Controller):
         for name in ("breaks", "jumps", "end", "sampling", "carrier_drive", "carrier_motion", "start_state"):
             if getattr(law, name, None) is not None:
                 setattr(self, name, getattr(law, name))
+        self.open_loop = _open_loop(law)
 
     def effort(self, t: float, state: State) -> Command:
         return self._law.effort(t, state)
 
     def class_name(self) -> str:
         return type(self._law).__name__
+
+
+def _open_loop(law: object) -> PiecewisePolynomial | None:
+    """Return the polynomials of what drives a machine: not those of a class whose ``effort`` another one replaces."""
+    owner = next((one for one in type(law).__mro__ if "effort" in vars(one)), None)
+    if owner is None or "open_loop" not in vars(owner) or "effort" in getattr(law, "__dict__", {}):
+        return None
+    polynomials: PiecewisePolynomial | None = getattr(law, "open_loop", None)
+    return polynomials
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +159,11 @@ class Constant(Controller):
 
     tau: Array
     carrier_force: Array
+
+    @property
+    def open_loop(self) -> PiecewisePolynomial:  # type: ignore[override]
+        """The efforts as polynomials of time."""
+        return PiecewisePolynomial.constant(np.concatenate([self.tau, self.carrier_force]), 0.0, 1.0)
 
     def effort(self, t: float, state: State) -> Command:
         """Return the efforts."""
@@ -201,6 +222,11 @@ class FeedForward(Tracking):
         super().__init__(plan, motion)
         self.jumps = self.reference.jumps
 
+    @property
+    def open_loop(self) -> PiecewisePolynomial:  # type: ignore[override]
+        """The efforts as polynomials of time."""
+        return self.reference.efforts
+
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
         return self.reference.loads(t)
@@ -219,6 +245,12 @@ class Amplifiers:
         self._controller, self._limits = controller, (tau_limit, force_limit)
         self._shapes = (tau_limit.shape, force_limit.shape)
         self._saturates = bool(np.isfinite(tau_limit).any() or np.isfinite(force_limit).any())
+        self.limits: Array = np.concatenate(self._limits)
+        """(m + k,) of main efforts and carrier forces."""
+        polynomials = controller.open_loop if isinstance(controller, _Adapted) else _open_loop(controller)
+        fits = polynomials is not None and polynomials.coefficients.shape[2] == len(self.limits)
+        self.open_loop = polynomials if polynomials is not None and fits else None
+        """What the controller commands as polynomials of time, before it saturates; None where it heeds the state."""
 
     def command(self, state: State) -> Command:
         """Return the efforts that act at a state.
@@ -262,6 +294,23 @@ def _limit(values: ArrayLike | None, count: int, name: str) -> Array:
             f"{name} is {values!r}.", remedy=f"Pass one positive number, or {count}, or None for no limit."
         )
     return np.broadcast_to(given, (count,))
+
+
+def kernel_of(robot: Robot, dynamics: Dynamics | None) -> ForwardKernel | None:
+    """Return the machine code of a backend's forward dynamics, if it has any.
+
+    Raises:
+        InputError: the backend is that of another robot.
+    """
+    if dynamics is None:
+        return None
+    if dynamics.robot is not robot and not robot_record(dynamics.robot).describes(robot):
+        raise InputError(
+            f"dynamics are those of another {dynamics.robot.name} than the robot they are for.",
+            remedy="simulate takes those of the robot that is simulated, a controller those of the robot it knows.",
+        )
+    kernel: ForwardKernel | None = getattr(dynamics, "forward", lambda: None)()
+    return kernel
 
 
 def one_of(name: str, value: str, *known: str) -> None:

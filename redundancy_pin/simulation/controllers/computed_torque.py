@@ -12,6 +12,8 @@ from scipy.linalg import lapack
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, read_only
 from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus, CarrierForces, allocate
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.forward import Equations, ForwardKernel
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
@@ -23,6 +25,7 @@ from redundancy_pin.simulation.controllers.base import (
     Command,
     Sampling,
     Tracking,
+    kernel_of,
     largest_loads,
     load_limits,
     middles,
@@ -30,7 +33,7 @@ from redundancy_pin.simulation.controllers.base import (
     positive_each,
 )
 from redundancy_pin.simulation.derivatives import state_error
-from redundancy_pin.simulation.state import Manifold, State
+from redundancy_pin.simulation.state import GAP, Manifold, State
 from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 
 
@@ -50,10 +53,15 @@ class ReducedEquations:
 
 
 class ReducedModel:
-    """Evaluator of ``ReducedEquations`` for one robot. It holds a workspace: one for each thread or process."""
+    """Evaluator of ``ReducedEquations`` for one robot. It holds a workspace: one for each thread or process.
 
-    def __init__(self, robot: Robot) -> None:
-        self.robot = robot
+    Args:
+        robot: the robot.
+        kernel: machine code for its equations.
+    """
+
+    def __init__(self, robot: Robot, kernel: ForwardKernel | None = None) -> None:
+        self.robot, self._kernel = robot, kernel
         self.chain = ClosedChain(robot)
         nv = robot.model.nv
         self._columns = np.array(self.chain.pose_columns)
@@ -68,26 +76,30 @@ class ReducedModel:
         Raises:
             SingularPoseError: a type I pose, where platform and carriers are no coordinates.
         """
-        robot, chain = self.robot, self.chain
-        model, data, n, rows = robot.model, chain.data, robot.n, chain.rows
-        chain.update(q, v)
-        system = np.concatenate([chain.jacobian(), chain.platform_jacobian()])[:, self._columns]
+        robot, n, rows = self.robot, self.robot.n, self.chain.rows
+        system, rates, mass, at_rest = self._equations(q, v) if self._kernel is None else self._kernel.equations(q, v)
         _, _, inverse, singular = lapack.dgesv(system, self._identity)
         if singular or np.abs(system).max() * np.abs(inverse).max() * RANK_TOLERANCE > 1.0:
             raise SingularPoseError(
                 f"{robot.name} is at a type I pose: platform and carriers do not describe its motion there.",
                 remedy="Control it along a motion that keeps away from this pose.",
             )
-        rates = np.concatenate([chain.bias(), chain.platform_jacobian_rate().dot(v)])
         self._basis[self._columns, :n] = inverse[:, rows:]
         self._particular[self._columns] = -inverse.dot(rates)
-        effort = pin.rnea(model, data, q, v, self._particular)
-        mass = pin.crba(model, data, q)
-        mass = np.triu(mass) + np.triu(mass, 1).T
+        effort = at_rest + mass.dot(self._particular)
         basis = self._basis
         return ReducedEquations(
             basis.T.dot(mass.dot(basis)), basis.T.dot(effort), basis[robot.actuated_velocity, :n].T.copy()
         )
+
+    def _equations(self, q: Array, v: Array) -> Equations:
+        chain, model, data = self.chain, self.robot.model, self.chain.data
+        chain.update(q, v)
+        system = np.concatenate([chain.jacobian(), chain.platform_jacobian()])[:, self._columns]
+        rates = np.concatenate([chain.bias(), chain.platform_jacobian_rate().dot(v)])
+        effort = np.array(pin.rnea(model, data, q, v, np.zeros(len(v))))
+        mass = pin.crba(model, data, q)
+        return Equations(system, rates, np.triu(mass) + np.triu(mass, 1).T, effort)
 
 
 CARRIER_SHARE = 0.1
@@ -146,6 +158,8 @@ class ComputedTorque(Tracking):
             planned |s̈| when left out.
         effort_limit: scalar or (m,) largest |τ|, N or N·m; what it cuts off is left to the carriers.
         carrier_force_limit: scalar or (k,) largest |F|, N; what it cuts off is left to the main actuators.
+        dynamics: a backend of the plan's robot with forward dynamics in machine code (``CompiledDynamics``), which then
+            forms the equations.
         sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
             answer will act.
 
@@ -174,6 +188,7 @@ class ComputedTorque(Tracking):
         effort_limit: ArrayLike | None = None,
         carrier_force_limit: ArrayLike | None = None,
         sampling: Sampling | None = None,
+        dynamics: Dynamics | None = None,
     ) -> None:
         super().__init__(plan, motion, sampling)
         for name, value in (("bandwidth", bandwidth), ("carrier_bandwidth", carrier_bandwidth), ("damping", damping)):
@@ -187,7 +202,8 @@ class ComputedTorque(Tracking):
         self.carrier_scale = positive_each(carrier_scale, CARRIER_SHARE * largest_sdd, LEAST_SHARE, "carrier_scale")
         self.effort_limit, self.carrier_force_limit = load_limits(robot, effort_limit, carrier_force_limit)
         self.history: deque[TorqueCommand] = deque(maxlen=HISTORY)
-        self._model = ReducedModel(robot)
+        self._kernel = kernel_of(robot, dynamics)
+        self._model = ReducedModel(robot, self._kernel)
         self._manifold = Manifold(self._model.chain)
         self._rows = row_scale(robot)
         if effort_scale is None:
@@ -248,7 +264,9 @@ class ComputedTorque(Tracking):
         _, _, a = self.reference.tree(t)
         model = self.robot.model
         q = pin.integrate(model, np.array(state.q), lead * state.v + 0.5 * lead * lead * a)
-        q, v, _, _ = self._manifold.project(q, state.v + lead * a)
+        v = state.v + lead * a
+        found = None if self._kernel is None else self._kernel.project(np.concatenate([q, v]), GAP)
+        q, v = self._manifold.project(q, v)[:2] if found is None else np.split(found[0], [len(q)])
         return State(self._model.chain, t + lead, q, v)
 
 

@@ -15,6 +15,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve, expm, solve_continuous_are, solve_discrete_are
 
 from redundancy_pin.arrays import Array, Frozen, frozen, read_only
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
@@ -25,12 +26,13 @@ from redundancy_pin.simulation.controllers.base import (
     Command,
     Sampling,
     Tracking,
+    kernel_of,
     largest_loads,
     load_limits,
     positive,
     positive_each,
 )
-from redundancy_pin.simulation.derivatives import linearise, state_error
+from redundancy_pin.simulation.derivatives import linearise_along, state_error
 from redundancy_pin.simulation.state import State
 from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
 
@@ -190,12 +192,14 @@ class LinearModel(Frozen):
         return make_interp_spline(self.t, self.A, k=1)(within), make_interp_spline(self.t, self.B, k=1)(within)
 
 
-def linear_model(reference: MotionReference, step: float) -> LinearModel:
+def linear_model(reference: MotionReference, step: float, dynamics: Dynamics | None = None) -> LinearModel:
     """Return the linearisation along a reference at nodes at most ``step``, s, apart; raises like ``linearise``."""
     robot, chain = reference.robot, ClosedChain(reference.robot)
     count = max(2, int(np.ceil((reference.end - reference.start) / step - 1e-9)) + 1)
     times = np.linspace(reference.start, reference.end, count)
-    nodes = [linearise(robot, State(chain, t, *reference.tree(t)[:2]), *reference.loads(t)) for t in times.tolist()]
+    states = [State(chain, t, *reference.tree(t)[:2]) for t in times.tolist()]
+    tau, force = (np.array(part) for part in zip(*(reference.loads(t) for t in times.tolist()), strict=True))
+    nodes = linearise_along(robot, states, tau, force, kernel_of(robot, dynamics))
     A, B = (read_only(np.array(part)) for part in zip(*((node.A, node.B) for node in nodes), strict=True))
     return LinearModel(read_only(times), A, B)
 
@@ -261,6 +265,8 @@ class TimeVaryingLqr(Tracking):
         carrier_force_limit: scalar or (k,) the same for the carriers, N.
         sampling: of the simulation; its delay may be up to one period.
         step: distance of the nodes of the linear model, s.
+        dynamics: a backend of the plan's robot with forward dynamics in machine code (``CompiledDynamics``), by whose
+            derivatives the linear model is made.
 
     Attributes:
         model: the linear model along the reference.
@@ -288,6 +294,7 @@ class TimeVaryingLqr(Tracking):
         carrier_force_limit: ArrayLike | None = None,
         sampling: Sampling | None = None,
         step: float = STEP,
+        dynamics: Dynamics | None = None,
     ) -> None:
         super().__init__(plan, motion, sampling)
         robot, reference = self.robot, self.reference
@@ -300,7 +307,7 @@ class TimeVaryingLqr(Tracking):
         self.weights = bryson_weights(reference) if weights is None else weights
         _require_weights(self.weights, 2 * (robot.n + robot.k), robot.m + robot.k)
         self._limit = np.concatenate(load_limits(robot, effort_limit, carrier_force_limit))
-        self.model = linear_model(reference, step)
+        self.model = linear_model(reference, step, dynamics)
         if sampling is None:
             self.t, self.riccati, self.holds_end = _continuous(self.model, self.weights)
         else:

@@ -1,0 +1,678 @@
+/* Forward dynamics of one robot and its integration in time. The functions rp_equations, rp_closures, rp_rates, rp_moved,
+   rp_turns and rp_modes, and the sizes and tables in capitals, are generated in front of this text, see forward.py.
+
+   Accelerations follow from the equations of motion in independent velocities,
+
+       (N' M N) z = N' (u - rnea(q, v, a0)),   J N = 0,   a = N z + a0,
+
+   which velocities are independent being decided anew at each state, by complete pivoting. Everything is in scaled
+   velocities: rotations times the characteristic length.
+
+   The integration takes what is ordinary: steps in which nothing happens. Before a step in which something may (an event,
+   closures that come near a rank loss, a step that fails or shrinks) it stops, and leaves that one to its caller. */
+
+#define FREE (NP - R + NK)
+#define NY (NQ + NV)
+#define MOST_STAGES 17
+#define MOST_LOOKS 64
+#define MOST_WATCHED (2 * NQ + LEGS + 4)
+#define WATCHED(run) ((run)->stops + (LEGS ? LEGS : 1) + (M == N_FREEDOMS) + 1)
+
+enum { FINE = 0, RANK_LOST = 1, ILL_POSED = 2, NOT_FINITE = 3 };
+enum { ARRIVED = 0, LOOK = 1, PAUSED = 2 };
+
+/* Generalised forces (NV) at a state, then s, s', s'' (NK each) where the carriers' motion is given; returns 0 if there are
+   none. */
+typedef int (*Loads)(double t, const double *q, const double *v, double *out);
+
+typedef struct {
+  /* an explicit Runge-Kutta method, by the tables of scipy; `extended` stages with those of its interpolant */
+  int stages, extended, eighth, powers;
+  const double *A, *B, *C, *E, *E3, *P;
+  double order, rtol, atol, max_step;
+  /* what acts: polynomials of time on pieces, or a function */
+  int prescribed, pieces, terms, saturates;
+  const double *edges, *coefficients, *limits;
+  Loads loads;
+  /* when efforts jump or kink, the last one being the end; when to record */
+  int breaks, samples;
+  const double *break_at, *sample_at;
+  double *recorded, same;
+  /* events: index in q and in v, side and bound of each stop; signs of the legs' modes */
+  int stops;
+  const double *stop, *mode;
+  double brief, between, near_rank;
+  /* limits of an ordinary step */
+  double shortest, gap, gap_limit, jump, stir, rank_tolerance, least_inertia;
+} Run;
+
+typedef struct {
+  double t, next_step, near, largest_correction;
+  long steps, evaluations, restarts;
+  int sample, piece, next_break;
+} Progress;
+
+static void copy(double *to, const double *from, int size) {
+  for (int i = 0; i < size; ++i) to[i] = from[i];
+}
+
+static double largest(const double *values, int size) {
+  double result = 0.0;
+  for (int i = 0; i < size; ++i)
+    if (!(fabs(values[i]) <= result)) result = fabs(values[i]); /* NaN is large */
+  return result;
+}
+
+static void turns_of(const double *q, double *trig) {
+  const double *const arg[] = {q};
+  double *const res[] = {trig};
+  rp_turns(arg, res);
+}
+
+/* Closure residuals (R), and the rows of closures and platform (NP x NP, column by column). */
+static void closures(const double *q, double *residual, double *K) {
+  double trig[2 * NT + 1];
+  turns_of(q, trig);
+  const double *const arg[] = {q, trig};
+  double *const res[] = {residual, K};
+  rp_closures(arg, res);
+}
+
+/* Gauss and Jordan's elimination of rows (R x width), pivots among the first NP columns; the columns of the pivots come in
+   order[]. Returns the smallest pivot over the largest. */
+static double eliminate(double *A, int width, int *order) {
+  double first = 1.0, last = 1.0;
+  for (int k = 0; k < R; ++k) {
+    int row = k, column = -1;
+    double best = -1.0;
+    for (int i = k; i < R; ++i)
+      for (int j = 0; j < NP; ++j)
+        if (fabs(A[i * width + j]) > best) {
+          int taken = 0;
+          for (int l = 0; l < k; ++l) taken |= order[l] == j;
+          if (!taken) best = fabs(A[i * width + j]), row = i, column = j;
+        }
+    if (!(best > 0.0)) return best == 0.0 ? 0.0 : NAN;
+    order[k] = column;
+    last = best;
+    if (!k) first = best;
+    double inverse = 1.0 / A[row * width + column];
+    for (int j = 0; j < width; ++j) {
+      double swap = A[row * width + j];
+      A[row * width + j] = A[k * width + j];
+      A[k * width + j] = swap * inverse;
+    }
+    for (int i = 0; i < R; ++i) {
+      double factor = A[i * width + column];
+      if (i != k && factor != 0.0)
+        for (int j = 0; j < width; ++j) A[i * width + j] -= factor * A[k * width + j];
+    }
+  }
+  return last / first;
+}
+
+/* Cholesky's decomposition of a symmetric matrix in place; returns 0 where it is not positive. */
+static int factorise(double *A, int size) {
+  for (int i = 0; i < size; ++i)
+    for (int j = 0; j <= i; ++j) {
+      double sum = A[i * size + j];
+      for (int k = 0; k < j; ++k) sum -= A[i * size + k] * A[j * size + k];
+      if (i == j) {
+        if (!(sum > 0.0)) return 0;
+        A[i * size + i] = sqrt(sum);
+      } else
+        A[i * size + j] = sum / A[j * size + j];
+    }
+  return 1;
+}
+
+static void solve(const double *A, int size, double *b) {
+  for (int i = 0; i < size; ++i) {
+    for (int k = 0; k < i; ++k) b[i] -= A[i * size + k] * b[k];
+    b[i] /= A[i * size + i];
+  }
+  for (int i = size - 1; i >= 0; --i) {
+    for (int k = i + 1; k < size; ++k) b[i] -= A[k * size + i] * b[k];
+    b[i] /= A[i * size + i];
+  }
+}
+
+/* Rows of closures and platform (NP x NP, column by column), their bias, mass matrix and efforts at rest of the tree. */
+void rp_dynamics(const double *q, const double *v, double *K, double *bias, double *mass, double *effort) {
+  double trig[2 * NT + 1];
+  turns_of(q, trig);
+  const double *const arg[] = {q, trig, v};
+  double *const res[] = {K, bias, mass, effort};
+  rp_equations(arg, res);
+}
+
+/* Accelerations of the tree under generalised forces; `given` are those of carriers driven by motion, or nothing.
+   *inertia: smallest pivot of the mass matrix over the largest. Closure forces (R) and what the forces miss (NV) are for
+   those who ask. */
+static int accelerations(const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
+                         double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
+  double K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV], rest[NV];
+  double A[(R + 1) * (NP + 1 + R)], N[NV][FREE + 1] = {{0.0}}, product[NV][FREE + 1], reduced[FREE * FREE + 1], z[FREE + 1];
+  int order[R + 1], dependent[NP + 1] = {0}, width = NP + 1 + (closure_force ? R : 0), d = 0;
+  rp_dynamics(q, v, K, bias, mass, effort);
+  for (int i = 0; i < R; ++i) {
+    for (int j = 0; j < NP; ++j) A[i * width + j] = K[i + j * NP] / SCALE[COLUMNS[j]];
+    A[i * width + NP] = bias[i];
+    for (int j = NP + 1; j < width; ++j) A[i * width + j] = i == j - NP - 1;
+  }
+  double ratio = eliminate(A, width, order);
+  if (ratio != ratio) return NOT_FINITE;
+  if (!(ratio > rank_tolerance)) return RANK_LOST;
+  for (int i = 0; i < NV; ++i) a[i] = 0.0;
+  for (int k = 0; k < R; ++k) {
+    dependent[order[k]] = 1;
+    a[COLUMNS[order[k]]] = -A[k * width + NP] / SCALE[COLUMNS[order[k]]];
+  }
+  for (int j = 0; j < NP; ++j)
+    if (!dependent[j]) {
+      N[COLUMNS[j]][d] = 1.0 / SCALE[COLUMNS[j]];
+      for (int k = 0; k < R; ++k) N[COLUMNS[order[k]]][d] = -A[k * width + j] / SCALE[COLUMNS[order[k]]];
+      ++d;
+    }
+  for (int j = 0; j < NK; ++j) {
+    if (given)
+      a[CARRIERS[j]] = given[j];
+    else
+      N[CARRIERS[j]][d++] = 1.0 / SCALE[CARRIERS[j]];
+  }
+  for (int i = 0; i < NV; ++i) {
+    double sum = force[i] - effort[i];
+    for (int j = 0; j < d; ++j) product[i][j] = 0.0;
+    for (int k = 0; k < NV; ++k) {
+      double m = mass[i * NV + k];
+      if (m == 0.0) continue;
+      sum -= m * a[k];
+      for (int j = 0; j < d; ++j) product[i][j] += m * N[k][j];
+    }
+    rest[i] = sum;
+  }
+  for (int i = 0; i < d; ++i) z[i] = 0.0;
+  for (int i = 0; i < d * d; ++i) reduced[i] = 0.0;
+  for (int k = 0; k < NV; ++k)
+    for (int i = 0; i < d; ++i) {
+      double share = N[k][i];
+      if (share == 0.0) continue;
+      z[i] += share * rest[k];
+      for (int j = 0; j <= i; ++j) reduced[i * d + j] += share * product[k][j];
+    }
+  for (int i = 0; i < d; ++i)
+    for (int j = 0; j <= i; ++j)
+      if (!isfinite(reduced[i * d + j])) return NOT_FINITE;
+  int positive = factorise(reduced, d);
+  double least = INFINITY, most = 0.0;
+  for (int i = 0; positive && i < d; ++i) {
+    double pivot = reduced[i * d + i] * reduced[i * d + i];
+    least = fmin(least, pivot);
+    most = fmax(most, pivot);
+  }
+  *inertia = !positive ? 0.0 : d ? least / most : 1.0;
+  if (!(*inertia > least_inertia)) return ILL_POSED;
+  solve(reduced, d, z);
+  for (int i = 0; i < NV; ++i)
+    for (int j = 0; j < d; ++j) a[i] += N[i][j] * z[j];
+  if (!closure_force) return FINE;
+  for (int i = 0; i < NV; ++i) {
+    missing[i] = effort[i] - force[i];
+    for (int k = 0; k < NV; ++k) missing[i] += mass[i * NV + k] * a[k];
+  }
+  for (int i = 0; i < R; ++i) {
+    closure_force[i] = 0.0;
+    for (int k = 0; k < R; ++k) {
+      int column = COLUMNS[order[k]];
+      closure_force[i] += A[k * width + NP + 1 + i] * missing[column] / SCALE[column];
+    }
+  }
+  return FINE;
+}
+
+int rp_accelerations(const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
+                     double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
+  return accelerations(q, v, force, given, rank_tolerance, least_inertia, a, inertia, closure_force, missing);
+}
+
+/* What acts at an instant: the piece of the polynomials is that of a time before the end of the stretch. */
+static int loads_at(const Run *run, Progress *at, double t, double end, const double *q, const double *v, double *out) {
+  double before = t < end ? t : nextafter(end, -INFINITY);
+  if (run->loads) return run->loads(before, q, v, out);
+  int *piece = &at->piece;
+  while (*piece + 1 < run->pieces && before >= run->edges[*piece + 1]) ++*piece;
+  while (*piece > 0 && before < run->edges[*piece]) --*piece;
+  double left = run->edges[*piece], x = fmin(fmax(before, left), run->edges[*piece + 1]) - left;
+  const double *c = run->coefficients + (long)*piece * run->terms * (M + NK);
+  for (int i = 0; i < NV; ++i) out[i] = 0.0;
+  for (int i = 0; i < M + NK; ++i) {
+    double value = 0.0;
+    for (int k = 0; k < run->terms; ++k) value = value * x + c[k * (M + NK) + i];
+    if (run->saturates) value = fmin(fmax(value, -run->limits[i]), run->limits[i]);
+    out[i < M ? ACTUATED[i] : CARRIERS[i - M]] += value;
+  }
+  return 1;
+}
+
+static void none(double *rate) {
+  for (int i = 0; i < NY; ++i) rate[i] = NAN;
+}
+
+static void rate(const Run *run, Progress *at, double t, double end, const double *y, double *result) {
+  double state[NY], out[NV + 3 * NK + 1], inertia;
+  ++at->evaluations;
+  copy(state, y, NY);
+  for (int i = 0; i < NY; ++i)
+    if (!isfinite(state[i])) {
+      none(result);
+      return;
+    }
+  const double *q = state, *v = state + NQ, *given = run->prescribed ? out + NV + 2 * NK : 0;
+  int known = loads_at(run, at, t, end, q, v, out);
+  if (known && run->prescribed)
+    for (int i = 0; i < NK; ++i) state[CARRIED[i]] = out[NV + i], state[NQ + CARRIERS[i]] = out[NV + NK + i];
+  if (!known || accelerations(q, v, out, given, run->rank_tolerance, run->least_inertia, result + NQ, &inertia, 0, 0)) {
+    none(result);
+    return;
+  }
+  const double *const arg[] = {q, v};
+  double *const res[] = {result};
+  rp_rates(arg, res);
+}
+
+/* Onto the closures, at the level of positions and of rates, by the shortest scaled steps; the gap before and after. */
+static int project(double *y, double wanted, double *before, double *left) {
+  double residual[R + 1], K[NP * NP + 1], S[R * NP + 1], G[R * R + 1], moved[NQ], *v = y + NQ;
+  for (int iteration = 0; iteration < 9; ++iteration) {
+    double step[NV] = {0.0};
+    if (!iteration && NQ != NV) { /* normalised */
+      const double *const arg[] = {y, step};
+      double *const res[] = {moved};
+      rp_moved(arg, res);
+      copy(y, moved, NQ);
+    }
+    closures(y, residual, K);
+    *left = largest(residual, R);
+    if (!isfinite(*left)) return 0;
+    if (!iteration) *before = *left;
+    int last = *left <= wanted || iteration == 8;
+    for (int i = 0; i < R; ++i)
+      for (int j = 0; j < NP; ++j) S[i * NP + j] = K[i + j * NP] / SCALE[COLUMNS[j]];
+    for (int i = 0; i < R; ++i)
+      for (int k = 0; k <= i; ++k) {
+        double sum = 0.0;
+        for (int j = 0; j < NP; ++j) sum += S[i * NP + j] * S[k * NP + j];
+        G[i * R + k] = sum;
+      }
+    if (!factorise(G, R)) return 0;
+    if (last)
+      for (int i = 0; i < R; ++i) {
+        residual[i] = 0.0;
+        for (int j = 0; j < NP; ++j) residual[i] += K[i + j * NP] * v[COLUMNS[j]];
+      }
+    solve(G, R, residual);
+    for (int j = 0; j < NP; ++j) {
+      double sum = 0.0;
+      for (int i = 0; i < R; ++i) sum += S[i * NP + j] * residual[i];
+      step[COLUMNS[j]] = -sum / SCALE[COLUMNS[j]];
+    }
+    if (last) {
+      for (int i = 0; i < NV; ++i) v[i] += step[i];
+      return 1;
+    }
+    const double *const arg[] = {y, step};
+    double *const res[] = {moved};
+    rp_moved(arg, res);
+    copy(y, moved, NQ);
+  }
+  return 0;
+}
+
+int rp_projected(double *y, double wanted, double *gaps) { return project(y, wanted, gaps, gaps + 1); }
+
+/* Determinant of a matrix (NP x NP), by partial pivoting; it is overwritten. */
+static double determinant(double *A) {
+  double result = 1.0;
+  for (int k = 0; k < NP; ++k) {
+    int best = k;
+    for (int i = k + 1; i < NP; ++i)
+      if (fabs(A[i * NP + k]) > fabs(A[best * NP + k])) best = i;
+    double pivot = A[best * NP + k];
+    if (best != k) {
+      result = -result;
+      for (int j = k; j < NP; ++j) {
+        double swap = A[best * NP + j];
+        A[best * NP + j] = A[k * NP + j];
+        A[k * NP + j] = swap;
+      }
+    }
+    result *= pivot;
+    if (!(pivot != 0.0)) return pivot;
+    for (int i = k + 1; i < NP; ++i) {
+      double factor = A[i * NP + k] / pivot;
+      if (factor != 0.0)
+        for (int j = k + 1; j < NP; ++j) A[i * NP + j] -= factor * A[k * NP + j];
+    }
+  }
+  return result;
+}
+
+/* Smallest over largest singular value of rows S (R x NP): Jacobi's rotations make the rows orthogonal. */
+static double rank_ratio(double *S) {
+  double least = INFINITY, most = 0.0;
+  for (int sweep = 0; sweep < 30; ++sweep) {
+    double off = 0.0;
+    for (int i = 1; i < R; ++i)
+      for (int k = 0; k < i; ++k) {
+        double a = 0.0, b = 0.0, c = 0.0, *x = S + i * NP, *y = S + k * NP;
+        for (int j = 0; j < NP; ++j) a += x[j] * x[j], b += y[j] * y[j], c += x[j] * y[j];
+        if (!(fabs(c) > 1e-14 * sqrt(a * b))) continue;
+        off = fmax(off, fabs(c) / sqrt(a * b));
+        double zeta = (b - a) / (2.0 * c), t = (zeta < 0.0 ? -1.0 : 1.0) / (fabs(zeta) + sqrt(1.0 + zeta * zeta));
+        double cosine = 1.0 / sqrt(1.0 + t * t), sine = cosine * t;
+        for (int j = 0; j < NP; ++j) {
+          double u = x[j], w = y[j];
+          x[j] = cosine * u - sine * w;
+          y[j] = sine * u + cosine * w;
+        }
+      }
+    if (off < 1e-7) break; /* converges quadratically: squares are then good to rounding */
+  }
+  for (int i = 0; i < R; ++i) {
+    double sum = 0.0;
+    for (int j = 0; j < NP; ++j) sum += S[i * NP + j] * S[i * NP + j];
+    least = fmin(least, sum);
+    most = fmax(most, sum);
+  }
+  return R ? sqrt(least / most) : 1.0;
+}
+
+/* The functions whose zeros are events, at a configuration: stops, type I, type II, rank of the closures. */
+static int functions(const Run *run, const double *q, double *values) {
+  double residual[R + 1], K[NP * NP + 1], work[NP * NP + 1];
+  int count = 0;
+  closures(q, residual, K);
+  for (int i = 0; i < run->stops; ++i) {
+    const double *stop = run->stop + 4 * i;
+    values[count++] = stop[2] * (stop[3] - q[(int)stop[0]]);
+  }
+  if (LEGS) {
+    double trig[2 * NT + 1];
+    turns_of(q, trig);
+    const double *const arg[] = {q, trig};
+    double *const res[] = {values + count};
+    rp_modes(arg, res);
+    for (int i = 0; i < LEGS; ++i) values[count++] *= run->mode[i];
+  } else {
+    for (int i = 0; i < NP; ++i)
+      for (int j = 0; j < NP; ++j) work[i * NP + j] = K[i + j * NP] / SCALE[COLUMNS[j]];
+    values[count++] = determinant(work);
+  }
+  if (M == N_FREEDOMS) {
+    for (int i = 0; i < NP; ++i)
+      for (int j = 0; j < NP; ++j)
+        work[i * NP + j] = (i < R ? K[i + j * NP] : i - R < M && COLUMNS[j] == ACTUATED[i - R]) / SCALE[COLUMNS[j]];
+    values[count++] = determinant(work);
+  }
+  for (int i = 0; i < R; ++i)
+    for (int j = 0; j < NP; ++j) work[i * NP + j] = K[i + j * NP] / SCALE[COLUMNS[j]];
+  values[count++] = rank_ratio(work);
+  return count;
+}
+
+int rp_functions(const Run *run, int samples, const double *q, double *values) {
+  int count = 0;
+  for (int k = 0; k < samples; ++k) count = functions(run, q + (long)k * NQ, values + (long)k * count);
+  return count;
+}
+
+/* Interpolant of a step, scipy's: made from the stages, and evaluated at a share of the step. */
+static void interpolant(const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
+                        double *K, double *F) {
+  double stage[NY];
+  if (!run->eighth) {
+    for (int p = 0; p < run->powers; ++p)
+      for (int i = 0; i < NY; ++i) {
+        double sum = 0.0;
+        for (int s = 0; s <= run->stages; ++s) sum += K[s * NY + i] * run->P[s * run->powers + p];
+        F[p * NY + i] = h * sum;
+      }
+    return;
+  }
+  for (int s = run->stages + 1; s < run->extended; ++s) {
+    for (int i = 0; i < NY; ++i) {
+      double sum = 0.0;
+      for (int k = 0; k < s; ++k) sum += run->A[s * run->extended + k] * K[k * NY + i];
+      stage[i] = y[i] + h * sum;
+    }
+    rate(run, at, t + run->C[s] * h, end, stage, K + s * NY);
+  }
+  for (int i = 0; i < NY; ++i) {
+    double change = y1[i] - y[i], f0 = K[i], f1 = K[run->stages * NY + i];
+    F[i] = change;
+    F[NY + i] = h * f0 - change;
+    F[2 * NY + i] = 2.0 * change - h * (f1 + f0);
+    for (int p = 3; p < run->powers; ++p) {
+      double sum = 0.0;
+      for (int s = 0; s < run->extended; ++s) sum += run->P[(p - 3) * run->extended + s] * K[s * NY + i];
+      F[p * NY + i] = h * sum;
+    }
+  }
+}
+
+static void between(const Run *run, const double *F, const double *y, double x, double *out) {
+  for (int i = 0; i < NY; ++i) {
+    double sum = 0.0;
+    for (int p = run->powers - 1; p >= 0; --p) {
+      sum += F[p * NY + i];
+      sum *= !run->eighth || (run->powers - 1 - p) % 2 == 0 ? x : 1.0 - x;
+    }
+    out[i] = y[i] + sum;
+  }
+}
+
+/* A step of at most *h, shortened until its error is within the tolerances, and the length for the next in *h; returns the
+   time at its end, or NaN where no step is short enough. */
+static double take(const Run *run, Progress *at, double end, const double *y, double *h, double *y1, double *K) {
+  double least = 10.0 * (nextafter(at->t, INFINITY) - at->t), length = fmax(fmin(*h, run->max_step), least);
+  int rejected = 0, stages = run->stages;
+  for (;;) {
+    double stage[NY], e5 = 0.0, e3 = 0.0, factor;
+    int answered = 1;
+    if (!(length >= least)) return NAN;
+    double t1 = fmin(at->t + length, end);
+    length = t1 - at->t;
+    for (int s = 1; s <= stages; ++s) {
+      const double *a = s < stages ? run->A + s * run->extended : run->B;
+      copy(stage, y, NY);
+      for (int k = 0; k < s; ++k) {
+        double share = length * a[k];
+        if (share != 0.0)
+          for (int i = 0; i < NY; ++i) stage[i] += share * K[k * NY + i];
+      }
+      rate(run, at, at->t + (s < stages ? run->C[s] : 1.0) * length, end, stage, K + s * NY);
+      answered = K[s * NY + NQ] == K[s * NY + NQ];
+      if (!answered) break; /* those after it have no answer either */
+      if (s == stages) copy(y1, stage, NY);
+    }
+    double error = NAN;
+    if (answered) {
+      for (int i = 0; i < NY; ++i) {
+        double scale = run->atol + fmax(fabs(y[i]), fabs(y1[i])) * run->rtol, five = 0.0, three = 0.0;
+        for (int s = 0; s <= stages; ++s) {
+          five += K[s * NY + i] * run->E[s];
+          if (run->eighth) three += K[s * NY + i] * run->E3[s];
+        }
+        e5 += five / scale * (five / scale);
+        e3 += three / scale * (three / scale);
+      }
+      error = !run->eighth ? length * sqrt(e5 / NY)
+              : e5 == 0.0 && e3 == 0.0 ? 0.0
+                                       : length * e5 / sqrt((e5 + 0.01 * e3) * NY);
+    }
+    if (error < 1.0) {
+      factor = error == 0.0 ? 10.0 : fmin(10.0, 0.9 * pow(error, -1.0 / (run->order + 1.0)));
+      if (rejected) factor = fmin(1.0, factor);
+      *h = length * factor;
+      return t1;
+    }
+    factor = error == error ? 0.9 * pow(error, -1.0 / (run->order + 1.0)) : 0.2;
+    length *= fmax(0.2, factor);
+    rejected = 1;
+  }
+}
+
+/* Whether a function like |t - t0| may come to zero between looks at it, or below `near`. */
+static int may_touch_zero(const double *ratios, int count, double near) {
+  int lowest = 0;
+  double change = 0.0, least = INFINITY;
+  for (int i = 0; i < count; ++i)
+    if (!(ratios[i] >= ratios[lowest])) lowest = i;
+  if (lowest && !(ratios[lowest] >= near)) return 1;
+  for (int i = 1; i < count; ++i) {
+    change = fmax(change, fabs(ratios[i] - ratios[i - 1]));
+    least = fmin(least, ratios[i] + ratios[i - 1]);
+  }
+  return !(least > 1.5 * change);
+}
+
+/* Whether nothing happens in a step: no sign of a function changes, no joint turns back near its stop, the closures keep
+   away from a rank loss. `values` (WATCHED) are the functions at its start and, if so, afterwards at its end. */
+static int ordinary(const Run *run, Progress *at, double t, double h, double end, const double *y, const double *y1,
+                    double *K, double *values, double *F, int *dense) {
+  int fine = h > run->brief || values[WATCHED(run) - 1] < run->near_rank, looks = fine ? 4 : 1;
+  double states[5][NY], seen[5][MOST_WATCHED], ratios[MOST_LOOKS], travel = 0.0, near = at->near;
+  const double *f0 = K, *f1 = K + run->stages * NY;
+  int watched = WATCHED(run);
+  copy(states[0], y, NY);
+  copy(seen[0], values, watched);
+  for (int k = 1; k <= looks; ++k) {
+    double x = (double)k / looks, late = x * x * (3.0 - 2.0 * x), up = x * (1.0 - x) * (1.0 - x), down = -x * x * (1.0 - x);
+    for (int i = 0; i < NY; ++i)
+      states[k][i] = (1.0 - late) * y[i] + late * y1[i] + h * (up * f0[i] + down * f1[i]);
+    functions(run, states[k], seen[k]);
+    for (int i = 0; i < watched - 1; ++i)
+      if (!(seen[k - 1][i] * seen[k][i] > 0.0)) return 0;
+    for (int i = 0; i < run->stops; ++i) {
+      const double *stop = run->stop + 4 * i;
+      double r0 = -stop[2] * states[k - 1][NQ + (int)stop[1]], r1 = -stop[2] * states[k][NQ + (int)stop[1]];
+      if (r0 < 0.0 && r1 > 0.0 && fmin(seen[k - 1][i], seen[k][i]) < h / looks * fmax(-r0, r1)) return 0;
+    }
+  }
+  for (int k = 0; k <= looks; ++k) {
+    double most = 0.0;
+    for (int j = 0; j < NP; ++j) most = fmax(most, fabs(states[k][NQ + COLUMNS[j]]) * SCALE[COLUMNS[j]]);
+    travel += most / (looks + 1);
+    ratios[k] = seen[k][watched - 1];
+  }
+  travel *= h / LENGTH;
+  if (!(travel / run->between < MOST_LOOKS - 1)) return 0;
+  int count = (int)(travel / run->between);
+  if (count > looks) {
+    double state[NY], all[MOST_WATCHED];
+    interpolant(run, at, t, h, end, y, y1, K, F);
+    *dense = 1;
+    for (int k = 0; k <= count; ++k) {
+      between(run, F, y, (double)k / count, state);
+      functions(run, state, all);
+      ratios[k] = all[watched - 1];
+    }
+  } else
+    count = looks;
+  if (may_touch_zero(ratios, count + 1, near)) return 0;
+  at->near = ratios[count] < run->near_rank ? near : run->near_rank;
+  copy(values, seen[looks], watched);
+  return 1;
+}
+
+/* A first step, as scipy selects it. */
+static double first_step(const Run *run, Progress *at, double end, const double *y, const double *f) {
+  double d0 = 0.0, d1 = 0.0, d2 = 0.0, y1[NY], f1[NY];
+  for (int i = 0; i < NY; ++i) {
+    double scale = run->atol + fabs(y[i]) * run->rtol;
+    d0 += y[i] / scale * (y[i] / scale) / NY;
+    d1 += f[i] / scale * (f[i] / scale) / NY;
+  }
+  d0 = sqrt(d0), d1 = sqrt(d1);
+  double h0 = fmin(d0 < 1e-5 || d1 < 1e-5 ? 1e-6 : 0.01 * d0 / d1, end - at->t);
+  for (int i = 0; i < NY; ++i) y1[i] = y[i] + h0 * f[i];
+  rate(run, at, at->t + h0, end, y1, f1);
+  for (int i = 0; i < NY; ++i) {
+    double scale = run->atol + fabs(y[i]) * run->rtol;
+    d2 += (f1[i] - f[i]) / scale * ((f1[i] - f[i]) / scale) / NY;
+  }
+  d2 = sqrt(d2) / h0;
+  double h1 = d1 <= 1e-15 && d2 <= 1e-15 ? fmax(1e-6, h0 * 1e-3) : pow(0.01 / fmax(d1, d2), 1.0 / (run->order + 1.0));
+  return fmin(fmin(100.0 * h0, h1), fmin(end - at->t, run->max_step));
+}
+
+/* Onto the closures, carriers where their motion is given. */
+static int placed(const Run *run, Progress *at, double t, double end, double *y, double *before, double *left) {
+  double out[NV + 3 * NK + 1];
+  if (run->prescribed) {
+    if (!loads_at(run, at, t, end, y, y + NQ, out)) return 0;
+    for (int i = 0; i < NK; ++i) y[CARRIED[i]] = out[NV + i], y[NQ + CARRIERS[i]] = out[NV + NK + i];
+  }
+  return project(y, run->gap, before, left);
+}
+
+/* From a closed state y over at most `most` ordinary steps. Returns why it stopped: at the end, or before a step that its
+   caller must take, or for breath. y, the functions `values` and the progress are those of the last state. */
+int rp_advance(const Run *run, Progress *at, double *y, double *values, long most) {
+  double K[MOST_STAGES * NY], F[8 * NY], y1[NY], next[NY], sample[NY], gap, left;
+  long limit = at->steps + most;
+  int known = 0;
+  while (at->next_break < run->breaks) {
+    double end = run->break_at[at->next_break];
+    if (at->t >= end) {
+      ++at->next_break;
+      known = 0;
+      continue;
+    }
+    if (at->steps >= limit) return PAUSED;
+    if (!known) {
+      rate(run, at, at->t, end, y, K);
+      ++at->restarts;
+      if (K[NQ] != K[NQ]) return LOOK;
+      at->next_step = at->next_step > 0.0 ? fmin(at->next_step, end - at->t) : first_step(run, at, end, y, K);
+    }
+    known = 1;
+    double h = at->next_step, t1 = take(run, at, end, y, &h, y1, K), length = t1 - at->t;
+    if (!(length > 0.0)) return LOOK;
+    double shown[MOST_WATCHED], was_near = at->near;
+    int dense = 0;
+    if (length < run->shortest && t1 < end) return LOOK;
+    copy(shown, values, WATCHED(run));
+    if (!ordinary(run, at, at->t, length, end, y, y1, K, shown, F, &dense)) return LOOK;
+    copy(next, y1, NY);
+    double moved = 0.0, fastest = fmax(largest(y + NQ, NV), largest(y1 + NQ, NV));
+    int good = placed(run, at, t1, t1 < end ? end : INFINITY, next, &gap, &left) && left <= run->gap_limit;
+    for (int i = NQ; good && i < NY; ++i) moved = fmax(moved, fabs(next[i] - y1[i]));
+    if (!good || !(moved <= run->jump * fastest + run->stir)) {
+      at->near = was_near;
+      return LOOK;
+    }
+    while (at->sample < run->samples && run->sample_at[at->sample] < t1 - run->same) {
+      double t = run->sample_at[at->sample], before, after;
+      copy(sample, y, NY);
+      if (t > at->t) {
+        if (!dense) interpolant(run, at, at->t, length, end, y, y1, K, F);
+        dense = 1;
+        between(run, F, y, (t - at->t) / length, sample);
+      }
+      if (!placed(run, at, t, INFINITY, sample, &before, &after)) return LOOK;
+      copy(run->recorded + (long)at->sample++ * NY, sample, NY);
+    }
+    copy(y, next, NY);
+    copy(values, shown, WATCHED(run));
+    at->t = t1;
+    at->next_step = h;
+    ++at->steps;
+    at->largest_correction = fmax(at->largest_correction, gap);
+    if (t1 < end) {
+      rate(run, at, t1, end, y, K);
+      if (K[NQ] != K[NQ]) return LOOK;
+    }
+  }
+  return ARRIVED;
+}

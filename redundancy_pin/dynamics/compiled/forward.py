@@ -1,0 +1,333 @@
+"""Forward dynamics and their integration as machine code, a library of their own: compiled when somebody simulates.
+
+``forward.c`` beside this file stands on four functions of the same symbols as inverse dynamics: rows, bias, mass matrix
+and efforts at rest of the tree. Their linearisation is that of ``derivatives``.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import RANK_TOLERANCE, Array
+from redundancy_pin.dynamics.compiled.build import FLAGS, built, loaded, tables, text_of
+from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_derivatives
+from redundancy_pin.dynamics.compiled.design import design_of
+from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
+from redundancy_pin.dynamics.forward import Accelerations, Advance, Equations, LinearParts, Loads, Rules
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+_WRITTEN = ("symbols.py", "build.py", "emit.py", "forward.py", "forward.c")
+
+_LOOK = 1
+"""Status of ``rp_advance``: the next step is for its caller."""
+
+_DOUBLES, _LONGS, _INTS = ctypes.c_void_p, ctypes.c_long, ctypes.c_int
+_Loads = ctypes.CFUNCTYPE(_INTS, ctypes.c_double, _DOUBLES, _DOUBLES, _DOUBLES)
+
+
+def _members(kind: Any, names: str) -> list[tuple[str, Any]]:
+    return [(name, kind) for name in names.split()]
+
+
+class _Run(ctypes.Structure):
+    """``Run`` of ``forward.c``."""
+
+    _fields_ = [
+        *_members(_INTS, "stages extended eighth powers"),
+        *_members(_DOUBLES, "A B C E E3 P"),
+        *_members(ctypes.c_double, "order rtol atol max_step"),
+        *_members(_INTS, "prescribed pieces terms saturates"),
+        *_members(_DOUBLES, "edges coefficients limits"),
+        ("loads", _Loads),
+        *_members(_INTS, "breaks samples"),
+        *_members(_DOUBLES, "break_at sample_at recorded"),
+        ("same", ctypes.c_double),
+        ("stops", _INTS),
+        *_members(_DOUBLES, "stop mode"),
+        *_members(ctypes.c_double, "brief between near_rank"),
+        *_members(ctypes.c_double, "shortest gap gap_limit jump stir rank_tolerance least_inertia"),
+    ]
+
+
+class _Progress(ctypes.Structure):
+    """``Progress`` of ``forward.c``."""
+
+    _fields_ = [
+        *_members(ctypes.c_double, "t next_step near largest_correction"),
+        *_members(_LONGS, "steps evaluations restarts"),
+        *_members(_INTS, "sample piece next_break"),
+    ]
+
+
+def source(robot: Robot) -> str:
+    """Return the C of a robot's forward dynamics."""
+    ca, chain = casadi(), SymbolicChain(robot)
+    pose, motion = [chain.q, chain.trig], [chain.q, chain.trig, chain.v]
+    efforts, _ = chain.efforts
+    at_rest = ca.substitute(efforts, chain.a, ca.SX.zeros(chain.model.nv))
+    mass = ca.jacobian(efforts, chain.a)
+    definitions: dict[str, tuple[list[Any], list[Any]]] = {
+        "equations": (motion, [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
+        "closures": (pose, [chain.closure_rows if robot.closures else ca.SX(0, 1), ca.vec(chain.K)]),
+        "rates": ([chain.q, chain.v], [chain.configuration_rate]),
+        "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
+        "moved": ([chain.q, chain.step], [chain.moved]),
+        "modes": (pose, [chain.mode_indicators]),
+    }
+    functions = [
+        ca.Function(f"rp_{name}", inputs, [ca.densify(part) for part in ca.cse(outputs)])
+        for name, (inputs, outputs) in definitions.items()
+    ]
+    text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
+    text.append(f"#define N_FREEDOMS {robot.n}\n#define LENGTH {float(robot.characteristic_length)!r}")
+    for name, values in {
+        "int CARRIERS": robot.carrier_velocity,
+        "int CARRIED": robot.carrier_position,
+        "double SCALE": chain.velocity_scale,
+    }.items():
+        listed = ", ".join(repr(value) for value in np.asarray(values).tolist())
+        text.append(f"static const {name}[] = {{{listed or '0'}}};")
+    return "\n".join([*text, text_of("forward.c")])
+
+
+class CompiledForward:
+    """Forward dynamics of one robot; ``dynamics.forward.ForwardKernel``.
+
+    Args:
+        path: the library.
+        robot: the robot.
+    """
+
+    def __init__(self, path: Path, robot: Robot) -> None:
+        self.robot = robot
+        self._library = loaded(path)
+        self._accelerations, self._projected = self._library.rp_accelerations, self._library.rp_projected
+        self._dynamics, self._advance = self._library.rp_dynamics, self._library.rp_advance
+        model = robot.model
+        self._nq, self._nv, self._p = model.nq, model.nv, model.nv - robot.k
+        self._rows = self._p - robot.n
+        self._nothing = ctypes.c_void_p(None)
+        self._tolerances = ctypes.c_double(RANK_TOLERANCE), ctypes.c_double(LEAST_INERTIA)
+
+    def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
+        """Return the tree acceleration (nv,); see ``ForwardKernel.acceleration``."""
+        found = self._evaluated(q, v, force, carrier_acceleration, None)
+        return None if found is None else found.a
+
+    def loads(
+        self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
+    ) -> Accelerations | None:
+        """Return the same with the forces that go with it."""
+        return self._evaluated(q, v, force, carrier_acceleration, np.empty(self._rows))
+
+    def _evaluated(
+        self, q: Array, v: Array, force: Array, given: Array | None, closure_force: Array | None
+    ) -> Accelerations | None:
+        a, inertia, missing = np.empty(self._nv), ctypes.c_double(), np.empty(self._nv)
+        # held by name until the call is over: ctypes keeps addresses only
+        inputs = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v, force)]
+        carriers = None if given is None else np.ascontiguousarray(given, dtype=np.float64)
+        status = self._accelerations(
+            *(_address(part) for part in inputs),
+            self._nothing if carriers is None else _address(carriers),
+            *self._tolerances,
+            _address(a),
+            ctypes.byref(inertia),
+            self._nothing if closure_force is None else _address(closure_force),
+            _address(missing),
+        )
+        return (
+            Accelerations(a, np.empty(0) if closure_force is None else closure_force, missing) if not status else None
+        )
+
+    def project(self, y: Array, gap: float) -> tuple[Array, float, float] | None:
+        """Return the closed state nearest to y (nq + nv,), the gap that y had and the gap left, m; None if none is."""
+        state, gaps = np.array(y, dtype=np.float64), np.zeros(2)
+        if not self._projected(_address(state), ctypes.c_double(gap), _address(gaps)):
+            return None
+        return state, float(gaps[0]), float(gaps[1])
+
+    def equations(self, q: Array, v: Array) -> Equations:
+        """Return the equations of the tree and its closures at a state."""
+        K, bias = np.empty((self._p, self._p), order="F"), np.empty(self._p)
+        mass, effort = np.empty((self._nv, self._nv), order="F"), np.empty(self._nv)
+        state = [np.ascontiguousarray(part, dtype=np.float64) for part in (q, v)]
+        self._dynamics(*(_address(part) for part in (*state, K, bias, mass, effort)))
+        return Equations(K, bias, mass, effort)
+
+    def linear(self, q: Array, v: Array, a: Array, tau: Array) -> LinearParts:
+        """Return exact derivatives at N states in motion under main efforts (N, m)."""
+        robot, samples = self.robot, len(q)
+        at, moves = robot.carrier_position, robot.carrier_velocity
+        carriers = CarrierMotion(q[:, at], v[:, moves], a[:, moves])
+        # the platform is where its state is: coordinates that were missed would change nothing that is read here
+        x = np.zeros((samples, 16 if robot.platform is not None and robot.platform.is_pose else robot.n))
+        tree = TreeSamples(x, q, v, a, np.ones(samples, dtype=bool))
+        d = motion_derivatives(robot, design_of(robot, ()), tree, carriers)
+
+        def both(name: str, carrier_name: str) -> Array:
+            """Derivatives (N, d, d) of (f − W τ, F) by platform and carriers."""
+            rows = [
+                np.concatenate([getattr(of, name), getattr(of, carrier_name)], axis=-1)
+                for of in (d.f, d.carrier_force, d.W)
+            ]
+            rows[0] = rows[0] - np.einsum("nimc,nm->nic", rows[2], tau)
+            return np.concatenate(rows[:2], axis=1)
+
+        result = np.zeros((samples, robot.n + robot.k, robot.m + robot.k))
+        for i in range(samples):
+            result[i, : robot.n, : robot.m] = self._actuation(q[i], v[i])
+        result[:, robot.n :, robot.m :] = np.eye(robot.k)
+        return LinearParts(both("xdd", "sdd"), both("x", "s"), both("xd", "sd"), result)
+
+    def _actuation(self, q: Array, v: Array) -> Array:
+        """Return W (n, m): the actuators' rows of the inverse of K, transposed."""
+        robot = self.robot
+        inverse: Array = np.asarray(np.linalg.inv(self.equations(q, v).K), dtype=np.float64)[:, self._rows :]
+        pose = np.setdiff1d(np.arange(self._nv), robot.carrier_velocity)
+        driven: Array = inverse[np.searchsorted(pose, robot.actuated_velocity)].T
+        return driven
+
+    def integration(self, rules: Rules) -> CompiledIntegration:
+        """Return an integration by these rules."""
+        return CompiledIntegration(self, rules)
+
+
+LEAST_INERTIA = 1e-8
+"""As in ``simulation.forward``, where the reason is; what lies below is left to it."""
+
+
+class CompiledIntegration:
+    """An integration in machine code; ``dynamics.forward.Integration``.
+
+    Args:
+        forward: of the robot.
+        rules: what it must keep to.
+    """
+
+    def __init__(self, forward: CompiledForward, rules: Rules) -> None:
+        self._forward, self._rules = forward, rules
+        robot = forward.robot
+        self._width, self._loads = forward._nq + forward._nv, robot.m + robot.k
+        self.recorded = np.full((len(rules.grid), self._width), np.nan)
+        self._run, self._at = _Run(), _Progress()
+        self._kept: dict[str, Any] = {}
+        self._set_method(rules.method)
+        for field in fields(rules):
+            if field.type == "float":
+                setattr(self._run, field.name, getattr(rules, field.name))
+        self._point("sample_at", rules.grid)
+        self._point("break_at", rules.breaks)
+        self._point("stop", rules.stops.T)
+        self._point("mode", np.array(robot.working_mode, dtype=np.float64))
+        self._point("limits", rules.limits)
+        self._run.recorded = self.recorded.ctypes.data
+        self._run.samples, self._run.breaks = len(rules.grid), len(rules.breaks)
+        self._run.stops, self._run.prescribed = rules.stops.shape[1], int(rules.prescribed)
+        self._run.saturates = int(np.isfinite(rules.limits).any())
+        if isinstance(rules.efforts, PiecewisePolynomial):
+            self._act(rules.efforts.edges, np.swapaxes(rules.efforts.coefficients, 0, 1))
+        else:
+            self._asked: Loads = rules.efforts
+            self._kept["loads"] = _Loads(self._called)
+            self._run.loads = self._kept["loads"]
+        self._error: BaseException | None = None
+
+    def hold(self, command: Array) -> None:
+        """Let constant efforts (m + k,) act."""
+        self._act(self._rules.grid[[0, -1]], command[None, None])
+
+    def advance(self, at: Advance, end: float, most: int) -> bool:
+        """Take ordinary steps up to a time, s, at most so many; return whether the next one is not ordinary."""
+        progress, rules = self._at, self._rules
+        progress.t, progress.near, progress.next_step = at.t, at.near, at.next_step
+        progress.largest_correction, progress.sample = at.largest_correction, at.sample
+        progress.steps, progress.evaluations, progress.restarts = at.steps, at.evaluations, at.restarts
+        progress.next_break = int(np.searchsorted(rules.breaks, at.t, side="right"))
+        self._run.breaks = int(np.searchsorted(rules.breaks, end, side="right"))
+        y, values = np.array(at.y, dtype=np.float64), np.array(at.values, dtype=np.float64)
+        status = self._forward._advance(
+            ctypes.byref(self._run), ctypes.byref(progress), _address(y), _address(values), ctypes.c_long(most)
+        )
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+        at.t, at.y, at.values, at.near = progress.t, y, values, progress.near
+        at.next_step, at.largest_correction, at.sample = (
+            progress.next_step,
+            progress.largest_correction,
+            progress.sample,
+        )
+        at.steps, at.evaluations, at.restarts = progress.steps, progress.evaluations, progress.restarts
+        return bool(status == _LOOK)
+
+    def _act(self, edges: Array, coefficients: Array) -> None:
+        """Let polynomials act: coefficients (pieces, terms, m + k)."""
+        self._point("edges", edges)
+        self._point("coefficients", coefficients)
+        self._run.pieces, self._run.terms = coefficients.shape[:2]
+        self._at.piece = 0
+
+    def _called(self, t: float, q: int, v: int, out: int) -> int:
+        """Write the forces that act at q, v (addresses) where C wants them; return whether there are any."""
+        if self._error is not None:
+            return 0
+        forward = self._forward
+        try:
+            state = (
+                np.frombuffer(bytearray(ctypes.string_at(part, 8 * size)))
+                for part, size in ((q, forward._nq), (v, forward._nv))
+            )
+            force, motion = self._asked(t, *state)
+            whole = np.concatenate([force, *(() if motion is None else motion)])
+            ctypes.memmove(out, whole.ctypes.data, whole.nbytes)
+        except BaseException as error:  # C cannot raise it: the caller does
+            self._error = error
+            return 0
+        return int(np.isfinite(whole).all())
+
+    def _point(self, name: str, values: Array) -> None:
+        """Give C the address of an array, which is kept."""
+        kept = self._kept[name] = np.ascontiguousarray(values, dtype=np.float64)
+        setattr(self._run, name, kept.ctypes.data)
+
+    def _set_method(self, name: str) -> None:
+        """Set the tables of a method of scipy."""
+        from scipy.integrate import DOP853, RK45
+
+        run = self._run
+        if name == "DOP853":
+            count, extra = DOP853.n_stages, len(DOP853.C_EXTRA)
+            run.extended = count + 1 + extra
+            A, C = np.zeros((run.extended, run.extended)), np.zeros(run.extended)
+            A[:count, :count], C[:count] = DOP853.A, DOP853.C
+            A[count + 1 :, : DOP853.A_EXTRA.shape[1]], C[count + 1 :] = DOP853.A_EXTRA, DOP853.C_EXTRA
+            run.eighth, run.powers, E, P = 1, 3 + len(DOP853.D), DOP853.E5, DOP853.D
+            self._point("E3", DOP853.E3)
+            method: Any = DOP853
+        else:
+            count, method = RK45.n_stages, RK45
+            run.extended = count
+            A, C, E, P = np.zeros((count, count)), RK45.C, RK45.E, RK45.P
+            A[:, : RK45.A.shape[1]] = RK45.A
+            run.eighth, run.powers = 0, RK45.P.shape[1]
+        run.stages, run.order = count, method.error_estimator_order
+        for table, values in (("A", A), ("B", method.B), ("C", C), ("E", E), ("P", P)):
+            self._point(table, values)
+
+
+def _address(array: Array) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def forward_of(robot: Robot) -> tuple[CompiledForward | None, str]:
+    """Return the compiled forward dynamics of a robot, from disk or new; or None and the reason why there are none."""
+    flags = ["-O2" if flag == "-O3" else flag for flag in FLAGS]  # as fast here, in half the time
+    return built(robot, _WRITTEN, lambda: source(robot), lambda path: CompiledForward(path, robot), flags)

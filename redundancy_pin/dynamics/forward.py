@@ -1,0 +1,171 @@
+"""What a backend may offer ``simulate`` and controllers beyond inverse dynamics: forward dynamics as machine code.
+
+``Dynamics.forward`` returns it, or None: then the simulation computes everything itself (``simulation.forward``), which
+is what it is compared with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+Loads = Callable[[float, Array, Array], tuple[Array, tuple[Array, Array, Array] | None]]
+"""From t, q (nq,), v (nv,) to generalised forces (nv,), and s, ṡ, s̈ (k,) where the carriers' motion is given."""
+
+
+class Equations(NamedTuple):
+    """The tree and its closures at one state: K v = (0, ẋ), K a + bias its rate, M a + effort the generalised forces.
+
+    Attributes:
+        K: (p, p) rows of the closures over those of the platform, over the velocities that move the pose.
+        bias: (p,) their rates at v̇ = 0.
+        mass: (nv, nv) M of the open tree.
+        effort: (nv,) velocity terms and gravity.
+    """
+
+    K: Array
+    bias: Array
+    mass: Array
+    effort: Array
+
+
+class LinearParts(NamedTuple):
+    """Derivatives of the equations of motion at N states in motion; see ``simulation.derivatives.DynamicsDerivatives``.
+
+    Attributes:
+        mass: (N, d, d); force_y, force_z: (N, d, d); input: (N, d, m + k).
+    """
+
+    mass: Array
+    force_y: Array
+    force_z: Array
+    input: Array
+
+
+class Accelerations(NamedTuple):
+    """What acts at one state: tree acceleration (nv,), closure forces (r,), and what the forces miss (nv,)."""
+
+    a: Array
+    closure_force: Array
+    missing: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """What an integration must keep to, and what makes a step one that its caller wants to see.
+
+    Attributes:
+        method: "DOP853" or "RK45", explicit Runge-Kutta methods of scipy.
+        rtol, atol, max_step: of the steps.
+        grid: (G,) times to record, s; ``same`` apart they are one.
+        breaks: (B,) times, s, at which the integration starts anew; the last one is the end.
+        efforts: polynomials of main efforts and carrier forces, or a function of the state.
+        prescribed: whether the carriers' motion is given (by a function).
+        limits: (m + k,) where main efforts and carrier forces saturate.
+        stops: (4, l) index in q, index in v, side and bound of each stop.
+        brief: s; in shorter steps only the end is looked at.
+        between: rad; joints move no farther between two looks at the rank of the closures.
+        near_rank: ratio of singular values below which a rank loss may be near.
+        shortest: s; the shortest ordinary step.
+        gap, gap_limit: m; what a projection is to reach, and what it must not leave.
+        jump, stir: share of the largest velocity, and amount, that a projection may change a velocity by.
+        rank_tolerance, least_inertia: below which closures count as lost, and a motion as massless.
+    """
+
+    method: str
+    rtol: float
+    atol: float
+    max_step: float
+    grid: Array
+    same: float
+    breaks: Array
+    efforts: PiecewisePolynomial | Loads
+    prescribed: bool
+    limits: Array
+    stops: Array
+    brief: float
+    between: float
+    near_rank: float
+    shortest: float
+    gap: float
+    gap_limit: float
+    jump: float
+    stir: float
+    rank_tolerance: float
+    least_inertia: float
+
+
+@dataclass(eq=False)
+class Advance:
+    """How far an integration is; ``Integration.advance`` changes it.
+
+    Attributes:
+        t: s.
+        y: (nq + nv,) the closed state there.
+        values: (w,) functions of the events there.
+        near: ratio of singular values of the closures below which a rank loss is looked for.
+        next_step: s; negative where none is known.
+        sample: the next one to record; ``recorded`` (G, nq + nv) holds those before it.
+        steps, evaluations, restarts, largest_correction: see ``Statistics``.
+    """
+
+    t: float
+    y: Array
+    values: Array
+    near: float
+    next_step: float
+    sample: int
+    steps: int
+    evaluations: int
+    restarts: int
+    largest_correction: float
+
+
+class Integration(Protocol):
+    """An integration whose ordinary steps are taken by machine code."""
+
+    @property
+    def recorded(self) -> Array:
+        """(G, nq + nv) states at the times to record, as far as they were taken here."""
+
+    def hold(self, command: Array) -> None:
+        """Let constant efforts (m + k,) act."""
+
+    def advance(self, at: Advance, end: float, most: int) -> bool:
+        """Take ordinary steps up to a time, s, at most so many; return whether the next one is not ordinary."""
+
+
+class ForwardKernel(Protocol):
+    """Forward dynamics of one robot as machine code."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+
+    def acceleration(self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None) -> Array | None:
+        """Return the tree acceleration (nv,) at a closed state under generalised forces (nv,).
+
+        None where the closures have lost rank or a free motion has no inertia: ``ForwardDynamics`` says which.
+        """
+
+    def loads(
+        self, q: Array, v: Array, force: Array, carrier_acceleration: Array | None = None
+    ) -> Accelerations | None:
+        """Return the same with the forces that go with it."""
+
+    def project(self, y: Array, gap: float) -> tuple[Array, float, float] | None:
+        """Return the closed state nearest to y (nq + nv,), the gap that y had and the gap left, m; None if none is."""
+
+    def equations(self, q: Array, v: Array) -> Equations:
+        """Return the equations of the tree and its closures at a state."""
+
+    def linear(self, q: Array, v: Array, a: Array, tau: Array) -> LinearParts:
+        """Return exact derivatives at N states in motion under main efforts (N, m)."""
+
+    def integration(self, rules: Rules) -> Integration:
+        """Return an integration."""
