@@ -12,7 +12,19 @@ from typing import NamedTuple, Protocol
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+
+class Polynomials(Protocol):
+    """A function from time that is a polynomial on each of P pieces; see ``trajectory``'s ``PiecewisePolynomial``."""
+
+    @property
+    def edges(self) -> Array:
+        """(P + 1,) ends of the pieces, s."""
+
+    @property
+    def coefficients(self) -> Array:
+        """(D + 1, P, C) of the powers of the time since the left end, the highest first."""
+
 
 Loads = Callable[[float, Array, Array], tuple[Array, tuple[Array, Array, Array] | None]]
 """From t, q (nq,), v (nv,) to generalised forces (nv,), and s, ṡ, s̈ (k,) where the carriers' motion is given."""
@@ -64,8 +76,9 @@ class Rules:
         rtol, atol, max_step: of the steps.
         grid: (G,) times to record, s; ``same`` apart they are one.
         breaks: (B,) times, s, at which the integration starts anew; the last one is the end.
-        efforts: polynomials of main efforts and carrier forces, or a function of the state.
-        prescribed: whether the carriers' motion is given (by a function).
+        efforts: polynomials of main efforts and carrier forces; or None, where
+        loads: is the function of the state that says what acts.
+        prescribed: whether the carriers' motion is given (by ``loads``).
         limits: (m + k,) where main efforts and carrier forces saturate.
         stops: (4, l) index in q, index in v, side and bound of each stop.
         brief: s; in shorter steps only the end is looked at.
@@ -84,7 +97,8 @@ class Rules:
     grid: Array
     same: float
     breaks: Array
-    efforts: PiecewisePolynomial | Loads
+    efforts: Polynomials | None
+    loads: Loads | None
     prescribed: bool
     limits: Array
     stops: Array

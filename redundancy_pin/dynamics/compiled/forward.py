@@ -21,7 +21,6 @@ from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.forward import Accelerations, Advance, Equations, LinearParts, Loads, Rules
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 _WRITTEN = ("symbols.py", "build.py", "emit.py", "forward.py", "forward.c")
 
@@ -232,10 +231,10 @@ class CompiledIntegration:
         self._run.samples, self._run.breaks = len(rules.grid), len(rules.breaks)
         self._run.stops, self._run.prescribed = rules.stops.shape[1], int(rules.prescribed)
         self._run.saturates = int(np.isfinite(rules.limits).any())
-        if isinstance(rules.efforts, PiecewisePolynomial):
+        if rules.efforts is not None:
             self._act(rules.efforts.edges, np.swapaxes(rules.efforts.coefficients, 0, 1))
-        else:
-            self._asked: Loads = rules.efforts
+        elif rules.loads is not None:
+            self._asked: Loads = rules.loads
             self._kept["loads"] = _Loads(self._called)
             self._run.loads = self._kept["loads"]
         self._error: BaseException | None = None
