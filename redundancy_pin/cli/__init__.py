@@ -22,6 +22,7 @@ COMMANDS: Mapping[str, str] = {
     "plan": "Plan the motion of the carriers.",
     "reproduce": "Run the experiments of the thesis.",
     "show": "Show a robot in motion.",
+    "simulate": "Simulate a machine under a controller.",
     "singularities": "Find singularities: a map, instants of a motion.",
     "study": "Drive imperfect machines through singularities, many times.",
     "validate": "Check the dynamics on random states.",
@@ -61,8 +62,9 @@ class Commands(OneLineErrors):
 def main() -> None:
     """Dynamics of parallel robots with internal redundancy.
 
-    Exit codes: 0 done, 1 a check failed, 2 bad input or no plan exists, 3 a plan breaks limits, 4 a plan keeps them but
-    is no optimum, or its samples do not show its efforts (one line on stderr says what).
+    Exit codes: 0 done, 1 a check failed, 2 bad input or no plan exists, 3 a plan breaks limits or a simulation stopped
+    at an event, 4 a plan keeps limits but is no optimum, or its samples do not show its efforts, or a simulation could
+    not go on (one line on stderr says what).
     """
 
 

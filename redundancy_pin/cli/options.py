@@ -16,6 +16,7 @@ from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError, did_you_mean, shown
 
 if TYPE_CHECKING:
+    from redundancy_pin.motion import PlatformMotion
     from redundancy_pin.robot import Robot
     from redundancy_pin.trajectory import Trajectory
 
@@ -238,6 +239,25 @@ def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory
             raise InputError(f"The trajectory {name} takes no {flag}.", remedy=f"It takes {', '.join(known)}.", key=key)
     with in_words(OPTIONS.knowing({key: f"--{key.replace('_', '-')}" for key in given})):
         return make_trajectory(name, {**options, **given})
+
+
+def followed_motion(
+    who: str, trajectory: str | None, motion_path: str | None, flags: Mapping[str, float | None]
+) -> PlatformMotion | Trajectory:
+    """Return the motion of ``--trajectory`` and its flags, or of ``--motion``; ``who`` needs it, such as "A plan"."""
+    if (trajectory is None) == (motion_path is None):
+        raise InputError(f"{who} needs either --trajectory or --motion.", remedy="Give one of them.")
+    if motion_path is None:
+        return parse_trajectory(str(trajectory), flags)
+    # refused rather than ignored: --speed beside a file would seem to have an effect
+    useless = [name for name, value in flags.items() if value is not None]
+    if useless:
+        raise InputError(
+            f"--{useless[0].replace('_', '-')} does not apply to a motion from a file.", remedy="Leave it out."
+        )
+    from redundancy_pin.trajectory import from_csv
+
+    return from_csv(motion_path)
 
 
 def split_trajectory(text: str) -> tuple[str, dict[str, str]]:

@@ -16,8 +16,8 @@ from redundancy_pin.cli.options import (
     FLAGS,
     RobotOptions,
     backend_option,
+    followed_motion,
     json_option,
-    parse_trajectory,
     robot_options,
     trajectory_options,
     trust_option,
@@ -45,12 +45,10 @@ from redundancy_pin.cli.plan_problem import (
 )
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import replacing_file, require_writable
-from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.studies.case import COMPILED, RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.measures import SWING, reversals, reversals_beside_singularities
-from redundancy_pin.trajectory import Trajectory, from_csv
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan
 from redundancy_pin.visualisation.figures.style import save
 
@@ -351,28 +349,12 @@ def _from_flags(planner: str, robot: RobotOptions, given: Mapping[str, Any]) -> 
     parameters = {name.removeprefix(PREFIX): value for name, value in given.items() if name.startswith(PREFIX)}
 
     def read() -> Problem:
-        motion = _motion(given["trajectory"], motion_path, {flag: given[flag] for flag in FLAGS})
+        motion = followed_motion("A plan", given["trajectory"], motion_path, {flag: given[flag] for flag in FLAGS})
         backend, step = given["backend"], given.get("step")
         return problem(planner, robot, backend, motion, parameters, baseline=baseline, step=step)
 
     with in_words(OPTIONS.knowing(flags_of(planner))):
         return _run(read, given["out"], given["plot"], given["as_json"], inputs=(motion_path,) if motion_path else ())
-
-
-def _motion(
-    trajectory: str | None, motion_path: str | None, flags: Mapping[str, float | None]
-) -> PlatformMotion | Trajectory:
-    if (trajectory is None) == (motion_path is None):
-        raise InputError("A plan needs either --trajectory or --motion.", remedy="Give one of them.")
-    if motion_path is None:
-        return parse_trajectory(str(trajectory), flags)
-    # refused rather than ignored: --speed beside a file would seem to have an effect
-    useless = [name for name, value in flags.items() if value is not None]
-    if useless:
-        raise InputError(
-            f"--{useless[0].replace('_', '-')} does not apply to a motion from a file.", remedy="Leave it out."
-        )
-    return from_csv(motion_path)
 
 
 def _run(

@@ -76,7 +76,7 @@ def _view(
         raise InputError("--plan and --motion are both given.", remedy="Give one of them: a plan has its own motion.")
     if plan_path:
         plan = load_plan(plan_path)
-        return view(plan, robot=_robot_of(plan, options), forces=forces, force_scale=force_scale)
+        return view(plan, robot=robot_of(plan, options), forces=forces, force_scale=force_scale)
     if not options.source:
         raise InputError("There is nothing to show.", remedy="Add --robot NAME or --plan NPZ.")
     robot = options.load()
@@ -85,7 +85,7 @@ def _view(
     return view(robot, from_csv(motion_path), carriers_from_csv(motion_path), forces=forces, force_scale=force_scale)
 
 
-def _robot_of(plan: Plan, options: RobotOptions) -> Robot:
+def robot_of(plan: Plan, options: RobotOptions) -> Robot:
     """Return the robot of a plan; --robot says where its files are now."""
     if not options.is_robot_only:
         raise InputError(

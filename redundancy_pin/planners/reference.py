@@ -184,16 +184,17 @@ def plan_reference(
 def motion_reference(
     robot: RobotLike,
     motion: TimedTrajectory | PlatformMotion,
-    carriers: ArrayLike = 0.0,
+    carriers: ArrayLike | CarrierMotion = 0.0,
     *,
     step: float = 0.01,
 ) -> MotionReference:
-    """Return a platform motion with parked carriers as a reference, with its efforts.
+    """Return a platform motion, with parked or moving carriers, as a reference, with its efforts.
 
     Args:
         robot: the robot, or its name or path.
         motion: a trajectory, or samples with quintics between them.
-        carriers: scalar or (k,) where the carriers are parked, m.
+        carriers: scalar or (k,) where the carriers are parked, m; or their motion at the samples of the platform's,
+            with quintics in between.
         step: longest piece, s, of the series that represent it.
 
     Raises:
@@ -203,11 +204,30 @@ def motion_reference(
     if not step > 0.0:
         raise InputError(f"step is {step} s.", remedy="Pass a positive number.")
     robot, source = as_robot(robot), continuous_motion(motion)
+    if isinstance(carriers, CarrierMotion):
+        position = _between_samples(motion, carriers, robot.k)
+    else:
+        place = np.broadcast_to(np.asarray(carriers, dtype=float), (robot.k,))
+        position = PiecewisePolynomial.constant(place, source.start, source.end)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]
-    place = np.broadcast_to(np.asarray(carriers, dtype=float), (robot.k,))
-    parked = PiecewisePolynomial.constant(place, source.start, source.end)
-    return reference_of(robot, PlanFunctions(source, parked), apart(np.concatenate(parts)))
+    return reference_of(robot, PlanFunctions(source, position), apart(np.concatenate([*parts, position.edges])))
+
+
+def _between_samples(
+    motion: TimedTrajectory | PlatformMotion, carriers: CarrierMotion, count: int
+) -> PiecewisePolynomial:
+    """Return the positions of carriers between the samples that they and the platform have."""
+    if not isinstance(motion, PlatformMotion) or carriers.s.shape != (len(motion), count):
+        samples = len(motion) if isinstance(motion, PlatformMotion) else "no"
+        raise InputError(
+            f"The carrier motion has shape {carriers.s.shape}; the platform motion has {samples} samples, the robot "
+            f"{count} carriers.",
+            remedy="Sample both at the same times.",
+        )
+    left = np.flatnonzero(np.diff(motion.t) > 0.0)
+    ends = ((carriers.s[at], carriers.sd[at], carriers.sdd[at]) for at in (left, left + 1))
+    return PiecewisePolynomial.hermite(np.append(motion.t[left], motion.t[-1]), *ends)
 
 
 def reference_of(robot: Robot, functions: PlanFunctions, edges: Array, plan: Plan | None = None) -> MotionReference:

@@ -15,9 +15,8 @@ from redundancy_pin.kinematics.coordinates import distance, moved, row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.controllers.base import Command, Controller, FeedForward, Sampling, Tracking
-from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
-from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
+from redundancy_pin.simulation.controllers.base import Command, Controller, Sampling, Tracking
+from redundancy_pin.simulation.controllers.by_name import controller_by_name
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
 from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
@@ -188,13 +187,13 @@ def displaced(robot: Robot, reference: MotionReference) -> State:
 def _controller(plan: Plan, reference: MotionReference, drive: str, sampling: Sampling) -> Controller:
     match drive:
         case "open loop" | "carriers by motion":
-            return FeedForward(reference)
+            return controller_by_name("open loop", reference)
         case "open loop, samples":
             return _SampleEfforts(plan, reference)
         case "computed torque":
-            return ComputedTorque(reference, sampling=sampling)
+            return controller_by_name(drive, reference, sampling=sampling)
         case "LQR":
-            return TimeVaryingLqr(reference, sampling=sampling, step=LQR_STEP)
+            return controller_by_name(drive, reference, sampling=sampling, step=LQR_STEP)
     known = ", ".join((*DRIVES, "carriers by motion"))
     raise InputError(f"drive is {drive!r}.", remedy=f"Pass one of: {known}.")
 

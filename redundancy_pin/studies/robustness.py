@@ -17,6 +17,7 @@ import redundancy_pin
 from redundancy_pin.arrays import Array, require_few
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.simulation.controllers.by_name import DRIVES, Drive
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr, bryson_weights
@@ -24,12 +25,10 @@ from redundancy_pin.studies.store import Progress, Store, versions
 from redundancy_pin.studies.table import NONE, Column, Record, Table, csv_text, json_data, text
 from redundancy_pin.studies.trial import (
     ATOL,
-    DRIVES,
     MASSES,
     RTOL,
     SCENARIOS,
     SUCCESS,
-    Drive,
     Imperfections,
     Scenario,
     Trial,

@@ -5,23 +5,32 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.allocation import AllocationStatus
 from redundancy_pin.errors import RedundancyPinError
-from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.loading import load_robot
 from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.robot import Robot
-from redundancy_pin.simulation.controllers.base import Controller, Sampling, Tracking
+from redundancy_pin.simulation.controllers.base import Controller, Sampling
+from redundancy_pin.simulation.controllers.by_name import (
+    Drive,
+    NoisyAmplifier,
+    controller_by_name,
+    joint_friction,
+)
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
+<<<<<<< HEAD
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
+=======
+from redundancy_pin.planners.reference import MotionReference, plan_reference
+>>>>>>> 9d476fa (redundancy-pin simulate: a plan or a motion under a controller, with noise, friction, sampling and another machine than planned)
 from redundancy_pin.simulation.simulate import simulate
-from redundancy_pin.simulation.state import State, closed_state
+from redundancy_pin.simulation.state import closed_state
 from redundancy_pin.studies.case import RNEA, Case, Planner, load, options
 
 MASSES = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}
@@ -32,9 +41,6 @@ PLANNED_TRACK = 0.16
 
 DRAWN_MASSES = (*MASSES, "carrier_mass")
 DRAWN_LENGTHS = ("base_distance", "track_offset", "cylinder_length")
-
-Drive = Literal["open loop", "computed torque", "LQR"]
-DRIVES: tuple[Drive, ...] = ("open loop", "computed torque", "LQR")
 
 Key = tuple[str, str, int]
 """Names of scenario and drive, number of the draw."""
@@ -227,7 +233,7 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
         beside = (point.x + drawn.x, point.xd + drawn.xd, point.s + drawn.s, point.sd + drawn.sd)
         run = simulate(
             robot,
-            Amplifier(seen, drawn.random, imperfections.noise),
+            NoisyAmplifier(seen, drawn.random, imperfections.noise),
             start=closed_state(robot, *beside, t=scenario.start),
             duration=scenario.end - scenario.start,
             dt=period,  # every value that the amplifiers put out is among the samples
@@ -256,40 +262,13 @@ def run_trial(scenario: Scenario, drive: Drive, imperfections: Imperfections, se
 def controller(scenario: Scenario, drive: Drive, imperfections: Imperfections) -> Controller:
     """Return the controller of a cell, made once a process; it knows the robot as planned."""
     motion, sampling = planned(scenario.case), Sampling(imperfections.period, imperfections.delay)
-    if drive == "open loop":
-        return _OpenLoop(motion, None, sampling)
-    made = ComputedTorque if drive == "computed torque" else TimeVaryingLqr
     most = {name: getattr(imperfections, name) for name in ("effort_limit", "carrier_force_limit")}
-    return made(motion, sampling=sampling, **most)
-
-
-class _OpenLoop(Tracking):
-    """The planned efforts, those of the middle of the interval in which they will act."""
-
-    def effort(self, t: float, state: State) -> tuple[Array, Array]:
-        return self.reference.loads(t + self.lead)
-
-
-class Amplifier:
-    """A controller whose forces come out with noise of a standard deviation, N or N·m; one value a period."""
-
-    def __init__(self, controller: Controller, random: np.random.Generator, noise: float) -> None:
-        self._controller, self._random, self._noise = controller, random, noise
-
-    def effort(self, t: float, state: State) -> tuple[Array, Array]:
-        """Return main efforts (m,) and carrier forces (k,) with noise."""
-        tau, force = (part + self._noise * self._random.standard_normal(len(part))
-                      for part in self._controller.effort(t, state))  # fmt: skip
-        return tau, force
+    return controller_by_name(drive, motion, sampling=sampling, **most)
 
 
 def _friction(drawn: Draw, imperfections: Imperfections) -> JointFriction:
-    turning = turning_velocities(nominal())
-    return JointFriction(
-        drawn.coulomb * np.where(turning, imperfections.revolute_coulomb, imperfections.prismatic_coulomb),
-        drawn.viscous * np.where(turning, imperfections.revolute_viscous, imperfections.prismatic_viscous),
-        np.where(turning, imperfections.revolute_smoothing, imperfections.prismatic_smoothing),
-    )
+    named = {name: value for name, value in asdict(imperfections).items() if name.startswith(("prismatic", "revolute"))}
+    return joint_friction(nominal(), coulomb_factor=drawn.coulomb, viscous_factor=drawn.viscous, **named)
 
 
 def _given_up(control: Controller) -> float:

@@ -13,6 +13,7 @@ import pytest
 import redundancy_pin
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.robot.urdf import models_root
+from redundancy_pin.simulation.controllers import NoisyAmplifier
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders
 from redundancy_pin.simulation.controllers.lqr import bryson_weights
@@ -32,7 +33,6 @@ from redundancy_pin.studies.trial import (
     DRAWN_MASSES,
     SCENARIOS,
     SUCCESS,
-    Amplifier,
     Imperfections,
     Scenario,
     Trial,
@@ -210,13 +210,13 @@ def test_the_trials_do_not_depend_on_the_number_of_processes():
 
 def test_the_largest_forces_are_those_of_every_period(monkeypatch: pytest.MonkeyPatch):
     put_out: list[np.ndarray] = []
-    real = Amplifier.effort
+    real = NoisyAmplifier.effort
 
     def recorded(self, t, state):
         put_out.append(np.concatenate(real(self, t, state)))
         return put_out[-1][:2], put_out[-1][2:]
 
-    monkeypatch.setattr(Amplifier, "effort", recorded)
+    monkeypatch.setattr(NoisyAmplifier, "effort", recorded)
     found = run_trial(SHORT, "computed torque", Imperfections(), 0, 3)
     acted = np.abs(put_out[:-1])  # the last has not had the time to act
     assert found.effort == acted[:, :2].max()

@@ -2,6 +2,7 @@
 
 from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus
 from redundancy_pin.simulation.controllers.base import Controller, FeedForward, Sampling, Tracking
+from redundancy_pin.simulation.controllers.by_name import NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
 from redundancy_pin.simulation.controllers.lqr import LqrWeights, TimeVaryingLqr, bryson_weights
@@ -15,8 +16,11 @@ __all__ = [
     "FeedForward",
     "JointFriction",
     "LqrWeights",
+    "NoisyAmplifier",
     "Sampling",
     "TimeVaryingLqr",
     "Tracking",
     "bryson_weights",
+    "controller_by_name",
+    "joint_friction",
 ]

@@ -119,10 +119,10 @@ def as_controller(law: Controller | EffortLaw) -> Controller:
             f"simulate was given {type(law).__name__} for the drive.",
             remedy="Pass a plan, or a controller with effort(t, state) -> (tau, carrier_force).",
         )
-    return _Adapted(law)
+    return Adapted(law)
 
 
-class _Adapted(Controller):
+class Adapted(Controller):
     """An object of the user's behind the interface of a controller: what it has replaces the defaults."""
 
     def __init__(self, law: EffortLaw) -> None:
@@ -133,9 +133,11 @@ class _Adapted(Controller):
         self.open_loop = _open_loop(law)
 
     def effort(self, t: float, state: State) -> Command:
+        """Return the efforts of the object."""
         return self._law.effort(t, state)
 
     def class_name(self) -> str:
+        """Return the name of its class."""
         return type(self._law).__name__
 
 

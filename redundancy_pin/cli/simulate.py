@@ -1,0 +1,319 @@
+"""``redundancy-pin simulate``: what a machine does that is to follow a plan or a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import click
+import numpy as np
+from rich.table import Table
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.cli.errors import BAD_INPUT, OPTIONS, in_words, printable
+from redundancy_pin.cli.options import (
+    FLAGS,
+    RobotOptions,
+    followed_motion,
+    json_option,
+    require_known,
+    robot_options,
+    settings_option,
+    trajectory_options,
+)
+from redundancy_pin.cli.output import (
+    console,
+    number,
+    print_json,
+    progress,
+    require_picture,
+    require_suffix,
+    same_file,
+    table_of,
+)
+from redundancy_pin.cli.plan import BREAKS_LIMITS, NOT_OPTIMAL
+from redundancy_pin.cli.plan_problem import numbers
+from redundancy_pin.cli.show import robot_of
+from redundancy_pin.errors import InputError, OutputError
+from redundancy_pin.io.files import require_writable
+from redundancy_pin.kinematics.coordinates import distance
+from redundancy_pin.loading import load_with
+from redundancy_pin.planners.plan import Plan, load_plan
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation import (
+    KINDS,
+    MotionReference,
+    Sampling,
+    Simulation,
+    SimulationStatus,
+    closed_state,
+    motion_reference,
+    plan_reference,
+)
+from redundancy_pin.simulation import (
+    simulate as run_simulation,
+)
+from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, controller_by_name, joint_friction
+from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL, DT
+from redundancy_pin.trajectory import carriers_from_csv
+from redundancy_pin.visualisation.figures.plots import save
+from redundancy_pin.visualisation.figures.plots import simulation as plot_simulation
+
+EXIT_CODES = {
+    SimulationStatus.COMPLETED: 0,
+    SimulationStatus.STOPPED_BY_EVENT: BREAKS_LIMITS,
+    SimulationStatus.FAILED: NOT_OPTIMAL,
+}
+"""By how a simulation ended."""
+
+CONTROLLERS = {"open-loop": "open loop", "computed-torque": "computed torque", "lqr": "LQR"}
+"""Controllers, by the name the command line uses."""
+
+FRICTION = ("prismatic_coulomb", "prismatic_viscous", "revolute_coulomb", "revolute_viscous")
+
+NEVER = "never"
+
+LISTED = 8
+"""Events that the table lists; the rest is counted."""
+
+_FLAGS = {
+    "effort_limit": "--max-effort",
+    "carrier_force_limit": "--max-carrier-force",
+    "stop_at": "--stop-at",
+    "period": "--period",
+    "duration": "--duration",
+    "dt": "--dt",
+    "carriers": "--carriers",
+}
+
+
+def _numbers(name: str) -> Any:
+    return lambda _context, _option, text: None if text is None else numbers(name, text)
+
+
+@click.command()
+@robot_options(required=False)
+@click.option("--plan", "plan_path", metavar="NPZ", help="Plan to follow, as `plan --out` writes it.")
+@trajectory_options
+@settings_option(
+    "--machine", "machine", "Parameter in which the machine is not as planned, such as carrier_mass=2.1; repeatable."
+)
+@click.option("--controller", type=click.Choice(list(CONTROLLERS)), default="open-loop", show_default=True,
+              help="What drives it.")  # fmt: skip
+@click.option("--park", metavar="S[,S...]", callback=_numbers("--park"),
+              help="Where carriers stand along a trajectory, m.  [default: 0]")  # fmt: skip
+@click.option("--carriers", type=click.Choice(["force", "motion"]), default="force", show_default=True,
+              help="Whether forces drive the carriers, or they follow their motion exactly.")  # fmt: skip
+@click.option("--period", type=float, metavar="SECONDS", help="Sampling of the controller.  [default: continuous]")
+@click.option("--delay", type=float, metavar="SECONDS", help="From its reading to its answer.  [default: 0]")
+@click.option("--encoders", is_flag=True, help="It sees the joints through encoders of 16 bits a turn and 1 µm.")
+@click.option("--noise", type=float, default=0.0, show_default=True, metavar="N",
+              help="Standard deviation of every actuator's effort, one value a period, N or N·m.")  # fmt: skip
+@click.option("--seed", default=0, show_default=True, metavar="N", help="Of the noise.")
+@settings_option("--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s; repeatable.")
+@click.option("--max-effort", metavar="E[,E...]", callback=_numbers("--max-effort"),
+              help="Where the amplifiers of the main actuators saturate, N or N·m.")  # fmt: skip
+@click.option("--max-carrier-force", metavar="F[,F...]", callback=_numbers("--max-carrier-force"),
+              help="The same of the carriers, N.")  # fmt: skip
+@click.option("--stop-at", type=click.Choice([*KINDS, NEVER]), multiple=True, default=("track", "joint_limit"),
+              show_default=True, help="Events at which it stops; may be repeated.")  # fmt: skip
+@click.option("--duration", type=float, metavar="SECONDS", help="How long.  [default: to the end of the motion]")
+@click.option("--dt", type=float, metavar="SECONDS", help="Between the samples.  [default: --period, or 0.005]")
+@click.option("--out", metavar="NPZ", help="Where the simulation goes; `load_simulation` reads it.")
+@click.option("--plot", metavar="PICTURE", help="Draw it, with the plan behind it (.png, .svg or .pdf).")
+@json_option
+def simulate(robot: RobotOptions, **given: Any) -> int:
+    r"""Simulate a machine that is to follow a plan or a motion.
+
+    Forward dynamics of the closed chains under a controller: the planned efforts open loop, computed torque, or an LQR.
+    It starts as planned. --machine, --friction, --noise, --encoders and a sampled controller make it less than perfect;
+    the controller knows the robot as planned.
+
+    Exit codes: 0 it reached its end; 3 it stopped at an event, such as the end of a track; 4 the integration could not
+    go on (a line on stderr says which and when, what was simulated until then is written); 2 bad input.
+
+    \b
+    Examples:
+      redundancy-pin simulate --plan plan.npz --machine carrier_mass=2.1 --out run.npz --plot run.png
+      redundancy-pin simulate --robot five_bar --motion motion.csv --controller computed-torque \
+          --period 0.001 --delay 0.001 --noise 0.05 --friction revolute_coulomb=0.02
+    """
+    plan_path, motion_path, out, plot = (given[name] for name in ("plan_path", "motion_path", "out", "plot"))
+    _require_outputs(out, plot, [path for path in (plan_path, motion_path) if path])
+    sampling = _sampling(given)
+    with progress("simulate") as advance, in_words(OPTIONS.knowing(_FLAGS)):
+        advance(0, 3, "reading")
+        plan = load_plan(plan_path) if plan_path else None
+        nominal, reference = _planned(robot, plan, given)
+        machine = _machine(nominal, given["machine"], robot)
+        advance(1, 3, "simulation")
+        run = _run(machine, reference, sampling, given)
+        advance(2, 3, "writing")
+        if out:
+            run.save(out)
+        if plot:
+            save(plot_simulation(run, plan, robot=machine), plot)
+    facts = summary(run, reference, machine)
+    if given["as_json"]:
+        print_json({**facts, "out": out, "plot": plot})
+    else:
+        console().print(_table(run, facts, {"simulation": out, "picture": plot}))
+    warn(run)
+    return EXIT_CODES.get(run.status, BAD_INPUT)
+
+
+def _require_outputs(out: str | None, plot: str | None, inputs: Sequence[str]) -> None:
+    """Check that all files can be written and are none of the inputs, before the work is done."""
+    if out:
+        require_suffix("--out", out, ".npz")
+        require_writable(out)
+    if plot:
+        require_picture(plot)
+    for flag, path in (("--out", out), ("--plot", plot)):
+        if path and any(same_file(path, given) for given in inputs):
+            raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
+
+
+def _sampling(given: Mapping[str, Any]) -> Sampling | None:
+    if given["period"] is not None:
+        return Sampling(given["period"], given["delay"] or 0.0)
+    for flag, value in (("--delay", given["delay"]), ("--noise", given["noise"]), ("--encoders", given["encoders"])):
+        if value:
+            raise InputError(f"{flag} goes with a sampled controller.", remedy="Add --period 0.001.")
+    return None
+
+
+def _planned(options: RobotOptions, plan: Plan | None, given: Mapping[str, Any]) -> tuple[Robot, MotionReference]:
+    """Return the robot as planned, and the motion that it is to follow."""
+    flags = {flag: given[flag] for flag in FLAGS}
+    if plan is not None:
+        for flag, value in {"trajectory": given["trajectory"], "motion": given["motion_path"], "park": given["park"],
+                            **flags}.items():  # fmt: skip
+            if value is not None:
+                raise InputError(
+                    f"--plan and --{flag.replace('_', '-')} are both given.", remedy="A plan has its own motion."
+                )
+        nominal = robot_of(plan, options)
+        return nominal, plan_reference(plan, robot=nominal)
+    if not options.source:
+        raise InputError("There is nothing to simulate.", remedy="Add --plan NPZ, or --robot NAME and a motion.")
+    motion = followed_motion("A simulation without --plan", given["trajectory"], given["motion_path"], flags)
+    nominal = options.load()
+    carriers = carriers_from_csv(given["motion_path"]) if given["motion_path"] else None
+    if carriers is not None and given["park"] is not None:
+        raise InputError("The carriers of the motion move, and --park parks them.", remedy="Leave --park out.")
+    parked = 0.0 if given["park"] is None else given["park"]
+    return nominal, motion_reference(nominal, motion, parked if carriers is None else carriers)
+
+
+def _machine(nominal: Robot, changes: Mapping[str, Any], options: RobotOptions) -> Robot:
+    """Return the robot that is simulated: that of the plan with other parameters."""
+    if not changes:
+        return nominal
+    arguments = {**nominal.parameters, **changes}
+    mode = nominal.working_mode or None
+    return load_with(
+        nominal.source, arguments, gravity=nominal.gravity.tolist(), working_mode=mode, trust=options.trust
+    )
+
+
+def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, given: Mapping[str, Any]) -> Simulation:
+    limits = {"effort_limit": given["max_effort"], "carrier_force_limit": given["max_carrier_force"]}
+    controller: Any = controller_by_name(CONTROLLERS[given["controller"]], reference, sampling=sampling, **limits)
+    point = reference.at(reference.start)
+    start = closed_state(machine, point.x, point.xd, point.s, point.sd, t=reference.start)
+    if sampling is not None and given["encoders"]:
+        controller = Encoders(controller, reference, period=sampling.period)
+    if given["noise"]:
+        require_not_negative("--noise", given["noise"])
+        controller = NoisyAmplifier(controller, np.random.default_rng(given["seed"]), given["noise"])
+    friction = given["friction"]
+    require_known(friction, FRICTION, "--friction")
+    for name, value in friction.items():
+        require_not_negative(f"--friction {name}", value)
+    events = set(given["stop_at"])
+    if NEVER in events and len(events) > 1:
+        raise InputError(f"--stop-at is {NEVER} and {max(events - {NEVER})}.", remedy="Give one or the other.")
+    digital: dict[str, Any] = {"rtol": CONTROLLED_RTOL, "atol": CONTROLLED_ATOL, "integrator": "RK45"}
+    return run_simulation(
+        machine,
+        controller,
+        start=start,
+        duration=reference.end - reference.start if given["duration"] is None else given["duration"],
+        dt=given["dt"] or (DT if sampling is None else sampling.period),
+        carriers=given["carriers"],
+        sampling=sampling,
+        external=joint_friction(machine, **friction) if friction else None,
+        stop_at=sorted(events - {NEVER}),
+        **limits,
+        **({} if sampling is None else digital),
+    )
+
+
+def require_not_negative(flag: str, value: object) -> None:
+    """Check that what was given to a flag is a number that is not negative."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < np.inf:
+        raise InputError(f"{flag} is {value!r}.", remedy="Give a number that is not negative.")
+
+
+def warn(run: Simulation) -> None:
+    """Print in one line on stderr why a simulation did not reach its end; nothing if it did."""
+    if run.status is SimulationStatus.STOPPED_BY_EVENT:
+        last = run.events[-1]
+        text = f"stopped at t = {last.t:.6g} s: {last.kind.replace('_', ' ')} ({last.name})"
+    elif run.status is SimulationStatus.FAILED:
+        text = f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}"
+    else:
+        return
+    click.echo(f"warning: {printable(' '.join(text.split()))}", err=True)
+
+
+def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[str, Any]:
+    """Return what is worth knowing of a simulation as plain data; its motion against that it was to follow."""
+    during = run.t <= reference.end
+    planned = np.array([reference.platform(t)[0] for t in run.t[during].tolist()])
+    away = distance(robot, run.x[during], planned)
+    return {
+        "robot": run.robot.name,
+        "drive": run.parameters["drive"],
+        "status": run.status.value,
+        "reason": run.reason,
+        "samples": len(run),
+        "start": float(run.t[0]),
+        "end": float(run.t[-1]),
+        "events": [vars(event) for event in run.events],
+        "largest_distance": float(away.max()),
+        "last_distance": float(away[-1]),
+        "peak_effort": _peaks(run.tau),
+        "peak_carrier_force": _peaks(run.carrier_force),
+        "work": float(run.work[-1]),
+        "largest_gap": float(run.gap.max()),
+        "parameters": run.parameters,
+        "statistics": vars(run.statistics),
+    }
+
+
+def _peaks(values: Array) -> Array:
+    """Return the largest sizes (c,), NaN left out."""
+    peaks: Array = np.fmax.reduce(np.abs(values), axis=0)
+    return peaks
+
+
+def _table(run: Simulation, facts: Mapping[str, Any], files: Mapping[str, str | None]) -> Table:
+    main, moved = run.robot.effort_unit(*run.robot.actuated), run.robot.effort_unit(*run.robot.carriers)
+    seen = [f"{event.kind.replace('_', ' ')} ({event.name}) at {event.t:.4g} s" for event in run.events]
+    more = len(seen) - LISTED
+    rows = [
+        ("status", run.status.value.replace("_", " ")),
+        ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {len(run)} samples"),
+        ("events", "\n".join([*seen[:LISTED], *([f"and {more} more"] if more > 0 else [])]) or "none"),
+        ("largest distance from the planned motion [m]", number(facts["largest_distance"])),
+        ("distance at the end [m]", number(facts["last_distance"])),
+        *((f"peak of {name} [{main}]", number(value))
+          for name, value in zip(run.robot.actuated, facts["peak_effort"].tolist(), strict=True)),
+        *((f"peak of {name} [{moved}]", number(value))
+          for name, value in zip(run.robot.carriers, facts["peak_carrier_force"].tolist(), strict=True)),
+        ("work of all actuators [J]", number(facts["work"])),
+        *((f"{name} written to", path) for name, path in files.items() if path),
+    ]  # fmt: skip
+    return table_of(f"{run.robot.name}, {run.parameters['drive']}", (), rows)
