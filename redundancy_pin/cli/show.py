@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import click
 
 from redundancy_pin.cli.errors import printable
@@ -9,8 +12,10 @@ from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
 from redundancy_pin.cli.output import print_json
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
-from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
+from redundancy_pin.planners.plan import Plan, load_plan
+from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot
+from redundancy_pin.simulation import Simulation, load_simulation
 from redundancy_pin.trajectory import carriers_from_csv, from_csv
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.viewer.page import View, require_html, require_meshcat
@@ -19,6 +24,7 @@ from redundancy_pin.visualisation.viewer.page import View, require_html, require
 @click.command()
 @robot_options(required=False)
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to show, as `plan --out` writes it.")
+@click.option("--run", "run_path", metavar="NPZ", help="Simulation to show, as `simulate --out` writes it.")
 @click.option("--motion", "motion_path", metavar="CSV", help="Motion to show, as `inverse-dynamics` reads it.")
 @click.option("--html", "out", metavar="HTML", help="Write one file that plays offline, instead of a live viewer.")
 @click.option("--forces/--no-forces", default=True, show_default=True, help="Whether arrows are shown at first.")
@@ -28,6 +34,7 @@ from redundancy_pin.visualisation.viewer.page import View, require_html, require
 def show(
     robot: RobotOptions,
     plan_path: str | None,
+    run_path: str | None,
     motion_path: str | None,
     out: str | None,
     forces: bool,
@@ -38,7 +45,7 @@ def show(
     r"""Show a robot in motion.
 
     Links, joints, tracks, carriers, the path of the platform, efforts as arrows; platform and path have the colour of
-    the margin to a singularity. Without --plan and --motion: its motion in the thesis, or a small swing.
+    the margin to a singularity. Without --plan, --run and --motion: its motion in the thesis, or a small swing.
 
     With --html one self-contained file is written. Without, the same page is served to browsers of this machine until
     Ctrl-C; its address is printed. No display is needed for either.
@@ -52,7 +59,7 @@ def show(
     if out:
         require_html(out)
         require_writable(out)
-    picture = _view(robot, plan_path, motion_path, forces, force_scale)
+    picture = _view(robot, {"--plan": plan_path, "--run": run_path, "--motion": motion_path}, forces, force_scale)
     if out:
         picture.save(out)
         _report(picture, out, as_json=as_json)
@@ -69,29 +76,34 @@ def show(
         live.close()
 
 
-def _view(
-    options: RobotOptions, plan_path: str | None, motion_path: str | None, forces: bool, force_scale: float
-) -> View:
-    if plan_path and motion_path:
-        raise InputError("--plan and --motion are both given.", remedy="Give one of them: a plan has its own motion.")
-    if plan_path:
-        plan = load_plan(plan_path)
-        return view(plan, robot=robot_of(plan, options), forces=forces, force_scale=force_scale)
+def _view(options: RobotOptions, given: Mapping[str, str | None], forces: bool, force_scale: float) -> View:
+    named = [flag for flag, path in given.items() if path]
+    if len(named) > 1:
+        raise InputError(
+            f"{' and '.join(named)} are both given.",
+            remedy="Give one of them: a plan and a simulation have their motion.",
+        )
+    plan_path, run_path, motion_path = given.values()
+    settings: Any = {"forces": forces, "force_scale": force_scale}
+    if plan_path or run_path:
+        subject = load_plan(plan_path) if plan_path else load_simulation(run_path or "")
+        return view(subject, robot=robot_of(subject, options), **settings)
     if not options.source:
         raise InputError("There is nothing to show.", remedy="Add --robot NAME or --plan NPZ.")
     robot = options.load()
     if not motion_path:
-        return view(robot, forces=forces, force_scale=force_scale)
-    return view(robot, from_csv(motion_path), carriers_from_csv(motion_path), forces=forces, force_scale=force_scale)
+        return view(robot, **settings)
+    return view(robot, from_csv(motion_path), carriers_from_csv(motion_path), **settings)
 
 
-def robot_of(plan: Plan, options: RobotOptions) -> Robot:
-    """Return the robot of a plan; --robot says where its files are now."""
+def robot_of(subject: Plan | Simulation, options: RobotOptions) -> Robot:
+    """Return the robot of a plan or a simulation; --robot says where its files are now."""
     if not options.is_robot_only:
+        kind = "plan" if isinstance(subject, Plan) else "simulation"
         raise InputError(
-            "--set, --mode and --gravity cannot change the robot of a plan.", remedy="Leave them out, or plan again."
+            f"--set, --mode and --gravity cannot change the robot of a {kind}.", remedy="Leave them out, or plan again."
         )
-    return load_robot_of(plan, options.source or None, trust=options.trust)
+    return load_recorded(subject.robot, options.source or None, trust=options.trust)
 
 
 def _report(picture: View, where: str, *, as_json: bool) -> None:

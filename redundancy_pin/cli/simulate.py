@@ -27,7 +27,6 @@ from redundancy_pin.cli.output import (
     print_json,
     progress,
     require_picture,
-    require_suffix,
     same_file,
     table_of,
 )
@@ -56,7 +55,7 @@ from redundancy_pin.simulation import (
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL, DT
 from redundancy_pin.trajectory import carriers_from_csv
-from redundancy_pin.visualisation.figures.plots import save
+from redundancy_pin.visualisation.figures.plots import run_title, save
 from redundancy_pin.visualisation.figures.plots import simulation as plot_simulation
 
 EXIT_CODES = {
@@ -119,7 +118,7 @@ def _numbers(name: str) -> Any:
               show_default=True, help="Events at which it stops; may be repeated.")  # fmt: skip
 @click.option("--duration", type=float, metavar="SECONDS", help="How long.  [default: to the end of the motion]")
 @click.option("--dt", type=float, metavar="SECONDS", help="Between the samples.  [default: --period, or 0.005]")
-@click.option("--out", metavar="NPZ", help="Where the simulation goes; `load_simulation` reads it.")
+@click.option("--out", metavar="NPZ|CSV", help="Where it goes: all of it, or a table by joint name, as of `export`.")
 @click.option("--plot", metavar="PICTURE", help="Draw it, with the plan behind it (.png, .svg or .pdf).")
 @json_option
 def simulate(robot: RobotOptions, **given: Any) -> int:
@@ -149,15 +148,19 @@ def simulate(robot: RobotOptions, **given: Any) -> int:
         advance(1, 3, "simulation")
         run = _run(machine, reference, sampling, given)
         advance(2, 3, "writing")
-        if out:
+        if out and out.lower().endswith(".csv"):
+            run.to_csv(out, machine)
+        elif out:
             run.save(out)
         if plot:
-            save(plot_simulation(run, plan, robot=machine), plot)
+            title = run_title(run, CONTROLLERS[given["controller"]])
+            save(plot_simulation(run, plan, robot=machine, title=title), plot)
     facts = summary(run, reference, machine)
     if given["as_json"]:
-        print_json({**facts, "out": out, "plot": plot})
+        print_json({**facts, "controller": given["controller"], "out": out, "plot": plot})
     else:
-        console().print(_table(run, facts, {"simulation": out, "picture": plot}))
+        title = f"{run.robot.name}, {CONTROLLERS[given['controller']]}"
+        console().print(_table(title, run, facts, {"simulation": out, "picture": plot}))
     warn(run)
     return EXIT_CODES.get(run.status, BAD_INPUT)
 
@@ -165,7 +168,8 @@ def simulate(robot: RobotOptions, **given: Any) -> int:
 def _require_outputs(out: str | None, plot: str | None, inputs: Sequence[str]) -> None:
     """Check that all files can be written and are none of the inputs, before the work is done."""
     if out:
-        require_suffix("--out", out, ".npz")
+        if not out.lower().endswith((".npz", ".csv")):
+            raise OutputError(f"--out {out} ends in neither .npz nor .csv.", remedy="Write --out run.npz.", path=out)
         require_writable(out)
     if plot:
         require_picture(plot)
@@ -221,7 +225,9 @@ def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, 
     limits = {"effort_limit": given["max_effort"], "carrier_force_limit": given["max_carrier_force"]}
     controller: Any = controller_by_name(CONTROLLERS[given["controller"]], reference, sampling=sampling, **limits)
     point = reference.at(reference.start)
-    start = closed_state(machine, point.x, point.xd, point.s, point.sd, t=reference.start)
+    start = controller.start_state(machine)
+    if machine is not reference.robot:  # with other lengths its chains would not be closed there
+        start = closed_state(machine, point.x, point.xd, point.s, point.sd, t=reference.start)
     if sampling is not None and given["encoders"]:
         controller = Encoders(controller, reference, period=sampling.period)
     if given["noise"]:
@@ -275,7 +281,6 @@ def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[s
     away = distance(robot, run.x[during], planned)
     return {
         "robot": run.robot.name,
-        "drive": run.parameters["drive"],
         "status": run.status.value,
         "reason": run.reason,
         "samples": len(run),
@@ -299,7 +304,7 @@ def _peaks(values: Array) -> Array:
     return peaks
 
 
-def _table(run: Simulation, facts: Mapping[str, Any], files: Mapping[str, str | None]) -> Table:
+def _table(title: str, run: Simulation, facts: Mapping[str, Any], files: Mapping[str, str | None]) -> Table:
     main, moved = run.robot.effort_unit(*run.robot.actuated), run.robot.effort_unit(*run.robot.carriers)
     seen = [f"{event.kind.replace('_', ' ')} ({event.name}) at {event.t:.4g} s" for event in run.events]
     more = len(seen) - LISTED
@@ -316,4 +321,4 @@ def _table(run: Simulation, facts: Mapping[str, Any], files: Mapping[str, str | 
         ("work of all actuators [J]", number(facts["work"])),
         *((f"{name} written to", path) for name, path in files.items() if path),
     ]  # fmt: skip
-    return table_of(f"{run.robot.name}, {run.parameters['drive']}", (), rows)
+    return table_of(title, (), rows)

@@ -24,7 +24,7 @@ from redundancy_pin.io.files import refusing, replacing_file, write_text
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
-from redundancy_pin.planners.robot_record import load_recorded
+from redundancy_pin.planners.robot_record import RobotRecord, load_recorded
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.trajectory.trajectory import sample_times
 
@@ -43,7 +43,7 @@ QUANTITIES = ("position", "rate", "acceleration", "effort")
 
 @dataclass(frozen=True, eq=False)
 class PlanTable(Frozen):
-    """A plan at N instants; J joints: the main actuators, then the carriers.
+    """A plan or a simulation at N instants; J joints: the main actuators, then the carriers.
 
     Attributes:
         t: (N,) time, s; an instant occurs twice where both sides of a jump are kept.
@@ -108,6 +108,32 @@ def plan_table(
             parts = tuple(part[kept] for part in parts)  # type: ignore[assignment]
     else:
         parts = _at_rate(plan, machine, positive(rate, "rate", "Hz"), two_sided is True)
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        "robot": plan.robot.name,
+        "planner": plan.planner,
+        "backend": plan.backend,
+        "status": plan.status.value,
+        "samples_per_second": None if rate is None else float(rate),
+    }
+    return table_of_states(machine, plan.robot, parts, about)
+
+
+def table_of_states(
+    machine: Robot,
+    record: RobotRecord,
+    parts: tuple[Array, Array, Array, Array, Array, Array],
+    about: Mapping[str, Any],
+) -> PlanTable:
+    """Return a table of N states of a robot.
+
+    Args:
+        machine: the robot.
+        record: the same, in plain data.
+        parts: t (N,), x (N, n) or (N, 4, 4), q (N, nq), v and a (N, nv), and efforts (N, m + k).
+        about: what it is, in plain data.
+    """
     t, x, q, v, a, effort = parts
     names = (*machine.actuated, *machine.carriers)
     columns = np.concatenate([machine.actuated_velocity, machine.carrier_velocity])
@@ -115,7 +141,7 @@ def plan_table(
     return PlanTable(
         t=read_only(t),
         joints=names,
-        joint_units=_units(plan, names),
+        joint_units=_units(record, names),
         position=read_only(np.stack([_position(machine, name, q) for name in names], axis=1)),
         rate=read_only(v[:, columns]),
         acceleration=read_only(a[:, columns]),
@@ -123,15 +149,7 @@ def plan_table(
         coordinates=coordinates,
         coordinate_units=units,
         x=read_only(x),
-        about={
-            "format": FORMAT,
-            "version": VERSION,
-            "robot": plan.robot.name,
-            "planner": plan.planner,
-            "backend": plan.backend,
-            "status": plan.status.value,
-            "samples_per_second": None if rate is None else float(rate),
-        },
+        about=about,
     )
 
 
@@ -205,11 +223,11 @@ def _coordinates(robot: Robot, x: Array) -> tuple[tuple[str, ...], tuple[str, ..
     return tuple(f"platform.{axis}" for axis in axes), ("m",) * 3 + ("1",) * 4, values
 
 
-def _units(plan: Plan, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+def _units(record: RobotRecord, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """Return the units of the joints, in ASCII: spreadsheets guess at everything else."""
     rate = {"position": "track", "rate": "speed", "acceleration": "acceleration", "effort": "effort"}
     return {
-        quantity: tuple(plan.robot.limit_unit(limit, name).replace("²", "^2").replace("·", " ") for name in names)
+        quantity: tuple(record.limit_unit(limit, name).replace("²", "^2").replace("·", " ") for name in names)
         for quantity, limit in rate.items()
     }
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +16,12 @@ from redundancy_pin.arrays import Array, Frozen, checked, peak
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.robot_record import RobotRecord, read_robot
+from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
+from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.events import Event
+
+if TYPE_CHECKING:
+    from redundancy_pin.planners.export import PlanTable
 
 FORMAT = "redundancy_pin simulation"
 """What a saved simulation calls itself."""
@@ -154,6 +158,28 @@ class Simulation(Frozen):
         kept = np.append(np.diff(self.t) > 0.0, True)
         spline = CubicHermiteSpline(self.t[kept], self.x[kept], self.xd[kept])
         return spline(instants), spline(instants, 1)
+
+    def table(self, robot: Robot | None = None) -> PlanTable:
+        """Return positions, rates, accelerations and efforts by joint name, as ``Plan.table`` does.
+
+        Args:
+            robot: that of the simulation; loaded when left out.
+
+        Raises:
+            PlanFileError: the robot cannot be loaded, or is no longer what it was.
+        """
+        from redundancy_pin.planners.export import FORMAT, VERSION, table_of_states
+
+        machine = load_recorded(self.robot) if robot is None else robot
+        efforts = np.concatenate([self.tau, self.carrier_force], axis=1)
+        about = {"format": FORMAT, "version": VERSION, "robot": self.robot.name, "status": self.status.value}
+        return table_of_states(machine, self.robot, (self.t, self.x, self.q, self.v, self.a, efforts), about)
+
+    def to_csv(self, path: str | Path, robot: Robot | None = None) -> None:
+        """Write ``table`` as CSV, as ``Plan.to_csv`` does; OutputError where the file cannot be written."""
+        from redundancy_pin.planners.export import write_csv
+
+        write_csv(self.table(robot), path)
 
     def save(self, path: str | Path) -> None:
         """Write the simulation to a file without loss (npz with JSON inside); ``load_simulation`` reads it.

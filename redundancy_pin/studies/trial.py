@@ -24,11 +24,6 @@ from redundancy_pin.simulation.controllers.by_name import (
 )
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
-<<<<<<< HEAD
-from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr
-=======
-from redundancy_pin.planners.reference import MotionReference, plan_reference
->>>>>>> 9d476fa (redundancy-pin simulate: a plan or a motion under a controller, with noise, friction, sampling and another machine than planned)
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import closed_state
 from redundancy_pin.studies.case import RNEA, Case, Planner, load, options

@@ -187,9 +187,14 @@ def curves_of_run(run: Simulation, robot: Robot | None = None) -> Curves:
     )
 
 
-def run_title(run: Simulation) -> str:
-    """Return one line: robot, what drove it, and how it ended."""
-    drive = str(run.parameters.get("drive", "")).replace("_", " ")
+_DRIVES = {"FeedForward": "open loop", "ComputedTorque": "computed torque", "TimeVaryingLqr": "LQR"}
+
+
+def run_title(run: Simulation, drive: str | None = None) -> str:
+    """Return one line: robot, what drove it (as the simulation has it, when left out), and how it ended."""
+    if drive is None:
+        named = str(run.parameters.get("drive", ""))
+        drive = _DRIVES.get(named, named.replace("_", " "))
     ended = run.status.value.replace("_", " ")
     last = run.events[-1] if run.events else None
     if last is not None and last.terminal:
