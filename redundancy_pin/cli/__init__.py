@@ -22,7 +22,7 @@ COMMANDS: Mapping[str, str] = {
     "plan": "Plan the motion of the carriers.",
     "reproduce": "Run the experiments of the thesis.",
     "show": "Show a robot in motion.",
-    "simulate": "Simulate a machine under a controller.",
+    "simulate": "Simulate a machine that is to follow a plan or a motion.",
     "singularities": "Find singularities: a map, instants of a motion.",
     "study": "Drive imperfect machines through singularities, many times.",
     "validate": "Check the dynamics on random states.",
