@@ -50,6 +50,14 @@ def test_a_plan_on_another_machine_is_the_simulation_of_the_python_api(plan_file
     assert facts["peak_effort"] == pytest.approx(np.abs(expected.tau).max(axis=0))
 
 
+def test_a_machine_of_other_lengths_starts_where_the_plan_does(plan_file: Path) -> None:
+    result = call("simulate", "--plan", plan_file, "--machine", "distal_length=1.003", "--duration", "0.02", "--json")
+    assert (result.exit_code, result.stderr) == (0, "")
+    facts = json.loads(result.stdout)
+    assert facts["largest_gap"] < 1e-9
+    assert facts["largest_distance"] < 1e-4
+
+
 def test_a_table_has_the_joints_by_name(plan_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "run.csv"
     result = call("simulate", "--plan", plan_file, "--duration", "0.1", "--dt", "0.02", "--out", out)
