@@ -249,7 +249,7 @@ class Amplifiers:
         self._saturates = bool(np.isfinite(tau_limit).any() or np.isfinite(force_limit).any())
         self.limits: Array = np.concatenate(self._limits)
         """(m + k,) of main efforts and carrier forces."""
-        polynomials = controller.open_loop if isinstance(controller, _Adapted) else _open_loop(controller)
+        polynomials = controller.open_loop if isinstance(controller, Adapted) else _open_loop(controller)
         fits = polynomials is not None and polynomials.coefficients.shape[2] == len(self.limits)
         self.open_loop = polynomials if polynomials is not None and fits else None
         """What the controller commands as polynomials of time, before it saturates; None where it heeds the state."""
