@@ -7,6 +7,9 @@ from redundancy_pin.arrays import Side
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.csv_file import carriers_from_csv, from_csv
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, circle_path, with_constant
+from redundancy_pin.trajectory.piecewise_law import PiecewiseLaw
+from redundancy_pin.trajectory.points import from_points
+from redundancy_pin.trajectory.splines import PosePath, TimedSpline
 from redundancy_pin.trajectory.timing import (
     Polynomial,
     RestToRest,
@@ -26,12 +29,15 @@ __all__ = [
     "Line",
     "Path",
     "PathPoint",
+    "PiecewiseLaw",
     "Polynomial",
+    "PosePath",
     "PoseTrajectory",
     "RestToRest",
     "Side",
     "SpeedProfile",
     "SplinePath",
+    "TimedSpline",
     "TimingLaw",
     "TimingPoint",
     "Trajectory",
@@ -41,6 +47,7 @@ __all__ = [
     "circle_path",
     "corner_path",
     "from_csv",
+    "from_points",
     "reference",
     "rest_to_rest_345",
     "rest_to_rest_4567",

@@ -44,10 +44,10 @@ def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
             number (with row and column), rows of different lengths, rates that are not those of the positions (with
             column and factor), or a motion that is not one.
     """
-    table = _read(path)
+    table = table_of_csv(path)
     x, xd, xdd = (_columns(table, name, path) for name in ("x", "xd", "xdd"))
     if x.shape[1] == 7 and xd.shape[1] == 6:
-        x = _poses(x, path)
+        x = poses_of(x, path)
     else:
         _require_as_many(path, x=x, xd=xd)
     _require_as_many(path, xd=xd, xdd=xdd)
@@ -69,7 +69,7 @@ def carriers_from_csv(path: str | os.PathLike[str]) -> CarrierMotion | None:
     Raises:
         InputError: as ``from_csv``.
     """
-    table = _read(path)
+    table = table_of_csv(path)
     if not any(re.fullmatch(r"s(d|dd)?\d+", name) for name in table):
         return None
     s, sd, sdd = (_columns(table, name, path) for name in ("s", "sd", "sdd"))
@@ -80,8 +80,8 @@ def carriers_from_csv(path: str | os.PathLike[str]) -> CarrierMotion | None:
     return CarrierMotion(s, sd, sdd)
 
 
-def _read(path: str | os.PathLike[str]) -> dict[str, Array]:
-    """Return the columns of the file by name, with ``t`` among them."""
+def table_of_csv(path: str | os.PathLike[str], needs: Sequence[str] = ("t",)) -> dict[str, Array]:
+    """Return the columns of the file by name; InputError where it cannot be read, or lacks one of those needed."""
     try:
         with TextIOWrapper(opened(os.fspath(path), InputError), "utf-8-sig", newline="") as stream:
             reader = csv.reader(stream)
@@ -101,8 +101,9 @@ def _read(path: str | os.PathLike[str]) -> dict[str, Array]:
     if twice:
         raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
     table = dict(zip(names, _numbers(names, rows[1:], path).T, strict=True))
-    if "t" not in table:
-        raise _missing(path, "t", names)
+    for name in needs:
+        if name not in table:
+            raise _missing(path, name, names)
     return table
 
 
@@ -148,7 +149,8 @@ def _require_as_many(path: str | os.PathLike[str], **columns: Array) -> None:
         )
 
 
-def _poses(x: Array, path: str | os.PathLike[str]) -> Array:
+def poses_of(x: Array, path: str | os.PathLike[str]) -> Array:
+    """Return (N, 4, 4) poses of (N, 7) positions, m, and quaternions x, y, z, w; ``path`` is what errors name."""
     norms = np.linalg.norm(x[:, 3:], axis=1)
     k = int(np.argmax(np.abs(norms - 1.0)))
     if abs(norms[k] - 1.0) > _QUATERNION_TOLERANCE:

@@ -26,7 +26,6 @@ from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, Side, froz
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.rotation_vector import angular_rates, vector_rates
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.trajectory.timing import SpeedProfile
 
 DEGREE = 15
 """Of the pieces of a fit. Smooth motions of a second then need a few dozen pieces for twelve digits."""
@@ -461,8 +460,7 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMot
 def _knots(motion: TimedTrajectory) -> list[float]:
     """Return the times, s, at which the jerk jumps, and those beside a cusp of the path, where little is smooth."""
     timing, lengths = getattr(motion, "timing", None), getattr(getattr(motion, "path", None), "knots", ())
-    # where a ramp meets the cruise
-    ramps = [timing.ramp_time, timing.ramp_time + timing.cruise_time] if isinstance(timing, SpeedProfile) else []
+    ramps = getattr(timing, "knots", ())
     along = np.array([timing.time_at(float(p)) for p in lengths]) if timing is not None else np.empty(0)
     if len(along):
         apart = np.diff(along, prepend=0.0) > LEAST_KNOT_DISTANCE * motion.duration

@@ -305,6 +305,11 @@ class SpeedProfile:
         return self.ramp_time + self.cruise_time + self.end_ramp_time
 
     @property
+    def knots(self) -> Array:
+        """(2,) times at which a ramp meets the cruise, s: the jerk jumps there."""
+        return read_only(np.array([self.ramp_time, self.ramp_time + self.cruise_time]))
+
+    @property
     def peak_speed(self) -> float:
         """Largest speed, m/s: the cruising speed unless a ramp overshoots it (λ > 0.6).
 

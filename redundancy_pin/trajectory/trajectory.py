@@ -184,7 +184,7 @@ class Trajectory(Frozen, TimedMotion):
         return self.path.dimension
 
     def evaluate(self, t: ArrayLike, side: Side = "right") -> TrajectoryPoint:
-        """Return x, ẋ, ẍ at times t, s, of any shape: arrays of that shape followed by (n,).
+        """Return x, ẋ, ẍ at times t, s, of any shape: arrays of that shape followed by (n,); x of poses by (4, 4).
 
         At a break the acceleration is that before ("left") or after it ("right"); x and ẋ are bit-equal from both
         sides.
@@ -196,7 +196,7 @@ class Trajectory(Frozen, TimedMotion):
         times = inside(t, 0.0, self.duration, "t", "s")
         flat = times.ravel()
         point = self._evaluate(flat, np.full(flat.shape, side == "left"))
-        return TrajectoryPoint(*(part.reshape(*times.shape, self.dimension) for part in point))
+        return TrajectoryPoint(*(part.reshape(*times.shape, *part.shape[1:]) for part in point))
 
     def scaled(self, factor: float) -> Trajectory:
         """Return the same path travelled ``factor`` times as fast; inertial forces grow with factor².

@@ -223,6 +223,12 @@ class SplinePath(Frozen, SmoothPath):
         return int(self.points.shape[1])
 
     @property
+    def lengths_at_points(self) -> Array:
+        """(N,) arc lengths at the points, m; one more, at the end, where the path is closed."""
+        found: Array = self._arc_at_edges[np.searchsorted(self._edges, self._spline.x)]
+        return found
+
+    @property
     def knots(self) -> Array:
         """(c,) inner arc lengths between which the path is resolved by a few points, m: close together at a cusp."""
         return self._arc_at_edges[1:-1]

@@ -1,0 +1,228 @@
+"""A motion through points of one's own: at given times, at given speeds, or as fast as limits allow."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path as File
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, checked, positive
+from redundancy_pin.errors import InputError, shown
+from redundancy_pin.io.json_text import LARGEST_TEXT, read_json
+from redundancy_pin.io.reading import read_text
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.trajectory.csv_file import poses_of, table_of_csv
+from redundancy_pin.trajectory.paths import Path, with_constant
+from redundancy_pin.trajectory.piecewise_law import law_through_speeds, uniform_law
+from redundancy_pin.trajectory.splines import PosePath, TimedSpline
+from redundancy_pin.trajectory.time_optimal import fastest_law
+from redundancy_pin.trajectory.timing import SpeedProfile, TimingLaw
+from redundancy_pin.trajectory.trajectory import Trajectory
+from redundancy_pin.trajectory.waypoints import SplinePath
+
+TIME_OPTIMAL: Literal["time-optimal"] = "time-optimal"
+"""In place of times: as fast as limits allow."""
+
+SUFFIXES = (".csv", ".json")
+"""Of files with points."""
+
+_RAMP = 0.1
+"""Length of each ramp, as a fraction of the path, where no ramp time is given."""
+
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+def from_points(
+    points: ArrayLike | str | os.PathLike[str],
+    times: ArrayLike | Literal["time-optimal"] | None = None,
+    *,
+    speed: ArrayLike | None = None,
+    ramp_time: float | None = None,
+    max_speed: ArrayLike | None = None,
+    max_acceleration: ArrayLike | None = None,
+    alpha: float | None = None,
+    closed: bool = False,
+) -> Trajectory:
+    """Return a smooth motion through points or poses, from rest to rest.
+
+    One of three says when it is where:
+
+    - ``times``: each point is passed at its own time, on a quintic spline of time (four continuous derivatives).
+    - ``speed``: a cubic spline by arc length (curvature is continuous), at one cruising speed with ramps, or with a
+      speed of its own at each point.
+    - ``times="time-optimal"``: the same path in least time under ``max_speed`` and ``max_acceleration`` of the
+      platform (``time_optimal``; switches of the acceleration take 2 % of the duration).
+
+    Poses (three or more make a spline; two are joined directly) turn by splines of quaternions. By speed or
+    time-optimal they need origins that move from each to the next.
+
+    Args:
+        points: (N, n) coordinates, m and rad; poses as (N, 4, 4), or (N, 7) position and unit quaternion x, y, z, w;
+            or a file: CSV with a row of names such as ``t,x,y`` (``t`` and ``speed`` may be left out; poses are
+            ``x,y,z,qx,qy,qz,qw``), or JSON, ``{"points": [...], "t": [...]}`` or a list of points.
+        times: (N,) increasing times, s, counted from the first; or "time-optimal". Those of a file when left out.
+        speed: cruising speed, m/s; or (N,) the speed at each point, zero where it stops.
+        ramp_time: duration of each ramp to the cruising speed, s; when left out ramps are a tenth of the path long.
+        max_speed: for "time-optimal": largest |ẋ|, m/s; or of each coordinate, (n,). Of poses two numbers, of the
+            origin, m/s, and of the rotation, rad/s, or (6,).
+        max_acceleration: the same of ẍ, m/s² and rad/s².
+        alpha: a constant last coordinate, rad, for points in the plane.
+        closed: by ``speed`` or "time-optimal": return to the first point, which is not repeated.
+
+    Raises:
+        InputError: none or two of times and speed, points that are none, times that do not increase, a file that
+            cannot be read (with row and column), ...
+    """
+    if isinstance(points, (str, os.PathLike)):
+        points, own_times, own_speed = read_points(points)
+        if own_times is not None:
+            if times is not None or speed is not None:
+                both = "times" if times is not None else "speed"
+                raise InputError(
+                    f"The file has times of its own, and {both} is given too.",
+                    remedy="Leave it out, or the column t.",
+                    name=both,
+                )
+            times = own_times
+        speed = own_speed if speed is None else speed
+    if (times is None) == (speed is None):
+        given = "Both times and speed are given." if speed is not None else "Neither times nor speed is given."
+        raise InputError(given, remedy='Pass one of times=[...], speed=0.1, and times="time-optimal" with limits.')
+    fastest = isinstance(times, str)
+    if fastest and times != TIME_OPTIMAL:
+        raise InputError(f"times is {shown(times)}.", remedy='Pass times, or "time-optimal".', name="times")
+    for name, value, fits in (
+        ("max_speed", max_speed, fastest),
+        ("max_acceleration", max_acceleration, fastest),
+        ("ramp_time", ramp_time, speed is not None and np.ndim(speed) == 0),
+    ):
+        if value is not None and not fits:
+            remedy = "It is for one cruising speed." if name == "ramp_time" else 'It is for times="time-optimal".'
+            raise InputError(f"{name} is given, and has no effect here.", remedy=remedy, name=name)
+    where, rotations = _split(points)
+    if closed and (rotations is not None or (times is not None and not fastest)):
+        raise InputError(
+            "closed is for coordinates, by speed or time-optimal.", remedy="Repeat the first point.", name="closed"
+        )
+    if times is not None and not fastest:
+        timed = TimedSpline(where, times)
+        return Trajectory(_whole(timed, rotations, alpha), uniform_law(timed.length, timed.length))
+    spline = SplinePath(where, closed=closed)
+    path = _whole(spline, rotations, alpha)
+    if not fastest:
+        return Trajectory(path, _law(spline, speed, ramp_time))
+    for name, value in (("max_speed", max_speed), ("max_acceleration", max_acceleration)):
+        if value is None:
+            raise InputError(f'times="time-optimal" needs {name}.', remedy="Give both limits.", name=name)
+    return Trajectory(path, fastest_law(path, max_speed, max_acceleration))  # type: ignore[arg-type]
+
+
+def _law(path: SplinePath, speed: Any, ramp_time: float | None) -> TimingLaw:
+    if np.ndim(speed) == 0:
+        cruise = positive(speed, "speed", "m/s")
+        ramp = 2.0 * _RAMP * path.length / cruise if ramp_time is None else ramp_time
+        return SpeedProfile(path.length, cruise, ramp)
+    places = path.lengths_at_points
+    speeds = checked(speed, "speed", ("N",))
+    if len(speeds) == len(places) - 1:  # closed: the last point is the first
+        speeds = np.append(speeds, speeds[0])
+    if len(speeds) != len(places):
+        raise InputError(
+            f"speed has {len(speeds)} values for {len(path.points)} points.",
+            remedy="Give one number, or one for each point.",
+            name="speed",
+        )
+    return law_through_speeds(places, speeds)
+
+
+def _whole(path: Any, rotations: Array | None, alpha: float | None) -> Path:
+    if rotations is not None:
+        if alpha is not None:
+            raise InputError("alpha goes with points, not with poses.", remedy="Leave it out.", name="alpha")
+        return PosePath(path, rotations)
+    return path if alpha is None else with_constant(path, alpha)
+
+
+def _split(points: Any) -> tuple[Array, Array | None]:
+    """Return (N, n) coordinates and None, or (N, 3) origins and (N, 3, 3) rotations of poses."""
+    if isinstance(points, PlatformMotion):
+        raise InputError("A sampled motion is a motion already.", remedy="Pass points, or use the motion as it is.")
+    try:
+        axes = np.ndim(points)
+    except ValueError:  # rows of different lengths: said by checked
+        axes = 2
+    given = checked(points, "points", ("N", 4, 4) if axes == 3 else ("N", "n"))
+    if given.shape[1:] == (7,):
+        given = poses_of(given, "points")
+    if given.ndim == 2:
+        return given, None
+    still = np.zeros((len(given), 6))
+    PlatformMotion(np.arange(len(given)), given, still, still)  # checks that they are poses
+    return given[:, :3, 3], given[:, :3, :3]
+
+
+def read_points(path: str | os.PathLike[str]) -> tuple[Array, Array | None, Array | None]:
+    """Return points (N, n), times (N,) and speeds (N,) of a CSV or JSON file; the latter two where it has them.
+
+    Raises:
+        InputError: another suffix, a file that cannot be read, or one without points.
+    """
+    place = File(os.path.expanduser(path))
+    suffix = place.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{place} ends in neither .csv nor .json.", remedy="Name it as what it is.", path=str(place))
+    columns = table_of_csv(place, needs=()) if suffix == ".csv" else _read_json(place)
+    if isinstance(columns, tuple):
+        return columns
+    columns = dict(columns)
+    times = columns.pop("t", columns.pop("time", None))
+    speed = columns.pop("speed", None)
+    if any(name.startswith("xd") and name[2:].isdigit() for name in columns):
+        raise InputError(
+            f"{place} is a sampled motion: it has rates.",
+            remedy="Read it with trajectory.from_csv (--motion on the command line).",
+            path=str(place),
+        )
+    if not columns:
+        raise InputError(f"{place} has no coordinates.", remedy="Name its columns t, x, y, ....", path=str(place))
+    names = _POSE if set(_POSE) == set(columns) else tuple(columns)
+    return np.stack([columns[name] for name in names], axis=1), times, speed
+
+
+def _read_json(path: File) -> Mapping[str, Array] | tuple[Array, Array | None, Array | None]:
+    """Return columns, of a list of objects, or points, times and speeds."""
+    try:
+        data = read_json(read_text(path, InputError, largest=LARGEST_TEXT))
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is not JSON: {error}.", remedy="Correct it.", path=str(path)) from error
+    times = speed = None
+    if isinstance(data, Mapping):
+        unknown = [key for key in data if key not in ("points", "t", "times", "speed")]
+        if unknown or "points" not in data:
+            what = f"has the key {shown(unknown[0])}" if unknown else "has no points"
+            remedy = 'Write {"points": [[x, y], ...], "t": [...]}; speed is the other key.'
+            raise InputError(f"{path} {what}.", remedy=remedy, path=str(path))
+        times, speed, data = data.get("t", data.get("times")), data.get("speed"), data["points"]
+    if not isinstance(data, list) or not data:
+        raise InputError(f"{path} holds no list of points.", remedy="Write [[x, y], ...].", path=str(path))
+    if all(isinstance(row, Mapping) for row in data) and times is None and speed is None:
+        names = tuple(data[0])
+        if any(tuple(row) != names for row in data):
+            raise InputError(f"The points of {path} have different keys.", remedy="Give each the same.", path=str(path))
+        return {name: checked([row[name] for row in data], name, ("N",)) for name in names}
+    optional: Sequence[Array | None] = [
+        None if part is None else checked(part, name, ("N",)) for name, part in (("t", times), ("speed", speed))
+    ]
+    return np.asarray(_split_free(data)), optional[0], optional[1]
+
+
+def _split_free(data: Any) -> Array:
+    """Return the array of nested lists, of two axes or three."""
+    depth = 3 if data and isinstance(data[0], list) and data[0] and isinstance(data[0][0], list) else 2
+    return checked(data, "points", ("N", "n", "m")[:depth])

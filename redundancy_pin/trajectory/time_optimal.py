@@ -1,0 +1,242 @@
+"""The fastest timing law along a path, under limits of the platform's speed and acceleration.
+
+With w = ṗ² and u = p̈ the limits are linear at every arc length: ẋ = x' ṗ and ẍ = x' u + x'' w, while w' = 2 u. Going
+backwards from the end, the largest w from which the rest can still be braked is known at every node of a grid; going
+forwards, the largest u that keeps below it is optimal (Pham and Pham 2018, TOPP-RA). In each step of the grid u is
+constant and the limits hold at both of its ends. The lower end of the controllable set is zero here, as every limit is
+symmetric: a platform at rest may stay so.
+
+That optimum switches between extreme accelerations at once. Planners and motors need a continuous one, so the law is
+averaged over a short window, ``BLEND`` of the duration, by which it gets longer; then it is run as fast as the
+limits allow on dense samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, IntArray, Side, checked, read_only
+from redundancy_pin.errors import InputError
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.paths import Path
+from redundancy_pin.trajectory.piecewise_law import PiecewiseLaw
+
+STEPS = 1000
+"""Of the grid: with twice as many durations change by less than 1e-4."""
+
+BLEND = 0.02
+"""Window in which accelerations change, as a fraction of the least duration."""
+
+_PIECES = 4
+"""Of the law in each window."""
+
+_DENSE = 40
+"""Samples in each piece at which limits are looked at."""
+
+_SPARE = 1e-4
+"""By which the law runs slower than these samples allow: what is between them stays within the limits too."""
+
+_DIRECTIONS = 64
+"""Sides of the polygon that stands for a limit of the norm: inside it by 0.12 %, which is made good at the end."""
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Coordinates whose norm is limited together: ``columns``, largest ``speed`` and ``acceleration``."""
+
+    columns: IntArray
+    speed: float
+    acceleration: float
+
+
+def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> PiecewiseLaw:
+    """Return the law from rest to rest in least time, but for the window in which accelerations change.
+
+    Args:
+        path: the path; where its curvature jumps, the limits hold on both sides.
+        max_speed: a number, which limits the norm of ẋ, m/s; or (n,) of each coordinate, m/s and rad/s. Of a pose: two
+            numbers, of the origin and of the angular velocity; or (6,).
+        max_acceleration: the same of ẍ, m/s² and rad/s².
+
+    Raises:
+        InputError: limits that are not positive, or of another number.
+    """
+    groups = _groups(path, max_speed, max_acceleration)
+    p, w, u = _optimum(path, groups)
+    law = _averaged(p, w, u)
+    times = np.linspace(0.0, law.duration, _DENSE * (len(law.polynomials.edges) - 1) + 1)
+    return law.scaled((1.0 - _SPARE) / _use(path, groups, law, times))
+
+
+def least_duration(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> float:
+    """Return the duration, s, of the optimum whose accelerations switch at once; arguments as of ``fastest_law``."""
+    p, w, _ = _optimum(path, _groups(path, max_speed, max_acceleration))
+    return float(_durations(p, w).sum())
+
+
+def _groups(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> list[_Group]:
+    n = path.dimension
+    pose = path.evaluate(np.zeros(1)).x.ndim == 3
+    limits = []
+    for name, values in (("max_speed", max_speed), ("max_acceleration", max_acceleration)):
+        given = checked(np.atleast_1d(values), name, ("n",))
+        if len(given) not in ((2, 6) if pose else (1, n)):
+            wanted = "two numbers (of the origin and of the rotation) or six" if pose else f"one number or {n}"
+            raise InputError(f"{name} has {len(given)} values.", remedy=f"Give {wanted}.", name=name)
+        if not (given > 0.0).all():
+            raise InputError(f"{name} is {given.min():g}, expected positive numbers.", name=name)
+        whole = np.repeat(given, 3) if pose and len(given) == 2 else given
+        limits.append((len(given), whole))
+    (few, speed), (_, acceleration) = limits
+    if len({count for count, _ in limits}) > 1:
+        raise InputError(
+            "max_speed and max_acceleration have different numbers of values.", remedy="Give as many of each."
+        )
+    parts = (
+        [np.arange(n)] if few == 1 else [np.arange(3), np.arange(3, 6)] if pose and few == 2 else np.arange(n)[:, None]
+    )
+    return [
+        _Group(
+            part,
+            float(speed[part[0]]) if len(speed) > 1 else float(speed[0]),
+            float(acceleration[part[0]]) if len(acceleration) > 1 else float(acceleration[0]),
+        )
+        for part in parts
+    ]
+
+
+def _optimum(path: Path, groups: list[_Group]) -> tuple[Array, Array, Array]:
+    """Return arc lengths (N + 1,), squares of the speed there, and the (N,) accelerations between them."""
+    inner = np.concatenate([np.asarray(path.breaks), np.linspace(0.0, path.length, STEPS + 1)])
+    p = np.unique(np.clip(inner, 0.0, path.length))
+    p = p[np.append(True, np.diff(p) > 1e-9 * path.length)]
+    p[-1] = path.length
+    d = np.diff(p)
+    starts, ends = path.evaluate(p[:-1], "right"), path.evaluate(p[1:], "left")
+    A0, B0, c, most0 = _rows(starts.tangent, starts.curvature, groups)
+    A1, B1, _, most1 = _rows(ends.tangent, ends.curvature, groups)
+    most = np.minimum(np.append(most0, np.inf), np.append(np.inf, most1))
+    # rows of A u + B w <= c: at the start of a step, and at its end, where w is w + 2 d u
+    A = np.concatenate([A0, A1 + 2.0 * d[:, None] * B1], axis=1)
+    B = np.concatenate([B0, B1], axis=1)
+    c = np.concatenate([c, c])
+    high = np.zeros(len(p))
+    for i in range(len(d) - 1, -1, -1):
+        high[i] = _largest(A[i], B[i], c, d[i], high[i + 1], most[i])
+    w, u = np.zeros(len(p)), np.zeros(len(d))
+    for i in range(len(d)):
+        up = A[i] > 0.0
+        bound = float(((c[up] - B[i, up] * w[i]) / A[i, up]).min(initial=np.inf))
+        u[i] = min(bound, (high[i + 1] - w[i]) / (2.0 * d[i]))
+        w[i + 1] = min(max(w[i] + 2.0 * d[i] * u[i], 0.0), high[i + 1])
+        u[i] = (w[i + 1] - w[i]) / (2.0 * d[i])
+    return p, w, u
+
+
+def _rows(tangent: Array, curvature: Array, groups: list[_Group]) -> tuple[Array, Array, Array, Array]:
+    """Return A (N, r), B (N, r) and c (r,) of A u + B w <= c, and (N,) the largest w by the speeds."""
+    A, B, c = [], [], []
+    most = np.full(len(tangent), np.inf)
+    for group in groups:
+        first, second = tangent[:, group.columns], curvature[:, group.columns]
+        size = np.linalg.norm(first, axis=1)
+        with np.errstate(divide="ignore"):
+            most = np.minimum(most, (group.speed / size) ** 2)
+        if len(group.columns) == 1:
+            A += [first[:, 0], -first[:, 0]]
+            B += [second[:, 0], -second[:, 0]]
+            c += [group.acceleration] * 2
+            continue
+        # in the plane of both: along the tangent, and across it
+        along = np.einsum("ni,ni->n", first, second) / np.where(size > 0.0, size, 1.0)
+        across = np.sqrt(np.maximum((second**2).sum(axis=1) - np.where(size > 0.0, along, 0.0) ** 2, 0.0))
+        inscribed = group.acceleration * np.cos(np.pi / _DIRECTIONS)
+        for angle in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+            A.append(np.cos(angle) * size)
+            B.append(np.cos(angle) * along + np.sin(angle) * across)
+            c.append(inscribed)
+    return np.stack(A, axis=1), np.stack(B, axis=1), np.array(c), most
+
+
+def _largest(A: Array, B: Array, c: Array, step: float, after: float, most: float) -> float:
+    """Return the largest w <= most with a u that keeps A u + B w <= c and 0 <= w + 2 d u <= after.
+
+    The room for u, its upper less its lower bound, is a concave function of w and not negative at w = 0. Newton steps
+    from above reach its zero in as many steps as lines bound it there.
+    """
+    A = np.append(A, [2.0 * step, -2.0 * step])
+    B = np.append(B, [1.0, -1.0])
+    c = np.append(c, [after, 0.0])
+    up, down, flat = A > 0.0, A < 0.0, (A == 0.0) & (B > 0.0)
+    w = min(most, float((c[flat] / B[flat]).min(initial=np.inf)), 1e300)
+    upper = c[up] / A[up], B[up] / A[up]
+    lower = c[down] / A[down], B[down] / A[down]
+    for _ in range(100):
+        above, below = upper[0] - upper[1] * w, lower[0] - lower[1] * w
+        i, j = int(above.argmin()), int(below.argmax())
+        room = above[i] - below[j]
+        if room >= -1e-14 * (abs(above[i]) + abs(below[j])):
+            return w
+        slope = lower[1][j] - upper[1][i]
+        nearer = w - room / slope if slope < 0.0 else 0.0
+        if not nearer < w:
+            return max(w, 0.0)
+        w = max(nearer, 0.0)
+    return w
+
+
+def _durations(p: Array, w: Array) -> Array:
+    speed = np.sqrt(w)
+    return np.asarray(2.0 * np.diff(p) / (speed[1:] + speed[:-1]))
+
+
+def _averaged(p: Array, w: Array, u: Array) -> PiecewiseLaw:
+    """Return the mean of the law over a window that slides, from rest to rest: its acceleration is continuous.
+
+    Its p, ṗ and p̈ are differences of ∫p, p and ṗ over the window; quintics go through them.
+    """
+    dt = _durations(p, w)
+    t, speed = np.concatenate([[0.0], np.cumsum(dt)]), np.sqrt(w)
+    cubes = np.stack([u / 6.0, 0.5 * speed[:-1], p[:-1], np.zeros(len(dt))])  # of ∫ p dt from the left of each step
+    area = np.concatenate([[0.0], np.cumsum(((cubes[0] * dt + cubes[1]) * dt + cubes[2]) * dt)])
+    end, window = float(t[-1]), BLEND * float(t[-1])
+
+    def integral(times: Array) -> tuple[Array, Array, Array]:
+        """Return ∫p, p and ṗ; before the start it rests there, and after the end."""
+        at = np.clip(times, 0.0, end)
+        k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(dt) - 1)
+        h = at - t[k]
+        whole = area[k] + ((cubes[0, k] * h + cubes[1, k]) * h + cubes[2, k]) * h
+        return (
+            whole + p[-1] * np.maximum(times - end, 0.0),
+            (0.5 * u[k] * h + speed[k]) * h + p[k],
+            np.where((times > 0.0) & (times < end), u[k] * h + speed[k], 0.0),
+        )
+
+    nodes = np.linspace(0.0, end + window, int(np.ceil(_PIECES / BLEND)) + 1)
+    ahead, behind = integral(nodes), integral(nodes - window)
+    values = tuple(((a - b) / window)[:, None] for a, b in zip(ahead, behind, strict=True))
+    values[0][0], values[0][-1] = 0.0, p[-1]
+    law = PiecewisePolynomial.hermite(
+        read_only(nodes), tuple(part[:-1] for part in values), tuple(part[1:] for part in values)
+    )
+    return PiecewiseLaw(law, float(p[-1]))
+
+
+def _use(path: Path, groups: list[_Group], law: PiecewiseLaw, times: Array) -> float:
+    """Return how much faster than the limits allow a law runs, at (N,) times and breaks; below one, how much slower."""
+    breaks = np.asarray(path.breaks)
+    at = law.evaluate(np.append(times, [law.time_at(float(p)) for p in breaks]))
+    p, pd, pdd = np.append(at.p[: len(times)], breaks), at.pd[:, None], at.pdd[:, None]
+    ratio = 0.0
+    sides: tuple[Side, Side] = ("left", "right")
+    for side in sides:
+        point = path.evaluate(p, side)
+        xd, xdd = point.tangent * pd, point.tangent * pdd + point.curvature * pd**2
+        for group in groups:
+            speed, acceleration = (np.linalg.norm(part[:, group.columns], axis=1).max() for part in (xd, xdd))
+            ratio = max(ratio, speed / group.speed, np.sqrt(acceleration / group.acceleration))
+    return float(ratio)

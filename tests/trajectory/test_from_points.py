@@ -1,0 +1,302 @@
+"""Motions through points of one's own: they pass them, are smooth, keep their limits, and take the least time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError
+from redundancy_pin.trajectory import Line, Trajectory, circle_path, corner_path, from_points, through_points
+from redundancy_pin.trajectory.functions_of_time import continuous_motion
+from redundancy_pin.trajectory.piecewise_law import law_through_speeds
+from redundancy_pin.trajectory.time_optimal import BLEND, fastest_law, least_duration
+
+POINTS = np.array([[0.0, 0.0], [0.2, 0.1], [0.3, 0.4], [0.1, 0.5], [0.0, 0.3]])
+TIMES = np.array([1.0, 1.5, 2.2, 3.0, 4.0])  # counted from the first
+TURNS = Rotation.from_rotvec([[0.0, 0.0, 0.0], [0.4, 0.1, 0.0], [0.8, 0.5, -0.3], [0.2, 1.0, -0.6]])
+ORIGINS = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.1], [0.2, 0.2, 1.1], [0.1, 0.3, 1.0]])
+POSES = np.tile(np.eye(4), (4, 1, 1))
+POSES[:, :3, :3], POSES[:, :3, 3] = TURNS.as_matrix(), ORIGINS
+
+BY: dict[str, dict[str, Any]] = {
+    "times": {"times": TIMES},
+    "speed": {"speed": 0.2},
+    "speeds": {"speed": [0.0, 0.2, 0.3, 0.1, 0.0]},
+    "time-optimal": {"times": "time-optimal", "max_speed": 0.5, "max_acceleration": 2.0},
+    "time-optimal, each": {"times": "time-optimal", "max_speed": [0.5, 0.3], "max_acceleration": [2.0, 1.0]},
+}
+POSES_BY: dict[str, dict[str, Any]] = {
+    "times": {"times": [0.0, 0.5, 1.2, 2.0]},
+    "speed": {"speed": 0.1, "ramp_time": 0.3},
+    "speeds": {"speed": [0.0, 0.1, 0.2, 0.0]},
+    "time-optimal": {"times": "time-optimal", "max_speed": [0.3, 1.0], "max_acceleration": [1.0, 3.0]},
+}
+
+
+def require_smooth(motion: Trajectory) -> None:
+    """ẋ and ẍ are the derivatives of x and ẋ, and none of them jumps; the ends are at rest."""
+    dense = motion.sample(motion.duration / 20000)
+    assert len(motion.breaks) == 0
+    dt = np.diff(dense.t)[:, None]
+    if dense.is_pose:
+        turned = Rotation.from_matrix(dense.x[1:, :3, :3] @ dense.x[:-1, :3, :3].transpose(0, 2, 1)).as_rotvec()
+        steps = np.concatenate([np.diff(dense.x[:, :3, 3], axis=0), turned], axis=1)
+    else:
+        steps = np.diff(dense.x, axis=0)
+    for change, rates in ((steps, dense.xd), (np.diff(dense.xd, axis=0), dense.xdd)):
+        mean = 0.5 * (rates[1:] + rates[:-1])
+        assert np.abs(change / dt - mean).max() < 2e-3 * np.abs(rates).max()
+    assert np.abs(np.diff(dense.xdd, axis=0)).max() < 0.02 * np.abs(dense.xdd).max()
+    np.testing.assert_allclose(dense.xd[[0, -1]], 0.0, atol=1e-9 * np.abs(dense.xd).max())
+
+
+@pytest.mark.parametrize("name", BY)
+def test_points_are_passed_smoothly_from_rest_to_rest(name: str) -> None:
+    motion = from_points(POINTS, **BY[name])
+    require_smooth(motion)
+    times = (
+        [motion.timing.time_at(float(p)) for p in through_points(POINTS).lengths_at_points]
+        if (name != "times")
+        else TIMES - TIMES[0]
+    )
+    np.testing.assert_allclose(motion.evaluate(times).x, POINTS, atol=1e-12)
+    speeds = np.linalg.norm(motion.evaluate(times).xd, axis=1)
+    if name == "speeds":
+        np.testing.assert_allclose(speeds, BY[name]["speed"], atol=1e-9)
+    if name == "speed":
+        np.testing.assert_allclose(speeds[1:-1], 0.2, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", POSES_BY)
+def test_poses_are_passed_smoothly(name: str) -> None:
+    motion = from_points(POSES, **POSES_BY[name])
+    require_smooth(motion)
+    times = (
+        POSES_BY[name]["times"]
+        if name == "times"
+        else [motion.timing.time_at(float(p)) for p in through_points(ORIGINS).lengths_at_points]
+    )
+    np.testing.assert_allclose(motion.evaluate(times).x, POSES, atol=1e-9)
+    as_rows = np.concatenate([ORIGINS, -TURNS.as_quat()], axis=1)  # both signs are the same rotation
+    np.testing.assert_allclose(from_points(as_rows, **POSES_BY[name]).sample(0.01).x, motion.sample(0.01).x, atol=1e-9)
+
+
+def test_a_turn_about_one_axis_stays_a_turn_about_it() -> None:
+    """Quaternions of one axis lie in a plane: the spline cannot leave it, and its angle goes by the times."""
+    angles = np.array([0.0, 0.3, 0.6, 0.9])
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * [0.0, 0.6, 0.8]).as_matrix()
+    dense = from_points(poses, np.arange(4.0)).sample(0.01)
+    np.testing.assert_allclose(np.cross(dense.xd[:, 3:], [0.0, 0.6, 0.8]), 0.0, atol=1e-12)
+    travelled = np.trapezoid(dense.xd[:, 3:] @ [0.0, 0.6, 0.8], dense.t)
+    assert travelled == pytest.approx(0.9, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["time-optimal", "time-optimal, each"])
+def test_limits_hold_on_dense_samples_and_are_reached(name: str) -> None:
+    motion = from_points(POINTS, **BY[name])
+    dense = motion.sample(motion.duration / 50000)
+    used = []
+    for part, limit in ((dense.xd, "max_speed"), (dense.xdd, "max_acceleration")):
+        size = np.linalg.norm(part, axis=1, keepdims=True) if name == "time-optimal" else np.abs(part)
+        used.append((size / BY[name][limit]).max(axis=1))
+    at_limit = np.maximum(*used)
+    assert 0.999 < at_limit.max() <= 1.0 + 1e-9
+    # nearly always at a limit
+    assert np.mean(at_limit > 0.97) > 0.85
+
+
+def test_the_fastest_pose_keeps_both_pairs_of_limits() -> None:
+    motion = from_points(POSES, **POSES_BY["time-optimal"])
+    dense = motion.sample(motion.duration / 20000)
+    for rates, limits in ((dense.xd, (0.3, 1.0)), (dense.xdd, (1.0, 3.0))):
+        assert np.linalg.norm(rates[:, :3], axis=1).max() <= limits[0] * (1 + 1e-9)
+        assert np.linalg.norm(rates[:, 3:], axis=1).max() <= limits[1] * (1 + 1e-9)
+
+
+def circle_time(radius: float, acceleration: float, length: float) -> float:
+    """Up to where all acceleration is centripetal w = ṗ² obeys w' = 2 √(a² − w²/r²), that is w = a r sin(2p/r)."""
+    ramp, _ = quad(lambda p: 1.0 / np.sqrt(acceleration * radius * np.sin(2.0 * p / radius)), 0.0, np.pi * radius / 4.0)
+    return float(2.0 * ramp + (length - np.pi * radius / 2.0) / np.sqrt(acceleration * radius))
+
+
+@pytest.mark.parametrize(
+    ("path", "speed", "acceleration", "expected"),
+    [
+        (Line((0.0, 0.0), (1.0, 0.0)), 0.5, 2.0, 1.0 / 0.5 + 0.5 / 2.0),  # a trapezium
+        (Line((0.0, 0.0), (1.0, 0.0)), 9.0, 2.0, 2.0 * np.sqrt(1.0 / 2.0)),  # a triangle: half the way each
+        (Line((0.0, 0.0), (3.0, 4.0)), [9.0, 9.0], [0.3, 0.5], 2.0 * np.sqrt(3.0 / 0.3)),  # x is the slower one
+        (circle_path((0.0, 0.0), 0.5), 9.0, 1.0, circle_time(0.5, 1.0, np.pi)),
+    ],
+)
+def test_the_least_time_is_that_of_closed_forms(path: Any, speed: Any, acceleration: Any, expected: float) -> None:
+    assert least_duration(path, speed, acceleration) == pytest.approx(expected, rel=2e-3)
+    law = fastest_law(path, speed, acceleration)
+    # the polygon in place of a norm costs 0.06 % there and nothing here; the window costs its own length
+    assert expected < law.duration == pytest.approx(expected * (1.0 + BLEND), rel=5e-3)
+    np.testing.assert_allclose(law.evaluate([0.0, law.duration]).pd, 0.0, atol=1e-12)
+
+
+def test_the_fastest_law_brakes_for_a_corner() -> None:
+    """On an arc of radius r the platform may have √(a r), on straights more: limits hold on both sides of a break."""
+    path = corner_path((0.0, 0.0), (1.0, 0.0), 0.5, 0.05)
+    motion = Trajectory(path, fastest_law(path, 1.0, 2.0))
+    dense = motion.sample(motion.duration / 20000)
+    assert np.linalg.norm(dense.xdd, axis=1).max() <= 2.0 * (1.0 + 1e-6)
+    on_arc = motion.evaluate([motion.timing.time_at(float(p)) for p in path.breaks]).xd
+    assert np.linalg.norm(on_arc, axis=1).max() <= np.sqrt(2.0 * 0.05) * (1.0 + 1e-6)
+    assert np.linalg.norm(dense.xd, axis=1).max() > 2.0 * np.sqrt(2.0 * 0.05)
+
+
+def test_speeds_of_uniform_acceleration_give_just_that() -> None:
+    """Between the first and the last two points, where nothing starts or stops: v² grows with p, v with t."""
+    lengths = np.linspace(0.0, 2.0, 9)
+    law = law_through_speeds(lengths, np.sqrt(0.25 + 2.0 * 0.5 * lengths))
+    t = np.linspace(law.time_at(0.25), law.time_at(1.75), 50)
+    np.testing.assert_allclose(law.evaluate(t).pdd, 0.5, atol=1e-9)
+    up_and_down = law_through_speeds([0.0, 0.1, 1.0, 1.05, 2.0], [0.0, 3.0, 0.01, 2.0, 0.0])  # rough, never backwards
+    assert up_and_down.evaluate(np.linspace(0.0, up_and_down.duration, 5000)).pd.min() >= -1e-9
+
+
+def test_a_law_of_pieces_is_inverted_and_scaled() -> None:
+    law = law_through_speeds([0.0, 0.3, 1.0], [0.0, 0.5, 0.0])
+    for p in (0.0, 1e-9, 0.2, 0.3, 0.9, 1.0):
+        assert law.evaluate(law.time_at(p)).p == pytest.approx(p, abs=1e-12)
+    twice = law.scaled(2.0)
+    t = np.linspace(0.0, twice.duration, 7)
+    for order, (ours, theirs) in enumerate(zip(twice.evaluate(t), law.evaluate(2.0 * t), strict=True)):
+        np.testing.assert_allclose(ours, theirs * 2.0**order, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", BY)
+def test_planners_get_it_as_polynomials(name: str) -> None:
+    """Its knots are known, so that few pieces resolve it to rounding."""
+    motion = from_points(POINTS, **BY[name])
+    times = np.linspace(0.0, motion.duration, 999)
+    polynomials = continuous_motion(motion).polynomials
+    exact = motion.sample_at(times)
+    for part, columns in ((exact.x, slice(0, 2)), (exact.xd, slice(2, 4)), (exact.xdd, slice(4, 6))):
+        assert np.abs(polynomials(times)[:, columns] - part).max() < 1e-8 * np.abs(part).max()
+    assert len(polynomials.edges) < 500
+
+
+# ------------------------------------------------------------------------------------------------- files
+
+
+def write(path: Path, names: str, rows: Array) -> Path:
+    path.write_text("\n".join([names, *(",".join(map(repr, row)) for row in rows.tolist())]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_files_hold_points_with_times_speeds_or_neither(tmp_path: Path) -> None:
+    timed, speed = from_points(POINTS, TIMES).sample(0.1), [0.0, 0.2, 0.3, 0.1, 0.0]
+    file = write(tmp_path / "way.csv", "t, x, y", np.column_stack([TIMES, POINTS]))
+    np.testing.assert_array_equal(from_points(file).sample(0.1).x, timed.x)
+    file = write(tmp_path / "way.csv", "x,y,time", np.column_stack([POINTS, TIMES]))
+    np.testing.assert_array_equal(from_points(file).sample(0.1).x, timed.x)
+    file = write(tmp_path / "fast.csv", "x,y,speed", np.column_stack([POINTS, speed]))
+    np.testing.assert_array_equal(from_points(file).sample(0.1).x, from_points(POINTS, speed=speed).sample(0.1).x)
+    file = write(tmp_path / "plain.csv", "x,y", POINTS)
+    for content in (
+        {"points": POINTS.tolist(), "t": TIMES.tolist()},
+        {"points": POINTS.tolist(), "times": TIMES.tolist()},
+        [{"t": t, "x": x, "y": y} for t, (x, y) in zip(TIMES.tolist(), POINTS.tolist(), strict=True)],
+    ):
+        (tmp_path / "way.json").write_text(json.dumps(content), encoding="utf-8")
+        np.testing.assert_array_equal(from_points(tmp_path / "way.json").sample(0.1).x, timed.x)
+    (tmp_path / "way.json").write_text(json.dumps(POINTS.tolist()), encoding="utf-8")
+    np.testing.assert_array_equal(from_points(tmp_path / "way.json", TIMES).sample(0.1).x, timed.x)
+
+
+def test_files_hold_poses(tmp_path: Path) -> None:
+    times = POSES_BY["times"]["times"]
+    expected = from_points(POSES, times).sample(0.1).x
+    rows = np.column_stack([times, TURNS.as_quat(), ORIGINS])
+    file = write(tmp_path / "way.csv", "t,qx,qy,qz,qw,x,y,z", rows)  # by name, in any order
+    np.testing.assert_allclose(from_points(file).sample(0.1).x, expected, atol=1e-12)
+    (tmp_path / "way.json").write_text(json.dumps({"points": POSES.tolist(), "t": times}), encoding="utf-8")
+    np.testing.assert_allclose(from_points(tmp_path / "way.json").sample(0.1).x, expected, atol=1e-12)
+
+
+def test_a_constant_orientation_and_a_closed_path() -> None:
+    motion = from_points(POINTS, speed=0.2, alpha=0.3, closed=True)
+    dense = motion.sample(0.01)
+    assert (dense.x[:, 2] == 0.3).all()
+    np.testing.assert_allclose(dense.x[0], dense.x[-1], atol=1e-9)
+    speeds = [0.1, 0.2, 0.3, 0.1, 0.1]
+    around = from_points(POINTS, speed=speeds, closed=True)
+    assert np.linalg.norm(around.evaluate(around.duration).xd) == pytest.approx(0.1)
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "neither": ({}, "Neither times nor speed"),
+    "both": ({"times": TIMES, "speed": 0.1}, "Both times and speed"),
+    "word": ({"times": "fast"}, "times is 'fast'"),
+    "backwards": ({"times": TIMES[::-1]}, "times must increase"),
+    "too few times": ({"times": [0.0, 1.0]}, r"times has shape \(2,\)"),
+    "a limit without use": ({"speed": 0.1, "max_speed": 1.0}, "max_speed is given, and has no effect"),
+    "ramps of times": ({"times": TIMES, "ramp_time": 1.0}, "ramp_time is given"),
+    "no limit": ({"times": "time-optimal", "max_speed": 1.0}, "needs max_acceleration"),
+    "negative limit": ({"times": "time-optimal", "max_speed": 1.0, "max_acceleration": -1.0}, "max_acceleration is -1"),
+    "limits of others": ({"times": "time-optimal", "max_speed": [1.0] * 3, "max_acceleration": 1.0}, "3 values"),
+    "unlike limits": ({"times": "time-optimal", "max_speed": [1.0] * 2, "max_acceleration": 1.0}, "different numbers"),
+    "three speeds": ({"speed": [0.1] * 3}, "3 values for 5 points"),
+    "negative speed": ({"speed": [0.0, 0.1, -0.1, 0.1, 0.0]}, r"speed\[2\] is -0.1"),
+    "two stops": ({"speed": [0.0, 0.1, 0.0, 0.0, 0.1]}, r"speed\[2\] and speed\[3\] are zero"),
+    "closed times": ({"times": TIMES, "closed": True}, "closed is for coordinates"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_makes_no_motion_is_said(name: str) -> None:
+    arguments, says = REFUSED[name]
+    with pytest.raises(InputError, match=says):
+        from_points(POINTS, **arguments)
+
+
+def test_poses_that_make_no_spline_are_said() -> None:
+    on_the_spot = POSES.copy()
+    on_the_spot[:, :3, 3] = 0.0
+    with pytest.raises(InputError, match="coincide"):
+        from_points(on_the_spot, speed=0.1)
+    far = POSES.copy()
+    far[1, :3, :3] = Rotation.from_rotvec([np.pi, 0.0, 0.0]).as_matrix()
+    with pytest.raises(InputError, match="half a turn apart"):
+        from_points(far, [0.0, 1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match="not a homogeneous pose"):
+        from_points(2.0 * POSES, [0.0, 1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match="two numbers"):
+        from_points(POSES, "time-optimal", max_speed=1.0, max_acceleration=1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("way.csv", "t,x\n0,1\n1,two\n", "row 3, column 'x': 'two'"),
+        ("way.csv", "t\n0\n1\n", "no coordinates"),
+        ("way.csv", "t,x0,xd0,xdd0\n0,0,0,0\n1,1,0,0\n", "sampled motion"),
+        ("way.json", '{"points": [[0, 1], [2]], "t": [0, 1]}', "points is not an array"),
+        ("way.json", '{"pionts": [[0, 1]]}', "'pionts'"),
+        ("way.json", "{", "not JSON"),
+        ("way.json", "3", "no list of points"),
+        ("way.json", '[{"x": 1}, {"y": 1}]', "different keys"),
+        ("way.txt", "t,x\n0,1\n", "neither .csv nor .json"),
+    ],
+)
+def test_files_that_hold_no_points_are_named(name: str, text: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=says):
+        from_points(tmp_path / name)
+
+
+def test_times_of_a_file_are_not_overridden_in_silence(tmp_path: Path) -> None:
+    file = write(tmp_path / "way.csv", "t,x,y", np.column_stack([TIMES, POINTS]))
+    with pytest.raises(InputError, match="times of its own, and speed"):
+        from_points(file, speed=0.1)
