@@ -25,6 +25,7 @@ from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.switch_off.carrier_equation import RampDown
 from redundancy_pin.planners.switch_off.crossing import LostDirection
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
+from redundancy_pin.trajectory.functions_of_time import continuous_motion
 
 ELSEWHERE = {"Riccati", "LinearModel", "SampledModel", "LqrWeights", "ReferencePoint", "ConstantAppended"}
 """Inner types of controllers and paths, whose owners are copied whole."""
@@ -81,6 +82,10 @@ def objects() -> dict[str, Any]:
         "resolved": Limits().resolved(robot),
         "spline": rp.trajectory.SplinePath(np.array([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]])),
         "poses": rp.trajectory.PoseTrajectory(poses[0], poses[1], rp.trajectory.RestToRest(0.1, 1.0)),
+        "sampled poses": continuous_motion(rp.trajectory.reference.pose(poses[0], poses[1]).sample(0.1)),
+        "timed spline": rp.trajectory.from_points([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]], [0.0, 1.0, 2.0]),
+        "pose spline": rp.trajectory.from_points(poses, speed=[0.0, 0.1]),
+        "table": rp.plan_stepwise(dynamics, trajectory.sample(dt=0.1), lam=0.0).table(robot=robot),
         "ramp down": RampDown(rp.trajectory.rest_to_rest_345(0.0, 1.0, three, 0.0 * three), np.zeros(3)),
         "lost direction": LostDirection(0.0, three, 0.0, 0.0, False),
         "carrier state": CarrierState(0.0, *np.zeros((3, 3))),
