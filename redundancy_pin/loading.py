@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
@@ -27,7 +30,12 @@ from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import build, characteristic_length, put_together
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.from_model import declared
-from redundancy_pin.robot.urdf import declaration_path, known_values, render
+from redundancy_pin.robot.mechanism import Mechanism
+from redundancy_pin.robot.mjcf import NOT_IN_FORCE
+from redundancy_pin.robot.model_files import is_model_file, read_mechanism
+from redundancy_pin.robot.urdf import Argument, declaration_path, known_values, render, source_of
+
+_LOG = logging.getLogger(__name__)
 
 
 def load_robot(
@@ -74,6 +82,8 @@ def load_with(
     Among keywords, a file could name ``trust`` as one of them.
     """
     path = declaration_path(source)
+    if is_model_file(path):
+        return _load_model(path, {}, gravity, working_mode, arguments)
     file = read_declaration(path)
     with file.naming():
         return _load(path, file.data, gravity, working_mode, arguments, trust)
@@ -88,6 +98,8 @@ def _load(
     trust: bool,
 ) -> Robot:
     source_file = path.parent / data["urdf"]
+    if is_model_file(source_file):
+        return _load_model(path, data, gravity, working_mode, arguments)
     # before xacro runs, which would make a cryptic error of a length that is negative; and after, on what it evaluated
     require_conditions(data, known_values(source_file, arguments))
     urdf, parameters = render(source_file, arguments, trust=trust)
@@ -96,6 +108,74 @@ def _load(
     robot = build(declaration, path, urdf, parameters, gravity, working_mode)
     robot = replace(robot, urdf_folder=str(source_file.resolve().parent))
     return _closed(robot, declaration, lambda: reference_coordinates(robot, declaration.coordinates(parameters)))
+
+
+def _load_model(
+    path: Path,
+    data: Mapping[str, Any],
+    gravity: Sequence[float] | None,
+    working_mode: Sequence[int] | None,
+    arguments: Mapping[str, object],
+) -> Robot:
+    """Load a file that describes a whole mechanism, with what a declaration that names it adds to that."""
+    file = path.parent / data["urdf"] if data else path
+    mechanism, parameters = read_mechanism(file, arguments)
+    try:
+        robot = _of_mechanism(mechanism, path, file, data, gravity, working_mode, parameters)
+    except DeclarationError as error:
+        if "balls" not in error.details:
+            raise
+        mechanism = mechanism.with_hinges(cast("tuple[str, ...]", error.details["balls"]))
+        robot = _of_mechanism(mechanism, path, file, data, gravity, working_mode, parameters)
+    for note in mechanism.notes:
+        if note.startswith(NOT_IN_FORCE):
+            _warn_once(f"{file.name}: {note}")
+    return replace(robot, notes=(*mechanism.notes, *robot.notes), urdf_folder=str(file.resolve().parent))
+
+
+def _of_mechanism(
+    mechanism: Mechanism,
+    path: Path,
+    file: Path,
+    data: Mapping[str, Any],
+    gravity: Sequence[float] | None,
+    working_mode: Sequence[int] | None,
+    parameters: Mapping[str, Argument],
+) -> Robot:
+    model = mechanism.model(str(file))
+    wanted = data.get("gravity") if gravity is None else gravity
+    if wanted is not None:
+        model.gravity.linear = np.array(checked(wanted, "gravity", (3,)))
+    own = [{"name": c.name, "frames": [c.frame_a, c.frame_b], "axes": list(c.axes)} for c in mechanism.closures]
+    further = data.get("closures")
+    roles = {
+        "name": path.parent.name if data else mechanism.name,
+        "urdf": file.name,
+        "actuated": list(mechanism.actuated),
+        "reference": {},
+        **data,
+        "closures": [*own, *further] if isinstance(further, list) else own if further is None else further,
+    }
+    if not roles["actuated"]:
+        raise DeclarationError(
+            f"{file.name} drives no joint.",
+            remedy="Give it actuators, or write a robot.yaml that names it under `urdf`, and joints under `actuated`.",
+        )
+    return made(
+        roles,
+        model,
+        mechanism.configuration(model),
+        loose=True,
+        urdf=mechanism.shapes,
+        mode=working_mode,
+        parameters=parameters,
+        source=source_of(path),
+    )
+
+
+@lru_cache(maxsize=100)
+def _warn_once(text: str) -> None:
+    _LOG.warning(text)
 
 
 def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] | None) -> Robot:
@@ -280,28 +360,42 @@ def made(
     loose: bool,
     urdf: str = "",
     mode: Sequence[int] | None = None,
+    parameters: Mapping[str, Argument] = MappingProxyType({}),
+    source: str = "",
 ) -> Robot:
     """Return the robot of a declaration and a model that was built already.
 
     Args:
         data: the declaration, checked here; without ``independent`` joints are chosen.
         model: the tree, which becomes the robot's own.
-        start: (nq,) where the reference is looked for, in place of the declaration's.
+        start: (nq,) where the reference is looked for; joints of the declaration's guess go where it says.
         loose: leave out closure rows that are redundant.
         urdf: what shapes are drawn from.
         mode: ±1 a leg; as declared when left out.
+        parameters: of the robot.
+        source: of the robot.
     """
     chosen = dict(data)
     chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
     declaration = parse(chosen, {})
-    robot = put_together(declaration, model, name=str(declaration.name), urdf=urdf, mode=mode)
+    robot = put_together(
+        declaration, model, name=str(declaration.name), parameters=parameters, urdf=urdf, source=source, mode=mode
+    )
     if start is not None:
-        robot = replace(robot, q_reference=frozen(start))
+        listed = _columns(model, declaration.reference.guess)
+        guess = np.array(start)
+        guess[listed] = robot.q_reference[listed]
+        robot = replace(robot, q_reference=frozen(guess))
     notes: list[str] = []
     if loose or not data.get("independent"):
         provisional = replace(robot, platform=None, independent_joints=())
         selection = selected(provisional, np.array(robot.q_reference), redundant=loose)
-        robot = replace(robot, closures=selection.robot.closures)
+        robot = replace(robot, model=selection.robot.model, closures=selection.robot.closures)
+        if selection.held:
+            notes.append(
+                f"The spin of {', '.join(selection.held)} about the line between two balls, which moves nothing else, "
+                "is held: the second ball is a universal joint."
+            )
         if selection.left_out:
             notes.append(
                 f"Redundant closure rows left out, the loops stay closed in them: {', '.join(selection.left_out)}."
@@ -310,6 +404,6 @@ def made(
             robot = replace(robot, independent_joints=selection.independent)
             notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
     given = declaration.reference
-    prescribed = start is None and (given.platform is not None or given.joints is not None)
+    prescribed = given.platform is not None or given.joints is not None
     target = (lambda: reference_coordinates(robot, declaration.coordinates({}))) if prescribed else None
     return replace(_closed(robot, declaration, target), notes=tuple(notes))

@@ -138,7 +138,7 @@ def write(block: Block, folder: Path) -> None:
     elif path.suffix == ".yaml":
         read_problem(str(path))
     else:
-        assert path.suffix in (".urdf", ".xacro", ".csv"), f"{block.where}: nothing reads {path.name}"
+        assert path.suffix in (".urdf", ".xacro", ".csv", ".xml", ".sdf"), f"{block.where}: nothing reads {path.name}"
 
 
 def run_python(block: Block, session: dict[str, Any]) -> None:

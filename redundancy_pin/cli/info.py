@@ -43,16 +43,20 @@ def info(robot: RobotOptions, as_json: bool) -> None:
     else:
         for table in (_general(facts), *_tables(facts)):
             console().print(table)
+        for note in facts["notes"]:
+            console().print(note, markup=False)
 
 
 def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str, Any]:
     """Return what there is to know about a robot as plain data."""
     from redundancy_pin.kinematics.coordinates import all_working_modes, mode_name
     from redundancy_pin.robot.declaration import read_declaration
+    from redundancy_pin.robot.model_files import DEFAULTS, is_model_file
 
     # once more from the files: a robot knows its parameters' values, but not which of them are defaults
-    data = read_declaration(declaration).data
-    _, defaults = render(declaration.parent / data["urdf"], {}, trust=trust)
+    data = {} if is_model_file(declaration) else read_declaration(declaration).data
+    file = declaration.parent / data["urdf"] if data else declaration
+    defaults = DEFAULTS if is_model_file(file) else render(file, {}, trust=trust)[1]
     model = robot.model
     return {
         "name": robot.name,
@@ -90,6 +94,7 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
         "characteristic_length": robot.characteristic_length,
         "closed_form": robot.closed_form,
         "reference": _reference(robot),
+        "notes": list(robot.notes),
     }
 
 

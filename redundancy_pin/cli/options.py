@@ -72,7 +72,7 @@ def robot_flags(command: _Command, *, required: bool = True) -> _Command:
             "--robot",
             required=required,
             metavar="NAME|PATH",
-            help="Shipped robot (see `info`), a robot.yaml, or the folder that holds one.",
+            help="Shipped robot (see `info`), a robot.yaml or the folder that holds one, or a model of MuJoCo (.xml).",
         ),
     ):
         command = option(command)

@@ -13,13 +13,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, IntArray
 from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, integrate
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import velocity_scale
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import AXES, Robot
 
 _NEIGHBOURS, _SPREAD, _SEED = 6, 0.1, 2014
 """Configurations around the reference, how far the joints are from it (rad, or in characteristic lengths), and the
@@ -27,6 +28,9 @@ generator's seed: the same rows every time."""
 
 _ITERATIONS, _SHORTEST, _CUT = 100, 2.0**-12, 1e-8
 """Newton's method: most steps, the shortest share of one, and the relative singular value that counts as zero."""
+
+_RESTARTS = 30
+"""Further starts where the first does not close, further and further away."""
 
 _STAYS_CLOSED = 1e-8
 """m, or rad: how far the rows that are left out may open. Newton leaves 1e-11; the false ones open by 1e-3 and more."""
@@ -42,12 +46,14 @@ class Selection(NamedTuple):
     Attributes:
         robot: the robot with the closures that are left, or the ones it had.
         left_out: names of the rows left out, such as ``"z of 'left = right'"``.
+        held: joints whose spin about the line between two balls is held by a row that was added.
         independent: names of the independent joints.
         q: (nq,) a closed configuration.
     """
 
     robot: Robot
     left_out: tuple[str, ...]
+    held: tuple[str, ...]
     independent: tuple[str, ...]
     q: Array
 
@@ -58,7 +64,12 @@ def closed_near(robot: Robot, q: Array) -> Array:
     Raises:
         DeclarationError: Newton does not close the loops from there.
     """
-    closed, gap = _close(ConstraintSystem(robot), q)
+    system, rng = ConstraintSystem(robot), np.random.default_rng(_SEED)
+    closed, gap = _close(system, q)
+    for spread in np.linspace(0.2, 1.5, _RESTARTS):
+        if gap < CLOSURE_TOLERANCE:
+            break
+        closed, gap = _close(system, _around(system, q, 1, spread, rng)[0])
     if not gap < CLOSURE_TOLERANCE:
         raise DeclarationError(
             f"The loops of {robot.name} do not close near the reference: a gap of {gap:.3g} is left.",
@@ -117,7 +128,65 @@ def selected(robot: Robot, q: Array, *, redundant: bool) -> Selection:
     left_out: tuple[str, ...] = ()
     if redundant and robot.closures:
         robot, left_out = _without_redundant_rows(robot, q)
-    return Selection(robot, left_out, _independent(robot, q), q)
+    independent, loose = _independent(robot, q)
+    held = tuple(name for name in loose if redundant and _spins(robot, name, q) is not None)
+    for name in held:
+        robot = _with_spin_held(robot, name, q)
+    if held:
+        independent, loose = _independent(robot, q)
+    if loose:
+        balls = tuple(name for name in loose if robot.model.joints[robot.model.getJointId(name)].nq == 4)
+        raise DeclarationError(
+            f"{robot.name} has the joint(s) {', '.join(map(repr, loose))} of several freedoms, which its loops leave "
+            "free in part: they cannot be independent, only joints of one freedom can.",
+            remedy="Make each of hinges and slides, one freedom each.",
+            joints=loose,
+            **({"balls": balls} if balls == loose else {}),
+        )
+    return Selection(robot, left_out, held, independent, q)
+
+
+def _spins(robot: Robot, joint: str, q: Array) -> tuple[int, Array, Array] | None:
+    """Return the closure that is the second ball of the body behind a ball joint, and the two balls' centres (3,)."""
+    model, data = robot.model, robot.model.createData()
+    index = model.getJointId(joint)
+    if model.joints[index].nq != 4 or index in [model.parents[each] for each in range(index + 1, model.njoints)]:
+        return None
+    pin.framesForwardKinematics(model, data, q)
+    ends = [
+        (number, frame)
+        for number, closure in enumerate(robot.closures)
+        for frame in (closure.frame_a, closure.frame_b)
+        if model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint == index
+    ]
+    if len(ends) != 1 or robot.closures[ends[0][0]].axes != AXES[:3]:
+        return None
+    far: Array = data.oMf[model.getFrameId(ends[0][1], pin.FrameType.BODY)].translation.copy()
+    near: Array = data.oMi[index].translation.copy()
+    return (ends[0][0], near, far) if np.linalg.norm(far - near) > RANK_TOLERANCE else None
+
+
+def _with_spin_held(robot: Robot, joint: str, q: Array) -> Robot:
+    """Return the robot with one row more: a universal joint in place of the second of two balls on a rod."""
+    found = _spins(robot, joint, q)
+    if found is None:
+        return robot
+    number, near, far = found
+    closure, model = robot.closures[number], pin.Model(robot.model)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    z = (far - near) / np.linalg.norm(far - near)
+    x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    x /= np.linalg.norm(x)
+    place = pin.SE3(np.column_stack([x, np.cross(z, x), z]), far)
+    names = []
+    for name in (closure.frame_a, closure.frame_b):
+        carrier = model.frames[model.getFrameId(name, pin.FrameType.BODY)].parentJoint
+        names.append(f"{name}::universal")
+        model.addFrame(pin.Frame(names[-1], carrier, data.oMi[carrier].inverse() * place, pin.FrameType.BODY))
+    universal = replace(closure, frame_a=names[0], frame_b=names[1], axes=(*AXES[:3], "rz"))
+    closures = (*robot.closures[:number], universal, *robot.closures[number + 1 :])
+    return replace(robot, model=model, closures=closures)
 
 
 def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, ...]]:
@@ -151,14 +220,19 @@ def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, .
 
 def _neighbours(system: ConstraintSystem, q: Array) -> Array:
     """Return closed configurations (N, nq), the first of them q itself."""
-    robot, rng = system.robot, np.random.default_rng(_SEED)
-    scale = _SPREAD * robot.characteristic_length / velocity_scale(robot)
-    steps = rng.uniform(-1.0, 1.0, (_NEIGHBOURS, robot.model.nv)) * scale
-    steps[:, robot.carrier_velocity] = 0.0
-    steps[0] = 0.0
-    reached = [_close(system, each) for each in integrate(robot.model, np.repeat(q[None], len(steps), axis=0), steps)]
+    around = _around(system, q, _NEIGHBOURS, _SPREAD, np.random.default_rng(_SEED))
+    reached = [_close(system, each) for each in (q, *around)]
     closed = [each for each, gap in reached if gap < CLOSURE_TOLERANCE]
     return np.array(closed) if closed else q[None]
+
+
+def _around(system: ConstraintSystem, q: Array, count: int, spread: float, rng: np.random.Generator) -> Array:
+    """Return configurations (count, nq) around q; carriers stay."""
+    robot = system.robot
+    steps = rng.uniform(-spread, spread, (count, robot.model.nv))
+    steps *= robot.characteristic_length / velocity_scale(robot)
+    steps[:, robot.carrier_velocity] = 0.0
+    return integrate(robot.model, np.repeat(q[None], count, axis=0), steps)
 
 
 def _rows(system: ConstraintSystem, q: Array) -> Array:
@@ -200,8 +274,10 @@ def _row_names(robot: Robot) -> list[str]:
     return [f"{axis} of {closure.name!r}" for closure in robot.closures for axis in closure.axes]
 
 
-def _independent(robot: Robot, q: Array) -> tuple[str, ...]:
+def _independent(robot: Robot, q: Array) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the joints whose velocities the closures leave free, actuated ones where there is a choice.
+
+    Behind them those of several freedoms that are left free in part.
 
     Of joints with several freedoms none can be independent, so they are made dependent first, then passive joints.
     """
@@ -217,12 +293,10 @@ def _independent(robot: Robot, q: Array) -> tuple[str, ...]:
     passive = [i for i in range(len(columns)) if i not in (*wide, *driven)]
     dependent = _dependent(rows, [wide, passive, driven])
     free = [i for i in range(len(columns)) if i not in dependent]
-    loose = sorted({owner[columns[i]][0] for i in free if i in wide})
-    if loose:
-        raise _refusal_of_free(robot, loose)
+    loose = tuple(sorted({owner[columns[i]][0] for i in free if i in wide}))
     names = {owner[columns[i]][0] for i in free}
     first = [name for name in robot.actuated if name in names]
-    return (*first, *(str(name) for name in model.names if str(name) in names and str(name) not in first))
+    return (*first, *(str(name) for name in model.names if str(name) in names and str(name) not in first)), loose
 
 
 def _dependent(rows: Array, classes: Sequence[Sequence[int]]) -> set[int]:
@@ -248,13 +322,3 @@ def _dependent(rows: Array, classes: Sequence[Sequence[int]]) -> set[int]:
                 basis = np.column_stack([basis, direction / np.linalg.norm(direction)])
                 taken.append(waiting.pop(best))
     return set(taken)
-
-
-def _refusal_of_free(robot: Robot, names: Sequence[str]) -> DeclarationError:
-    return DeclarationError(
-        f"{robot.name} has the joint(s) {', '.join(map(repr, names))} of several freedoms, which its loops leave "
-        "free in part: they cannot be independent, only joints of one freedom can.",
-        remedy="Make each of hinges and slides, one freedom each, or fix the freedom that turns nothing, such as the "
-        "spin of a rod between two balls (a universal joint at one end).",
-        joints=tuple(names),
-    )

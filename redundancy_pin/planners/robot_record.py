@@ -16,6 +16,7 @@ from redundancy_pin.io.schema import Schema, typed, validated
 from redundancy_pin.loading import load_with
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.declaration import read_declaration
+from redundancy_pin.robot.model_files import is_model_file
 from redundancy_pin.robot.urdf import declaration_path, shipped_robots
 
 _SAME_BODIES = 1e-9
@@ -190,7 +191,8 @@ def _own_source(record: RobotRecord) -> str:
     _require_inside(place, record.folder)
     place = _real(str(declaration_path(str(place))))  # of a folder: its robot.yaml may be a link, too
     _require_inside(place, record.folder)
-    _require_inside(_real(os.path.dirname(place), read_declaration(place).data["urdf"]), record.folder)
+    if not is_model_file(place):
+        _require_inside(_real(os.path.dirname(place), read_declaration(place).data["urdf"]), record.folder)
     return str(place)
 
 

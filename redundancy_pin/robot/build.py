@@ -47,7 +47,14 @@ def build(
     model.gravity.linear = np.array(declaration.gravity if gravity is None else checked(gravity, "gravity", (3,)))
     name = path.parent.name if declaration.name is None else str(declaration.name)
     return put_together(
-        declaration, model, name=name, parameters=parameters, urdf=urdf, source=source_of(path), mode=working_mode
+        declaration,
+        model,
+        name=name,
+        parameters=parameters,
+        urdf=urdf,
+        source=source_of(path),
+        mode=working_mode,
+        of="URDF",
     )
 
 
@@ -60,6 +67,7 @@ def put_together(
     urdf: str = "",
     source: str = "",
     mode: Sequence[int] | None = None,
+    of: str = "model",
 ) -> Robot:
     """Return the robot that a declaration makes of a Pinocchio tree, its names and roles checked.
 
@@ -68,7 +76,7 @@ def put_together(
     """
     entries = tuple(entry for entry in declaration.carriers if entry.when)
     carriers = tuple(entry.joint for entry in entries)
-    _check_roles(declaration, carriers, model, "URDF" if source else "model")
+    _check_roles(declaration, carriers, model, of)
     guess = _guess(model, declaration.reference.guess)
     robot = Robot(
         name=name,

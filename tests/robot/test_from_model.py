@@ -252,3 +252,14 @@ def test_bricards_six_hinges_stay_closed_in_all_six_rows():
     for q in lifted.q:
         pin.forwardKinematics(robot.model, data, np.array(q))
         np.testing.assert_allclose((data.oMi[parent] * place).homogeneous, np.eye(4), atol=1e-9)
+
+
+def test_rows_that_are_redundant_at_one_pose_only_are_no_redundant_rows():
+    """Two links stretched between fixed pins: at that pose alone the rows have rank 1; it cannot move at all."""
+    model = planar_parallelogram()
+    model.jointPlacements[3] = pin.SE3(np.eye(3), np.array([9.0, 0.0, 0.0]))
+    end = pin.SE3(np.eye(3), np.array([SIDE, 0.0, 0.0]))
+    pivot = pin.SE3(np.eye(3), np.array([2.0 * SIDE, 0.0, 0.0]))
+    point = pin.PointAnchorConstraintModel(model, 2, end, 0, pivot)
+    with pytest.raises(DeclarationError, match=r"over-constrained: 3 closure rows have rank 1, .* the loops open, by"):
+        rp.Robot.from_model(model, closures=[point], actuated=["rocker"], reference=np.zeros(3))

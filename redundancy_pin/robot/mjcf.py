@@ -1,0 +1,684 @@
+"""Read MJCF, the models of MuJoCo: bodies, joints and sites, the equalities that close loops, what drives the joints.
+
+A subset, read as MuJoCo reads it; what else changes the mechanics is refused by name, file and line. Forces that this
+package has no model of yet (damping, friction, springs, contacts) are named in the notes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import did_you_mean, shown
+from redundancy_pin.robot.mechanism import UNLIMITED, Mechanism, angles, drawn, moved_to, placed, together
+from redundancy_pin.robot.mjcf_file import (
+    ORIENTATION,
+    Defaults,
+    Included,
+    Part,
+    Settings,
+    about,
+    from_quaternion,
+    from_z,
+)
+from redundancy_pin.robot.types import AXES, Closure
+from redundancy_pin.robot.urdf_tree import JointEntry, LinkEntry
+from redundancy_pin.robot.xml_files import Element
+
+_IGNORED = ("visual", "statistic", "asset", "size", "sensor", "custom", "contact", "default", "keyframe")
+"""Sections that move nothing: pictures, measurements, sizes of memory; contacts are named in the notes."""
+
+_SECTIONS = (*_IGNORED, "compiler", "option", "worldbody", "equality", "actuator", "tendon")
+
+_POSE = ("pos", *ORIENTATION)
+_SOLVER = ("solref", "solimp", "margin", "gap")
+_OF_JOINT = (
+    *("type", "group", "pos", "axis", "range", "limited", "ref", "user", "margin", "springref"),
+    *("solreflimit", "solimplimit", "solreffriction", "solimpfriction", "actuatorfrclimited", "actuatorfrcrange"),
+    *("stiffness", "damping", "frictionloss", "springdamper", "armature", "actuatorgravcomp"),
+)
+_OF_GEOM = (
+    *(*_POSE, *_SOLVER, "type", "size", "fromto", "mass", "density", "group", "rgba", "material", "contype", "user"),
+    *("conaffinity", "condim", "priority", "friction", "solmix", "hfield", "mesh", "fitscale", "shellinertia"),
+    *("fluidshape", "fluidcoef"),
+)
+_OF_BODY = (*_POSE, "childclass", "mocap", "gravcomp", "user", "sleep")
+_OF_SITE = (*_POSE, "type", "size", "fromto", "group", "rgba", "material", "user")
+_OF_ACTUATOR = (
+    *(
+        "group",
+        "ctrllimited",
+        "forcelimited",
+        "actlimited",
+        "ctrlrange",
+        "forcerange",
+        "actrange",
+        "lengthrange",
+        "gear",
+    ),
+    *("joint", "jointinparent", "user", "dyntype", "gaintype", "biastype", "dynprm", "gainprm", "biasprm", "actearly"),
+    *("kp", "kv", "dampratio", "timeconst", "inheritrange", "nsample", "interp", "delay", "actdim"),
+)
+_NO_JOINT = "Drive a joint: forces along tendons, at sites and on bodies are not covered."
+_NO_TRANSMISSION = dict.fromkeys(
+    ("tendon", "site", "refsite", "body", "slidersite", "cranksite", "cranklength"), _NO_JOINT
+)
+_OF_COMPILER = (
+    *("angle", "eulerseq", "autolimits", "inertiafromgeom", "inertiagrouprange", "meshdir", "texturedir", "assetdir"),
+    *("strippath", "discardvisual", "usethread", "fusestatic", "coordinate", "convexhull", "exactmeshinertia"),
+    *("balanceinertia", "boundmass", "boundinertia", "settotalmass", "alignfree", "saveinertial", "fitaabb"),
+)
+_UNMODELLED = ("damping", "frictionloss", "stiffness", "springdamper")
+
+
+def read_mjcf(path: Path, *, keyframe: str = "", base: str = "free") -> Mechanism:
+    """Read a model of MuJoCo.
+
+    Args:
+        path: the file.
+        keyframe: name of the keyframe that the mechanism starts from; the initial configuration when empty.
+        base: "free", or "fixed" to hold bodies with free joints where they start.
+
+    Raises:
+        ModelFileError: naming file and line: a file that is none, or what this reader does not know.
+    """
+    return _Reader(Included(path), keyframe, base).mechanism()
+
+
+class _Reader:
+    """What is gathered on the way through a file."""
+
+    def __init__(self, files: Included, keyframe: str, base: str) -> None:
+        self.files, self._base = files, base
+        root = files.root
+        if root.tag != "mujoco":
+            files.refuse(root, f"the top element is <{root.tag}>, not <mujoco>", "Pass a model of MuJoCo.")
+        for element in root:
+            if element.tag not in _SECTIONS and isinstance(element, Element):
+                files.refuse(element, f"<{element.tag}> is not covered", did_you_mean(element.tag, _SECTIONS))
+        self.settings = self._settings()
+        self._defaults = Defaults(files)
+        self.gravity = self._gravity()
+        self.links: dict[str, LinkEntry] = {"world": LinkEntry("world", 0.0, np.zeros(3), np.zeros((3, 3)))}
+        self.joints: list[JointEntry] = []
+        self.places: dict[str, Array] = {"world": np.eye(4)}
+        """Of each link in the world, at the initial configuration."""
+        self.bodies, self.sites, self.names = {"world": "world"}, dict[str, str](), dict[str, tuple[str, ...]]()
+        """Links of bodies and sites, and joints made of each joint of the file, by its name."""
+        self.initial: dict[str, float | Array] = {}
+        self.armature: dict[str, float] = {}
+        self.shapes: dict[str, list[str]] = {}
+        self.notes: list[str] = []
+        self._forces: dict[str, list[str]] = {}
+        self._positions: list[tuple[str, ...]] = []  # joints in the order of qpos
+        self._skipped: list[tuple[int, int]] = []  # in qpos, of no joint here: before which, how many
+        self._colliding = False
+        self._keyframe = keyframe
+
+    # --- sections -----------------------------------------------------------------------------------------------------
+
+    def _sections(self, tag: str) -> Iterator[Element]:
+        for section in self.files.root:
+            if section.tag == tag and isinstance(section, Element):
+                yield section
+
+    def _elements(self, tag: str) -> Iterator[Part]:
+        for section in self._sections(tag):
+            for element in section:
+                if isinstance(element, Element):
+                    yield self._part(element, "")
+
+    def _part(self, element: Element, inherited: str) -> Part:
+        return Part(self.files, element, self.settings, self._defaults.of(self.files, element, inherited))
+
+    def _settings(self) -> Settings:
+        given: dict[str, str] = {}
+        for section in self._sections("compiler"):
+            part = Part(self.files, section, Settings())
+            part.require_known(_OF_COMPILER)
+            given.update(section.attrib)
+            for child in section:
+                if child.tag != "lengthrange" and isinstance(child, Element):
+                    self.files.refuse(child, f"<{child.tag}> is not covered")
+            for key, harmless in (
+                *(("coordinate", ("local",)), ("balanceinertia", ("false",)), ("alignfree", ("false", "auto"))),
+                *(("boundmass", ("0",)), ("boundinertia", ("0",)), ("settotalmass", ("-1",))),
+            ):
+                if section.get(key, harmless[0]).strip() not in harmless:
+                    part.refuse(f"the compiler has {key}={shown(section.get(key))}, which is not covered")
+        first = next(self._sections("compiler"), self.files.root)
+        merged = Part(self.files, first, Settings(), given)
+        sequence = given.get("eulerseq", "xyz")
+        if len(sequence) != 3 or not set(sequence.lower()) <= set("xyz"):
+            merged.refuse(f"the compiler has eulerseq={shown(sequence)}", "Write three of xyz, or of XYZ.")
+        groups = merged.numbers("inertiagrouprange", 2, default="0 5")
+        said = {key: given.get(key, default) for key, default in (("autolimits", "true"), ("inertiafromgeom", "auto"))}
+        if said["autolimits"] not in ("true", "false") or said["inertiafromgeom"] not in ("true", "false", "auto"):
+            merged.refuse("the compiler has autolimits or inertiafromgeom of another value than true, false, auto")
+        return Settings(
+            given.get("angle", "degree") != "radian",
+            sequence,
+            said["autolimits"] == "true",
+            said["inertiafromgeom"],
+            (float(groups[0]), float(groups[1])),
+            given.get("meshdir", given.get("assetdir", "")),
+        )
+
+    def _gravity(self) -> Array:
+        gravity = np.array([0.0, 0.0, -9.81])
+        self._fluid = False
+        for section in self._sections("option"):
+            part = Part(self.files, section, self.settings)
+            if part.has("gravity"):
+                gravity = part.numbers("gravity", 3)
+            self._fluid |= any(part.number(key, 0.0) != 0.0 for key in ("density", "viscosity"))
+        for section in self._sections("option"):
+            for flag in section:
+                if flag.get("gravity") == "disable":
+                    gravity = np.zeros(3)
+                for key in ("constraint", "equality"):
+                    if flag.get(key) == "disable" and isinstance(flag, Element):
+                        self.files.refuse(flag, f"the flag {key}=disable is not covered: loops would be open")
+        return gravity
+
+    # --- bodies -------------------------------------------------------------------------------------------------------
+
+    def mechanism(self) -> Mechanism:
+        """Return what the file describes."""
+        for section in self._sections("worldbody"):
+            self._contents(self._part(section, ""), "world", "world", np.eye(4), section.get("childclass", ""))
+        if len(self.bodies) == 1:
+            self.files.refuse(self.files.root, "the model has no bodies")
+        start = self._start()
+        closures = tuple(self._closures())
+        actuated = self._actuators()
+        self._say_what_is_not_in_force()
+        return Mechanism(
+            self.files.root.get("model") or self.files.path.stem,
+            self.links,
+            tuple(self.joints),
+            closures,
+            actuated,
+            self.gravity,
+            start,
+            self.armature,
+            tuple(self.notes),
+            drawn(self.shapes),
+        )
+
+    def _contents(self, part: Part, body: str, link: str, frame: Array, inherited: str) -> None:
+        """Read the bodies and sites in a body or the world, and in frames there.
+
+        Args:
+            part: the element.
+            body: name of the body, for messages.
+            link: the link that its contents are fixed to.
+            frame: (4, 4) of the element in that link.
+            inherited: class of defaults around it.
+        """
+        for child in part.element:
+            if not isinstance(child, Element):
+                continue
+            inner = self._part(child, inherited)
+            tag = inner.tag
+            if tag == "body":
+                self._body(inner, link, frame, inherited)
+            elif tag == "site":
+                inner.require_known(_OF_SITE)
+                self._site(inner, link, frame)
+            elif tag == "frame":
+                inner.require_known((*_POSE, "childclass"))
+                within = frame @ inner.placement()
+                self._contents(inner, body, link, within, child.get("childclass", inherited))
+            elif tag in ("joint", "freejoint", "inertial", "geom"):
+                if body == "world" and tag != "geom":
+                    inner.refuse(f"the world has a {tag}", "Put it into a body.")
+                if tag == "geom":
+                    inner.require_known(_OF_GEOM)
+                    self._colliding |= inner.text("contype", "1") != "0" or inner.text("conaffinity", "1") != "0"
+            elif tag not in ("camera", "light"):
+                inner.refuse(f"<{tag}> is not covered")
+
+    def _body(self, part: Part, parent: str, frame: Array, inherited: str) -> None:
+        part.require_known(_OF_BODY)
+        if part.text("mocap", "false") != "false":
+            part.refuse(f"{part} is a mocap body, which is not covered", "Make it a body without joints.")
+        if part.number("gravcomp", 0.0) != 0.0:
+            self._forces.setdefault("gravcomp", []).append(part.name or "a body")
+        inherited = part.element.get("childclass", inherited)
+        name = self._fresh(part.name or f"body_{len(self.bodies)}", part)
+        if part.name in self.bodies:
+            part.refuse(f"there are two bodies {part.name!r}", "Rename one.")
+        place = frame @ part.placement()
+        own = list(self._of_body(part, np.eye(4), inherited))
+        joints = [(each, within) for each, within in own if each.tag in ("joint", "freejoint")]
+        mass = self._mass(part, name, own)
+        self.places[name] = self.places[parent] @ place
+        link, rest = parent, place
+        held = self._base == "fixed" and parent == "world" and self._is_floating([joint for joint, _ in joints])
+        for number, (joint, within) in enumerate([] if held else joints):
+            link, rest = self._joint(joint, within, link, rest, name, number, len(joints))
+        self._link(mass, link, rest, name)
+        self.bodies[part.name or name] = name
+        self._contents(part, name, name, np.eye(4), inherited)
+
+    def _is_floating(self, joints: list[Part]) -> bool:
+        """Whether joints give a body all six freedoms; if so, their place in qpos is noted."""
+        kinds = ["free" if part.tag == "freejoint" else part.text("type", "hinge") for part in joints]
+        freedoms = {"free": 6, "ball": 3, "hinge": 1, "slide": 1}
+        if sum(freedoms.get(kind, 0) for kind in kinds) != 6:
+            return False
+        self._skipped += [(len(self._positions), {"free": 7, "ball": 4}.get(kind, 1)) for kind in kinds]
+        return True
+
+    def _of_body(self, part: Part, frame: Array, inherited: str) -> Iterator[tuple[Part, Array]]:
+        """Give the joints, geoms and inertial of a body, with the frame (4, 4) that each is written in."""
+        for child in part.element:
+            if not isinstance(child, Element):
+                continue
+            inner = self._part(child, inherited)
+            if inner.tag == "frame":
+                yield from self._of_body(inner, frame @ inner.placement(), child.get("childclass", inherited))
+            elif inner.tag in ("joint", "freejoint", "geom", "inertial"):
+                yield inner, frame
+
+    def _fresh(self, name: str, part: Part) -> str:
+        """Return a name that no link has: bodies, sites and what is made for closures have one space of names here."""
+        if name not in self.links:
+            return name
+        return next(
+            f"{part.tag}:{name}" + "'" * i for i in range(99) if f"{part.tag}:{name}" + "'" * i not in self.links
+        )
+
+    def _link(self, mass: LinkEntry, parent: str, placement: Array, name: str) -> None:
+        self.links[name] = replace(mass, name=name)
+        self.joints.append(JointEntry(f"{name}::fixed", "fixed", parent, name, placement, np.zeros(3), {}))
+
+    def _frame(self, name: str, parent: str, placement: Array) -> None:
+        self._link(LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3))), parent, placement, name)
+        self.places[name] = self.places[parent] @ placement
+
+    def _site(self, part: Part, link: str, frame: Array) -> None:
+        name = self._fresh(part.name or f"site_{len(self.sites)}", part)
+        if part.name in self.sites:
+            part.refuse(f"there are two sites {part.name!r}", "Rename one.")
+        self._frame(name, link, frame @ _place_of_geom(part))
+        self.sites[part.name or name] = name
+
+    # --- joints -------------------------------------------------------------------------------------------------------
+
+    def _joint(
+        self, part: Part, within: Array, parent: str, place: Array, body: str, number: int, count: int
+    ) -> tuple[str, Array]:
+        """Add a joint; return the link behind it, and the placement (4, 4) of the body's frame in that link."""
+        kind = "free" if part.tag == "freejoint" else part.choice("type", ("hinge", "slide", "ball", "free"), "hinge")
+        part.require_known(("group", "align") if part.tag == "freejoint" else _OF_JOINT)
+        name = part.name or (f"{body}_joint" if count == 1 else f"{body}_joint_{number + 1}")
+        if name in self.names:
+            part.refuse(f"there are two joints {name!r}", "Rename one.")
+        self._note_forces(part, name)
+        if kind == "free":
+            return self._free(part, name, parent, place, count)
+        if part.has("armature"):
+            rotor = part.number("armature", 0.0)
+            if rotor < 0.0:
+                part.refuse(f"{part} has armature={rotor:g}")
+            self.armature[name] = rotor
+        anchor = within @ np.append(part.numbers("pos", 3, default="0 0 0"), 1.0)
+        anchored = place @ placed(np.eye(3), anchor[:3])
+        back = placed(np.eye(3), -anchor[:3])
+        self.names[name] = (name,)
+        self._positions.append((name,))
+        if kind == "ball":
+            self._moving(JointEntry(name, "ball", parent, f"{name}::link", anchored, np.zeros(3), UNLIMITED))
+            self.initial[name] = np.array([0.0, 0.0, 0.0, 1.0])
+            return f"{name}::link", back
+        axis = within[:3, :3] @ part.numbers("axis", 3, default="0 0 1")
+        length = float(np.linalg.norm(axis))
+        if not length > 1e-12:
+            part.refuse(f"{part} has an axis of length zero", "Correct it.")
+        axis = axis / length
+        turning = kind == "hinge"
+        unit = math.pi / 180.0 if turning and self.settings.degrees else 1.0
+        ref = unit * part.number("ref", 0.0)
+        # at the initial configuration q is ref: the joint is mounted as far back
+        mounted = placed(about(axis, -ref), np.zeros(3)) if turning else placed(np.eye(3), -ref * axis)
+        limits = dict(UNLIMITED)
+        if part.limited("limited", "range"):
+            limits["lower"], limits["upper"] = (unit * part.numbers("range", 2)).tolist()
+        if part.limited("actuatorfrclimited", "actuatorfrcrange"):
+            limits["effort"] = float(np.abs(part.numbers("actuatorfrcrange", 2)).max())
+        entry = JointEntry(
+            name, "revolute" if turning else "prismatic", parent, f"{name}::link", anchored @ mounted, axis, limits
+        )
+        self._moving(entry)
+        self.initial[name] = ref
+        return f"{name}::link", back
+
+    def _moving(self, joint: JointEntry) -> None:
+        self.links[joint.child] = LinkEntry(joint.child, 0.0, np.zeros(3), np.zeros((3, 3)))
+        self.joints.append(joint)
+
+    def _free(self, part: Part, name: str, parent: str, place: Array, count: int) -> tuple[str, Array]:
+        """Add the six freedoms of a free body as three slides and three hinges: independent joints have one each."""
+        if parent != "world" or count > 1:
+            part.refuse(f"{part} is free, in a body that is inside of another or has other joints")
+        made = tuple(f"{name}_{axis}" for axis in AXES)
+        self.names[name] = made
+        x, y, z, *_ = place[:3, 3].tolist()
+        yaw, pitch, roll = angles(place[:3, :3])
+        self._positions.append(made)
+        values = dict(zip(made, (x, y, z, roll, pitch, yaw), strict=True))
+        for axis in ("x", "y", "z", "rz", "ry", "rx"):
+            joint, direction = f"{name}_{axis}", np.eye(3)["xyz".index(axis[-1])]
+            kind = "revolute" if len(axis) == 2 else "prismatic"
+            self._moving(JointEntry(joint, kind, parent, f"{joint}::link", np.eye(4), direction, UNLIMITED))
+            self.initial[joint] = values[joint]
+            if part.number("armature", 0.0):
+                part.refuse(f"{part} is free and has an armature, which is not covered")
+            parent = f"{joint}::link"
+        self.notes.append(
+            f"The free joint {name!r} is three slides and three hinges (yaw, pitch, roll; singular at a pitch of 90°): "
+            f"{', '.join(made)}. Nothing drives it; base=fixed holds it."
+        )
+        return parent, np.eye(4)
+
+    def _note_forces(self, part: Part, name: str) -> None:
+        if part.tag == "freejoint":
+            return
+        for key in _UNMODELLED:
+            if part.has(key) and any(part.numbers(key, 1, 9)):
+                self._forces.setdefault(key, []).append(name)
+
+    # --- masses -------------------------------------------------------------------------------------------------------
+
+    def _mass(self, part: Part, name: str, own: list[tuple[Part, Array]]) -> LinkEntry:
+        """Return the mass of a body: its inertial element, or what its geoms add up to."""
+        inertials = [each for each in own if each[0].tag == "inertial"]
+        geoms = [each for each in own if each[0].tag == "geom"]
+        for geom, within in geoms:
+            self._draw(geom, within, name)
+        if len(inertials) > 1:
+            inertials[1][0].refuse(f"{part} has two inertials")
+        rule = self.settings.inertia_from_geom
+        if inertials and rule != "true":
+            return _inertial(*inertials[0])
+        if rule == "false":
+            return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)))
+        low, high = self.settings.inertia_groups
+        counted = [(geom, within) for geom, within in geoms if low <= geom.number("group", 0.0) <= high]
+        return together(name, [_of_geom(geom, within) for geom, within in counted])
+
+    def _draw(self, geom: Part, within: Array, body: str) -> None:
+        """Note a shape for the picture; those without a plain one are not drawn."""
+        kind, size = geom.text("type", "sphere"), _sizes(geom)
+        forms = {
+            "box": ("box", {"size": " ".join(repr(2.0 * s) for s in size[:3])}),
+            "sphere": ("sphere", {"radius": repr(size[0]) if size else "0"}),
+            "cylinder": ("cylinder", {"radius": repr(size[0]), "length": repr(2.0 * size[1])} if len(size) > 1 else {}),
+            "capsule": ("capsule", {"radius": repr(size[0]), "length": repr(2.0 * size[1])} if len(size) > 1 else {}),
+        }
+        if kind not in forms or not size:
+            return
+        place = within @ _place_of_geom(geom)
+        yaw, pitch, roll = angles(place[:3, :3])
+        shape, attributes = forms[kind]
+        text = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+        self.shapes.setdefault(body, []).append(
+            f'<visual><origin xyz="{" ".join(map(repr, place[:3, 3].tolist()))}" rpy="{roll!r} {pitch!r} {yaw!r}"/>'
+            f"<geometry><{shape} {text}/></geometry></visual>\n"
+        )
+
+    # --- what closes loops, what drives, where it starts --------------------------------------------------------------
+
+    def _closures(self) -> Iterator[Closure]:
+        for number, part in enumerate(self._elements("equality")):
+            name = part.name or f"{part.tag}_{number + 1}"
+            if part.tag not in ("connect", "weld"):
+                part.refuse(f"{part} is an equality of another kind than connect and weld, which is not covered")
+            known = ("active", "body1", "body2", "site1", "site2", "anchor", "solref", "solimp")
+            part.require_known((*known, "relpose", "torquescale") if part.tag == "weld" else known)
+            if part.choice("active", ("true", "false"), "true") == "false":
+                self.notes.append(f"The equality {name!r} is not active, and left out.")
+                continue
+            first, second = self._ends(part, name)
+            if self._carrier(first) == self._carrier(second):
+                part.refuse(f"{part} joins two frames of one rigid body", "Take it out.")
+            yield Closure(name, first, second, AXES[:3] if part.tag == "connect" else AXES)
+
+    def _ends(self, part: Part, name: str) -> tuple[str, str]:
+        """Return the two links that an equality makes coincide."""
+        if part.has("site1") or part.has("site2"):
+            if any(part.has(key) for key in ("body1", "body2", "anchor", "relpose")):
+                part.refuse(f"{part} names sites and bodies", "Name one or the other.")
+            return self._named(part, "site1", self.sites), self._named(part, "site2", self.sites)
+        first = self._named(part, "body1", self.bodies)
+        second = self._named(part, "body2", self.bodies) if part.has("body2") else "world"
+        one, two = self.places[first], self.places[second]
+        back = np.linalg.inv
+        if part.tag == "connect":
+            anchor = placed(np.eye(3), part.numbers("anchor", 3))
+            on_first, on_second = anchor, back(two) @ one @ anchor
+        else:
+            on_second = placed(np.eye(3), part.numbers("anchor", 3, default="0 0 0"))
+            pose = part.numbers("relpose", 7, default="0 1 0 0 0 0 0")
+            if np.linalg.norm(pose[3:]) > 0.0:
+                turn = from_quaternion(pose[3:] / np.linalg.norm(pose[3:]))
+                on_first = placed(turn, pose[:3])
+            else:
+                on_first = back(one) @ two @ on_second
+        ends = self._fresh(f"{name}:1", part), self._fresh(f"{name}:2", part)
+        self._frame(ends[0], first, on_first)
+        self._frame(ends[1], second, on_second)
+        return ends
+
+    def _named(self, part: Part, key: str, known: Mapping[str, str]) -> str:
+        name = part.text(key)
+        if name not in known:
+            part.refuse(f"{part} names {key}={shown(name)}, which is not there", did_you_mean(name, known).strip())
+        return known[name]
+
+    def _carrier(self, link: str) -> str:
+        """Return the moving joint that carries a link; empty for the world's."""
+        above = {joint.child: joint for joint in self.joints}
+        while link in above and above[link].kind == "fixed":
+            link = above[link].parent
+        return above[link].name if link in above else ""
+
+    def _actuators(self) -> tuple[str, ...]:
+        efforts: dict[str, float] = {}
+        kinds = {joint.name: joint.kind for joint in self.joints}
+        feedback = []
+        for part in self._elements("actuator"):
+            if part.tag not in ("motor", "position", "velocity", "intvelocity", "general"):
+                part.refuse(f"<{part.tag}> is not covered", "Use motor, position, velocity or general on a joint.")
+            part.require_known(_OF_ACTUATOR, _NO_TRANSMISSION)
+            key = "joint" if part.has("joint") else "jointinparent"
+            name = part.text(key)
+            made = self.names.get(name)
+            if made is None:
+                part.refuse(f"{part} drives {shown(name)}, which is no joint", did_you_mean(name, self.names).strip())
+            if len(made) != 1 or kinds.get(name) == "ball":
+                part.refuse(f"{part} drives {name!r}, a joint of several freedoms", _NO_JOINT)
+            gear = abs(float(part.numbers("gear", 1, 6, default="1")[0]))
+            if not gear > 0.0:
+                part.refuse(f"{part} has a gear of zero")
+            efforts[name] = efforts.get(name, 0.0) + gear * self._force(part)
+            if part.tag in ("position", "velocity", "intvelocity"):
+                feedback.append(name)
+        self.joints = [
+            replace(joint, limits={**joint.limits, "effort": min(joint.limits["effort"], efforts[joint.name])})
+            if joint.name in efforts
+            else joint
+            for joint in self.joints
+        ]
+        if feedback:
+            self.notes.append(f"Servos count as motors, their control law is left out: {', '.join(feedback)}.")
+        return tuple(efforts)
+
+    def _force(self, part: Part) -> float:
+        """Return the largest force of an actuator, before its gear; infinite where nothing bounds it."""
+        most = math.inf
+        if part.limited("forcelimited", "forcerange"):
+            most = float(np.abs(part.numbers("forcerange", 2)).max())
+        plain = part.tag == "motor" or (
+            part.tag == "general"
+            and part.text("gaintype", "fixed") == "fixed"
+            and part.text("biastype", "none") == "none"
+            and part.text("dyntype", "none") == "none"
+        )
+        if plain and part.limited("ctrllimited", "ctrlrange"):
+            gain = 1.0 if part.tag == "motor" else float(part.numbers("gainprm", 1, 10, default="1")[0])
+            most = min(most, abs(gain) * float(np.abs(part.numbers("ctrlrange", 2)).max()))
+        return most
+
+    def _start(self) -> dict[str, float | Array]:
+        keys = [part for part in self._elements("keyframe") if part.tag == "key"]
+        if not self._keyframe:
+            return self.initial
+        chosen = next((part for part in keys if part.name == self._keyframe), None)
+        if chosen is None:
+            names = ", ".join(part.name for part in keys if part.name) or "none"
+            root = self.files.root
+            self.files.refuse(root, f"there is no keyframe {self._keyframe!r}", f"Its keyframes: {names}.")
+        if not chosen.has("qpos"):
+            return self.initial
+        sizes = [self._size(made) for made in self._positions]
+        skipped = sum(size for _, size in self._skipped)
+        values, start = list(chosen.numbers("qpos", sum(sizes) + skipped)), dict(self.initial)
+        for number, (made, size) in enumerate(zip(self._positions, sizes, strict=True)):
+            del values[: sum(each for before, each in self._skipped if before == number)]
+            part, values = np.array(values[:size]), values[size:]
+            if size == 1:
+                start[made[0]] = float(part[0])
+            elif size == 4:
+                start[made[0]] = np.append(part[1:], part[0]) / np.linalg.norm(part)
+            else:
+                yaw, pitch, roll = angles(from_quaternion(part[3:] / np.linalg.norm(part[3:])))
+                start.update(zip(made, (*part[:3].tolist(), roll, pitch, yaw), strict=True))
+        return start
+
+    def _size(self, made: tuple[str, ...]) -> int:
+        """Return how many numbers of qpos a joint has, made of one joint here, or of six."""
+        return 7 if len(made) > 1 else 4 if isinstance(self.initial[made[0]], np.ndarray) else 1
+
+    def _say_what_is_not_in_force(self) -> None:
+        for part in self._elements("tendon"):
+            keys = (
+                "stiffness",
+                "damping",
+                "frictionloss",
+                "limited",
+                "range",
+                "springlength",
+                "armature",
+                "actuatorfrcrange",
+            )
+            if any(part.has(key) for key in keys):
+                self._forces.setdefault("tendons", []).append(part.name or f"line {part.element.line}")
+        if self._fluid:
+            self._forces["fluid"] = ["density or viscosity of the option"]
+        said = "; ".join(f"{what} of {', '.join(names)}" for what, names in self._forces.items())
+        if said:
+            self.notes.append(f"{NOT_IN_FORCE} {said}.")
+        if self._colliding:
+            self.notes.append("Contacts between geoms are not modelled.")
+        if self.armature:
+            self.notes.append(f"In force: armature of {', '.join(self.armature)}.")
+
+
+NOT_IN_FORCE = "Not in force, though the file says it:"
+"""How the note begins that names forces which are left out."""
+
+
+def _inertial(part: Part, within: Array) -> LinkEntry:
+    part.require_known((*_POSE, "mass", "diaginertia", "fullinertia"))
+    if not part.has("pos") or not part.has("mass"):
+        part.refuse("an inertial without pos or mass")
+    mass = part.number("mass", 0.0)
+    if part.has("fullinertia"):
+        if any(part.has(key) for key in (*ORIENTATION, "diaginertia")):
+            part.refuse("an inertial with fullinertia and an orientation or diaginertia", "Give one of them.")
+        xx, yy, zz, xy, xz, yz = part.numbers("fullinertia", 6)
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    else:
+        turn = part.orientation()
+        inertia = turn @ np.diag(part.numbers("diaginertia", 3, default="0 0 0")) @ turn.T
+    moments = np.linalg.eigvalsh(inertia)
+    if mass < 0.0 or moments[0] < -1e-12 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6) + 1e-12:
+        part.refuse(f"an inertial with the mass {mass:g} and the moments {moments}, which no body has", "Correct it.")
+    return moved_to(within, LinkEntry("", mass, part.numbers("pos", 3), inertia))
+
+
+def _sizes(geom: Part) -> list[float]:
+    """Return the sizes of a geom; with fromto, radius or sides and half the length."""
+    size = geom.numbers("size", 0, 3).tolist() if geom.has("size") else []
+    if geom.has("fromto"):
+        ends = geom.numbers("fromto", 6)
+        half = 0.5 * float(np.linalg.norm(ends[3:] - ends[:3]))
+        kind = geom.text("type", "sphere")
+        return [*size[:1], half] if kind in ("capsule", "cylinder") else [size[0], size[0], half] if size else []
+    return [float(each) for each in size]
+
+
+def _place_of_geom(geom: Part) -> Array:
+    if not geom.has("fromto"):
+        return geom.placement()
+    ends = geom.numbers("fromto", 6)
+    along = ends[:3] - ends[3:]  # MuJoCo's z axis points from the second end to the first
+    length = float(np.linalg.norm(along))
+    if not length > 1e-12:
+        geom.refuse(f"{geom} has a fromto of length zero")
+    return placed(from_z(along / length), 0.5 * (ends[:3] + ends[3:]))
+
+
+def _of_geom(geom: Part, within: Array) -> LinkEntry:
+    """Return the mass of a geom in the frame of its body."""
+    kind = geom.text("type", "mesh" if geom.has("mesh") else "sphere")
+    nothing = LinkEntry("", 0.0, np.zeros(3), np.zeros((3, 3)))
+    given = geom.number("mass", 0.0) if geom.has("mass") else None
+    if kind in ("plane", "hfield") or given == 0.0 or (given is None and geom.number("density", 1000.0) == 0.0):
+        return nothing
+    if kind not in ("sphere", "box", "capsule", "cylinder", "ellipsoid") or geom.has("mesh"):
+        remedy = "Give the body an <inertial>, or the geom a mass of zero."
+        geom.refuse(f"{geom} is a {kind} whose mass would have to be computed from its surface", remedy)
+    if geom.text("shellinertia", "false") != "false":
+        geom.refuse(f"{geom} has shellinertia, which is not covered", "Give the body an <inertial>.")
+    size = _sizes(geom)
+    if len(size) < {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3) or any(each <= 0.0 for each in size[:1]):
+        geom.refuse(f"{geom} is a {kind} with the size {size}", "Correct it.")
+    volume, per_mass = _solid(kind, size)
+    mass = geom.number("density", 1000.0) * volume if given is None else given
+    if not mass >= 0.0:
+        geom.refuse(f"{geom} has the mass {mass:g}")
+    place = within @ _place_of_geom(geom)
+    return moved_to(place, LinkEntry("", mass, np.zeros(3), mass * np.diag(per_mass)))
+
+
+def _solid(kind: str, size: list[float]) -> tuple[float, list[float]]:
+    """Return the volume of a solid, and its moments of inertia per mass, about its centre, the axis along z."""
+    a = size[0]
+    if kind == "sphere":
+        return 4.0 / 3.0 * math.pi * a**3, [0.4 * a * a] * 3
+    b = size[1]
+    if kind == "cylinder":
+        across = (3.0 * a * a + 4.0 * b * b) / 12.0
+        return 2.0 * math.pi * a * a * b, [across, across, 0.5 * a * a]
+    if kind == "capsule":
+        height, ball, tube = 2.0 * b, 4.0 / 3.0 * a, 2.0 * b  # volumes over pi a²
+        share = ball / (ball + tube)
+        along = (1.0 - share) * 0.5 * a * a + share * 0.4 * a * a
+        # each half ball is 3/8 a beyond the end of the tube
+        halves = 0.4 * a * a + 0.25 * height * height + 0.375 * height * a
+        across = (1.0 - share) * (3.0 * a * a + height * height) / 12.0 + share * halves
+        return math.pi * a * a * (ball + tube), [across, across, along]
+    c = size[2]
+    squares = [b * b + c * c, a * a + c * c, a * a + b * b]
+    if kind == "box":
+        return 8.0 * a * b * c, [each / 3.0 for each in squares]
+    return 4.0 / 3.0 * math.pi * a * b * c, [each / 5.0 for each in squares]

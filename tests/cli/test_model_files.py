@@ -1,0 +1,51 @@
+"""Commands on files that describe a whole mechanism: a model of MuJoCo is a robot like any other."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import call, refused
+from mjcf_models import FOUR_BAR, write
+
+import redundancy_pin as rp
+
+
+@pytest.fixture
+def model(tmp_path):
+    return write(tmp_path, FOUR_BAR)
+
+
+def test_info_says_what_was_chosen_and_what_is_not_in_force(model):
+    facts = json.loads(call("info", "--robot", model, "--json").stdout)
+    assert facts["name"] == "four_bar"
+    assert facts["independent"]["joints"] == ["crank"]
+    assert facts["closures"] == [{"frame_a": "tip", "frame_b": "end", "axes": ["x", "y"]}]
+    assert any("damping of crank" in note for note in facts["notes"])
+    assert facts["parameters"]["base"] == {"value": "free", "default": "free"}
+    text = call("info", "--robot", model).stdout
+    assert "damping of crank" in text.replace("\n", " ")
+
+
+def test_inverse_dynamics_and_mistakes(model, tmp_path):
+    robot = rp.load_robot(model)
+    motion = tmp_path / "motion.csv"
+    x = float(robot.q_reference[0])
+    motion.write_text(f"t,x0,xd0,xdd0\n0.0,{x!r},0.5,1.0\n")
+    out = tmp_path / "out.csv"
+    call("inverse-dynamics", "--robot", model, "--motion", motion, "--out", out)
+    tau = float(out.read_text().splitlines()[1].split(",")[1])
+    expected = rp.distribute(rp.RneaDynamics(robot).reduce(rp.PlatformMotion([0.0], [[x]], [[0.5]], [[1.0]]))).tau[0, 0]
+    assert tau == pytest.approx(expected, rel=1e-9)
+    assert np.isfinite(tau)
+    assert "no argument 'carriers'" in refused("info", "--robot", model, "--set", "carriers=true")
+    model.write_text(FOUR_BAR.replace("<light", "<composite"))
+    assert "model.xml, line 10: <composite> is not covered" in refused("info", "--robot", model)
+
+
+def test_plans_know_their_model_again(model, tmp_path):
+    from redundancy_pin.planners.robot_record import load_recorded, robot_record
+
+    robot = rp.load_robot(model, gravity=(0.0, 0.0, -1.0))
+    again = load_recorded(robot_record(robot))
+    np.testing.assert_array_equal(again.q_reference, robot.q_reference)
+    np.testing.assert_array_equal(again.gravity, robot.gravity)
