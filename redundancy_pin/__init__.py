@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from redundancy_pin.planners.switch_off.planner import plan_switch_off
     from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
     from redundancy_pin.robot import Robot
+    from redundancy_pin.robot.loads import JointForces, Payload, Spring, Wrench
     from redundancy_pin.simulation import simulate
     from redundancy_pin.singularities.classify import classify, classify_motion
     from redundancy_pin.singularities.crossings import find_crossings
@@ -38,11 +39,15 @@ _startup.install()
 _PLACES = {
     "CarrierMotion": "motion",
     "CompiledDynamics": "dynamics.compiled",
+    "JointForces": "robot.loads",
+    "Payload": "robot.loads",
     "Plan": "planners.plan",
     "PlatformMotion": "motion",
     "Robot": "robot",
     "RneaDynamics": "dynamics.rnea",
+    "Spring": "robot.loads",
     "VirtualWork": "dynamics.virtual_work",
+    "Wrench": "robot.loads",
     "check_plan": "planners.check",
     "classify": "singularities.classify",
     "classify_motion": "singularities.classify",
@@ -70,11 +75,15 @@ _SHORT_NAMES = {"plot": "visualisation.figures.plots"}
 __all__ = [
     "CarrierMotion",
     "CompiledDynamics",
+    "JointForces",
+    "Payload",
     "Plan",
     "PlatformMotion",
     "RneaDynamics",
     "Robot",
+    "Spring",
     "VirtualWork",
+    "Wrench",
     "check_plan",
     "classify",
     "classify_motion",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, cast
 
@@ -16,9 +17,9 @@ from redundancy_pin.arrays import (
     require_type,
 )
 from redundancy_pin.dynamics.forward import ForwardKernel
-from redundancy_pin.errors import CarrierLimitError, InputError
+from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Load, Robot
 
 OnUnreachable = Literal["raise", "mark"]
 """What to do with a pose that no configuration closes: raise, or mark the sample with NaN and its gap."""
@@ -159,6 +160,17 @@ class Dynamics(Protocol):
             WorkingModeError: the motion leaves the robot's working mode.
         """
 
+    def with_external(self, *external: Load) -> Dynamics:
+        """Return the same backend for the robot with further loads (``Robot.loaded``): for planners, say.
+
+        Raises:
+            InputError: no load, an unknown link or joint.
+            UnsupportedRobotError: a load that the backend does not cover.
+        """
+        raise UnsupportedRobotError(
+            f"{type(self).__name__} takes no loads.", remedy="Make it for a robot that has them: robot.loaded(...)."
+        )
+
     def reduce(
         self,
         motion: PlatformMotion,
@@ -166,6 +178,7 @@ class Dynamics(Protocol):
         *,
         unreachable: OnUnreachable = "raise",
         check_track: bool = True,
+        external: Sequence[Load] = (),
     ) -> ReducedDynamics:
         """Return f, W and carrier forces along a platform motion and a carrier motion.
 
@@ -174,11 +187,17 @@ class Dynamics(Protocol):
             carriers: N samples of the carriers; parked at s = 0 when left out.
             unreachable: as in ``along``.
             check_track: refuse carriers that leave their tracks.
+            external: loads beside those of the robot: ``Wrench("platform", (N, 6))`` is what acts *on* that link at the
+                samples, in world axes at its origin, so f falls by Jᵀ of it; ``Payload`` and others as well.
 
         Raises:
             CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
+            UnsupportedRobotError: a load that the backend does not cover.
         """
+        if len(external):
+            loaded = self.with_external(*external)
+            return loaded.reduce(motion, carriers, unreachable=unreachable, check_track=check_track)
         require_sampled(motion)
         if check_track:
             require_on_track(self.robot, require_matching_carriers(self.robot, carriers, len(motion)), motion.t)
@@ -192,6 +211,8 @@ class Dynamics(Protocol):
         s: ArrayLike = (),
         sd: ArrayLike = (),
         sdd: ArrayLike = (),
+        *,
+        t: float = 0.0,
     ) -> ReducedSample:
         """Return W, f and carrier forces at one sample: ``reduce`` for those who ask sample after sample.
 
@@ -204,11 +225,12 @@ class Dynamics(Protocol):
             s: scalar or (k,) positions of the carriers on their tracks, m; 0 when left out.
             sd: scalar or (k,) their rates, m/s; 0 when left out.
             sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
+            t: time, s, for wrenches that depend on it.
 
         Raises:
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
         """
-        motion, carriers = one_sample(self.robot, x, xd, xdd, s, sd, sdd)
+        motion, carriers = one_sample(self.robot, x, xd, xdd, s, sd, sdd, t=t)
         one = self.along(motion).reduce(carriers)
         return Sample(one.W[0], one.f[0], one.carrier_force[0])
 
@@ -218,16 +240,24 @@ class Dynamics(Protocol):
 
 
 def one_sample(
-    robot: Robot, x: ArrayLike, xd: ArrayLike, xdd: ArrayLike, s: ArrayLike, sd: ArrayLike, sdd: ArrayLike
+    robot: Robot,
+    x: ArrayLike,
+    xd: ArrayLike,
+    xdd: ArrayLike,
+    s: ArrayLike,
+    sd: ArrayLike,
+    sdd: ArrayLike,
+    *,
+    t: float = 0.0,
 ) -> tuple[PlatformMotion, CarrierMotion]:
-    """Return motions of one sample, at t = 0; arguments as of ``Dynamics.sample``.
+    """Return motions of one sample; arguments as of ``Dynamics.sample``.
 
     Raises:
         InputError: wrong shapes, or values that are not finite.
     """
     still = np.zeros(robot.k)
     carriers = CarrierMotion(*(_stacked(_each(still, part)) for part in (s, sd, sdd)))
-    motion = PlatformMotion([0.0], *(_stacked(part) for part in (x, xd, xdd)))
+    motion = PlatformMotion([t], *(_stacked(part) for part in (x, xd, xdd)))
     return motion, require_matching_carriers(robot, carriers, 1)
 
 

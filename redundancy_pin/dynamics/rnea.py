@@ -4,7 +4,8 @@ With v = Γ ẋ + C ṡ and J_c Γ = 0 the constraint forces drop out of the equ
 
     W τ = f,   W = Γᵀ Sᵀ,   f = Γᵀ rnea(q, v, a),   carrier force = Cᵀ rnea(q, v, a).
 
-Γ depends on the platform motion alone, so it is computed once a motion.
+Γ depends on the platform motion alone, so it is computed once a motion. Loads of the robot (``Robot.loaded``) add the
+generalised forces L of ``tree_loads`` to those of rnea.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from redundancy_pin.dynamics.base import (
     require_choice,
     require_matching_carriers,
 )
+from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import SINGULAR_MARGIN
 from redundancy_pin.kinematics.closure import ConstraintState, constraint_system
@@ -44,7 +46,8 @@ from redundancy_pin.kinematics.coordinates import column_scale, row_scale, veloc
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import Load, Robot, RobotLike, as_robot
+from redundancy_pin.robot.loads import wrench_values
 
 _SAMPLES_PER_BLOCK = 20_000
 """Samples beyond these go through RNEA in blocks, so that the memory they take does not grow."""
@@ -104,6 +107,10 @@ class RneaDynamics(Dynamics):
         tree = lift(self._robot, motion, mark_unreachable=marked, progress=self._progress)
         return RneaAlongMotion(tree, self._threads)
 
+    def with_external(self, *external: Load) -> RneaDynamics:
+        """Return this backend for the robot with further loads; raises like ``Robot.loaded``."""
+        return RneaDynamics(self._robot.loaded(*external), threads=self._threads, progress=self._progress)
+
     def sample(
         self,
         x: ArrayLike,
@@ -114,6 +121,7 @@ class RneaDynamics(Dynamics):
         sdd: ArrayLike = (),
         *,
         start: RneaSample | None = None,
+        t: float = 0.0,
     ) -> RneaSample:
         """Return W, f and carrier forces at one sample; see ``Dynamics.sample``.
 
@@ -126,6 +134,7 @@ class RneaDynamics(Dynamics):
             sdd: their second rates.
             start: an earlier result, of a pose nearby. The branch is followed from there on a straight line, in tens of
                 microseconds, and not from the reference configuration; where it does not lead to x, that is an error.
+            t: time, s.
 
         Raises:
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
@@ -136,10 +145,10 @@ class RneaDynamics(Dynamics):
                 f"start is a {type(start).__name__}, expected what an earlier sample of RneaDynamics returned.",
                 remedy="Pass that, or leave it out.",
             )
-        plain = self._plain_sample((x, xd, xdd, s, sd, sdd), start)
+        plain = self._plain_sample((x, xd, xdd, s, sd, sdd), start, t)
         if plain is not None:
             return plain
-        motion, carriers = one_sample(robot, x, xd, xdd, s, sd, sdd)
+        motion, carriers = one_sample(robot, x, xd, xdd, s, sd, sdd, t=t)
         tree = lift(robot, motion, start=None if start is None else start.point)
         one = RneaAlongMotion(tree).reduce(carriers)
         margin = float(tree.serial_margin_bound[0])
@@ -147,7 +156,7 @@ class RneaDynamics(Dynamics):
         point = Point(motion.x[0], tree.q[0], tree.gamma[0], side)
         return RneaSample(one.W[0], one.f[0], one.carrier_force[0], point, float(tree.gap[0]), margin)
 
-    def _plain_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None) -> RneaSample | None:
+    def _plain_sample(self, given: tuple[ArrayLike, ...], start: RneaSample | None, t: float) -> RneaSample | None:
         """Return a sample that needs neither a second look at its kinematics nor a word about its input."""
         robot, follower = self._robot, tracker(self._robot, many=True)
         try:
@@ -167,6 +176,10 @@ class RneaDynamics(Dynamics):
         gamma, q = reached.point.gamma, reached.point.q.copy()
         q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
         effort = pin.rnea(robot.model, follower.chain.data, q, v, a)
+        loads = tree_loads(robot)
+        if loads is not None:
+            wrenches = wrench_values(robot.loads, np.array([t]), x[None], xd[None])
+            effort = effort + loads.efforts(TreeState(q[None], v[None], a[None], wrenches))[:, 0]
         parts = gamma.take(robot.actuated_velocity, 0).T, gamma.T.dot(effort), effort.take(robot.carrier_velocity)
         W, f, force = (read_only(part) for part in parts)
         return RneaSample(W, f, force, reached.point, reached.gap, reached.margin)
@@ -235,7 +248,16 @@ class RneaAlongMotion(Frozen):
         return self._effort(require_matching_carriers(self.robot, carriers, len(self.motion)), slice(None))
 
     def _effort(self, carriers: CarrierMotion, part: slice) -> Array:
-        return _batched_rnea(self._pool, self._threads, *self._tree_motion(carriers, part))
+        q, v, a = self._tree_motion(carriers, part)
+        effort, loads = _batched_rnea(self._pool, self._threads, q, v, a), tree_loads(self.robot)
+        return effort if loads is None else effort + loads.efforts(self._state(q, v, a, part))
+
+    def _state(self, q: Array, v: Array, a: Array, part: slice = slice(None)) -> TreeState:
+        return TreeState(q.T, v.T, a.T, tuple(value[part] for value in self._wrenches))
+
+    @cached_property
+    def _wrenches(self) -> tuple[Array, ...]:
+        return wrench_values(self.robot.loads, self.motion.t, self.motion.x, self.motion.xd)
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
         """Return the exact derivatives of f and carrier forces by s, ṡ, s̈ (Pinocchio's RNEA derivatives, projected)."""
@@ -250,6 +272,10 @@ class RneaAlongMotion(Frozen):
             by_q[i], by_v[i] = dq[:, columns], dv[:, columns]
             # Pinocchio fills the upper triangle of the mass matrix only
             by_a[i] = (np.triu(da) + np.triu(da, 1).T)[:, columns]
+        loads = tree_loads(robot)
+        if loads is not None:
+            more = loads.carrier_derivatives(self._state(q, v, a))
+            by_q, by_v, by_a = (part + added for part, added in zip((by_q, by_v, by_a), more, strict=True))
         gamma = self.tree.gamma
         projected = [np.einsum("nvi,nvk->nik", gamma, part) for part in (by_q, by_v, by_a)]
         own = [part[:, columns] for part in (by_q, by_v, by_a)]
@@ -274,19 +300,23 @@ class RneaAlongMotion(Frozen):
             np.asfortranarray(np.concatenate([still, a])),
         )
         # the effort at the root is what the ground exerts on the robot; the wrench on the base is its reaction
-        wrench: Array = read_only(np.ascontiguousarray(-effort[:6].T))
-        return wrench
+        wrench: Array = np.ascontiguousarray(-effort[:6].T)
+        loads = tree_loads(self.robot)
+        if loads is not None:
+            wrench += loads.resultant(self._state(q, v, a))
+        return read_only(wrench)
 
     def energy(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
         model = self.robot.model
         data = model.createData()
-        q, v, _ = self.tree_motion(carriers)
+        q, v, a = self.tree_motion(carriers)
         total = [
             pin.computeKineticEnergy(model, data, q[:, i], v[:, i]) + pin.computePotentialEnergy(model, data, q[:, i])
             for i in range(q.shape[1])
         ]
-        return frozen(total)
+        loads = tree_loads(self.robot)
+        return frozen(total if loads is None else total + loads.energy(self._state(q, v, a)))
 
     def closure_margin(self) -> Array:
         """Return (N,) smallest over largest singular value of the scaled closures, with the sign of det K.
@@ -320,6 +350,8 @@ class RneaAlongMotion(Frozen):
         frame = free.addFrame(pin.Frame("redundancy_pin::base", base, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
         model = pin.appendModel(free, self.robot.model, frame, pin.SE3.Identity())
         model.gravity = self.robot.model.gravity
+        for index, body in list(enumerate(self.robot.model.inertias))[1:]:  # with payloads
+            model.inertias[index + 1] = body
         # links fixed to the base stand on the ground: their weight is not the mechanism's
         model.inertias[base] = pin.Inertia.Zero()
         return pin.ModelPool(model, self._threads)
@@ -395,6 +427,9 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     determined = np.linalg.svd(scaled, compute_uv=False)[:, -1] > SINGULAR_MARGIN
     left = rest[:, columns] - (transposed @ multipliers[:, :, None])[:, :, 0]
     forces = _closure_wrenches(robot, state, multipliers)
+    loads, (q, v, a) = tree_loads(robot), along.tree_motion(carriers)
+    for joint, load in ({} if loads is None else loads.bodies(along._state(q, v, a))).items():
+        forces[joint] = forces.get(joint, 0.0) + load
     wrench = _second_pass(along, carriers, forces)
     left[~usable] = np.nan
     for array in (multipliers, wrench):

@@ -1,6 +1,21 @@
 """Robots: URDF or xacro plus a declaration, read into a frozen description."""
 
+from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
 from redundancy_pin.robot.named import RobotLike, as_robot
 from redundancy_pin.robot.types import AXES, CarrierLimits, Closure, Platform, Robot, WorkingModes
 
-__all__ = ["AXES", "CarrierLimits", "Closure", "Platform", "Robot", "RobotLike", "WorkingModes", "as_robot"]
+__all__ = [
+    "AXES",
+    "CarrierLimits",
+    "Closure",
+    "JointForces",
+    "Load",
+    "Payload",
+    "Platform",
+    "Robot",
+    "RobotLike",
+    "Spring",
+    "WorkingModes",
+    "Wrench",
+    "as_robot",
+]

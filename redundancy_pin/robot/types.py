@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+<<<<<<< HEAD
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+=======
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+>>>>>>> f6d2ce8 (Robots have loads: wrenches, payloads, friction, rotors and springs, in RNEA and in virtual work, each with its own kinematics)
 
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, Frozen, IntArray
+from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the rows a closure or a platform may use: translations, then rotations."""
@@ -112,7 +118,11 @@ class Robot(Frozen):
         urdf_folder: absolute path of the folder of the URDF, which names of mesh files are relative to; empty for a
             robot that was not loaded.
         own_meshes_only: draw it only with meshes of its own folder or package: a file chose it, not its user.
+<<<<<<< HEAD
         notes: what the loader chose for a model that does not say it, and what its file says that is not in force here.
+=======
+        loads: forces it meets beside gravity and inertia; ``model`` has the payloads among them.
+>>>>>>> f6d2ce8 (Robots have loads: wrenches, payloads, friction, rotors and springs, in RNEA and in virtual work, each with its own kinematics)
     """
 
     name: str
@@ -136,6 +146,7 @@ class Robot(Frozen):
     source: str = ""
     urdf_folder: str = ""
     own_meshes_only: bool = False
+<<<<<<< HEAD
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -187,6 +198,9 @@ class Robot(Frozen):
             **more,
         )
         return made
+=======
+    loads: tuple[Load, ...] = ()
+>>>>>>> f6d2ce8 (Robots have loads: wrenches, payloads, friction, rotors and springs, in RNEA and in virtual work, each with its own kinematics)
 
     def __repr__(self) -> str:
         """Return what tells robots apart, not their whole URDF."""
@@ -194,6 +208,18 @@ class Robot(Frozen):
         shown = ", ".join(f"{name}={value}" for name, value in self.parameters.items())
         counts = f"n={self.n}, m={self.m}, k={self.k}"
         return f"Robot({self.name!r}, {counts}" + (f", mode {mode}" if mode else "") + (f"; {shown})" if shown else ")")
+
+    def loaded(self, *loads: Load) -> Robot:
+        """Return the robot with further loads: wrenches, payloads, forces in joints, springs.
+
+        Raises:
+            InputError: no load, an unknown link or joint.
+            UnsupportedRobotError: a joint that cannot have that load.
+        """
+        added = checked_loads(self.model, loads)
+        payloads = of_kind(added, Payload)
+        model = carrying(self.model, payloads) if payloads else self.model
+        return replace(self, model=model, loads=self.loads + added)
 
     @property
     def n(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,14 @@ from redundancy_pin.dynamics.base import (
     require_choice,
     require_matching_carriers,
 )
+from redundancy_pin.dynamics.virtual_work.loads import LoadEfforts, load_derivatives, load_efforts, require_known
 from redundancy_pin.dynamics.virtual_work.mechanism import base_wrench, energy
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import Load, Robot, RobotLike, as_robot
+from redundancy_pin.robot.loads import wrench_values
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
 
@@ -46,11 +49,16 @@ class VirtualWork(Dynamics):
     def __init__(self, robot: RobotLike) -> None:
         self._robot = as_robot(robot)
         self._mechanism = _mechanism_of(self._robot)
+        require_known(self._robot, self._mechanism.frames, self._mechanism.joints)
 
     @property
     def robot(self) -> Robot:
         """The robot."""
         return self._robot
+
+    def with_external(self, *external: Load) -> VirtualWork:
+        """Return this backend for the robot with further loads; raises like it and ``Robot.loaded``."""
+        return VirtualWork(self._robot.loaded(*external))
 
     def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> VirtualWorkAlongMotion:
         """Solve the kinematics of a platform motion once, for many carrier motions.
@@ -110,6 +118,7 @@ class VirtualWorkAlongMotion(Frozen):
         self._all_reachable = bool(reachable.all())
         self._gap = read_only(gap)
         self._dynamics = mechanism.along(legs, motion.x, motion.xd, motion.xdd)
+        self._legs, self._mechanism = legs, mechanism
         self._W = read_only(legs.jacobian.transpose(0, 2, 1))
         length = robot.characteristic_length
         self._row_scale = read_only(np.where(mechanism.angular_rows, length, 1.0))
@@ -127,7 +136,11 @@ class VirtualWorkAlongMotion(Frozen):
 
     def reduce(self, carriers: CarrierMotion | None = None) -> ReducedDynamics:
         """Return f, W and carrier forces; carriers parked at s = 0 when left out. Tracks are not checked."""
-        f, force = self._dynamics.efforts(*self._leg_major(carriers))
+        moved = self._leg_major(carriers)
+        f, force = self._dynamics.efforts(*moved)
+        if self._robot.loads:
+            loads = self._loads(moved)
+            f, force = f + loads.f, force + loads.force
         return ReducedDynamics(
             t=self._motion.t,
             f=self._result(np.ascontiguousarray(f.T)),
@@ -145,7 +158,12 @@ class VirtualWorkAlongMotion(Frozen):
         by_f, by_force = self._dynamics.effort_derivatives(*self._leg_major(carriers))
         f = (self._result(np.moveaxis(part[:, :k], 2, 0).copy()) for part in by_f)
         force = (self._result(part[:k].T[:, :, None] * np.eye(k)) for part in by_force)
-        return CarrierDerivatives(*f, *force)
+        if not self._robot.loads:
+            return CarrierDerivatives(*f, *force)
+        more = load_derivatives(self._robot, self._wrenches, self._dynamics, self._units, self._leg_major(carriers))
+        f, force = ((part + added for part, added in zip(of, by, strict=True))
+                    for of, by in zip((f, force), zip(*more, strict=True), strict=True))  # fmt: skip
+        return CarrierDerivatives(*map(read_only, f), *map(read_only, force))
 
     def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N, 6) the wrench of the robot on its base: weight less the rate of momentum.
@@ -153,15 +171,32 @@ class VirtualWorkAlongMotion(Frozen):
         Shaking force, N, and moment about the world origin, N·m, world axes. Gravity out of the plane enters here,
         and here alone.
         """
-        return self._result(base_wrench(self._dynamics.bodies(*self._leg_major(carriers)), self._robot.gravity))
+        moved = self._leg_major(carriers)
+        wrench = base_wrench(self._dynamics.bodies(*moved), self._robot.gravity)
+        return self._result(wrench + self._loads(moved).ground if self._robot.loads else wrench)
 
     def energy(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
-        return self._result(energy(self._dynamics.bodies(*self._leg_major(carriers)), self._robot.gravity))
+        moved = self._leg_major(carriers)
+        total = energy(self._dynamics.bodies(*moved), self._robot.gravity)
+        return self._result(total + self._loads(moved).energy if self._robot.loads else total)
 
     def closure_margin(self) -> Array:
         """Return (N,) ones, NaN where unreachable: in one working mode the closed form has no branches that meet."""
         return read_only(np.where(self._reachable, 1.0, np.nan))
+
+    @cached_property
+    def _units(self) -> list[Any]:
+        """The dynamics along ẋ = e_j, through the same poses."""
+        x, still = self._motion.x, np.zeros_like(self._motion.xd)
+        return [self._mechanism.along(self._legs, x, still + unit, still) for unit in np.eye(x.shape[1])]
+
+    @cached_property
+    def _wrenches(self) -> tuple[Array, ...]:
+        return wrench_values(self._robot.loads, self._motion.t, self._motion.x, self._motion.xd)
+
+    def _loads(self, carriers: tuple[Array, Array, Array]) -> LoadEfforts:
+        return load_efforts(self._robot, self._wrenches, self._dynamics, self._units, carriers)
 
     def _leg_major(self, carriers: CarrierMotion | None) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ as (legs, N); zero where the robot has no carriers."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,52 @@ class PlanarBodies:
 
 
 @dataclass(frozen=True, eq=False)
+class PlanarFrame:
+    """A link's frame at N samples, (N,) each; vectors are complex, x + iy in the base frame.
+
+    Attributes:
+        place, velocity, acceleration: of its origin, m, m/s, m/s².
+        axis: unit vector along its x axis.
+        spin, spin_rate: rad/s and rad/s².
+        moves: false of what is fixed to the base.
+        carrier: index of the carrier that it is, or None; it moves along ``track`` (unit vector) then.
+    """
+
+    place: ComplexArray
+    velocity: ComplexArray
+    acceleration: ComplexArray
+    axis: ComplexArray
+    spin: Array
+    spin_rate: Array
+    moves: bool = True
+    carrier: int | None = None
+    track: ComplexArray | None = None
+
+    def point(self, offset: complex) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return place, velocity and acceleration of a point that is fixed in the frame, ``offset`` in its axes."""
+        arm = self.axis * offset
+        velocity = self.velocity + 1j * self.spin * arm
+        return self.place + arm, velocity, self.acceleration + (1j * self.spin_rate - self.spin**2) * arm
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarJoint:
+    """A joint at N samples, (N,) each: position, rate and its rate; and those of the link that carries it.
+
+    ``carrier``: its index where it is a carrier's; ``axis``: unit vector along a prismatic one, None of a revolute one,
+    whose position is known up to full turns.
+    """
+
+    position: Array
+    rate: Array
+    acceleration: Array
+    link_spin: Array
+    link_spin_rate: Array
+    carrier: int | None = None
+    axis: ComplexArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class LinkFrames:
     """Frames that move with the links of the legs; vectors are complex, x + iy in the base frame, (legs, N) each.
 
@@ -120,6 +166,21 @@ class LinkFrames:
             spin=self.spin,
             spin_rate=self.spin_rate,
         )
+
+
+    def frame(
+        self, leg: int, zeta: Complex = 0.0, rate: Complex = 0.0, second_rate: Complex = 0.0, **carried: Any
+    ) -> PlanarFrame:
+        """Return a frame on the link of one leg, turned like it, its origin at ζ as in ``bodies``."""
+        parts = (self.origin, self.velocity, self.acceleration, self.u, self.spin, self.spin_rate)
+        one = LinkFrames(*(part[leg] for part in parts)).bodies(0.0, 0.0, zeta, rate, second_rate)
+        return PlanarFrame(one.place, one.velocity, one.acceleration, self.u[leg], one.spin, one.spin_rate, **carried)
+
+
+def fixed_frame(samples: int) -> PlanarFrame:
+    """Return the frame of the base."""
+    still = np.zeros(samples, dtype=np.complex128)
+    return PlanarFrame(still, still, still, still + 1.0, still.real, still.real, moves=False)
 
 
 def base_wrench(bodies: Iterable[PlanarBodies], gravity: Array) -> Array:

@@ -41,6 +41,9 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
     Parameters,
     Partials,
     PlanarBodies,
+    PlanarFrame,
+    PlanarJoint,
+    fixed_frame,
     planar,
     signs,
 )
@@ -264,6 +267,12 @@ class ThreeRrrMechanism:
         mode: sign of each leg in θ = γ ± ψ.
     """
 
+    frames = (
+        "base",
+        *(f"{kind}_{leg}" for kind in ("proximal", "distal", "tip", "mass") for leg in (1, 2, 3)),
+        *("platform_arm", "platform", "corner_2", "corner_3"),
+    )
+    joints = (*(f"{kind}_{leg}" for kind in ("base", "elbow", "carrier") for leg in (1, 2, 3)), "wrist_1")
     angular_rows: tuple[bool, ...] = (False, False, True)
     angular_columns: tuple[bool, ...] = (True, True, True)
     least_margin = LEAST_ELBOW_SINE
@@ -373,6 +382,43 @@ class ThreeRrrAlongMotion:
             distal.bodies(p.carrier_mass, 0.0, s, sd, sdd),
             PlanarBodies(p.platform_mass, p.platform_inertia, x, v, a, spin, spin_rate),
         )
+
+    def frame(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarFrame:
+        """Return a link's frame; carriers (3, N)."""
+        kind, _, number = name.rpartition("_")
+        proximal, distal = self._links
+        if name == "base":
+            return fixed_frame(self._legs.c.shape[1])
+        if kind in ("proximal", "distal", "tip", "mass"):
+            leg = int(number) - 1
+            if kind == "mass":
+                return distal.frame(leg, s[leg], sd[leg], sdd[leg], carrier=leg, track=distal.u[leg])
+            ahead = self._p.geometry.distal_length if kind == "tip" else 0.0
+            return (proximal if kind == "proximal" else distal).frame(leg, ahead)
+        x, v, a = self._motion
+        places = (planar(part[:, 0], part[:, 1]) for part in (x, v, a))
+        centre = PlanarFrame(*places, np.exp(1j * x[:, 2]), v[:, 2], a[:, 2])
+        if name == "platform":
+            return centre
+        corner = {"platform_arm": 0, "corner_2": 1, "corner_3": 2}[name]
+        arm = -self._p.geometry.platform_radius * np.exp(1j * CORNER_ANGLES[corner])
+        return PlanarFrame(*centre.point(complex(arm)), centre.axis, centre.spin, centre.spin_rate)
+
+    def joint(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarJoint:
+        """Return a joint's motion; carriers (3, N)."""
+        kind, _, number = name.rpartition("_")
+        leg, legs, rates = int(number) - 1, self._legs, self._rates
+        theta = legs.theta[leg], rates.theta_rate[leg], rates.theta_acceleration[leg]
+        beta = legs.beta[leg], rates.beta_rate[leg], rates.beta_acceleration[leg]
+        still = np.zeros(len(theta[0]))
+        if kind == "base":
+            return PlanarJoint(*theta, still, still)
+        if kind == "elbow":
+            return PlanarJoint(*(after - before for before, after in zip(theta, beta, strict=True)), *theta[1:])
+        if kind == "carrier":
+            return PlanarJoint(s[leg], sd[leg], sdd[leg], *beta[1:], carrier=leg, axis=self._links[1].u[leg])
+        alpha = (part[:, 2] for part in self._motion)
+        return PlanarJoint(*(after - before for before, after in zip(beta, alpha, strict=True)), *beta[1:])
 
     def _corner_force(self, T_theta: Array, T_beta: Array) -> tuple[Array, Array]:
         """Return R, (3, N) each component, N: the force on the corner of each leg that balances T_θ and T_β."""

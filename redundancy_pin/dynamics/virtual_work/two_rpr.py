@@ -28,6 +28,9 @@ from redundancy_pin.dynamics.virtual_work.mechanism import (
     Parameters,
     Partials,
     PlanarBodies,
+    PlanarFrame,
+    PlanarJoint,
+    fixed_frame,
     planar,
     signs,
 )
@@ -160,6 +163,12 @@ class TwoRprMechanism:
         mode: sign of d of each leg.
     """
 
+    frames = (
+        "base",
+        *(f"{kind}_{leg}" for kind in ("cylinder", "piston", "track", "mass") for leg in (1, 2)),
+        "end_effector",
+    )
+    joints = tuple(f"{kind}_{leg}" for kind in ("swivel", "slide", "carrier") for leg in (1, 2))
     angular_rows: tuple[bool, ...] = (False, False)
     angular_columns: tuple[bool, ...] = (False, False)
     least_margin = CLOSURE_TOLERANCE
@@ -256,6 +265,33 @@ class TwoRprAlongMotion:
             links.bodies(p.carrier_mass, 0.0, p.track_offset + 1j * SIDE * s, 1j * SIDE * sd, 1j * SIDE * sdd),
             PlanarBodies(p.end_effector_mass, 0.0, x, v, a, still, still),
         )
+
+    def frame(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarFrame:
+        """Return a link's frame; carriers (2, N)."""
+        kind, _, number = name.rpartition("_")
+        links, rates = self._links, self._rates
+        if name == "base":
+            return fixed_frame(self._legs.d.shape[1])
+        leg = 0 if name == "end_effector" else int(number) - 1  # which is mounted on the first piston
+        if kind == "mass":
+            side = 1j * SIDE[leg, 0]
+            zeta, rate, second = self._p.track_offset + side * s[leg], side * sd[leg], side * sdd[leg]
+            return links.frame(leg, zeta, rate, second, carrier=leg, track=side * links.u[leg])
+        if kind in ("cylinder", "track"):
+            return links.frame(leg, self._p.track_offset if kind == "track" else 0.0)
+        return links.frame(leg, self._legs.d[leg], rates.d_rate[leg], rates.d_acceleration[leg])
+
+    def joint(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarJoint:
+        """Return a joint's motion; carriers (2, N)."""
+        kind, _, number = name.rpartition("_")
+        leg, rates, u = int(number) - 1, self._rates, self._links.u
+        spin = rates.theta_rate[leg], rates.theta_acceleration[leg]
+        still = np.zeros(len(spin[0]))
+        if kind == "swivel":
+            return PlanarJoint(self._legs.theta[leg], *spin, still, still)
+        if kind == "slide":
+            return PlanarJoint(self._legs.d[leg], rates.d_rate[leg], rates.d_acceleration[leg], *spin, axis=u[leg])
+        return PlanarJoint(s[leg], sd[leg], sdd[leg], *spin, carrier=leg, axis=1j * SIDE[leg, 0] * u[leg])
 
     @cached_property
     def _links(self) -> LinkFrames:

@@ -1,0 +1,228 @@
+"""What loads ask of a planar mechanism, by virtual work: power per unit of each platform rate and of each carrier's.
+
+A force F (complex, in the plane) at a point whose velocity per unit of a rate is v, and a moment M on a link that turns
+by w per unit of it, have the power Re(F̄ v) + M w there; what acts in a joint has its effort times the joint's rate.
+Whatever moves the platform resists with f, so f falls by that power. The velocities per unit of ẋ_j are those of the
+motion with ẋ = e_j.
+
+Forces along z and moments about x and y do no work, and reach the base alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.virtual_work.mechanism import ComplexArray, PlanarFrame, PlanarJoint
+from redundancy_pin.errors import UnsupportedRobotError
+from redundancy_pin.robot import JointForces, Load, Payload, Robot, Spring, Wrench
+from redundancy_pin.robot.loads import of_kind
+
+
+@dataclass(frozen=True, eq=False)
+class LoadEfforts:
+    """f (n, N) and forces of the carriers (k, N) that the loads ask for; what reaches the base (N, 6); energy (N,)."""
+
+    f: Array
+    force: Array
+    ground: Array
+    energy: Array
+
+
+def require_known(robot: Robot, frames: Sequence[str], joints: Sequence[str]) -> None:
+    """Check that the closed form has the links and joints of the robot's loads.
+
+    Raises:
+        UnsupportedRobotError: it has not.
+    """
+    for load in robot.loads:
+        named = (load.joint,) if isinstance(load, JointForces) else _frames_of(load)
+        for name in named:
+            if name not in (joints if isinstance(load, JointForces) else frames):
+                raise UnsupportedRobotError(
+                    f"The closed form of {robot.name} does not cover {load!r}.",
+                    remedy=f"It has the links {', '.join(frames)} and the joints {', '.join(joints)}; RneaDynamics has "
+                    "all.",
+                    name=name,
+                )
+
+
+def _frames_of(load: Load) -> tuple[str, ...]:
+    if isinstance(load, Spring):
+        return load.frame_a, load.frame_b
+    return () if isinstance(load, JointForces) else (load.frame,)
+
+
+def load_efforts(
+    robot: Robot,
+    wrenches: Sequence[Array],
+    now: Any,
+    units: Sequence[Any],
+    carriers: tuple[Array, Array, Array],
+    *,
+    resistance: bool = True,
+) -> LoadEfforts:
+    """Return what the loads of a robot ask for at N samples.
+
+    Args:
+        robot: the robot.
+        wrenches: (N, 6) the value of each wrench.
+        now: dynamics along the motion (``frame`` and ``joint`` place links and joints).
+        units: the same along ẋ = e_j, for each j.
+        carriers: s, ṡ, s̈, (legs, N) each.
+        resistance: with friction and springs in joints.
+    """
+    s, sd, sdd = carriers
+    samples, parked = s.shape[1], (s, np.zeros_like(s), np.zeros_like(s))
+    f, force = np.zeros((len(units), samples)), np.zeros((s.shape[0], samples))
+    ground, energy = np.zeros((samples, 6)), np.zeros(samples)
+
+    def resist(frame: str, offset: complex, push: ComplexArray, moment: Array | float) -> None:
+        """Add a force on a point of a frame, and a moment on it: what acts on the link."""
+        for row, unit in zip(f, units, strict=True):
+            moved: PlanarFrame = unit.frame(frame, *parked)
+            row -= (np.conj(push) * moved.point(offset)[1]).real + moment * moved.spin
+        here: PlanarFrame = now.frame(frame, *parked)
+        if here.carrier is not None:
+            force[here.carrier] -= (np.conj(push) * here.track).real
+
+    for wrench, value in zip(of_kind(robot.loads, Wrench), wrenches, strict=True):
+        here: PlanarFrame = now.frame(wrench.frame, s, sd, sdd)
+        flat = wrench.reference == "local"
+        push = (value[:, 0] + 1j * value[:, 1]) * (here.axis if flat else 1.0)
+        tilt = (value[:, 3] + 1j * value[:, 4]) * (here.axis if flat else 1.0)
+        offset, height = complex(wrench.point[0], wrench.point[1]), float(wrench.point[2])
+        resist(wrench.frame, offset, push, value[:, 5])
+        if here.moves:
+            place = here.point(offset)[0]
+            parts = (push.real, push.imag, value[:, 2])
+            turning = (
+                tilt.real + place.imag * value[:, 2] - height * push.imag,
+                tilt.imag - place.real * value[:, 2] + height * push.real,
+                value[:, 5] + (np.conj(place) * push).imag,
+            )
+            ground += np.stack([*parts, *turning], axis=1)
+
+    gravity = complex(robot.gravity[0], robot.gravity[1])
+    for load in of_kind(robot.loads, Payload):
+        here = now.frame(load.frame, s, sd, sdd)
+        place, velocity, acceleration = here.point(complex(load.centre[0], load.centre[1]))
+        push, inertia = load.mass * (gravity - acceleration), float(load.inertia[2, 2])
+        resist(load.frame, complex(load.centre[0], load.centre[1]), push, -inertia * here.spin_rate)
+        if here.moves:
+            ground += _payload_on_ground(load, here, place, push, float(robot.gravity[2]))
+            energy += 0.5 * load.mass * np.abs(velocity) ** 2 + 0.5 * inertia * here.spin**2
+            energy -= load.mass * (np.conj(gravity) * place).real + load.mass * robot.gravity[2] * load.centre[2]
+
+    for spring in of_kind(robot.loads, Spring):
+        offsets = complex(spring.point_a[0], spring.point_a[1]), complex(spring.point_b[0], spring.point_b[1])
+        a, b = (
+            now.frame(frame, s, sd, sdd).point(offset)
+            for frame, offset in zip((spring.frame_a, spring.frame_b), offsets, strict=True)
+        )
+        line, rise = b[0] - a[0], float(spring.point_b[2] - spring.point_a[2])
+        length = np.hypot(np.abs(line), rise)
+        unit = np.divide(line, length, out=np.zeros_like(line), where=length > 0.0)
+        rate = (np.conj(unit) * (b[1] - a[1])).real
+        pull = (spring.stiffness * (length - spring.length) + spring.damping * rate) * unit
+        resist(spring.frame_a, offsets[0], pull, 0.0)
+        resist(spring.frame_b, offsets[1], -pull, 0.0)
+        energy += 0.5 * spring.stiffness * (length - spring.length) ** 2
+
+    for forces in of_kind(robot.loads, JointForces):
+        joint: PlanarJoint = now.joint(forces.joint, s, sd, sdd)
+        rotor, gear = forces.rotor_inertia, forces.gear
+        turning = joint.axis is None
+        position = _counted(joint.position, _reference(robot, forces.joint)) if turning else joint.position
+        effort = forces.resistance(position, joint.rate) if resistance else np.zeros(samples)
+        effort = effort + rotor * gear * (gear * joint.acceleration + (joint.link_spin_rate if turning else 0.0))
+        for row, unit in zip(f, units, strict=True):
+            per_rate: PlanarJoint = unit.joint(forces.joint, *parked)
+            row += effort * per_rate.rate
+            if turning:
+                row += rotor * gear * joint.acceleration * per_rate.link_spin
+        if joint.carrier is not None:
+            force[joint.carrier] += effort
+        energy += 0.5 * forces.stiffness * (position - forces.rest) ** 2 + 0.5 * rotor * gear**2 * joint.rate**2
+        if turning:
+            energy += rotor * gear * joint.rate * joint.link_spin
+            ground[:, 5] -= rotor * gear * joint.acceleration
+        else:  # it spins about an axis in the plane, and the link turns it
+            momentum = rotor * gear * (joint.acceleration + 1j * joint.link_spin * joint.rate) * joint.axis
+            ground[:, 3] -= momentum.real
+            ground[:, 4] -= momentum.imag
+    return LoadEfforts(f, force, ground, energy)
+
+
+def _reference(robot: Robot, joint: str) -> float:
+    return float(robot.q_reference[list(robot.model.names)[1:].index(joint)])  # a coordinate a joint
+
+
+def _counted(angle: Array, reference: float) -> Array:
+    """Return angles with their full turns: those of one motion, the first nearest to the reference."""
+    counted, known = np.array(angle), np.isfinite(angle)
+    if known.any():
+        whole = np.unwrap(angle[known])
+        counted[known] = whole + 2.0 * np.pi * np.round((reference - whole[0]) / (2.0 * np.pi))
+    return counted
+
+
+def load_derivatives(
+    robot: Robot, wrenches: Sequence[Array], now: Any, units: Sequence[Any], carriers: tuple[Array, Array, Array]
+) -> list[tuple[Array, Array]]:
+    """Return the derivatives of f (N, n, k) and of the carriers' forces (N, k, k) by s, by ṡ and by s̈.
+
+    But for springs they are quadratic in the motion of the carriers: differences are exact. Those by s are of order
+    eight, which reaches rounding for springs too. Arguments as of ``load_efforts``.
+    """
+    samples, result = carriers[0].shape[1], []
+    for order in range(3):
+        by_f, by_force = np.zeros((samples, robot.n, robot.k)), np.zeros((samples, robot.k, robot.k))
+        for i in range(robot.k):
+            for distance, weight in _DIFFERENCES if order == 0 else ((1.0, 0.5), (-1.0, -0.5)):
+                moved = [np.array(part) for part in carriers]
+                moved[order][i] += distance
+                there = load_efforts(
+                    robot, wrenches, now, units, (moved[0], moved[1], moved[2]), resistance=False
+                )
+                by_f[:, :, i] += weight * there.f.T
+                by_force[:, :, i] += weight * there.force[: robot.k].T
+        for forces in of_kind(robot.loads, JointForces):
+            joint: PlanarJoint = now.joint(forces.joint, *carriers)
+            if joint.carrier is not None and order < 2:
+                own = np.full(samples, forces.stiffness) if order == 0 else forces.resistance_rate(joint.rate)
+                by_force[:, joint.carrier, joint.carrier] += own
+        result.append((by_f, by_force))
+    return result
+
+
+_DIFFERENCES = tuple(
+    (sign * 0.01 * steps, sign * weight / 0.01)
+    for steps, weight in ((1, 4.0 / 5.0), (2, -1.0 / 5.0), (3, 4.0 / 105.0), (4, -1.0 / 280.0))
+    for sign in (1.0, -1.0)
+)
+"""Distances, m, and weights of central differences of order eight (Fornberg 1988)."""
+
+
+def _payload_on_ground(load: Payload, here: PlanarFrame, place: ComplexArray, push: ComplexArray, g_z: float) -> Array:
+    """Return (N, 6) weight less rate of momentum of a payload, about the world origin.
+
+    Its centre stays at one height, and its inertia is turned about z: of the products with z the rates are moments about
+    x and y, d/dt (I_xz + i I_yz) e^{iφ} ω.
+    """
+    weight, height = np.full(len(place), load.mass * g_z), float(load.centre[2])
+    product = complex(load.inertia[0, 2], load.inertia[1, 2]) * here.axis
+    tilt = product * (here.spin_rate + 1j * here.spin**2)
+    parts = (
+        push.real,
+        push.imag,
+        weight,
+        place.imag * weight - height * push.imag - tilt.real,
+        -place.real * weight + height * push.real - tilt.imag,
+        (np.conj(place) * push).imag - load.inertia[2, 2] * here.spin_rate,
+    )
+    return np.stack(parts, axis=1)
