@@ -155,22 +155,34 @@ class TreeLoads(Frozen):
         robot = self.robot
         samples, nv = state.v.shape
         derivatives = [np.zeros((samples, nv, robot.k)) for _ in range(3)]
+        reach = _STEP * np.clip(self._shortest(state), 1e-4, 1.0)
         places = (robot.carrier_position, robot.carrier_velocity, robot.carrier_velocity)
         for i, column in enumerate(robot.carrier_velocity.tolist()):
             for order, (name, derivative) in enumerate(zip("qva", derivatives, strict=True)):
-                weights, step = (_EIGHTH, _STEP) if order == 0 else ({1: 0.5}, 1.0)
+                weights, step = (_EIGHTH, reach) if order == 0 else ({1: 0.5}, np.ones(samples))
                 for distance, weight in weights.items():
                     for sign in (1.0, -1.0):
                         moved = np.array(getattr(state, name))
                         moved[:, places[order][i]] += sign * distance * step
                         parts = {"q": state.q, "v": state.v, "a": state.a, name: moved}
                         shifted = TreeState(**parts, wrenches=state.wrenches)
-                        derivative[:, :, i] += sign * weight / step * self.efforts(shifted, joints=False).T
+                        derivative[:, :, i] += sign * weight * (self.efforts(shifted, joints=False) / step).T
             for load, joint in self._joints:
                 if joint.idx_v == column:
                     derivatives[0][:, column, i] += load.stiffness
                     derivatives[1][:, column, i] += load.resistance_rate(state.v[:, column])
         return derivatives[0], derivatives[1], derivatives[2]
+
+    def _shortest(self, state: TreeState) -> Array:
+        """Return (N,) the length of the shortest spring, m: how fast forces bend with places."""
+        shortest = np.full(len(state.q), np.inf)
+        if not self._springs:
+            return shortest
+        placed = self._placed(state, False)
+        for spring in self._springs:
+            line = placed.point(spring.frame_b, spring.point_b) - placed.point(spring.frame_a, spring.point_a)
+            shortest = np.minimum(shortest, np.linalg.norm(line, axis=0))
+        return shortest
 
     def _placed(self, state: TreeState, rotors: bool) -> _Placed:
         pose = self._tree.pose(state.q)

@@ -12,6 +12,7 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -40,15 +41,18 @@ from redundancy_pin.dynamics.compiled.derivatives import (
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
+from redundancy_pin.dynamics.compiled.load_symbols import shape_of
 from redundancy_pin.errors import (
     InputError,
     RedundancyPinError,
     SingularPoseError,
     UnreachablePoseError,
+    UnsupportedRobotError,
     WorkingModeError,
 )
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot import Load, Robot, RobotLike, Wrench, as_robot
+from redundancy_pin.robot.loads import of_kind, wrench_values
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
 
@@ -97,6 +101,7 @@ class CompiledDynamics(Dynamics):
         self._kernel: Library | Interpreter = Interpreter(define(robot)) if library is None else library
         self.compiled = library is not None
         self._local = threading.local()
+        self._loaded: dict[str, CompiledDynamics] = {}
 
     def __reduce__(self) -> tuple[Callable[..., CompiledDynamics], tuple[Any, ...]]:
         """Build it again, from the cache, where it is copied or sent to."""
@@ -127,6 +132,19 @@ class CompiledDynamics(Dynamics):
         self._require_coordinates(motion)
         return CompiledAlongMotion(self, _lifted(self, motion, mark=unreachable == "mark"))
 
+    def with_external(self, *external: Load) -> CompiledDynamics:
+        """Return this backend for the robot with further loads; raises like ``Robot.loaded``.
+
+        What is compiled for one set of loads serves all values of its wrenches.
+        """
+        robot = self._robot.loaded(*external)
+        shape = shape_of(robot)
+        if shape not in self._loaded:
+            self._loaded[shape] = CompiledDynamics(robot, threads=self._threads, interpret=self._interpret)
+        other = copy(self._loaded[shape])
+        other._robot, other._local = robot, threading.local()
+        return other
+
     def sample(
         self,
         x: ArrayLike,
@@ -135,6 +153,8 @@ class CompiledDynamics(Dynamics):
         s: ArrayLike = (),
         sd: ArrayLike = (),
         sdd: ArrayLike = (),
+        *,
+        t: float = 0.0,
     ) -> Sample:
         """Return W (n, m), f (n,) and the carrier forces (k,) of one sample: what a control loop asks for.
 
@@ -148,6 +168,7 @@ class CompiledDynamics(Dynamics):
             s: scalar or (k,) positions of the carriers on their tracks, m; 0 when left out.
             sd: scalar or (k,) their rates, m/s; 0 when left out.
             sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
+            t: time, s, for wrenches that depend on it.
 
         Raises:
             InputError: wrong shapes, or values that are not finite.
@@ -156,7 +177,7 @@ class CompiledDynamics(Dynamics):
         one = getattr(self._local, "one", None)
         if one is None:
             one = self._local.one = _OneSample(self)
-        return one(x, xd, xdd, s, sd, sdd)
+        return one((x, xd, xdd, s, sd, sdd), t)
 
     def forward(self) -> CompiledForward | None:
         """Return forward dynamics, compiled when they are first asked for; None where this is interpreted."""
@@ -226,13 +247,14 @@ class _OneSample:
         pose = robot.platform is not None and robot.platform.is_pose
         self._shapes = [(4, 4) if pose else (n,), (n,), (n,), (k,), (k,), (k,)]
         width = 16 if pose else n
-        self._given, self._result = np.zeros(width + 2 * n + 3 * k), np.zeros(n * m + n + k + 2)
+        self._wrenches = 6 * len(of_kind(robot.loads, Wrench))
+        self._given, self._result = np.zeros(width + 2 * n + 3 * k + self._wrenches), np.zeros(n * m + n + k + 2)
         self._state = np.append(np.array(robot.q_reference), 0.0)
         self._parked = np.zeros(k)
         self._cuts, self._shape = (n * m, n * m + n, n * m + n + k), (n, m)
         self._evaluate = dynamics._kernel.sampler(self._state, self._given, self._result)
 
-    def __call__(self, *values: ArrayLike) -> Sample:
+    def __call__(self, values: tuple[ArrayLike, ...], t: float) -> Sample:
         try:
             parts = [np.asarray(value, dtype=np.float64) for value in values]
         except (TypeError, ValueError):
@@ -243,6 +265,9 @@ class _OneSample:
             parts[3:] = carried  # one number stands for all carriers
             if [part.shape for part in parts] != self._shapes:
                 self._refuse(values)
+        if self._wrenches:
+            x, xd = parts[0][None], parts[1][None]
+            parts += [part[0] for part in wrench_values(self._dynamics.robot.loads, np.array([t]), x, xd)]
         parts[0] = parts[0].ravel()
         np.concatenate(parts, out=self._given)
         if self._evaluate() != _CLOSED:
@@ -355,15 +380,22 @@ class CompiledAlongMotion(Frozen):
 
         Raises:
             InputError: an unknown parameter, or carriers of the wrong shape.
-            UnsupportedRobotError: a parameter that changes the axes or the number of joints.
+            UnsupportedRobotError: a parameter that changes the axes or the number of joints; a wrench that is a
+                function, whose derivatives are not known.
         """
         lifted, robot = self._lifted, self.robot
         carriers = require_matching_carriers(robot, carriers, len(self.motion))
         design = parameters if isinstance(parameters, Design) else design_of(robot, parameters)
         x = self.motion.x.reshape(len(self.motion), -1)
-        return motion_derivatives(
-            robot, design, TreeSamples(x, lifted.q, lifted.v, lifted.a, lifted.reachable), carriers
-        )
+        for wrench in of_kind(robot.loads, Wrench):
+            if not isinstance(wrench.value, np.ndarray):
+                raise UnsupportedRobotError(
+                    f"{wrench!r} is a function whose own derivatives are not known.",
+                    remedy="Pass its values at the samples, and add what it changes by x and xd.",
+                    frame=wrench.frame,
+                )
+        samples = TreeSamples(x, lifted.q, lifted.v, lifted.a, lifted.reachable, self._external)
+        return motion_derivatives(robot, design, samples, carriers)
 
     def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N, 6) force and moment of the robot on its base, about the world origin, world axes, N and N·m."""
@@ -379,13 +411,20 @@ class CompiledAlongMotion(Frozen):
         """Return (N,) NaN: it is not known here. Branches are not carried across poses where the closures lose rank."""
         return read_only(np.full(len(self.motion), np.nan))
 
+    @cached_property
+    def _external(self) -> Array:
+        """(N, 6 w) the wrenches on the robot, in their own axes."""
+        motion = self.motion
+        values = wrench_values(self.robot.loads, motion.t, motion.x, motion.xd)
+        return np.concatenate([np.zeros((len(motion), 0)), *values], axis=1)
+
     def _mapped(
         self, name: str, carriers: CarrierMotion | None, widths: tuple[int, ...], *, gamma: bool = False
     ) -> list[Array]:
         samples, lifted = len(self.motion), self._lifted
         carriers = require_matching_carriers(self.robot, carriers, samples)
         inputs = [lifted.q, lifted.trig, lifted.v, lifted.a, *([lifted.gamma] if gamma else [])]
-        inputs += [np.ascontiguousarray(part) for part in (carriers.s, carriers.sd, carriers.sdd)]
+        inputs += [np.ascontiguousarray(part) for part in (carriers.s, carriers.sd, carriers.sdd, self._external)]
         outputs = [np.empty((samples, width)) for width in widths]
 
         def part(of: slice) -> None:

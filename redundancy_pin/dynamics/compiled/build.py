@@ -31,6 +31,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.dynamics.compiled.emit import c_functions
+from redundancy_pin.dynamics.compiled.load_symbols import shape_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.errors import shortened
 from redundancy_pin.robot import Robot
@@ -85,13 +86,14 @@ def define(robot: Robot) -> Definition:
     pose, tree = [chain.q, chain.trig], [chain.q, chain.trig, chain.v, chain.a]
 
     def at_carriers(*expressions: Any) -> list[Any]:
-        function = ca.Function("inner", tree, list(expressions))
-        results = function.call([q, chain.trig, v, a])
+        function = ca.Function("inner", [*tree, chain.external], list(expressions))
+        results = function.call([q, chain.trig, v, a, chain.external])
         return list(results)
 
     everything, ground, energy = at_carriers(efforts, base, chain.energy)
     reduced = [gamma @ everything, everything[columns] if columns else ca.SX(0, 1)]
-    motion = [*tree, *carriers]
+    motion = [*tree, *carriers, chain.external]
+    projected = [*tree, gamma, *carriers, chain.external]
     derivatives = [ca.vec(ca.jacobian(part, by).T) for part in reduced for by in carriers]
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
         "rows": (
@@ -103,8 +105,8 @@ def define(robot: Robot) -> Definition:
         "moved": ([chain.q, chain.step], [chain.moved]),
         "modes": (pose, [chain.mode_indicators]),
         "coordinates": (pose, [chain.coordinates]),
-        "project": ([*tree, gamma, *carriers], reduced),
-        "derivatives": ([*tree, gamma, *carriers], derivatives),
+        "project": (projected, reduced),
+        "derivatives": (projected, derivatives),
         "efforts": (motion, [everything]),
         "base_wrench": (motion, [-ground]),
         "energy": (motion, [energy]),
@@ -173,7 +175,7 @@ def text_of(name: str) -> str:
     return importlib.resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-_WRITTEN = ("symbols.py", "build.py", "emit.py", "driver.c", "batch.c")
+_WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "driver.c", "batch.c")
 """Files that decide what is compiled: who changes one gets a new library."""
 
 
@@ -197,6 +199,7 @@ def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Seq
     parts = [
         model.saveToString(),
         repr(roles),
+        shape_of(robot),
         repr((robot.working_mode, robot.characteristic_length, robot.gravity.tolist())),
         json.dumps(np.array(robot.q_reference).tolist()),
         *versions,

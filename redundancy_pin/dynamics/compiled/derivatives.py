@@ -200,7 +200,7 @@ def _functions(robot: Robot, design: Design) -> _Functions:
     pose = [chain.q, chain.trig]
     return _Functions(
         chain,
-        _function(chain, "motion", [*pose, chain.x, chain.v, chain.a], outputs),
+        _function(chain, "motion", [*pose, chain.x, chain.v, chain.a, chain.external], outputs),
         _function(
             chain,
             "transposed",
@@ -233,13 +233,15 @@ def _evaluated(function: Any, *inputs: Array) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class TreeSamples:
-    """N samples of the tree: x (N, n or 16), q (N, nq), v and a (N, nv), carriers not yet in them, and which close."""
+    """N samples of the tree: x (N, n or 16), q (N, nq), v and a (N, nv), carriers not yet in them, which close; (N, 6 w)
+    wrenches."""
 
     x: Array
     q: Array
     v: Array
     a: Array
     reachable: BoolArray
+    external: Array
 
 
 def motion_derivatives(robot: Robot, design: Design, tree: TreeSamples, carriers: CarrierMotion) -> MotionDerivatives:
@@ -260,7 +262,7 @@ def motion_derivatives(robot: Robot, design: Design, tree: TreeSamples, carriers
     wholes = {name: np.full((samples, *shape), np.nan) for name, shape in _shapes(functions).items()}
     for part in blocks(len(known), _SAMPLES_PER_BLOCK):
         at = known[part]
-        for name, result in _block(functions, tree.x[at], q[at], v[at], a[at]).items():
+        for name, result in _block(functions, tree.x[at], q[at], v[at], a[at], tree.external[at]).items():
             wholes[name][at] = result
     share = wholes.pop("share")
     quantities = {name: _split(robot, whole) for name, whole in wholes.items()}
@@ -287,7 +289,7 @@ def _split(robot: Robot, whole: Array) -> Partials:
     return Partials(*(read_only(np.ascontiguousarray(part)) for part in np.split(whole, edges, axis=-1)))
 
 
-def _block(functions: _Functions, x: Array, q: Array, v: Array, a: Array) -> dict[str, Array]:
+def _block(functions: _Functions, x: Array, q: Array, v: Array, a: Array, external: Array) -> dict[str, Array]:
     chain, robot = functions.chain, functions.chain.robot
     pose: IntArray = chain.pose_columns
     carried, driven = robot.carrier_velocity, np.searchsorted(pose, robot.actuated_velocity)
@@ -298,7 +300,7 @@ def _block(functions: _Functions, x: Array, q: Array, v: Array, a: Array) -> dic
         for first, last in ((0, n), (n, 2 * n), (2 * n, 3 * n), (3 * n, 3 * n + 3 * k), (width - d, width))
     )
     trig = chain.trig_at(q)
-    K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(functions.motion, q, trig, x, v, a)
+    K, opened, A_q, A_d, C_q, C_v, C_d, efforts, *rest = _evaluated(functions.motion, q, trig, x, v, a, external)
     inverse: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
     # (q, v, a): the platform's rows are what is asked for, the closures' stay shut
     right = np.zeros((3, samples, p, width))

@@ -21,7 +21,8 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Payload, Robot, Spring, Wrench
+from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_declaration
 from redundancy_pin.robot.urdf import declaration_path, render
@@ -105,9 +106,12 @@ _Column = tuple[dict[str, Array], dict[str, Array]]
 
 
 def links_of(robot: Robot) -> list[str]:
-    """Return the links whose frames closures and the platform are made of."""
+    """Return the links whose frames closures, the platform, wrenches and springs are made of."""
     links = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
-    return list(dict.fromkeys([*links, *([robot.platform.frame] if robot.platform else [])]))
+    links += [robot.platform.frame] if robot.platform else []
+    links += [load.frame for load in of_kind(robot.loads, Wrench)]
+    links += [name for load in of_kind(robot.loads, Spring) for name in (load.frame_a, load.frame_b)]
+    return list(dict.fromkeys(links))
 
 
 def _numbers(robot: Robot) -> _Numbers:
@@ -176,6 +180,12 @@ def _by_xacro(robot: Robot, name: str, trust: bool) -> _Column:
         raise InputError(
             f"The parameter {name!r} of {robot.name} is {value!r}: nothing can be differentiated by it.",
             remedy="Name parameters that are numbers.",
+            parameter=name,
+        )
+    if of_kind(robot.loads, Payload):
+        raise UnsupportedRobotError(
+            f"{robot.name} has a payload, which {name!r} may move on its link: that derivative is not known.",
+            remedy="Name the tree's own numbers, such as JOINT.mass and JOINT.origin.x.",
             parameter=name,
         )
     if not robot.source:

@@ -232,7 +232,7 @@ static int in_mode(const Pose *pose) {
 /* Place a pose at a configuration that is closed at x: what follow() starts from. */
 static int start_at(Pose *pose, const double *q, const double *x) { return newton(q, x, 0, pose); }
 
-/* One sample: in = x, xd, xdd, s, sd, sdd; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
+/* One sample: in = x, xd, xdd, s, sd, sdd, wrenches; out = W, f, carrier forces, gap, margin. state is where Newton starts, and
    afterwards where it ended: the configuration, and the determinant's sign (0: not known). Nothing is written unless the
    sample is closed on the same side of every type I singularity. */
 EXPORTED int rp_sample(double *state, const double *in, double *out) {
@@ -243,7 +243,7 @@ EXPORTED int rp_sample(double *state, const double *in, double *out) {
   double margin = rates(&pose, xd, xdd, v, a, gamma, W);
   if (margin < LEAST_MARGIN) return SINGULAR;
   if (!in_mode(&pose)) return OTHER_MODE;
-  const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK};
+  const double *const arg[] = {pose.q, pose.trig, v, a, gamma, s, s + NK, s + 2 * NK, s + 3 * NK};
   double *const res[] = {f, force};
   rp_project(arg, res);
   for (int i = 0; i < N; ++i)

@@ -40,6 +40,7 @@ class Interpreter:
         self._functions, self._robot = definition.functions, chain.robot
         self.alignments, self.trigs = chain.alignment.numel(), 2 * len(chain.turning)
         self.trig_at = chain.trig_at
+        self._external = chain.external.numel()
         self._n, self._r, self._columns = chain.robot.n, len(chain.closure_scale), chain.pose_columns
         self._weights = np.outer(
             chain.velocity_scale[self._columns] ** 2, 1.0 / np.concatenate([chain.closure_scale, chain.row_scale]) ** 2
@@ -203,7 +204,7 @@ class Interpreter:
     def sampler(self, state: Array, given: Array, result: Array) -> Callable[[], int]:
         """Return a function that evaluates one sample from and into fixed arrays."""
         n, k = self._n, self._robot.k
-        width = len(given) - 2 * n - 3 * k
+        width = len(given) - 2 * n - 3 * k - self._external
 
         def sample() -> int:
             x, rest = given[:width], given[width:]
@@ -215,8 +216,8 @@ class Interpreter:
                 return _SINGULAR
             if not self._in_mode(pose.q):
                 return _OTHER_MODE
-            carriers = rest[2 * n :].reshape(3, k)
-            f, force = self._value("rp_project", pose.q, self._trig(pose.q), v, a, gamma.T, *carriers)
+            carriers, wrenches = rest[2 * n : 2 * n + 3 * k].reshape(3, k), rest[2 * n + 3 * k :]
+            f, force = self._value("rp_project", pose.q, self._trig(pose.q), v, a, gamma.T, *carriers, wrenches)
             if not (np.isfinite(f).all() and np.isfinite(force).all()):
                 return _NOT_FINITE
             state[:-1], state[-1] = pose.q, pose.sign

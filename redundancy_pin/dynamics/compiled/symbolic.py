@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from redundancy_pin.arrays import Frozen
+from redundancy_pin.dynamics.compiled.load_symbols import constant_wrenches
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 
@@ -107,7 +108,8 @@ def symbolic(robot: RobotLike) -> SymbolicRobot:
     K, closing, describing = chain.K, rows[:r, :], rows[r:, :]
     still, carried = ca.SX.zeros(r), robot.carrier_velocity.tolist()
     second = ca.substitute(rates, v, a) + chain.bias
-    efforts, ground = chain.efforts
+    wrenches = ca.SX(constant_wrenches(robot))
+    efforts, ground = (ca.substitute(part, chain.external, wrenches) for part in chain.efforts)
     # one solution for Γ: a column for each independent velocity
     solved = ca.solve(K, ca.vertcat(ca.SX(r, n), ca.SX.eye(n)))
     gamma = ca.SX(nv, n)

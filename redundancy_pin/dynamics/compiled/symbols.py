@@ -21,8 +21,10 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.dynamics.compiled.load_symbols import LoadSymbols
 from redundancy_pin.errors import RedundancyPinError, UnsupportedRobotError
-from redundancy_pin.robot import AXES, Closure, Robot
+from redundancy_pin.robot import AXES, Closure, Robot, Wrench
+from redundancy_pin.robot.loads import of_kind
 
 SX: TypeAlias = Any
 """casadi.SX; casadi has no type hints."""
@@ -70,6 +72,7 @@ class SymbolicChain:
         trig: cosine and sine of each angle of ``turning``, one after the other: whoever evaluates many functions at one
             configuration computes them once.
         turning: indices in q of the joints that turn and are no carriers.
+        external: (6 w) force and moment of each wrench on the robot, in its own axes.
         x: target coordinates: (n) numbers, or the 16 of a pose, row by row.
         pose_columns: (p,) velocity indices without the carriers'.
         row_scale, column_scale, velocity_scale, closure_scale: lengths that make rotations comparable with translations
@@ -89,6 +92,8 @@ class SymbolicChain:
         self.is_pose = robot.platform is not None and robot.platform.is_pose
         self.x = ca.SX.sym("x", 16 if self.is_pose else robot.n)
         self.step = ca.SX.sym("step", self.model.nv)
+        self.external = ca.SX.sym("external", 6 * len(of_kind(robot.loads, Wrench)))
+        self._loads = LoadSymbols(self, ca, self.external)
         carried = set(robot.carrier_position.tolist())
         plain = [joint for joint in self.model.joints if joint.nq == 1 and _kind(joint).startswith("R")]
         self.turning = [int(joint.idx_q) for joint in plain if joint.idx_q not in carried]
@@ -419,10 +424,23 @@ class SymbolicChain:
             du = into @ (pull + ca.cross(turn, arm)) + rest[:3] + ca.cross(w, own[:3]) + ca.cross(u, own[3:])
             motions[joint.index] = w, u, dw, du
             forces[joint.index] = list(self.inertial_force(joint.index, (w, u, dw, du)))
+
+        def push(index: int, place: SX, force: SX, moment: SX) -> None:
+            rotation, origin, *_ = self._world[index]
+            forces[index][0] -= rotation.T @ force
+            forces[index][1] -= rotation.T @ (moment + ca.cross(place - origin, force))
+
+        self._loads.on_bodies(push)
         efforts = ca.SX.zeros(model.nv)
         for joint in reversed(self._joints):
             force, moment = forces[joint.index]
             efforts[joint.v] = joint.subspace.T @ ca.vertcat(force, moment)
+            if joint.subspace.shape[1] == 1:
+                axis = joint.rotation @ (joint.subspace[3:, 0] if joint.subspace[3:].any() else joint.subspace[:3, 0])
+                own = self.q[joint.q][0], self.v[joint.v], self.a[joint.v]
+                effort, turned = self._loads.in_joint(joint.index, *own, axis, *motions[joint.parent][0:3:2])
+                efforts[joint.v] += effort
+                forces[joint.parent][1] += turned
             back = joint.rotation @ force
             forces[joint.parent][0] += back
             forces[joint.parent][1] += joint.rotation @ moment + ca.cross(joint.translation, back)
@@ -440,7 +458,16 @@ class SymbolicChain:
             w, u = rotation.T @ spin, speed + ca.cross(spin, arm)
             total += 0.5 * body.mass * ca.dot(u, u) + 0.5 * ca.dot(w, ca.SX(body.inertia) @ w)
             total -= body.mass * ca.dot(gravity, origin + arm)
+        total += self._loads.energy(self._in_world)
         return total + 0.5 * ca.dot(ca.SX(np.array(self.model.armature)), self.v**2)
+
+
+    def _in_world(self, index: int) -> tuple[SX, SX, SX, SX]:
+        """Return position, rate and axis of a joint of one freedom, and the angular velocity of the link before it."""
+        joint = next(joint for joint in self._joints if joint.index == index)
+        own = joint.subspace[3:, 0] if joint.subspace[3:].any() else joint.subspace[:3, 0]
+        axis = self._world[index][0] @ own
+        return self.q[joint.q][0], self.v[joint.v], axis, self._world[joint.parent][2]
 
 
 def _about(axis: Array, cosine: SX, sine: SX) -> SX:

@@ -180,17 +180,19 @@ def load_derivatives(
     eight, which reaches rounding for springs too. Arguments as of ``load_efforts``.
     """
     samples, result = carriers[0].shape[1], []
+    reach = 0.02 * np.clip(_shortest(robot, now, carriers), 1e-4, 1.0)
     for order in range(3):
         by_f, by_force = np.zeros((samples, robot.n, robot.k)), np.zeros((samples, robot.k, robot.k))
         for i in range(robot.k):
+            step = reach if order == 0 else np.ones(samples)
             for distance, weight in _DIFFERENCES if order == 0 else ((1.0, 0.5), (-1.0, -0.5)):
                 moved = [np.array(part) for part in carriers]
-                moved[order][i] += distance
+                moved[order][i] += distance * step
                 there = load_efforts(
                     robot, wrenches, now, units, (moved[0], moved[1], moved[2]), resistance=False
                 )
-                by_f[:, :, i] += weight * there.f.T
-                by_force[:, :, i] += weight * there.force[: robot.k].T
+                by_f[:, :, i] += weight * (there.f / step).T
+                by_force[:, :, i] += weight * (there.force[: robot.k] / step).T
         for forces in of_kind(robot.loads, JointForces):
             joint: PlanarJoint = now.joint(forces.joint, *carriers)
             if joint.carrier is not None and order < 2:
@@ -201,11 +203,22 @@ def load_derivatives(
 
 
 _DIFFERENCES = tuple(
-    (sign * 0.01 * steps, sign * weight / 0.01)
+    (sign * steps, sign * weight)
     for steps, weight in ((1, 4.0 / 5.0), (2, -1.0 / 5.0), (3, 4.0 / 105.0), (4, -1.0 / 280.0))
     for sign in (1.0, -1.0)
 )
-"""Distances, m, and weights of central differences of order eight (Fornberg 1988)."""
+"""Distances, in steps, and weights of central differences of order eight (Fornberg 1988)."""
+
+
+def _shortest(robot: Robot, now: Any, carriers: tuple[Array, Array, Array]) -> Array:
+    """Return (N,) the length of the shortest spring, m: how fast forces bend with places."""
+    lengths = np.full((1, carriers[0].shape[1]), np.inf)
+    for spring in of_kind(robot.loads, Spring):
+        a = now.frame(spring.frame_a, *carriers).point(complex(spring.point_a[0], spring.point_a[1]))[0]
+        b = now.frame(spring.frame_b, *carriers).point(complex(spring.point_b[0], spring.point_b[1]))[0]
+        lengths = np.append(lengths, np.abs(b - a)[None], axis=0)
+    shortest: Array = lengths.min(axis=0)
+    return shortest
 
 
 def _payload_on_ground(load: Payload, here: PlanarFrame, place: ComplexArray, push: ComplexArray, g_z: float) -> Array:
