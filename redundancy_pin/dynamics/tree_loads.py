@@ -95,9 +95,8 @@ class TreeLoads(Frozen):
     def rotor_mass(self, state: TreeState) -> Array:
         """Return (nv, nv) what the rotors add to the mass matrix at one sample."""
         nv = self.robot.model.nv
-        columns = [np.repeat(part, nv + 1, axis=0) for part in (state.q, 0.0 * state.v, 0.0 * state.a)]
-        columns[2][1:] = np.eye(nv)
-        many = TreeState(*columns)
+        still, pushed = np.zeros((nv + 1, nv)), np.concatenate([np.zeros((1, nv)), np.eye(nv)])
+        many = TreeState(np.repeat(state.q, nv + 1, axis=0), still, pushed)
         turning = self.rotor_efforts(many)
         mass: Array = turning[:, 1:] - turning[:, :1]
         return mass

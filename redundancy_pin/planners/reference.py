@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, read_only
 from redundancy_pin.dynamics.base import ReducedDynamics
+from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
@@ -25,6 +26,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.trajectory.functions_of_time import (
     SHIFT,
     PiecewisePolynomial,
@@ -51,6 +53,9 @@ def inverse_dynamics(
     a[:, robot.carrier_velocity] = carriers.sdd
     model, data = robot.model, robot.model.createData()
     effort = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)]).reshape(len(q), model.nv)
+    loads = tree_loads(robot)
+    if loads is not None:
+        effort += loads.efforts(TreeState(q, v, a, wrench_values(robot.loads, motion.t, motion.x, motion.xd))).T
     reduced = ReducedDynamics(
         t=motion.t,
         f=read_only(np.einsum("nvi,nv->ni", tree.gamma, effort)),

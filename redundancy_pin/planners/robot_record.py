@@ -47,6 +47,7 @@ class RobotRecord:
         bodies: a row of 10 for each joint of the tree: mass, kg; mass times centre, kg·m; inertia xx, xy, yy, xz, yz,
             zz about the joint, kg·m²; of the body it moves, in the frame of the joint.
         q_reference: (nq,) its closed reference configuration.
+        loads: what acts on it beside gravity, as text; wrenches that are functions by their names.
         folder: absolute path of the folder of the file that the record was read from, None for one made of a robot. Who
             wrote a file may not choose what is loaded: of a record that was read, ``source`` counts only where it is a
             shipped robot or inside that folder.
@@ -63,6 +64,7 @@ class RobotRecord:
     carrier_limits: tuple[CarrierLimits, ...]
     bodies: tuple[tuple[float, ...], ...]
     q_reference: tuple[float, ...]
+    loads: tuple[str, ...] = ()
     folder: str | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
@@ -114,6 +116,7 @@ def robot_record(robot: Robot) -> RobotRecord:
         carrier_limits=robot.carrier_limits,
         bodies=tuple(tuple(float(v) for v in body.toDynamicParameters()) for body in list(robot.model.inertias)[1:]),
         q_reference=tuple(float(q) for q in robot.q_reference),
+        loads=tuple(map(repr, robot.loads)),
     )
 
 
@@ -137,6 +140,7 @@ class _Record(Schema):
     carrier_limits: tuple[dict[str, Any], ...]
     bodies: tuple[Annotated[_Floats, Field(min_length=10, max_length=10, description="10 finite numbers")], ...]
     q_reference: _Floats
+    loads: tuple[str, ...] = ()
 
 
 def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
@@ -146,9 +150,14 @@ def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
         KeyError: a field is missing.
         DeclarationError: naming the first field that is wrong, and what is allowed.
     """
-    values = dict(validated(_Record, {name: record[name] for name in _Record.model_fields}, of="robot"))
+    values = dict(validated(_Record, _fields_of(record), of="robot"))
     values["carrier_limits"] = tuple(typed(CarrierLimits, entry) for entry in values["carrier_limits"])
     return RobotRecord(**values, folder=str(_folder_of(file)))
+
+
+def _fields_of(record: Mapping[str, Any]) -> dict[str, Any]:
+    older = {"loads": ()}  # of files without it
+    return {name: record[name] if name in record else older[name] for name in _Record.model_fields}
 
 
 def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trust: bool = False) -> Robot:
@@ -232,7 +241,7 @@ def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError
 
 def record_difference(then: RobotRecord, now: RobotRecord) -> str:
     """Say what differs first between two records; empty if they describe the same robot."""
-    for name in ("arguments", "working_mode", "actuated", "carriers", "carrier_limits"):
+    for name in ("arguments", "working_mode", "actuated", "carriers", "carrier_limits", "loads"):
         before, after = getattr(then, name), getattr(now, name)
         if before != after:
             return f"its {name.replace('_', ' ')} were {before}, now {after}."

@@ -102,7 +102,9 @@ class Wrench(Frozen):
             InputError: samples of another motion, or a function that does not return (N, 6).
         """
         if not isinstance(self.value, np.ndarray):
-            return checked(self.value(t, x, xd), f"What the function of the wrench on {self.frame!r} returns", (len(t), 6))
+            return checked(
+                self.value(t, x, xd), f"What the function of the wrench on {self.frame!r} returns", (len(t), 6)
+            )
         if self.value.ndim == 2 and len(self.value) != len(t):
             raise InputError(
                 f"The wrench on {self.frame!r} has {len(self.value)} samples, the motion {len(t)}.",
@@ -132,20 +134,24 @@ class Payload(Frozen):
     centre: Array
     inertia: Array
 
-    def __init__(
-        self, frame: str, mass: float, centre: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = 0.0
-    ) -> None:
+    def __init__(self, frame: str, mass: float, centre: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = 0.0) -> None:
         given = np.asarray(inertia, dtype=float)
         matrix = checked(given * np.eye(3) if given.ndim == 0 else given, "inertia", (3, 3))
         moments = np.linalg.eigvalsh(matrix)
         allowed = 1e-9 * float(np.abs(moments).max())
-        if np.abs(matrix - matrix.T).max() > allowed or moments[0] < -allowed or moments[2] > moments[:2].sum() + allowed:
+        if (
+            np.abs(matrix - matrix.T).max() > allowed
+            or moments[0] < -allowed
+            or moments[2] > moments[:2].sum() + allowed
+        ):
             raise InputError(
                 f"The inertia of the payload on {frame!r} has principal moments {moments.tolist()}, which no body has.",
                 remedy="Pass a symmetric matrix about the centre of mass, kg·m².",
                 frame=frame,
             )
-        assign(self, frame=frame, mass=_number(mass, "mass", least=0.0), centre=_vector(centre, "centre"), inertia=matrix)
+        assign(
+            self, frame=frame, mass=_number(mass, "mass", least=0.0), centre=_vector(centre, "centre"), inertia=matrix
+        )
 
     def __repr__(self) -> str:
         """Return all that it is."""
@@ -269,9 +275,7 @@ def checked_loads(model: pin.Model, loads: Sequence[Load]) -> tuple[Load, ...]:
     links = tuple(str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY)
     for load in loads:
         if not isinstance(load, get_args(Load)):
-            raise InputError(
-                f"A load is {type(load).__name__}.", remedy="Pass Wrench, Payload, JointForces or Spring."
-            )
+            raise InputError(f"A load is {type(load).__name__}.", remedy="Pass Wrench, Payload, JointForces or Spring.")
         if isinstance(load, JointForces):
             _require(load.joint, tuple(model.names)[1:], "joint")
             joint = model.joints[model.getJointId(load.joint)]

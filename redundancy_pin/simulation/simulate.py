@@ -8,7 +8,6 @@ from dataclasses import fields
 from typing import Literal
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, frozen, read_only
@@ -283,7 +282,7 @@ def _sheet_at_start(machine: Machine, start: State, ratio: float) -> Sheet | Non
 
 def _simulation(machine: Machine, record: Record, end: Progress, parameters: dict[str, object]) -> Simulation:
     """Evaluate forces, accelerations and energies at the samples and put everything together."""
-    robot, model, data, samples = machine.robot, machine.robot.model, machine.chain.data, record.samples
+    robot, model, samples = machine.robot, machine.robot.model, record.samples
     status = end.status or SimulationStatus.COMPLETED
     count, t = len(samples), frozen([sample.t for sample in samples])
     q, v = np.split(np.array([sample.y for sample in samples]), [model.nq], axis=1)
@@ -291,8 +290,8 @@ def _simulation(machine: Machine, record: Record, end: Progress, parameters: dic
     tau, carrier_force = np.full((count, robot.m), np.nan), np.full((count, robot.k), np.nan)
     closure_force = np.full((count, machine.chain.rows), np.nan)
     for i, sample in enumerate(samples):
-        energy[i] = pin.computeKineticEnergy(model, data, q[i], v[i]) + pin.computePotentialEnergy(model, data, q[i])
         state = machine.state(sample.t, sample.y)
+        energy[i] = machine.energy(state)
         try:
             command = machine.amplifiers.command(state) if sample.hold is None else sample.hold
             loads = machine.loads(state, command, sample.sheet)

@@ -12,8 +12,10 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.forward import ForwardKernel
+from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
-from redundancy_pin.robot import Closure, Robot
+from redundancy_pin.robot import Closure, Robot, Wrench
+from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command, one_of
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.rank_loss import Sheet
@@ -115,6 +117,7 @@ class Machine:
         self.chain = self.dynamics.chain
         self.manifold = Manifold(self.chain)
         self.amplifiers, self._law, self._external = amplifiers, carrier_law, external
+        self._loads = tree_loads(robot)
         self._compiled = _compiled(robot, method, carrier_law is not None)
         self._split = robot.model.nq
 
@@ -210,7 +213,17 @@ class Machine:
         force[robot.actuated_velocity] = command[0]
         if self._law is None:
             force[robot.carrier_velocity] = command[1]
+        if self._loads is not None:  # rotors are in the equations, as their forces depend on accelerations
+            force -= self._loads.efforts(_tree_state(state), rotors=False)[:, 0]
         return force if self._external is None else force + self._external(state)
+
+    def energy(self, state: State) -> float:
+        """Return kinetic and potential energy with that of rotors and springs, J (zero height at the world origin)."""
+        model, data = self.robot.model, self.chain.data
+        energy = pin.computeKineticEnergy(model, data, state.q, state.v) + pin.computePotentialEnergy(
+            model, data, state.q
+        )
+        return float(energy if self._loads is None else energy + self._loads.energy(_tree_state(state))[0])
 
     def _acceleration(self, state: State, force: Array, sheet: Sheet | None) -> Array:
         # beside a rank loss Pinocchio's solver, damped, gives an acceleration that belongs to no sheet
@@ -227,6 +240,13 @@ class Machine:
         return None if self._law is None else self._law(t)[2]
 
 
+def _tree_state(state: State) -> TreeState:
+    loads, wrenches = state.robot.loads, ()
+    if of_kind(loads, Wrench):
+        wrenches = wrench_values(loads, np.array([state.t]), state.x[None], state.xd[None])
+    return TreeState(state.q[None], state.v[None], 0.0 * state.v[None], wrenches)
+
+
 def _compiled(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics | None:
     one_of("method", method, "projected", "constraint_dynamics")
     if method == "projected":
@@ -235,5 +255,11 @@ def _compiled(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics
         raise InputError(
             "Pinocchio's constraintDynamics cannot drive carriers by motion.",
             remedy='Use method="projected", or drive the carriers by force.',
+        )
+    loads = tree_loads(robot)
+    if loads is not None and loads.has_rotors:
+        raise UnsupportedRobotError(
+            "Pinocchio's constraintDynamics knows no rotors that turn with their links.",
+            remedy='Use method="projected".',
         )
     return ConstraintDynamics(robot)

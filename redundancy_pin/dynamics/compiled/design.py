@@ -22,9 +22,9 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.robot import Payload, Robot, Spring, Wrench
-from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_declaration
+from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.urdf import declaration_path, render
 
 _STEP = 0.01

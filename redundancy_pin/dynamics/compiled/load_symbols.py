@@ -65,17 +65,17 @@ class LoadSymbols:
             add(self._body(spring.frame_a), a, force, self.ca.SX.zeros(3))
             add(self._body(spring.frame_b), b, -force, self.ca.SX.zeros(3))
 
-    def in_joint(self, index: int, q: SX, v: SX, a: SX, axis: SX, spin: SX, turn: SX) -> tuple[SX, SX]:
+    def in_joint(self, index: int, own: tuple[SX, SX, SX], axis: SX, spin: SX, turn: SX) -> tuple[SX, SX]:
         """Return the effort that a joint asks for, and the moment (3) that its rotors ask of the link before it.
 
         Args:
             index: the joint.
-            q, v, a: its position, rate and acceleration.
+            own: its position, rate and acceleration.
             axis: (3) its axis, in the frame of the link before it, as are the others.
             spin: (3) angular velocity of that link.
             turn: (3) its rate.
         """
-        effort, moment = self.ca.SX(0.0), self.ca.SX.zeros(3)
+        (q, v, a), effort, moment = own, self.ca.SX(0.0), self.ca.SX.zeros(3)
         for load in of_kind(self._loads, JointForces):
             if self.chain.model.getJointId(load.joint) == index:
                 effort += load.damping * v + load.friction * self.ca.tanh(v / load.friction_speed)

@@ -438,7 +438,7 @@ class SymbolicChain:
             if joint.subspace.shape[1] == 1:
                 axis = joint.rotation @ (joint.subspace[3:, 0] if joint.subspace[3:].any() else joint.subspace[:3, 0])
                 own = self.q[joint.q][0], self.v[joint.v], self.a[joint.v]
-                effort, turned = self._loads.in_joint(joint.index, *own, axis, *motions[joint.parent][0:3:2])
+                effort, turned = self._loads.in_joint(joint.index, own, axis, *motions[joint.parent][0:3:2])
                 efforts[joint.v] += effort
                 forces[joint.parent][1] += turned
             back = joint.rotation @ force
@@ -460,7 +460,6 @@ class SymbolicChain:
             total -= body.mass * ca.dot(gravity, origin + arm)
         total += self._loads.energy(self._in_world)
         return total + 0.5 * ca.dot(ca.SX(np.array(self.model.armature)), self.v**2)
-
 
     def _in_world(self, index: int) -> tuple[SX, SX, SX, SX]:
         """Return position, rate and axis of a joint of one freedom, and the angular velocity of the link before it."""

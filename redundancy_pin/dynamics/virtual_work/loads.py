@@ -120,10 +120,8 @@ def load_efforts(
 
     for spring in of_kind(robot.loads, Spring):
         offsets = complex(spring.point_a[0], spring.point_a[1]), complex(spring.point_b[0], spring.point_b[1])
-        a, b = (
-            now.frame(frame, s, sd, sdd).point(offset)
-            for frame, offset in zip((spring.frame_a, spring.frame_b), offsets, strict=True)
-        )
+        here_a, here_b = (now.frame(frame, s, sd, sdd) for frame in (spring.frame_a, spring.frame_b))
+        a, b = here_a.point(offsets[0]), here_b.point(offsets[1])
         line, rise = b[0] - a[0], float(spring.point_b[2] - spring.point_a[2])
         length = np.hypot(np.abs(line), rise)
         unit = np.divide(line, length, out=np.zeros_like(line), where=length > 0.0)
@@ -188,9 +186,7 @@ def load_derivatives(
             for distance, weight in _DIFFERENCES if order == 0 else ((1.0, 0.5), (-1.0, -0.5)):
                 moved = [np.array(part) for part in carriers]
                 moved[order][i] += distance * step
-                there = load_efforts(
-                    robot, wrenches, now, units, (moved[0], moved[1], moved[2]), resistance=False
-                )
+                there = load_efforts(robot, wrenches, now, units, (moved[0], moved[1], moved[2]), resistance=False)
                 by_f[:, :, i] += weight * (there.f / step).T
                 by_force[:, :, i] += weight * (there.force[: robot.k] / step).T
         for forces in of_kind(robot.loads, JointForces):
@@ -224,8 +220,8 @@ def _shortest(robot: Robot, now: Any, carriers: tuple[Array, Array, Array]) -> A
 def _payload_on_ground(load: Payload, here: PlanarFrame, place: ComplexArray, push: ComplexArray, g_z: float) -> Array:
     """Return (N, 6) weight less rate of momentum of a payload, about the world origin.
 
-    Its centre stays at one height, and its inertia is turned about z: of the products with z the rates are moments about
-    x and y, d/dt (I_xz + i I_yz) e^{iφ} ω.
+    Its centre stays at one height, and its inertia is turned about z: of the products with z the rates are moments
+    about x and y, d/dt (I_xz + i I_yz) e^{iφ} ω.
     """
     weight, height = np.full(len(place), load.mass * g_z), float(load.centre[2])
     product = complex(load.inertia[0, 2], load.inertia[1, 2]) * here.axis

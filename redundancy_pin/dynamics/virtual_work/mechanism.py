@@ -167,7 +167,6 @@ class LinkFrames:
             spin_rate=self.spin_rate,
         )
 
-
     def frame(
         self, leg: int, zeta: Complex = 0.0, rate: Complex = 0.0, second_rate: Complex = 0.0, **carried: Any
     ) -> PlanarFrame:

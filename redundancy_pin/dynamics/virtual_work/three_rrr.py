@@ -396,8 +396,8 @@ class ThreeRrrAlongMotion:
             ahead = self._p.geometry.distal_length if kind == "tip" else 0.0
             return (proximal if kind == "proximal" else distal).frame(leg, ahead)
         x, v, a = self._motion
-        places = (planar(part[:, 0], part[:, 1]) for part in (x, v, a))
-        centre = PlanarFrame(*places, np.exp(1j * x[:, 2]), v[:, 2], a[:, 2])
+        place, velocity, acceleration = (planar(part[:, 0], part[:, 1]) for part in (x, v, a))
+        centre = PlanarFrame(place, velocity, acceleration, np.exp(1j * x[:, 2]), v[:, 2], a[:, 2])
         if name == "platform":
             return centre
         corner = {"platform_arm": 0, "corner_2": 1, "corner_3": 2}[name]
@@ -414,11 +414,13 @@ class ThreeRrrAlongMotion:
         if kind == "base":
             return PlanarJoint(*theta, still, still)
         if kind == "elbow":
-            return PlanarJoint(*(after - before for before, after in zip(theta, beta, strict=True)), *theta[1:])
+            angle, rate, acceleration = (after - before for before, after in zip(theta, beta, strict=True))
+            return PlanarJoint(angle, rate, acceleration, *theta[1:])
         if kind == "carrier":
             return PlanarJoint(s[leg], sd[leg], sdd[leg], *beta[1:], carrier=leg, axis=self._links[1].u[leg])
         alpha = (part[:, 2] for part in self._motion)
-        return PlanarJoint(*(after - before for before, after in zip(beta, alpha, strict=True)), *beta[1:])
+        angle, rate, acceleration = (after - before for before, after in zip(beta, alpha, strict=True))
+        return PlanarJoint(angle, rate, acceleration, *beta[1:])
 
     def _corner_force(self, T_theta: Array, T_beta: Array) -> tuple[Array, Array]:
         """Return R, (3, N) each component, N: the force on the corner of each leg that balances T_θ and T_β."""

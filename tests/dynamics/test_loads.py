@@ -1,0 +1,398 @@
+"""Loads of a robot: three backends that share no kinematics, closed forms, energy, and MuJoCo's own Jacobians."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin import (
+    CarrierMotion,
+    CompiledDynamics,
+    JointForces,
+    Payload,
+    PlatformMotion,
+    RneaDynamics,
+    Spring,
+    VirtualWork,
+    Wrench,
+)
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.robot import Load, Robot
+
+PARITY = 1e-12
+"""Of the largest entry: roundings of some hundred operations."""
+
+REPLAY = 1e-9
+"""Deviation of a replay, m."""
+
+FRAMES = {
+    "3rrr": ("base", "proximal_1", "distal_2", "tip_3", "mass_1", "mass_2", "platform_arm", "platform", "corner_3"),
+    "2rpr": ("base", "cylinder_1", "piston_2", "track_1", "mass_1", "mass_2", "end_effector"),
+}
+JOINTS = {"3rrr": ("base_1", "elbow_2", "carrier_3", "wrist_1"), "2rpr": ("swivel_1", "slide_2", "carrier_1")}
+ARGUMENTS = {"2rpr": {"end_effector_mass": 0.3, "cylinder_mass": 0.2, "piston_mass": 0.1}}
+
+
+@functools.cache
+def machine(name: str, mode: tuple[int, ...] | None = None) -> Robot:
+    """Return a robot with gravity in all directions."""
+    return zoo.robot_of(name, gravity=(1.0, -9.0, 2.0), working_mode=mode, **ARGUMENTS.get(name, {}))
+
+
+def moving(robot: Robot, count: int = 12) -> tuple[PlatformMotion, CarrierMotion]:
+    t = np.linspace(0.1, 1.0, count)
+    return zoo.smooth_motion(robot, 13).at(t), zoo.carriers_at(robot, t)
+
+
+def all_loads(name: str, samples: int, seed: int = 0) -> tuple[Load, ...]:
+    """Return loads of every kind on every link and joint, random ones."""
+    rng = np.random.default_rng(seed)
+    inertia = np.diag([0.01, 0.012, 0.015]) + 0.001 * (np.ones((3, 3)) - np.eye(3))
+    loads: list[Load] = []
+    for i, frame in enumerate(FRAMES[name]):
+        axes = "world" if i % 2 else "local"
+        loads += [Wrench(frame, rng.normal(size=(samples, 6)), axes, rng.normal(size=3))]
+        loads += [Payload(frame, rng.uniform(0.1, 1.0), 0.1 * rng.normal(size=3), inertia)]
+    for joint in JOINTS[name]:
+        numbers = rng.uniform(0.1, 1.0, 5)
+        loads += [JointForces(joint, *numbers[:2], 0.1, *numbers[2:4], 0.01 * numbers[4], -7.0)]
+    for a, b in ((0, 4), (4, 5), (2, 6), (1, 3)):
+        ends = 0.3 * rng.normal(size=(2, 3))
+        loads += [Spring(FRAMES[name][a], FRAMES[name][b], 20.0, 3.0, 0.1, *ends)]
+    return tuple(loads)
+
+
+def assert_alike(one: Array, other: Array, tolerance: float = PARITY) -> None:
+    np.testing.assert_allclose(one, other, rtol=0.0, atol=tolerance * max(1.0, np.abs(one).max(initial=0.0)))
+
+
+@pytest.mark.parametrize(("name", "mode"), [("3rrr", (1, -1, 1)), ("2rpr", (-1, 1))])
+def test_backends_agree_on_loads_of_every_kind(name: str, mode: tuple[int, ...]) -> None:
+    robot = machine(name, mode)
+    motion, carriers = moving(robot)
+    loads = all_loads(name, len(motion))
+    plain = RneaDynamics(robot).reduce(motion, carriers)
+    first = RneaDynamics(robot).with_external(*loads).along(motion)
+    assert np.abs(first.reduce(carriers).f - plain.f).max(axis=0).min() > 1.0
+    for other in (VirtualWork(robot), CompiledDynamics(robot, interpret=True)):
+        second = other.with_external(*loads).along(motion)
+        one, two = first.reduce(carriers), second.reduce(carriers)
+        assert_alike(one.f, two.f)
+        assert_alike(one.carrier_force, two.carrier_force)
+        assert_alike(first.base_wrench(carriers), second.base_wrench(carriers))
+        assert_alike(first.energy(carriers), second.energy(carriers))
+        by_one, by_two = first.carrier_derivatives(carriers), second.carrier_derivatives(carriers)
+        for part in by_one.__dataclass_fields__:
+            assert_alike(getattr(by_one, part), getattr(by_two, part), 1e-9)  # springs: differences of order eight
+
+
+@pytest.mark.parametrize("name", ["five_bar", "four_bar", "gough"])
+def test_machines_without_closed_form(name: str) -> None:
+    robot = machine(name)
+    motion, carriers = moving(robot, 6)
+    rng = np.random.default_rng(3)
+    links = [str(frame.name) for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
+    simple = [str(n) for n, joint in list(zip(robot.model.names, robot.model.joints, strict=True))[1:] if joint.nv == 1]
+    chosen = rng.choice(links, 4)
+    loads: list[Load] = [Wrench(link, rng.normal(size=6), "local", rng.normal(size=3)) for link in chosen]
+    loads += [JointForces(joint, 0.2, 0.3, 0.1, rotor_inertia=0.01, gear=-5.0) for joint in simple]
+    loads += [Spring(links[0], links[-1], 10.0, 2.0, 0.2, 0.1 * rng.normal(size=3))]
+    one = RneaDynamics(robot).with_external(*loads).along(motion)
+    two = CompiledDynamics(robot, interpret=True).with_external(*loads).along(motion)
+    assert_alike(one.reduce(carriers).f, two.reduce(carriers).f)
+    assert_alike(one.base_wrench(carriers), two.base_wrench(carriers))
+    assert_alike(one.energy(carriers), two.energy(carriers))
+
+
+def test_a_wrench_on_the_platform_is_what_f_falls_by() -> None:
+    """On the platform the Jacobian is the identity: closed forms, both kinds of axes, and a moment arm."""
+    robot = machine("3rrr")
+    motion, carriers = moving(robot)
+    wrench = np.random.default_rng(1).normal(size=(len(motion), 6))
+    angle, plain = motion.x[:, 2], RneaDynamics(robot).reduce(motion, carriers).f
+    rows = wrench[:, [0, 1, 5]]
+    for dynamics in (RneaDynamics(robot), VirtualWork(robot), CompiledDynamics(robot, interpret=True)):
+        world = dynamics.reduce(motion, carriers, external=[Wrench("platform", wrench)]).f
+        assert_alike(plain - world, rows)
+        local = dynamics.reduce(motion, carriers, external=[Wrench("platform", wrench, "local", (0.2, 0.0, 0.0))]).f
+        c, s = np.cos(angle), np.sin(angle)
+        push = np.stack([c * rows[:, 0] - s * rows[:, 1], s * rows[:, 0] + c * rows[:, 1]], axis=1)
+        turned = rows[:, 2] + 0.2 * (c * push[:, 1] - s * push[:, 0])
+        assert_alike(plain - local, np.column_stack([push, turned]))
+
+
+def test_a_payload_is_mass_of_the_platform() -> None:
+    robot, heavier = machine("3rrr"), zoo.robot_of("3rrr", gravity=(1.0, -9.0, 2.0), platform_mass=1.7)
+    motion, carriers = moving(robot)
+    disc = 0.5 * 1.2 * 0.25**2
+    payload = Payload("platform", 1.2, inertia=np.diag([0.5 * disc, 0.5 * disc, disc]))
+    assert robot.loaded(payload).model.inertias != robot.model.inertias
+    expected = RneaDynamics(heavier).along(motion)
+    for dynamics in (RneaDynamics(robot), VirtualWork(robot)):
+        along = dynamics.with_external(payload).along(motion)
+        assert_alike(along.reduce(carriers).f, expected.reduce(carriers).f)
+        assert_alike(along.base_wrench(carriers), expected.base_wrench(carriers))
+        assert_alike(along.energy(carriers), expected.energy(carriers))
+
+
+_STEP = 1e-3
+
+
+@pytest.mark.parametrize("name", ["3rrr", "2rpr", "gough", "four_bar"])
+def test_energy_grows_by_the_power_of_efforts_and_wrenches_less_what_dampers_take(name: str) -> None:
+    """Places of frames come from Pinocchio, their velocities from differences: nothing of the loads' own kinematics."""
+    robot = machine(name)
+    t = 0.4 + _STEP * np.arange(-3, 4)
+    motion, carriers = zoo.smooth_motion(robot, 7).at(t), zoo.carriers_at(robot, t)
+    rng = np.random.default_rng(5)
+    links = [str(frame.name) for frame in robot.model.frames if frame.type == pin.FrameType.BODY][1:]
+    simple = [str(n) for n, joint in list(zip(robot.model.names, robot.model.joints, strict=True))[1:] if joint.nv == 1]
+    wrenches = [
+        Wrench(link, rng.normal(size=6), axes, rng.normal(size=3))
+        for link, axes in zip(links[:: max(1, len(links) // 4)], ("world", "local") * 10, strict=False)
+    ]
+    joints = [JointForces(joint, 0.2, 0.3, 0.1, 0.0, 0.0, 0.02, -5.0) for joint in simple]
+    spring = Spring(links[0], links[-1], 30.0, 2.0, 0.2, 0.1 * rng.normal(size=3))
+    loaded = RneaDynamics(robot.loaded(*wrenches, *joints, spring, Payload(links[-1], 0.8, (0.1, 0.2, 0.3))))
+    along = loaded.along(motion)
+    reduced = along.reduce(carriers)
+    q, v, _ = (part.T for part in along.tree_motion(carriers))
+    places, length = _places(robot, q, wrenches, spring)
+    power = reduced.f[3] @ motion.xd[3] + reduced.carrier_force[3] @ carriers.sd[3]
+    for wrench, (origin, rotation) in zip(wrenches, places, strict=True):
+        value = np.asarray(wrench.value).reshape(2, 3)
+        force, moment = value if wrench.reference == "world" else value @ rotation[3].T
+        turning = np.einsum("ij,kj->ik", _rate(rotation), rotation[3])
+        spin = 0.5 * np.array(
+            [turning[2, 1] - turning[1, 2], turning[0, 2] - turning[2, 0], turning[1, 0] - turning[0, 1]]
+        )
+        power += force @ _rate(origin) + moment @ spin
+    for load in joints:
+        speed = v[3, robot.model.joints[robot.model.getJointId(load.joint)].idx_v]
+        power -= speed * (load.damping * speed + load.friction * np.tanh(speed / load.friction_speed))
+    power -= spring.damping * _rate(length) ** 2
+    assert _rate(along.energy(carriers)) == pytest.approx(power, rel=1e-8, abs=1e-8)
+
+
+def _rate(values: Array) -> Array:
+    """Return the derivative at the middle of seven samples, to order six."""
+    weights = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0 / _STEP
+    return np.tensordot(weights, values, axes=1)
+
+
+def _places(robot: Robot, q: Array, wrenches: list[Wrench], spring: Spring) -> tuple[list[tuple[Array, Array]], Array]:
+    """Return places of the wrenches' points and rotations of their frames, and lengths of the spring, by sample."""
+    model, data = robot.model, robot.model.createData()
+    points, length = [], []
+    for row in q:
+        pin.framesForwardKinematics(model, data, np.array(row))
+
+        def placed(name: str) -> pin.SE3:
+            return data.oMf[model.getFrameId(name, pin.FrameType.BODY)].copy()
+
+        points.append([(placed(w.frame).act(np.array(w.point)), placed(w.frame).rotation) for w in wrenches])
+        ends = (
+            placed(spring.frame_a).act(np.array(spring.point_a)),
+            placed(spring.frame_b).act(np.array(spring.point_b)),
+        )
+        length.append(np.linalg.norm(ends[1] - ends[0]))
+    columns = list(zip(*points, strict=True))
+    return [(np.array([p for p, _ in c]), np.array([r for _, r in c])) for c in columns], np.array(length)
+
+
+def test_process_forces_are_functions_of_time_and_pose() -> None:
+    robot = machine("3rrr")
+    motion, carriers = moving(robot)
+
+    def spring_of_the_wall(t: Array, x: Array, xd: Array) -> Array:
+        push = np.zeros((len(t), 6))
+        push[:, 0], push[:, 1] = -30.0 * x[:, 0] - 2.0 * xd[:, 0], np.sin(t)
+        return push
+
+    law = Wrench("platform", spring_of_the_wall)
+    values = Wrench("platform", spring_of_the_wall(motion.t, motion.x, motion.xd))
+    for dynamics in (RneaDynamics(robot), VirtualWork(robot), CompiledDynamics(robot, interpret=True)):
+        expected = dynamics.reduce(motion, carriers, external=[values])
+        assert_alike(dynamics.reduce(motion, carriers, external=[law]).f, expected.f)
+        one = dynamics.with_external(law).sample(
+            motion.x[4], motion.xd[4], motion.xdd[4], carriers.s[4], carriers.sd[4], carriers.sdd[4], t=motion.t[4]
+        )
+        assert_alike(one.f, expected.f[4])
+        assert_alike(one.carrier_force, expected.carrier_force[4])
+
+
+def test_what_cannot_be_said_is_refused_by_name() -> None:
+    robot, motion = machine("3rrr"), moving(machine("3rrr"))[0]
+    with pytest.raises(InputError, match="no link 'platfrom'.*") as caught:
+        robot.loaded(Wrench("platfrom", np.zeros(6)))
+    assert "platform" in caught.value.remedy
+    with pytest.raises(InputError, match="has 3 samples, the motion 12"):
+        RneaDynamics(robot).reduce(motion, external=[Wrench("platform", np.zeros((3, 6)))])
+    with pytest.raises(InputError, match="reference"):
+        Wrench("platform", np.zeros(6), "body")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="no body has"):
+        Payload("platform", 1.0, inertia=np.diag([1.0, 1.0, 3.0]))
+    with pytest.raises(InputError, match="damping"):
+        JointForces("base_1", damping=-1.0)
+    with pytest.raises(InputError, match="shape"):
+        Wrench("platform", lambda t, x, xd: np.zeros(6)).at(motion.t, motion.x, motion.xd)
+    with pytest.raises(InputError, match="A load is"):
+        robot.loaded("platform")  # type: ignore[arg-type]
+    with pytest.raises(UnsupportedRobotError, match="takes no loads"):
+        Dynamics.with_external(VirtualWork(robot))
+
+
+def test_symbols_hold_constant_wrenches_only() -> None:
+    robot = machine("four_bar")
+    link = str(robot.model.frames[-1].name)
+    loaded = robot.loaded(Wrench(link, (1.0, 2.0, 0.0, 0.0, 0.0, 0.5)))
+    motion = moving(loaded, 4)[0]
+    tree, expected = rp.lift(loaded, motion), RneaDynamics(loaded).reduce(motion)
+    f = rp.symbolic(loaded).f(tree.q[2], tree.v[2], tree.a[2])
+    assert_alike(np.array(f).ravel(), expected.f[2])
+    with pytest.raises(UnsupportedRobotError, match="constant"):
+        rp.symbolic(robot.loaded(Wrench(link, lambda t, x, xd: np.zeros((len(t), 6)))))
+
+
+def test_derivatives_of_compiled_dynamics_are_those_of_loads_too() -> None:
+    """Against differences of the RNEA backend."""
+    robot = machine("3rrr").loaded(
+        Wrench("distal_2", (3.0, -2.0, 0.0, 0.0, 0.0, 1.0), "local", (0.3, 0.1, 0.0)),
+        JointForces("elbow_1", 0.4, 0.3, 0.5, 2.0, 0.1, 0.02, -6.0),
+        Spring("base", "platform", 40.0, 3.0, 0.2, (0.1, 0.0, 0.0)),
+    )
+    motion, carriers = moving(robot, 4)
+    exact = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers)
+    h = 1e-4
+    for name, by in (("x", exact.f.x), ("xd", exact.f.xd), ("xdd", exact.f.xdd)):
+        for j in range(3):
+            sides = []
+            for sign in (1.0, -1.0):
+                moved = {part: np.array(getattr(motion, part)) for part in ("x", "xd", "xdd")}
+                moved[name][:, j] += sign * h
+                sides.append(RneaDynamics(robot).reduce(PlatformMotion(motion.t, **moved), carriers).f)
+            np.testing.assert_allclose(by[:, :, j], (sides[0] - sides[1]) / (2.0 * h), atol=2e-5 * np.abs(by).max())
+
+
+def test_reactions_balance_with_loads() -> None:
+    """What the base's joints transmit, summed about the origin, is the wrench on the base."""
+    robot = machine("2rpr").loaded(
+        Wrench("piston_2", (5.0, 3.0, 0.0, 0.0, 0.0, 2.0), "world", (0.1, 0.0, 0.0)), JointForces("slide_1", 2.0)
+    )
+    motion, carriers = moving(robot)
+    along = RneaDynamics(robot).along(motion)
+    reactions = rp.joint_reactions(along, rp.distribute(along.reduce(carriers)).tau, carriers)
+    assert reactions.residual.max() < 1e-9
+    total = np.zeros((len(motion), 3))
+    for name, place in (("swivel_1", 0.0), ("swivel_2", 0.5)):
+        force, moment = np.split(reactions.joint_wrench[:, reactions.joints.index(name)], 2, axis=1)
+        total[:, :2] -= force[:, :2]
+        total[:, 2] -= moment[:, 2] + place * force[:, 1]
+    assert_alike(total, along.base_wrench(carriers)[:, [0, 1, 5]], 1e-9)
+
+
+def test_planners_plan_with_loads() -> None:
+    """A crossing of a singularity, by two backends."""
+    robot = zoo.robot_of("2rpr", end_effector_mass=0.3)
+    loaded = robot.loaded(
+        Wrench("end_effector", lambda t, x, xd: np.outer(-2.0 - np.sin(t), [0.0, 1.0, 0.0, 0.0, 0.0, 0.0])),
+        Payload("end_effector", 0.2),
+        JointForces("swivel_1", 0.04, 0.05, 0.1, 0.3, 0.5, 0.001, -8.0),
+        *(JointForces(joint, 0.6, rotor_inertia=0.001, gear=9.0) for joint in ("carrier_1", "carrier_2")),
+    )
+    plans = [rp.plan_switch_off(of(loaded), rp.trajectory.reference.line()) for of in (RneaDynamics, VirtualWork)]
+    assert_alike(plans[0].tau, plans[1].tau, 1e-8)
+    assert plans[0].robot.describes(loaded)
+    assert not plans[0].robot.describes(robot)
+
+
+@pytest.mark.parametrize("name", ["2rpr", "gough"])
+def test_planned_efforts_in_open_loop_close_with_everything_on(name: str) -> None:
+    robot = zoo.robot_of(name, gravity=(0.5, -9.0, 2.0), **ARGUMENTS.get(name, {}))
+    names = list(zip(robot.model.names, robot.model.joints, strict=True))[1:]
+    joints = [str(n) for n, joint in names if joint.nv == 1][:8]
+    link = robot.platform.frame if robot.platform else ""
+    loaded = robot.loaded(
+        Wrench(link, _pull, "local", (0.05, 0.02, 0.0)),
+        Payload(link, 0.2, (0.02, 0.0, 0.01), 1e-3),
+        *(JointForces(joint, 0.4, 0.5, 0.1, 0.3, 0.2, 0.0005, -8.0) for joint in joints),
+        Spring("base", link, 12.0, 2.0, 0.1, (0.3, -0.2, 0.1)),
+    )
+    motion = zoo.smooth_motion(robot, 13).at(np.linspace(0.0, 0.2, 21))
+    reference = rp.simulation.motion_reference(loaded, motion)
+    simulated = {"duration": 0.1, "rtol": 1e-11, "atol": 1e-12, "dt": 0.02}
+    run = rp.simulate(loaded, rp.simulation.FeedForward(reference), **simulated)
+    assert run.status.value == "completed"
+    expected = np.array([reference.platform(t)[0] for t in run.t])
+    assert np.abs(run.x - expected).max() < REPLAY
+    lacking = replace(loaded, loads=loaded.loads[2:])
+    off = rp.simulate(lacking, rp.simulation.FeedForward(reference), **simulated)
+    assert np.abs(off.x - expected[: len(off.x)]).max() > 1e-5
+
+
+def _pull(t: Array, x: Array, xd: Array) -> Array:
+    wrench = np.zeros((len(t), 6))
+    wrench[:, 0], wrench[:, 1] = 3.0 * np.sin(2.0 * t) - 4.0 * xd[:, 0], -8.0 - 5.0 * x[:, 1]
+    return wrench
+
+
+def test_wrenches_agree_with_mujoco_on_a_closed_chain() -> None:
+    """The machine moves as planned under its efforts and the wrenches, by MuJoCo's masses, forces and Jacobians."""
+    mujoco = pytest.importorskip("mujoco")
+    robot = machine("3rrr")
+    motion, carriers = moving(robot, 3)
+    wrenches = {"distal_2": (40.0, -30.0, 0.0, 0.0, 0.0, 9.0), "platform": (-20.0, 50.0, 0.0, 0.0, 0.0, -8.0)}
+    loads = [Wrench(link, value, point=(0.2, 0.3, 0.0)) for link, value in wrenches.items()]
+    along = RneaDynamics(robot).with_external(*loads).along(motion)
+    reduced = along.reduce(carriers)
+    q, v, a = (np.array(part.T) for part in along.tree_motion(carriers))
+    spec = mujoco.MjSpec.from_string(robot.urdf)
+    spec.compiler.fusestatic, spec.compiler.boundmass, spec.compiler.boundinertia = 0, 1e-12, 1e-12
+    for closure in robot.closures:
+        for frame in (closure.frame_a, closure.frame_b):
+            spec.body(frame).add_site(name=frame)
+        pair = spec.add_equality(type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE)
+        pair.name1, pair.name2 = closure.frame_a, closure.frame_b
+    model = spec.compile()
+    model.opt.gravity, model.opt.jacobian = robot.gravity, mujoco.mjtJacobian.mjJAC_DENSE
+    data, nv = mujoco.MjData(model), model.nv
+    names = list(robot.model.names)[1:]
+    order = [int(model.jnt_dofadr[model.joint(name).id]) for name in names]
+    tau = rp.distribute(reduced).tau
+    for k in range(len(motion)):
+        rows, step = [], 1e-6
+        for sign in (0.0, 1.0, -1.0):
+            data.qpos[order] = q[k] + sign * step * v[k]
+            data.qvel[order] = v[k]
+            mujoco.mj_forward(model, data)
+            rows.append(np.array(data.efc_J).reshape(-1, nv)[: 3 * len(robot.closures)].copy())
+        data.qpos[order] = q[k]
+        mujoco.mj_forward(model, data)
+        applied = np.zeros(nv)
+        applied[[order[names.index(name)] for name in robot.actuated]] = tau[k]
+        applied[[order[names.index(name)] for name in robot.carriers]] = reduced.carrier_force[k]
+        for link, value in wrenches.items():
+            body = model.body(link).id
+            place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ np.array((0.2, 0.3, 0.0))
+            mujoco.mj_applyFT(model, data, np.array(value[:3]), np.array(value[3:]), place, body, applied)
+        mass, J = np.eye(nv), rows[0]
+        for column in mass:
+            mujoco.mj_mulM(model, data, column, column.copy())
+        bias = (rows[1] - rows[2]) @ data.qvel / (2.0 * step)
+        system = np.block([[mass, -J.T], [J, np.zeros((len(J), len(J)))]])
+        moved = np.linalg.lstsq(system, np.concatenate([applied - data.qfrc_bias, -bias]), rcond=1e-12)[0][:nv]
+        np.testing.assert_allclose(moved[order], a[k], atol=1e-6 * np.abs(a[k]).max())  # differences of the rows
+
+
+def test_a_robot_keeps_its_loads() -> None:
+    robot = machine("3rrr").loaded(Payload("platform", 1.0)).loaded(JointForces("base_1", 1.0))
+    assert len(robot.loads) == 2
+    assert replace(robot, name="other").loads == robot.loads
