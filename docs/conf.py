@@ -95,6 +95,7 @@ collect_notebooks(HERE.parent / "notebooks", HERE / "tutorials" / "notebooks")
 TOPICS = (
     "theory",
     "models",
+    "forces",
     "whole_trajectory",
     "feasibility_map",
     "forward_dynamics",

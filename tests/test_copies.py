@@ -49,6 +49,9 @@ def objects() -> dict[str, Any]:
     poses[1, :3, 3] = 0.1
     return {
         "robot": robot,
+        "loaded": robot.loaded(
+            rp.Wrench("platform", np.ones((3, 6))), rp.Payload("platform", 1.0), rp.Spring("base", "platform")
+        ),
         "trajectory": trajectory,
         "circle": circle,
         "motion": motion,

@@ -13,10 +13,11 @@ from pathlib import Path
 
 from redundancy_pin.codegen.pages import pages
 from redundancy_pin.codegen.recorded import record
-from redundancy_pin.errors import InputError, shown
+from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replaceable, write_text
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import RobotLike, as_robot
+from redundancy_pin.robot import RobotLike, Wrench, as_robot
+from redundancy_pin.robot.loads import of_kind
 
 __all__ = ["GeneratedCode", "write_c"]
 
@@ -67,7 +68,7 @@ def write_c(
         InputError: a prefix that is no name in C; the motion does not fit, or no sample of it can be reached; no
             actuators.
         OutputError: the folder cannot be written, or holds other files.
-        UnsupportedRobotError: a joint of a type that is not covered.
+        UnsupportedRobotError: a joint of a type that is not covered; wrenches on the robot.
         RedundancyPinError: casadi is not installed.
     """
     robot = as_robot(robot)
@@ -75,6 +76,11 @@ def write_c(
     name = _prefix(robot.name, prefix)
     if not robot.m:
         raise InputError(f"{robot.name} has no main actuators.", remedy="Declare which joints are actuated.")
+    if of_kind(robot.loads, Wrench):
+        raise UnsupportedRobotError(
+            f"{robot.name} has wrenches on it, which the code for a controller does not take.",
+            remedy="Write the code without them, and add Jᵀ of what is measured to f.",
+        )
     if carriers is not None and motion is None:
         raise InputError("carriers are given without a motion.", remedy="Pass both, or neither.")
     recorded = record(robot, motion, carriers)

@@ -350,8 +350,6 @@ class RneaAlongMotion(Frozen):
         frame = free.addFrame(pin.Frame("redundancy_pin::base", base, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
         model = pin.appendModel(free, self.robot.model, frame, pin.SE3.Identity())
         model.gravity = self.robot.model.gravity
-        for index, body in list(enumerate(self.robot.model.inertias))[1:]:  # with payloads
-            model.inertias[index + 1] = body
         # links fixed to the base stand on the ground: their weight is not the mechanism's
         model.inertias[base] = pin.Inertia.Zero()
         return pin.ModelPool(model, self._threads)

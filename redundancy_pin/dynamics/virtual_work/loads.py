@@ -134,19 +134,19 @@ def load_efforts(
     for forces in of_kind(robot.loads, JointForces):
         joint: PlanarJoint = now.joint(forces.joint, s, sd, sdd)
         rotor, gear = forces.rotor_inertia, forces.gear
-        turning = joint.axis is None
-        position = _counted(joint.position, _reference(robot, forces.joint)) if turning else joint.position
+        revolute = joint.axis is None
+        position = _counted(joint.position, _reference(robot, forces.joint)) if revolute else joint.position
         effort = forces.resistance(position, joint.rate) if resistance else np.zeros(samples)
-        effort = effort + rotor * gear * (gear * joint.acceleration + (joint.link_spin_rate if turning else 0.0))
+        effort = effort + rotor * gear * (gear * joint.acceleration + (joint.link_spin_rate if revolute else 0.0))
         for row, unit in zip(f, units, strict=True):
             per_rate: PlanarJoint = unit.joint(forces.joint, *parked)
             row += effort * per_rate.rate
-            if turning:
+            if revolute:
                 row += rotor * gear * joint.acceleration * per_rate.link_spin
         if joint.carrier is not None:
             force[joint.carrier] += effort
         energy += 0.5 * forces.stiffness * (position - forces.rest) ** 2 + 0.5 * rotor * gear**2 * joint.rate**2
-        if turning:
+        if joint.axis is None:
             energy += rotor * gear * joint.rate * joint.link_spin
             ground[:, 5] -= rotor * gear * joint.acceleration
         else:  # it spins about an axis in the plane, and the link turns it
