@@ -74,10 +74,10 @@ class TreeLoads:
     def _tree(self) -> TreeKinematics:
         return TreeKinematics(self.robot.model, self._frames)
 
-    def efforts(self, state: TreeState, *, rotors: bool = True, joints: bool = True) -> Array:
-        """Return L (nv, N), N or N·m; without those of rotors, or what acts in joints alone, where they are not wanted.
+    def efforts(self, state: TreeState, *, joints: bool = True) -> Array:
+        """Return L (nv, N), N or N·m; without friction and springs of joints where they are not wanted.
 
-        NaN where q is.
+        A state without values of wrenches is one without wrenches.
         """
         effort = np.zeros((self.robot.model.nv, len(state.q)))
         if joints:
@@ -85,43 +85,44 @@ class TreeLoads:
                 v = state.v[:, joint.idx_v]
                 effort[joint.idx_v] += load.resistance(state.q[:, joint.idx_q] if joint.nq == 1 else 0.0 * v, v)
         if self._frames:
-            placed = self._placed(state, rotors)
-            for index, wrench in self._bodies(state, placed, rotors).items():
+            placed = self._placed(state)
+            for index, wrench in self._bodies(state, placed).items():
                 for column in self.supports[index]:
                     effort[column] -= np.einsum("in,in->n", placed.pose.jacobian[:, column], wrench)
-            for rotor in self._rotors if rotors else ():
+            for rotor in self._rotors:
                 effort[rotor.column] += rotor.load.rotor_inertia * rotor.load.gear * placed.spins[rotor.load.joint].turn
         return effort
 
     def rotor_mass(self, state: TreeState) -> Array:
         """Return (nv, nv) what the rotors add to the mass matrix at one sample."""
         nv = self.robot.model.nv
-        still, pushed = np.zeros((nv + 1, nv)), np.concatenate([np.zeros((1, nv)), np.eye(nv)])
-        many = TreeState(np.repeat(state.q, nv + 1, axis=0), still, pushed)
-        turning = self.rotor_efforts(many)
-        mass: Array = turning[:, 1:] - turning[:, :1]
-        return mass
-
-    def rotor_efforts(self, state: TreeState) -> Array:
-        """Return (nv, N) the share of the rotors in L."""
-        effort = np.zeros((self.robot.model.nv, len(state.q)))
-        placed = self._placed(state, True)
+        at_rest = TreeState(np.repeat(state.q, nv, axis=0), np.zeros((nv, nv)), np.eye(nv))
+        mass, placed = np.zeros((nv, nv)), self._placed(at_rest)
         for rotor in self._rotors:
             spin, size = placed.spins[rotor.load.joint], rotor.load.rotor_inertia * rotor.load.gear
-            effort[rotor.column] += size * spin.turn
+            mass[rotor.column] += size * spin.turn
             for column in self.supports[rotor.parent]:
-                effort[column] += size * np.einsum("in,in->n", placed.pose.jacobian[3:, column], spin.rate)
+                mass[column] += size * np.einsum("in,in->n", placed.pose.jacobian[3:, column], spin.rate)
+        return mass
+
+    def external(self, state: TreeState) -> Array:
+        """Return (nv, N) Σ Jᵀ w of the wrenches alone."""
+        effort, pose = np.zeros((self.robot.model.nv, len(state.q))), self._tree.pose(state.q)
+        for wrench, value in zip(self._wrenches, state.wrenches, strict=True):
+            total = _external(wrench, value, _Placed(pose, {}, {}))
+            for column in self.supports[self._carried_by[wrench.frame]]:
+                effort[column] += np.einsum("in,in->n", pose.jacobian[:, column], total)
         return effort
 
     def bodies(self, state: TreeState) -> dict[int, Array]:
         """Return by joint index the wrench (6, N) on the body it moves: about the world origin, world axes."""
-        return self._bodies(state, self._placed(state, True), True) if self._frames else {}
+        return self._bodies(state, self._placed(state)) if self._frames else {}
 
     def resultant(self, state: TreeState) -> Array:
         """Return (N, 6) what of the loads reaches the base: external wrenches less the rate of the rotors' momentum."""
         total = np.zeros((6, len(state.q)))
         if self._frames:
-            placed = self._placed(state, True)
+            placed = self._placed(state)
             for wrench, value in zip(self._wrenches, state.wrenches, strict=True):
                 if self._carried_by[wrench.frame]:
                     total += _external(wrench, value, placed)
@@ -136,7 +137,7 @@ class TreeLoads:
             if load.stiffness:
                 total += 0.5 * load.stiffness * (state.q[:, joint.idx_q] - load.rest) ** 2
         if self._frames:
-            placed = self._placed(state, True)
+            placed = self._placed(state)
             for rotor in self._rotors:
                 size = rotor.load.rotor_inertia * rotor.load.gear
                 v = state.v[:, rotor.column]
@@ -178,34 +179,33 @@ class TreeLoads:
         shortest = np.full(len(state.q), np.inf)
         if not self._springs:
             return shortest
-        placed = self._placed(state, False)
+        placed = self._placed(state)
         for spring in self._springs:
             line = placed.point(spring.frame_b, spring.point_b) - placed.point(spring.frame_a, spring.point_a)
             shortest = np.minimum(shortest, np.linalg.norm(line, axis=0))
         return shortest
 
-    def _placed(self, state: TreeState, rotors: bool) -> _Placed:
+    def _placed(self, state: TreeState) -> _Placed:
         pose = self._tree.pose(state.q)
-        moving = self._springs or (rotors and self._rotors)
-        motions = self._tree.motions(pose, state.v) if moving else {}
+        motions = self._tree.motions(pose, state.v) if self._springs or self._rotors else {}
         placed = _Placed(pose, motions, {})
-        for rotor in self._rotors if rotors else ():
+        for rotor in self._rotors:
             placed.spins[rotor.load.joint] = rotor.spin(placed, state, self.supports)
         return placed
 
-    def _bodies(self, state: TreeState, placed: _Placed, rotors: bool) -> dict[int, Array]:
+    def _bodies(self, state: TreeState, placed: _Placed) -> dict[int, Array]:
         total: dict[int, Array] = {}
 
         def add(joint: int, wrench: Array) -> None:
             total[joint] = total.get(joint, 0.0) + wrench
 
-        for wrench, value in zip(self._wrenches, state.wrenches, strict=True):
+        for wrench, value in zip(self._wrenches, state.wrenches, strict=False):  # none are given, or all
             add(self._carried_by[wrench.frame], _external(wrench, value, placed))
         for spring in self._springs:
             on_b = _spring_wrench(spring, placed)
             add(self._carried_by[spring.frame_b], on_b)
             add(self._carried_by[spring.frame_a], -on_b)
-        for rotor in self._rotors if rotors else ():
+        for rotor in self._rotors:
             moment = -rotor.load.rotor_inertia * rotor.load.gear * placed.spins[rotor.load.joint].rate
             add(rotor.parent, np.concatenate([np.zeros_like(moment), moment]))
         return total
@@ -302,6 +302,20 @@ def _spring_wrench(spring: Spring, placed: _Placed) -> Array:
 def tree_loads(robot: Robot) -> TreeLoads | None:
     """Return the loads of a robot on its tree; None where payloads, which its bodies have, are all there is."""
     return TreeLoads(robot) if any(not isinstance(load, Payload) for load in robot.loads) else None
+
+
+def tree_equations(robot: Robot, data: pin.Data, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """Return (nv,) generalised forces of the tree at one state, wrenches left out, and its mass matrix.
+
+    Of the mass matrix (nv, nv) the upper triangle counts.
+    """
+    model, loads = robot.model, tree_loads(robot)
+    effort, mass = np.array(pin.rnea(model, data, q, v, a)), pin.crba(model, data, q)
+    if loads is not None:
+        state = TreeState(q[None], v[None], a[None])
+        effort += loads.efforts(state)[:, 0]
+        mass = mass + loads.rotor_mass(state) if loads.has_rotors else mass
+    return effort, mass
 
 
 def _frame(model: pin.Model, name: str) -> pin.Frame:

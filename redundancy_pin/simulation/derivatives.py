@@ -26,7 +26,7 @@ from redundancy_pin.dynamics.forward import ForwardKernel, LinearParts
 from redundancy_pin.errors import SingularPoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import difference, row_scale, velocity_scale
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Payload, Robot
 from redundancy_pin.simulation.forward import ForwardDynamics
 from redundancy_pin.simulation.state import State
 
@@ -131,9 +131,16 @@ def inverse_derivatives(
         carrier_force: (k,) carrier forces, N.
 
     Raises:
-        UnsupportedRobotError: a joint has more than one freedom.
+        UnsupportedRobotError: a joint has more than one freedom; loads but for payloads, whose derivatives
+            ``CompiledDynamics`` has.
         SingularPoseError: a type I pose, where (x, s) are no coordinates.
     """
+    loads = [load for load in robot.loads if not isinstance(load, Payload)]
+    if loads:
+        raise UnsupportedRobotError(
+            f"Derivatives of {loads[0]!r} are not known here.",
+            remedy="Pass dynamics=CompiledDynamics(robot), or linearise without loads; wrenches have none at all.",
+        )
     chain = ClosedChain(robot)
     model, data = chain.model, chain.data
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):

@@ -4,8 +4,8 @@ With J_c N = 0 and J_c a₀ = −J̇_c v, accelerations are a = N z̈ + a₀ and
 
     (Nᵀ M N) z̈ = Nᵀ (u − rnea(q, v, a₀)),
 
-u the generalised forces of main actuators, carriers and whatever else acts. Rotors behind gears belong to M and to
-rnea here, as their forces depend on accelerations. z are tree coordinates chosen by rank
+u the generalised forces of main actuators, carriers and whatever else acts. Loads of the robot but for wrenches belong
+to M and to rnea here. z are tree coordinates chosen by rank
 (``partition``), so the equations are regular wherever J_c has full row rank and the free motions have inertia: at
 singularities of type I and type II too.
 
@@ -22,11 +22,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from scipy.linalg import blas, eigh, lapack
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, IntArray
-from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
+from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import IllPosedModelError, SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import velocity_scale
@@ -117,8 +116,6 @@ class ForwardDynamics:
         self.chain = ClosedChain(robot)
         self.prescribed = prescribed
         nothing = np.empty(0, dtype=np.intp)
-        loads = tree_loads(robot)
-        self._rotors = loads if loads is not None and loads.has_rotors else None
         self._carriers = np.array(robot.carrier_velocity)
         self._free: IntArray = nothing if prescribed else self._carriers
         self._given: IntArray = self._carriers if prescribed else nothing
@@ -220,10 +217,7 @@ class ForwardDynamics:
 
     def _solve(self, q: Array, v: Array, force: Array, basis: Array, particular: Array, inverse_scale: Array) -> Array:
         model, data = self.robot.model, self.chain.data
-        effort = self._effort(q, v, particular)
-        mass = pin.crba(model, data, q)
-        if self._rotors is not None:
-            mass = mass + self._rotors.rotor_mass(TreeState(q[None], v[None], particular[None]))
+        effort, mass = tree_equations(self.robot, data, q, v, particular)
         # the binding leaves the lower triangle alone, and dsymm reads the upper one only
         reduced = blas.dgemm(1.0, basis, blas.dsymm(1.0, mass, basis), trans_a=1)
         factor, z, failed = lapack.dposv(reduced, basis.T.dot(force - effort))
@@ -237,13 +231,6 @@ class ForwardDynamics:
         result: Array = particular + basis.dot(z)
         return result
 
-    def _effort(self, q: Array, v: Array, a: Array) -> Array:
-        """Return (nv,) generalised forces of the tree with its rotors."""
-        effort: Array = pin.rnea(self.robot.model, self.chain.data, q, v, a)
-        if self._rotors is not None:
-            effort = effort + self._rotors.rotor_efforts(TreeState(q[None], v[None], a[None]))[:, 0]
-        return effort
-
     def forces(self, q: Array, v: Array, force: Array, a: Array, *, sheet: Sheet | None = None) -> Acceleration:
         """Return closure forces and carrier forces that go with an acceleration a (nv,), from here or from elsewhere.
 
@@ -255,7 +242,7 @@ class ForwardDynamics:
         """
         chain = self.chain
         chain.update(q, v)
-        missing = self._effort(q, v, a) - force
+        missing = tree_equations(self.robot, chain.data, q, v, a)[0] - force
         # J_cᵀ λ = missing holds in all rows; those of the dependent velocities are square and well conditioned
         jacobian, closure = chain.jacobian(), np.full(chain.rows, np.nan)
         if sheet is None:

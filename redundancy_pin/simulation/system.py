@@ -14,7 +14,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
-from redundancy_pin.robot import Closure, Robot, Wrench
+from redundancy_pin.robot import Closure, Payload, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
 from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command, one_of
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
@@ -180,7 +180,7 @@ class Machine:
     @property
     def heeds_time_only(self) -> bool:
         """Whether what acts, but for commands that are held, is no function of the state."""
-        return self._law is None and self._external is None
+        return self._law is None and self._external is None and not of_kind(self.robot.loads, Wrench)
 
     @property
     def prescribed(self) -> bool:
@@ -213,8 +213,8 @@ class Machine:
         force[robot.actuated_velocity] = command[0]
         if self._law is None:
             force[robot.carrier_velocity] = command[1]
-        if self._loads is not None:  # rotors are in the equations, as their forces depend on accelerations
-            force -= self._loads.efforts(_tree_state(state), rotors=False)[:, 0]
+        if of_kind(robot.loads, Wrench) and self._loads is not None:  # other loads are in the equations
+            force += self._loads.external(_tree_state(state))[:, 0]
         return force if self._external is None else force + self._external(state)
 
     def energy(self, state: State) -> float:
@@ -256,10 +256,9 @@ def _compiled(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics
             "Pinocchio's constraintDynamics cannot drive carriers by motion.",
             remedy='Use method="projected", or drive the carriers by force.',
         )
-    loads = tree_loads(robot)
-    if loads is not None and loads.has_rotors:
+    if any(not isinstance(load, (Payload, Wrench)) for load in robot.loads):
         raise UnsupportedRobotError(
-            "Pinocchio's constraintDynamics knows no rotors that turn with their links.",
+            "Pinocchio's constraintDynamics knows no friction, springs and rotors that turn with their links.",
             remedy='Use method="projected".',
         )
     return ConstraintDynamics(robot)

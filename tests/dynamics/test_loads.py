@@ -333,6 +333,11 @@ def test_planned_efforts_in_open_loop_close_with_everything_on(name: str) -> Non
     assert run.status.value == "completed"
     expected = np.array([reference.platform(t)[0] for t in run.t])
     assert np.abs(run.x - expected).max() < REPLAY
+    if name == "2rpr":  # machine code, which has rows, masses and loads of its own
+        code = rp.simulate(loaded, rp.simulation.FeedForward(reference), dynamics=CompiledDynamics(loaded), **simulated)
+        assert np.abs(code.x - expected).max() < REPLAY
+        assert_alike(code.energy, run.energy, 1e-9)
+        assert_alike(code.closure_force, run.closure_force, 1e-7)
     lacking = replace(loaded, loads=loaded.loads[2:])
     off = rp.simulate(lacking, rp.simulation.FeedForward(reference), **simulated)
     assert np.abs(off.x - expected[: len(off.x)]).max() > 1e-5

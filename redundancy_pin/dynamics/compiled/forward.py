@@ -19,10 +19,12 @@ from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_der
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.forward import Accelerations, Advance, Equations, LinearParts, Loads, Rules
+from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Robot, Wrench
+from redundancy_pin.robot.loads import of_kind
 
-_WRITTEN = ("symbols.py", "build.py", "emit.py", "forward.py", "forward.c")
+_WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "forward.py", "forward.c")
 
 _LOOK = 1
 """Status of ``rp_advance``: the next step is for its caller."""
@@ -69,7 +71,9 @@ def source(robot: Robot) -> str:
     """Return the C of a robot's forward dynamics."""
     ca, chain = casadi(), SymbolicChain(robot)
     pose, motion = [chain.q, chain.trig], [chain.q, chain.trig, chain.v]
-    efforts, _ = chain.efforts
+    # wrenches are forces that the simulation hands over; all other loads are part of the equations
+    nothing = ca.SX.zeros(chain.external.numel())
+    efforts = ca.substitute(chain.efforts[0], chain.external, nothing)
     at_rest = ca.substitute(efforts, chain.a, ca.SX.zeros(chain.model.nv))
     mass = ca.jacobian(efforts, chain.a)
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
@@ -168,7 +172,12 @@ class CompiledForward:
         carriers = CarrierMotion(q[:, at], v[:, moves], a[:, moves])
         # the platform is where its state is: coordinates that were missed would change nothing that is read here
         x = np.zeros((samples, 16 if robot.platform is not None and robot.platform.is_pose else robot.n))
-        tree = TreeSamples(x, q, v, a, np.ones(samples, dtype=bool))
+        if of_kind(robot.loads, Wrench):
+            raise UnsupportedRobotError(
+                f"{robot.name} has wrenches on it, whose derivatives are not known here.",
+                remedy="Linearise, and design a controller, without them.",
+            )
+        tree = TreeSamples(x, q, v, a, np.ones(samples, dtype=bool), np.zeros((samples, 0)))
         d = motion_derivatives(robot, design_of(robot, ()), tree, carriers)
 
         def both(name: str, carrier_name: str) -> Array:

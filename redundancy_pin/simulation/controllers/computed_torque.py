@@ -14,6 +14,7 @@ from redundancy_pin.arrays import RANK_TOLERANCE, Array, read_only
 from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus, CarrierForces, allocate
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.forward import Equations, ForwardKernel
+from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import row_scale
@@ -93,12 +94,11 @@ class ReducedModel:
         )
 
     def _equations(self, q: Array, v: Array) -> Equations:
-        chain, model, data = self.chain, self.robot.model, self.chain.data
+        chain = self.chain
         chain.update(q, v)
         system = np.concatenate([chain.jacobian(), chain.platform_jacobian()])[:, self._columns]
         rates = np.concatenate([chain.bias(), chain.platform_jacobian_rate().dot(v)])
-        effort = np.array(pin.rnea(model, data, q, v, np.zeros(len(v))))
-        mass = pin.crba(model, data, q)
+        effort, mass = tree_equations(self.robot, chain.data, q, v, np.zeros(len(v)))
         return Equations(system, rates, np.triu(mass) + np.triu(mass, 1).T, effort)
 
 
