@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 from typing import Literal
@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from redundancy_pin.arrays import Array, frozen, read_only
+from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import IllPosedModelError, InfeasiblePlanError, InputError, SingularPoseError
 from redundancy_pin.kinematics.coordinates import distance, moved, row_scale
 from redundancy_pin.planners.plan import Plan
@@ -110,6 +111,7 @@ def replay(
     name: str = "",
     motion: TimedTrajectory | None = None,
     sampling: Sampling = SAMPLING,
+    backend: Callable[[Robot], Dynamics | None] | None = None,
 ) -> Replay:
     """Replay a plan on its own robot.
 
@@ -127,6 +129,7 @@ def replay(
         name: of the plan, for the result.
         motion: the trajectory that was planned for.
         sampling: of the controllers.
+        backend: makes the ``dynamics`` of ``simulate`` for the plan's robot, ``CompiledDynamics`` to be fast.
 
     Raises:
         InputError: an unknown drive.
@@ -149,6 +152,7 @@ def replay(
             rtol=RTOL if digital is None else CONTROLLED_RTOL,
             atol=ATOL if digital is None else CONTROLLED_ATOL,
             integrator="DOP853" if digital is None else "RK45",
+            dynamics=backend and backend(robot),
         )
     except (IllPosedModelError, SingularPoseError) as reason:
         return Replay(name, drive, "ill_posed", str(reason))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
@@ -35,6 +36,15 @@ BACKENDS: dict[str, Callable[[Robot], Dynamics]] = {
     COMPILED: CompiledDynamics,
 }
 """Dynamics of a robot, by the name the command line uses."""
+
+
+def machine_code(robot: Robot) -> CompiledDynamics | None:
+    """Return a robot's dynamics as machine code, for long simulations; None where there is no compiler."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of simulations without them only the time is another
+        dynamics = CompiledDynamics(robot)
+    return dynamics if dynamics.compiled else None
+
 
 Mode: TypeAlias = tuple[int, ...]
 """Working mode, ±1 a leg."""

@@ -32,7 +32,7 @@ from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.simulation.replay import Drive, Replay, replay
 from redundancy_pin.studies import beyond, planned
-from redundancy_pin.studies.case import Case, Plans
+from redundancy_pin.studies.case import Case, Plans, machine_code
 from redundancy_pin.studies.cases import (
     CHAPTERS,
     FULL,
@@ -238,7 +238,7 @@ def run_replays(plans: Plans, extent: Extent, tell: Callable[[str], None]) -> tu
 
 
 def _replay(replayed: Replayed, plan: Plan, drive: Drive) -> Replay:
-    return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory())
+    return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory(), backend=machine_code)
 
 
 # --- files ---------------------------------------------------------------------------------------------------------
