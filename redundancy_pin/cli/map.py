@@ -13,6 +13,7 @@ import click
 from redundancy_pin.cli.errors import FAILED_CHECK
 from redundancy_pin.cli.options import (
     backend_option,
+    is_points_file,
     jobs_option,
     json_option,
     require_choice,
@@ -44,6 +45,7 @@ from redundancy_pin.studies.feasibility import (
 )
 from redundancy_pin.studies.store import FILE
 from redundancy_pin.studies.table import Column, Table, json_data
+from redundancy_pin.trajectory.points import read_points
 from redundancy_pin.visualisation.figures.style import require_matplotlib
 from redundancy_pin.workers import cluster
 
@@ -129,6 +131,8 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
     if given["trajectory"] is None and robot not in PRESETS:
         raise InputError(f"There is no usual motion of {robot}.", remedy="Add --trajectory.")
     name, options = split_trajectory(given["trajectory"]) if given["trajectory"] else (preset.trajectory, {})
+    if is_points_file(name):  # the points are part of the problem, and of its store: not the name of a file
+        name, options = "points", {"points": _points(name), **options}
     usual = name == preset.trajectory  # limits and options of a preset were chosen for its own motion
     x, y = parse_axis(given["x_text"] or preset.x), parse_axis(given["y_text"] or preset.y)
     limits = {**(preset.limits if usual else {})}
@@ -163,6 +167,17 @@ def problem_of(given: Mapping[str, Any]) -> MapProblem:
         planners=given["planners"] or (preset.thesis, WHOLE),
         parameters={planner: _read(planner, values) for planner, values in parameters.items()},
     )
+
+
+def _points(file: str) -> str:
+    """Return the points of a file as they are written in ``points:points=...``."""
+    points, times, speed = read_points(file)
+    if times is not None or speed is not None:
+        raise InputError(
+            f"{file} says when its points are passed, which a map varies.",
+            remedy="Leave the columns t and speed out, and add :speed=0.1,ramp_time=0.2.",
+        )
+    return ";".join(" ".join(repr(value) for value in row) for row in points.tolist())
 
 
 def _parameter(text: str) -> tuple[str, str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -210,11 +211,24 @@ def _trajectories() -> Mapping[str, Callable[..., Trajectory]]:
     return TRAJECTORIES
 
 
+def _maker(name: str) -> Callable[..., Trajectory] | None:
+    """Return what makes the trajectory of a name or of a file of points; None where there is no such name."""
+    if is_points_file(name):
+        from redundancy_pin.trajectory import from_points
+
+        return functools.partial(from_points, name)
+    return _trajectories().get(name)
+
+
+def is_points_file(name: object) -> bool:
+    """Return whether the name of a trajectory is that of a file of points."""
+    return isinstance(name, str) and name.lower().endswith((".csv", ".json"))
+
+
 def make_trajectory(name: str, options: Mapping[str, Any]) -> Trajectory:
-    """Return a trajectory by name."""
+    """Return a trajectory by name, or through the points of a file."""
     # the maker's signature is the schema: a new trajectory needs no table of its keys here
-    makers = _trajectories()
-    make = makers[require_choice(name, tuple(makers), "the trajectory")]
+    make = _maker(name) or _trajectories()[require_choice(name, tuple(_trajectories()), "the trajectory")]
     signature = inspect.signature(make)
     where = f"the trajectory {name}"
     require_known(options, tuple(signature.parameters), where)
@@ -229,8 +243,8 @@ def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory
     name, texts = split_trajectory(text)
     options = {key: trajectory_value(key, value, f"the trajectory {name}") for key, value in texts.items()}
     given = {key: value for key, value in flags.items() if value is not None}
-    makers = _trajectories()
-    known = inspect.signature(makers[name]).parameters if name in makers else given
+    maker = _maker(name)
+    known = inspect.signature(maker).parameters if maker else given
     for key in given:
         flag = f"--{key.replace('_', '-')}"
         if key in options:
@@ -261,8 +275,9 @@ def followed_motion(
 
 
 def split_trajectory(text: str) -> tuple[str, dict[str, str]]:
-    """Return the name and the options, as text, of ``name:key=value,...``."""
-    name, _, rest = text.partition(":")
+    """Return the name, or the file, and the options, as text, of ``name:key=value,...``."""
+    file = re.match(r"(.*?\.(?:csv|json))(?::(.*))?$", text, re.IGNORECASE)
+    name, rest = (file[1], file[2] or "") if file else text.partition(":")[::2]
     options: dict[str, str] = {}
     for pair in filter(None, rest.split(",")):
         key, separator, value = pair.partition("=")
@@ -276,6 +291,8 @@ def trajectory_value(key: str, text: str, where: str) -> Any:
     """Return the value of a key: a number, true or false, a row as ``1.0 0.4``, or rows between ``;``."""
     if text in ("true", "false"):
         return text == "true"
+    if key == "times" and text == "time-optimal":
+        return text
     try:
         # commas part the pairs of a trajectory already: rows have blanks and semicolons
         if ";" in text:
@@ -293,9 +310,10 @@ def trajectory_option(what: str) -> Callable[[_Command], _Command]:
     """Return the option ``--trajectory``; its help says what the trajectory is for."""
     return click.option(
         "--trajectory",
-        metavar="NAME[:KEY=VALUE,...]",
+        metavar="NAME|FILE[:KEY=VALUE,...]",
         help=f"{what}: {', '.join(_trajectories())}; such as circle:speed=0.5, or "
-        "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'.",
+        "'points:points=1.0 0.4;1.0 0.5,speed=0.1,ramp_time=0.2,alpha=0'. Or through the points of a CSV or JSON file: "
+        "way.csv (columns t,x,y), way.csv:speed=0.1, way.csv:times=time-optimal,max_speed=0.5,max_acceleration=2.",
     )
 
 

@@ -16,6 +16,7 @@ from redundancy_pin.arrays import frozen
 from redundancy_pin.cli.errors import KEYS
 from redundancy_pin.cli.options import (
     RobotOptions,
+    is_points_file,
     make_trajectory,
     parse_mode,
     parse_setting,
@@ -404,8 +405,9 @@ def _motion(data: Mapping[str, Any], path: Path) -> PlatformMotion | Trajectory:
     options = dict(_mapping(data["trajectory"], "trajectory"))
     if "name" not in options:
         raise InputError("The trajectory lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")
+    name = options.pop("name")
     with _about("trajectory."):
-        return make_trajectory(options.pop("name"), options)
+        return make_trajectory(str(path.parent / name) if is_points_file(name) else name, options)
 
 
 def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:

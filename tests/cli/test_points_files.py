@@ -1,0 +1,103 @@
+"""``--trajectory FILE``: points of one's own wherever a motion goes in."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import call, refused
+
+import redundancy_pin as rp
+from redundancy_pin.cli.map import problem_of
+from redundancy_pin.cli.plan_problem import read_problem
+from redundancy_pin.trajectory import from_points
+
+WAY = np.array([[0.15, 0.3], [0.2, 0.1], [0.22, -0.1], [0.25, -0.3]])  # through the singular line y = 0 of the 2-RPR
+TIMES = np.array([0.0, 0.6, 1.1, 1.8])
+
+
+@pytest.fixture(autouse=True)
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, columns in (("timed.csv", np.column_stack([TIMES, WAY])), ("way.csv", WAY)):
+        names = "t,x,y" if columns.shape[1] == 3 else "x,y"
+        Path(name).write_text("\n".join([names, *(",".join(map(repr, row)) for row in columns.tolist())]) + "\n")
+    Path("way.json").write_text(json.dumps({"points": WAY.tolist(), "t": TIMES.tolist()}))
+
+
+@pytest.mark.parametrize(
+    ("flags", "arguments"),
+    [
+        (("timed.csv",), {"times": TIMES}),
+        (("way.json",), {"times": TIMES}),
+        (("way.csv", "--speed", "0.5", "--ramp-time", "0.2"), {"speed": 0.5, "ramp_time": 0.2}),
+        (("way.csv:speed=0 0.2 0.3 0",), {"speed": [0.0, 0.2, 0.3, 0.0]}),
+        (
+            ("way.csv:times=time-optimal,max_speed=0.5,max_acceleration=2 3",),
+            None,
+        ),
+        (
+            ("way.csv:times=time-optimal,max_speed=0.5 0.4,max_acceleration=2 3",),
+            {"times": "time-optimal", "max_speed": [0.5, 0.4], "max_acceleration": [2.0, 3.0]},
+        ),
+    ],
+)
+def test_plans_and_singularities_are_those_of_from_points(flags: tuple[str, ...], arguments: dict | None) -> None:
+    if arguments is None:
+        assert "different numbers" in refused("singularities", "--robot", "2rpr", "--trajectory", *flags)
+        return
+    motion = from_points(WAY, **arguments)
+    if len(flags) == 1:  # `singularities` has no flags of trajectories
+        told = json.loads(call("singularities", "--robot", "2rpr", "--trajectory", *flags, "--json").stdout)
+        expected = [crossing.t for crossing in rp.find_crossings("2rpr", motion)]
+        assert [crossing["t"] for crossing in told["crossings"]] == pytest.approx(expected, rel=1e-12)
+        assert len(expected) == 1
+        return
+    result = call(
+        "plan", "switch-off", "--robot", "2rpr", "--trajectory", *flags, "--threshold", "20", "--dt", "0.05", "--out",
+        "plan.npz",
+    )  # fmt: skip
+    assert result.exit_code in (0, 3), result.stderr
+    plan = rp.plan_switch_off(rp.RneaDynamics("2rpr"), motion, threshold=20.0, dt=0.05)
+    np.testing.assert_array_equal(rp.load_plan("plan.npz").tau, plan.tau)
+
+
+def test_problem_files_name_them_from_their_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "planner: switch-off\nrobot: 2rpr\ntrajectory: {name: way.csv, speed: 0.2}\n"
+    Path("problem.yaml").write_text(text, encoding="utf-8")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    motion = read_problem(tmp_path / "problem.yaml").motion
+    np.testing.assert_array_equal(motion.sample(0.1).x, from_points(WAY, speed=0.2).sample(0.1).x)
+
+
+def test_a_map_takes_the_points_and_not_the_file() -> None:
+    """Its store would not notice that the file has changed."""
+    given = dict.fromkeys(("mode", "gravity", "backend", "stroke", "max_speed", "max_acceleration", "max_jerk"))
+    given |= dict.fromkeys(("max_effort", "max_carrier_force"))
+    given |= {
+        "robot": "2rpr", "settings": {}, "trust": False, "planners": (), "parameters": (),
+        "trajectory": "way.csv:ramp_time=0.2", "x_text": "speed=0.1:0.3:3", "y_text": "carrier_mass=1:2:2",
+    }  # fmt: skip
+    problem = problem_of(given)
+    assert problem.trajectory == "points"
+    assert problem.options == {"points": WAY.tolist(), "ramp_time": 0.2}
+    with pytest.raises(rp.errors.InputError, match="which a map varies"):
+        problem_of({**given, "trajectory": "timed.csv"})
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "says"),
+    [
+        ("nowhere.csv", "nowhere.csv"),
+        ("way.csv", "Neither times nor speed"),
+        ("way.csv:times=soon", "times of the trajectory way.csv is 'soon'"),
+        ("way.csv:spead=1", "no key 'spead'. Did you mean 'speed'"),
+        ("timed.csv:speed=1", "times of its own"),
+        ("way.csv:speed=-1", "speed is -1 m/s"),
+    ],
+)
+def test_mistakes_are_one_line(trajectory: str, says: str) -> None:
+    assert says in refused("singularities", "--robot", "2rpr", "--trajectory", trajectory)
