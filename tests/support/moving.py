@@ -58,11 +58,14 @@ def random_force(robot: Robot, seed: int) -> Array:
     return force
 
 
-def floating(folder: Path) -> Robot:
-    """Return a triangle of a free body and two bars with a carrier on one of them: nothing touches the base."""
+def floating(folder: Path, left: float = 0.0) -> Robot:
+    """Return a triangle of a free body and two bars with a carrier on one of them: nothing touches the base.
+
+    ``left``: of the hinge of that bar from the origin of the free body, m.
+    """
     joints = [
         J("root", "floating", "base", "body"),
-        J("left", "revolute", "body", "left_bar"),
+        J("left", "revolute", "body", "left_bar", (left, 0, 0)),
         J("left_mount", "fixed", "left_bar", "left_tip", (0.5, 0, 0)),
         J("right", "revolute", "body", "right_bar", (0.6, 0, 0)),
         J("right_mount", "fixed", "right_bar", "right_tip", (0.5, 0, 0)),

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import moving
 import numpy as np
 import pytest
 import zoo
@@ -16,7 +17,7 @@ from scipy.optimize import brentq
 import redundancy_pin as rp
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError
-from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, margin_classes
+from redundancy_pin.visualisation.viewer.scene import MARGIN_COLORS, base_hinges, body_points, margin_classes
 
 INSTANT = 1e-9
 """Both roots are found to 1e-12 s or better."""
@@ -209,7 +210,7 @@ def test_snapshots_show_the_mechanism_once_an_instant() -> None:
         for name in ("carrier_1", "carrier_2"):
             expected.append(view.scene.placement[frame, view.scene.names.index(name), :2, 3])
     np.testing.assert_allclose(middles, expected, atol=1e-9)
-    (path,) = drawn.collections
+    _, path = drawn.collections  # white behind it
     runs = 1 + np.count_nonzero(np.diff(margin_classes(view.scene.path_margin)))
     assert len(path.get_segments()) == runs
     assert {to_hex(color) for color in path.get_colors()} == {color.lower() for color in MARGIN_COLORS}
@@ -237,7 +238,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
     with pytest.raises(InputError, match="robot with a motion"):
         rp.plot.path(plan(), plan().motion)
     four_bar = zoo.robot_of("four_bar")
-    with pytest.raises(InputError, match="x and y"):
+    with pytest.raises(InputError, match="no platform"):
         rp.plot.path(four_bar, rp.PlatformMotion([0.0], [[1.0]], [[0.0]], [[0.0]]))
     with pytest.raises(InputError, match="cannot be compared"):
         rp.plot.comparison({})
@@ -290,3 +291,38 @@ def test_what_cannot_be_drawn_is_refused_by_its_type(draw):
     with pytest.raises(InputError, match="not a dict") as caught:
         draw({})
     assert "rp." in caught.value.remedy
+
+
+def test_a_spatial_path_is_seen_obliquely_and_said_to_be_a_projection() -> None:
+    robot = zoo.robot_of("gough")
+    motion = zoo.smooth_motion(robot).at(np.linspace(0.0, 0.5, 26))
+    oblique, flat, _ = rp.plot.path(robot, motion).axes
+    towards = np.array([0.8, -1.0, 0.6]) / np.sqrt(2.0)
+    seen = next(np.array(line.get_xydata()) for line in oblique.lines if line.get_label() == "path")
+    moved, there = motion.x[:, :3, 3] - motion.x[0, :3, 3], seen - seen[0]
+    # an orthographic picture keeps all lengths but those along the line of sight, and up is up
+    np.testing.assert_allclose((there**2).sum(axis=1), (moved**2).sum(axis=1) - (moved @ towards) ** 2, atol=1e-12)
+    upward = np.array([*(-towards[2] * towards[:2]), 1.0 - towards[2] ** 2]) / np.hypot(*towards[:2])
+    np.testing.assert_allclose(there[:, 1], moved @ upward, atol=1e-9)
+    path = next(line for line in flat.lines if line.get_label() == "path")
+    np.testing.assert_allclose(path.get_xydata(), motion.x[:, :2, 3], atol=1e-9)
+    assert flat.get_title() == "path, projection on x, y"
+    assert {text.get_text() for text in oblique.texts} >= {"x", "y", "z", "axes: 0.1 m"}
+
+
+def test_snapshots_of_a_spatial_machine_are_not_flattened_without_a_word() -> None:
+    view = rp.show(zoo.robot_of("gough"))
+    assert {"x", "y", "z"} <= {text.get_text() for text in rp.plot.snapshots(view, 1).axes[0].texts}
+    assert rp.plot.snapshots(view, 1, plane="xz").axes[0].get_title() == "gough, projection on x, z"
+    planar = rp.plot.snapshots(rp.show(zoo.robot_of("2rpr")), 1).axes[0]
+    assert (planar.get_xlabel(), "projection" in planar.get_title()) == ("x [m]", False)
+
+
+def test_the_origin_of_a_floating_joint_is_no_hinge(tmp_path: Path) -> None:
+    robot = moving.floating(tmp_path, left=0.1)
+    body = robot.model.getJointId("root")
+    np.testing.assert_allclose(sorted(body_points(robot, body)[:, 0]), [0.1, 0.6], atol=1e-12)
+    assert len(base_hinges(robot)) == 0
+    scene = rp.show(robot).scene
+    assert not [solid for solid in scene.solids if solid.role == "base"]
+    rp.plot.snapshots(scene, 2)

@@ -1,4 +1,7 @@
-"""Figures in the plane: the path of a motion, the mechanism at several instants, singular curves of the workspace."""
+"""Figures in the plane: the path of a motion, the mechanism at several instants, singular curves of the workspace.
+
+What is not flat is seen obliquely ("3d"), with the directions of the axes drawn, or projected on two axes, and said so.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,7 @@ from redundancy_pin.visualisation.figures.time_panels import Background, Windows
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import (
     MARGIN_COLORS,
+    OBLIQUE,
     UNKNOWN_COLOR,
     Scene,
     base_hinges,
@@ -34,12 +38,60 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ZOOM_BELOW = 0.3  # A path smaller than this fraction of the mechanism gets a panel of its own
+_TRIAD = 0.12  # length of the drawn axes, in widths of the picture
 
 
-def label_plane(axes: Axes, plane: str = "xy") -> None:
-    """Give both axes their names and the same scale."""
+def projection(plane: str) -> Array:
+    """Return (2, 3) the matrix from the world to a picture: "xy", "xz", "yz", or "3d", seen obliquely.
+
+    Raises:
+        InputError: an unknown plane.
+    """
+    if plane == "3d":
+        towards = np.array(OBLIQUE) / np.linalg.norm(OBLIQUE)
+        right = np.cross([0.0, 0.0, 1.0], towards)
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(towards, right)])
+    if plane not in _PLANES:
+        raise InputError(f"The plane is {plane!r}.", remedy=f"Choose one of {', '.join((*_PLANES, '3d'))}.")
+    matrix: Array = np.eye(3)[list(_PLANES[plane])]
+    return matrix
+
+
+def label_plane(axes: Axes, plane: str = "xy", *, flat: bool = True) -> None:
+    """Give both axes their names and the same scale; say what is a projection of something that is not ``flat``."""
     axes.set_aspect("equal", adjustable="datalim")
+    if plane == "3d":
+        _draw_triad(axes)
+        return
     axes.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]")
+    if not flat:
+        _add_title(axes, f"projection on {plane[0]}, {plane[1]}")
+
+
+def _add_title(axes: Axes, text: str) -> None:
+    title = axes.get_title()
+    axes.set_title(f"{title}, {text}" if title else text)
+
+
+def _draw_triad(axes: Axes) -> None:
+    """Draw the directions of the world's axes in a corner, of a length that is said, in place of ticks."""
+    axes.set(xticks=[], yticks=[])
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+    axes.autoscale_view()
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    wide = _TRIAD * max(right - left, top - bottom)
+    step = 10.0 ** np.floor(np.log10(wide))
+    length = step * max(factor for factor in (1.0, 2.0, 5.0) if factor * step <= wide)
+    foot = np.array([left + length, bottom - 1.2 * length])  # below everything else
+    axes.update_datalim([foot - [length, 0.8 * length]])
+    axes.autoscale_view()
+    for name, tip in zip("xyz", length * projection("3d").T, strict=True):
+        arrow = {"arrowstyle": "-|>", "color": "#444444", "mutation_scale": 8, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", xy=tuple(foot + tip), xytext=tuple(foot), arrowprops=arrow)
+        axes.annotate(name, xy=tuple(foot + 1.25 * tip), ha="center", va="center", fontsize=8)
+    axes.annotate(f"axes: {length:g} m", xy=(0.01, 0.005), xycoords="axes fraction", fontsize=7.5, color="#444444")
 
 
 def _draw_mechanism(axes: Axes, lines: Sequence[Array], hinges: Array | None) -> None:
@@ -80,27 +132,30 @@ def plot_path(
 ) -> Figure:
     """Draw the mechanism with the path, the path enlarged where it is small, and the condition number over time.
 
-    All of it in the plane of the base frame's x and y, m: the path ``point`` (N, 2), the lines (2, 2) of the mechanism
-    at the start, the ``hinges`` (h, 2) on the base, and where the path meets singularities, (2,) each. ``condition``
-    (N,) is infinite at a singularity.
+    All of it in the base frame, m: the path ``point`` (N, 2) in x and y, or (N, 3), the lines (2, 2) or (2, 3) of the
+    mechanism at the start, the ``hinges`` (h, 2) or (h, 3) on the base, and where the path meets singularities, (2,) or
+    (3,) each. ``condition`` (N,) is infinite at a singularity. What has three coordinates is seen obliquely, its path
+    in a panel of its own as a projection on x and y.
     """
-    everything = np.concatenate([point, hinges, *mechanism])
-    zoomed = np.ptp(point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
+    everything, spatial = np.concatenate([point, hinges, *mechanism]), point.shape[1] == 3
+    zoomed = spatial or np.ptp(point, axis=0).max() < _ZOOM_BELOW * np.ptp(everything, axis=0).max()
     ratios = [1.0, 1.0, 1.4] if zoomed else [1.0, 1.4]
     with figure(10.0 if zoomed else 8.0, 3.6, title) as drawn:
-        *planes, last = drawn.subplots(1, len(ratios), width_ratios=ratios)
-        _draw_mechanism(planes[0], mechanism, hinges)
-        for axes, title in zip(planes, ("mechanism at the start", "path"), strict=False):
-            _draw_path(axes, point, STROKES[0], "path", "start")
-            _draw_singular(axes, singular_points, STROKES[1].color)
-            label_plane(axes)
+        *panels, last = drawn.subplots(1, len(ratios), width_ratios=ratios)
+        views = ("3d", "xy") if spatial else ("xy", "xy")
+        seen = [projection(view)[:, : point.shape[1]].T for view in views]
+        _draw_mechanism(panels[0], [line @ seen[0] for line in mechanism], hinges @ seen[0])
+        for axes, title, view, matrix in zip(panels, ("mechanism at the start", "path"), views, seen, strict=False):
+            _draw_path(axes, point @ matrix, STROKES[0], "path", "start")
+            _draw_singular(axes, [np.asarray(place) @ matrix for place in singular_points], STROKES[1].color)
             axes.set_title(title)
+            label_plane(axes, view, flat=not spatial)
         panel = condition_panel(t, condition, thresholds, singular=bool(instants))
         draw_panel(last, panel, 1.4 * drawn.get_figwidth() / sum(ratios) - 0.8)
         background = Background(instants=instants, windows=windows)
         background.draw(last)
         last.set(xlim=(t[0], t[-1]), xlabel="time t [s]")
-        handles = planes[0].get_legend_handles_labels()[0]
+        handles = panels[0].get_legend_handles_labels()[0]
         legend_below(drawn, [*handles, *background.handles(drawn)])
         return drawn
 
@@ -223,7 +278,7 @@ _DRAWN_AS_JOINT = {"actuated": "o", "passive": "o", "closure": "D"}
 
 
 def draw_snapshots(
-    view: View | Scene, times: Sequence[float] | int = 5, *, plane: str = "xy", title: str | None = None
+    view: View | Scene, times: Sequence[float] | int = 5, *, plane: str | None = None, title: str | None = None
 ) -> Figure:
     """Draw links, tracks, carriers, base and platform at several instants, later ones stronger, over the path.
 
@@ -232,7 +287,8 @@ def draw_snapshots(
     Args:
         view: what ``rp.show`` returns, or its scene.
         times: instants from the start of the motion, s, or how many, evenly spread.
-        plane: which coordinates are drawn: "xy", "xz" or "yz".
+        plane: which coordinates are drawn: "xy", "xz" or "yz"; or "3d", seen obliquely. What fits when left out: "xy"
+            for a machine that moves in a plane z = const, else "3d".
         title: of the figure; the scene's when left out.
 
     Raises:
@@ -243,8 +299,8 @@ def draw_snapshots(
         raise InputError(
             f"snapshots draws a view, not a {type(view).__name__}.", remedy="Pass what rp.show returns: rp.show(plan)."
         )
-    if plane not in _PLANES:
-        raise InputError(f"The plane is {plane!r}.", remedy=f"Choose one of {', '.join(_PLANES)}.")
+    plane = fitting_plane(scene) if plane is None else plane
+    projection(plane)  # refused before anything is drawn
     wanted = np.linspace(0.0, scene.duration, times) if isinstance(times, int) else np.asarray(times, dtype=float)
     if not wanted.size or not ((wanted >= 0.0) & (wanted <= scene.duration)).all():
         raise InputError(
@@ -258,29 +314,34 @@ def draw_snapshots(
             alpha = _FAINTEST + (1.0 - _FAINTEST) * (i + 1) / len(frames)
             draw_frame(axes, scene, frame, plane=plane, alpha=alpha, base=i == 0)
         draw_path(axes, scene, plane=plane)
-        label_plane(axes, plane)
-        legend_below(drawn, _handles(scene, frames))
+        label_plane(axes, plane, flat=scene.is_flat)
+        legend_below(drawn, scene_handles(scene, frames))
         return drawn
+
+
+def fitting_plane(scene: Scene) -> str:
+    """Return the plane that shows a scene: "xy" where it is flat, else "3d"."""
+    return "xy" if scene.is_flat else "3d"
 
 
 def draw_frame(
     axes: Axes, scene: Scene, frame: int, *, plane: str = "xy", alpha: float = 1.0, base: bool = True
 ) -> None:
     """Draw the mechanism at one frame of a scene; the ``base`` is the same in every frame."""
-    columns = list(_PLANES[plane])
+    matrix = projection(plane)
     platform = _COLORS[margin_classes(scene.margin[[frame]])[0]]
     for solid in scene.solids:
         if solid.role == "platform":
-            _draw_solid(axes, replace(solid, color=platform), scene.placement[frame, solid.body], columns, alpha)
+            _draw_solid(axes, replace(solid, color=platform), scene.placement[frame, solid.body], matrix, alpha)
         elif base or solid.role != "base":
-            _draw_solid(axes, solid, scene.placement[frame, solid.body], columns, alpha)
+            _draw_solid(axes, solid, scene.placement[frame, solid.body], matrix, alpha)
 
 
 def draw_path(axes: Axes, scene: Scene, *, plane: str = "xy") -> None:
     """Draw the path of the platform in the colours of the margin."""
     from matplotlib.collections import LineCollection
 
-    points = scene.path[:, list(_PLANES[plane])]
+    points = scene.path @ projection(plane).T
     if len(points) < 2:
         return
     classes = margin_classes(scene.path_margin)
@@ -288,11 +349,13 @@ def draw_path(axes: Axes, scene: Scene, *, plane: str = "xy") -> None:
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges + 1, [len(points)]])
     pieces = [points[a:b] for a, b in zip(starts, stops, strict=True)]
     colors, widths = ([table[classes[a]] for a in starts] for table in (_COLORS, _WIDTHS))
+    # white about it: seen on a platform of its colour
+    axes.add_collection(LineCollection([points], colors=["#FFFFFF"], linewidths=[max(widths) + 2.0], zorder=3.9))
     axes.add_collection(LineCollection(pieces, colors=colors, linewidths=widths, zorder=4.0))
     axes.plot(*points[0], "o", color="#000000", markersize=4, zorder=4.1)
 
 
-def _handles(scene: Scene, frames: Sequence[int]) -> list[Any]:
+def scene_handles(scene: Scene, frames: Sequence[int]) -> list[Any]:
     """Return what the legend says: the kinds of parts there are, and the margins that occur."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -315,17 +378,17 @@ def _handles(scene: Scene, frames: Sequence[int]) -> list[Any]:
     return handles
 
 
-def _draw_solid(axes: Axes, solid: Solid, body: Array, columns: list[int], alpha: float) -> None:
-    """Draw a solid of a body that is placed at (4, 4)."""
+def _draw_solid(axes: Axes, solid: Solid, body: Array, matrix: Array, alpha: float) -> None:
+    """Draw a solid of a body that is placed at (4, 4), by a projection (2, 3)."""
     place, color = body @ solid.placement, solid.color
-    middle = place[:3, 3][columns]
+    middle = matrix @ place[:3, 3]
     if solid.role in _DRAWN_AS_JOINT:
         face = "#FFFFFF" if solid.role == "passive" else color
         axes.plot(*middle, _DRAWN_AS_JOINT[solid.role], markersize=4.5, markerfacecolor=face, alpha=alpha,
                   markeredgecolor="#202020", markeredgewidth=0.7, zorder=2.8)  # fmt: skip
     elif solid.role == "track":
         ends = arc_points(solid) if solid.shape == "arc" else 0.5 * solid.size[2] * np.outer([-1.0, 1.0], [0, 0, 1])
-        points = (ends @ place[:3, :3].T + place[:3, 3])[:, columns]
+        points = (ends @ place[:3, :3].T + place[:3, 3]) @ matrix.T
         axes.plot(*points.T, color=color, alpha=alpha, linewidth=1.2, zorder=2.2, **_TRACK)
     elif solid.mesh is not None or solid.shape == "box":
         corners = corners_of(solid) @ body[:3, :3].T + body[:3, 3]
@@ -336,10 +399,10 @@ def _draw_solid(axes: Axes, solid: Solid, body: Array, columns: list[int], alpha
         if solid.shape == "plate":  # with an edge of its colour: seen from the side it is a line
             opacity, order = (alpha, 2.6) if solid.role == "platform" else (_BASE_OPACITY, 0.5)
             style = {"alpha": opacity, "edgecolor": color, "linewidth": 1.6, "zorder": order}
-        axes.fill(*_hull(corners[:, columns]).T, facecolor=color, **style)
+        axes.fill(*_hull(corners @ matrix.T).T, facecolor=color, **style)
     elif solid.shape == "cylinder":
         radius, length = solid.size
-        along = place[:3, 2][columns]
+        along = matrix @ place[:3, 2]
         if np.linalg.norm(along) * length > radius:  # seen end on it is a disc, which the plate stands for
             ends = np.stack([middle - 0.5 * length * along, middle + 0.5 * length * along])
             width, opacity, order = (5.0, _BASE_OPACITY, 0.5) if solid.role == "base" else (2.6, alpha, 2.0)

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,9 +32,9 @@ from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
 from redundancy_pin.errors import InputError, PlanFileError
 from redundancy_pin.kinematics.coordinates import angle_columns, distance
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.planners.limits import LimitEvent
-from redundancy_pin.planners.plan import Plan, PlanStatus, load_robot_of
+from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, robot_record
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.simulation.result import Simulation, SimulationStatus
@@ -54,7 +54,7 @@ from redundancy_pin.visualisation.figures.time_panels import (
     plot_time_panels,
     series,
 )
-from redundancy_pin.visualisation.viewer.scene import base_hinges, links
+from redundancy_pin.visualisation.viewer.scene import FLAT, base_hinges, links, traced
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -481,46 +481,57 @@ def _distance_panel(run: Simulation, plan: Plan, robot: Robot) -> Panel:
 
 
 def path(
-    subject: Plan | Robot,
+    subject: Plan | Simulation | Robot,
     motion: PlatformMotion | None = None,
     *,
     crossings: Sequence[Crossing] = (),
     title: str | None = None,
 ) -> Figure:
-    """Draw the mechanism at the start of a motion, the path of its platform in x and y, and the condition number.
+    """Draw the mechanism at the start of a motion, the path of its platform, and the condition number.
+
+    A machine that is not flat is seen obliquely, and its path drawn once more as a projection on x and y.
 
     Args:
-        subject: a plan, or the robot that the motion is for.
+        subject: a plan, a simulation, or the robot that the motion is for.
         motion: of a robot.
         crossings: from ``find_crossings`` along the same motion, to mark.
         title: of the figure.
 
     Raises:
-        InputError: a plan with a motion, a robot without one, or a platform without x and y.
-        PlanFileError: the robot of the plan is gone or has changed.
+        InputError: a plan or a simulation with a motion, a robot without one, or a robot without a platform.
+        PlanFileError: the robot of the plan or the simulation is gone or has changed.
     """
-    if isinstance(subject, Plan) is (motion is not None):
+    if isinstance(subject, (Plan, Simulation)) is (motion is not None):
         raise InputError(
-            "path draws a plan, or a robot with a motion.", remedy="Pass path(plan) or path(robot, motion)."
+            "path draws a plan, a simulation, or a robot with a motion.",
+            remedy="Pass path(plan), path(run) or path(robot, motion).",
         )
-    robot = load_robot_of(subject) if isinstance(subject, Plan) else subject
-    followed = subject.motion if isinstance(subject, Plan) else motion
-    if followed is None or robot.platform is None or robot.platform.axes[:2] != ("x", "y"):
-        raise InputError(f"The platform of {robot.name} does not move in x and y.", remedy="Use rp.show to see it.")
-    tree = lift(robot, followed)
-    planned = curves_of_plan(subject) if isinstance(subject, Plan) else None
-    point = followed.x[:, :2, 3] if followed.is_pose else followed.x[:, :2]
-    instants = tuple(crossing.t for crossing in crossings) or (planned.instants if planned else ())
-    places = [np.array([np.interp(t, followed.t, point[:, i]) for i in range(2)]) for t in instants]
+    robot = load_recorded(subject.robot) if isinstance(subject, (Plan, Simulation)) else subject
+    if robot.platform is None:
+        raise InputError(f"{robot.name} has no platform whose path could be drawn.", remedy="Use rp.show to see it.")
+    drawn = None if isinstance(subject, Robot) else curves_of(subject)
+    if isinstance(subject, Simulation):
+        t, q, condition = subject.t, subject.q, curves_of(subject).condition
+    else:
+        followed = subject.motion if isinstance(subject, Plan) else cast(PlatformMotion, motion)
+        require_sampled(followed)
+        tree = lift(robot, followed)
+        t, q, condition = followed.t, tree.q, classify_motion(tree).condition
+    point, hinges = traced(robot, q), base_hinges(robot)
+    mechanism = [np.stack(ends) for ends in links(robot, q[0])]
+    everything = np.concatenate([point, hinges, *mechanism])
+    axes = 2 if np.ptp(everything[:, 2]) < FLAT * robot.characteristic_length else 3
+    instants = tuple(crossing.t for crossing in crossings) or (drawn.instants if drawn else ())
+    places = [np.array([np.interp(one, t, point[:, i]) for i in range(axes)]) for one in instants]
     return plot_path(
-        title or (planned.title if planned else robot.name),
-        followed.t,
-        point,
-        [np.stack(ends)[:, :2] for ends in links(robot, tree.q[0])],
-        base_hinges(robot)[:, :2],
-        classify_motion(tree).condition,
-        thresholds=planned.thresholds if planned else (),
-        windows=planned.windows if planned else (),
+        title or (drawn.title if drawn else robot.name),
+        t,
+        point[:, :axes],
+        [line[:, :axes] for line in mechanism],
+        hinges[:, :axes],
+        condition,
+        thresholds=drawn.thresholds if drawn else (),
+        windows=drawn.windows if drawn else (),
         instants=instants,
         singular_points=places,
     )

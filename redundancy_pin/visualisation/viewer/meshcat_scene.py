@@ -20,6 +20,7 @@ from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.visualisation.viewer.scene import (
     EFFORT_COLORS,
     MARGIN_COLORS,
+    OBLIQUE,
     UNKNOWN_COLOR,
     Arrow,
     Scene,
@@ -86,9 +87,8 @@ def _set_stage(viewer: Any, scene: Scene) -> None:
         viewer[name].set_property("visible", False)
     low, high = _extent(scene)
     radius = 0.5 * float(np.linalg.norm(high - low)) + _MARGIN * scene.size
-    flat = np.ptp(scene.placement[:, 1:, 2, 3]) < 0.02 * scene.size
     # a flat machine is seen from above with x to the right; any other obliquely
-    direction = np.array([0.0, -0.25, 1.0]) if flat else np.array([0.8, -1.0, 0.6])
+    direction = np.array([0.0, -0.25, 1.0]) if scene.is_flat else np.array(OBLIQUE)
     x, y, z = _DISTANCE * radius * direction / np.linalg.norm(direction)
     # meshcat's camera looks at the origin whatever is done to it: what is to be in the middle goes there
     viewer.set_transform(place(translation=-0.5 * (low + high)))

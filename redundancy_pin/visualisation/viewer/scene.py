@@ -35,6 +35,8 @@ MARGIN_EDGES = (NEAR_SINGULAR_MARGIN, 0.1, 0.2, 0.4)
 MARGIN_COLORS = ("#B2182B", "#EF6C00", "#F6B600", "#5BAA3A", "#2166AC")
 UNKNOWN_COLOR = "#9E9E9E"  # where there is no margin
 
+OBLIQUE = (0.8, -1.0, 0.6)  # from where machines that are not flat are seen
+
 FRAME_RATE = 60.0  # frames a second of the motion's own time
 MOST_FRAMES = 600  # longer motions get fewer frames a second; a viewer interpolates between them
 MOST_POINTS = 1000  # of the drawn path, but for changes of its colour
@@ -54,6 +56,7 @@ _ARM_RADIUS = 0.01  # of the arm that holds a turning carrier, and of the arc it
 _LONGEST_RAIL = 1.2  # half length at which the drawing of an unbounded track ends
 _BALANCED = 1e-3  # distance of the centre of mass from the axis below which it counts as on it
 _CLEAR = 0.35  # opacity of what other things must be seen through
+FLAT = 0.02  # extent along z, in sizes of the machine, below which it counts as flat
 _NO_LENGTH = 1e-9  # m; points that are nearer are one
 
 
@@ -89,6 +92,11 @@ class Scene:
     def duration(self) -> float:
         """Duration of the motion, s."""
         return float(self.t[-1])
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether everything stays in a plane z = const."""
+        return bool(np.ptp(self.placement[:, 1:, 2, 3]) < FLAT * self.size)
 
 
 def make_scene(
@@ -154,7 +162,7 @@ def scene_of(
         solids=solids_of(robot),
         arrows=arrows,
         margin=np.abs(margin[frames]),
-        path=_traced(robot, q[points]),
+        path=traced(robot, q[points]),
         path_margin=np.abs(margin[points]),
         size=robot.characteristic_length,
         captions=captions,
@@ -200,7 +208,7 @@ def _placements(model: pin.Model, q: Array) -> Array:
     return placement
 
 
-def _traced(robot: Robot, q: Array) -> Array:
+def traced(robot: Robot, q: Array) -> Array:
     """Return (N, 3) where the platform's origin or, without a platform, the first closure goes."""
     if robot.platform is None and not robot.closures:
         return np.zeros((0, 3))
@@ -303,14 +311,30 @@ def _placed(robot: Robot, q: Array) -> pin.Data:
 
 
 def _hinges(robot: Robot, body: int, data: pin.Data) -> Array:
-    """Return (c, 3) where a body is jointed to others in a configuration, m, world."""
+    """Return (c, 3) where a body is jointed to others in a configuration, m, world.
+
+    A joint that floats or moves in a plane joins nothing: its origin is no point that both bodies have.
+    """
     model = robot.model
-    points = [] if body == 0 else [data.oMi[body].translation]
-    children = [j for j in range(1, model.njoints) if model.parents[j] == body and model.names[j] not in robot.carriers]
+    points = [data.oMi[body].translation] if body and not _floats(model, body) else []
+    children = [
+        j
+        for j in range(1, model.njoints)
+        if model.parents[j] == body and model.names[j] not in robot.carriers and not _floats(model, j)
+    ]
     points += [data.oMi[j].translation for j in children]
     frames = [_frame(model, name) for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
     points += [(data.oMi[body] * frame.placement).translation for frame in frames if int(frame.parentJoint) == body]
     return _distinct(points)
+
+
+def _floats(model: pin.Model, index: int) -> bool:
+    """Return whether a joint of several freedoms shifts its body."""
+    if model.joints[index].nv < 2:
+        return False
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    return bool(np.abs(motion_subspace(model, data, index)[:3]).max() > 0.0)
 
 
 def _distinct(points: Sequence[Array]) -> Array:

@@ -1,0 +1,46 @@
+"""Noise of amplifiers and friction by kind of joint, against what they are made of."""
+
+import numpy as np
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError
+from redundancy_pin.simulation import FeedForward, Sampling, motion_reference
+from redundancy_pin.simulation.controllers import NoisyAmplifier, controller_by_name, joint_friction
+from redundancy_pin.trajectory import reference
+
+NOISE = 0.3
+PERIOD = 0.01
+
+
+@pytest.fixture(scope="module")
+def held():
+    robot = rp.load_robot("3rrr")
+    return motion_reference(robot, reference.corner(radius=0.05).sample(0.01)[:31])
+
+
+def test_noise_is_on_top_of_what_is_commanded(held):
+    drive = NoisyAmplifier(FeedForward(held), np.random.default_rng(3), NOISE)
+    run = rp.simulate(held.robot, drive, sampling=Sampling(PERIOD), dt=PERIOD, rtol=1e-6, atol=1e-8)
+    asked = np.array([np.concatenate(held.loads(t)) for t in run.t[:-1]])
+    noise = np.concatenate([run.tau, run.carrier_force], axis=1)[:-1] - asked
+    expected = np.random.default_rng(3).standard_normal((len(noise), 6)) * NOISE
+    np.testing.assert_allclose(noise, expected, atol=1e-9)
+
+
+def test_friction_goes_by_kind_of_joint(held):
+    robot = held.robot
+    state = rp.simulation.tree_state(robot, *held.tree(0.1)[:2])
+    found = joint_friction(
+        robot, prismatic_coulomb=1.0, prismatic_viscous=2.0, revolute_coulomb=3.0, revolute_viscous=4.0
+    )(state)
+    for name in list(robot.model.names)[1:]:
+        i = robot.model.joints[robot.model.getJointId(name)].idx_v
+        c, b, v0 = (1.0, 2.0, 0.01) if name.startswith("carrier") else (3.0, 4.0, 0.05)
+        assert found[i] == pytest.approx(-c * np.tanh(state.v[i] / v0) - b * state.v[i], abs=1e-15)
+    assert np.abs(found).max() > 0.01
+
+
+def test_an_unknown_name_is_refused(held):
+    with pytest.raises(InputError, match="controller is 'PID'"):
+        controller_by_name("PID", held)
