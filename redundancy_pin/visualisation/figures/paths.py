@@ -348,7 +348,7 @@ def draw_path(axes: Axes, scene: Scene, *, plane: str = "xy") -> None:
     edges = np.flatnonzero(np.diff(classes)) + 1
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges + 1, [len(points)]])
     pieces = [points[a:b] for a, b in zip(starts, stops, strict=True)]
-    colors, widths = ([table[classes[a]] for a in starts] for table in (_COLORS, _WIDTHS))
+    colors, widths = [_COLORS[classes[a]] for a in starts], [_WIDTHS[classes[a]] for a in starts]
     # white about it: seen on a platform of its colour
     axes.add_collection(LineCollection([points], colors=["#FFFFFF"], linewidths=[max(widths) + 2.0], zorder=3.9))
     axes.add_collection(LineCollection(pieces, colors=colors, linewidths=widths, zorder=4.0))
