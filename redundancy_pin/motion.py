@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, assign, checked, largest, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, assign, checked, largest, read_only
 from redundancy_pin.errors import InputError
 
 
@@ -25,6 +27,11 @@ class PlatformMotion(Frozen):
             axes at the platform origin.
         xdd: (N, n) its rate, m/s² and rad/s².
 
+    Efforts, plans and crossings are not computed of a motion whose rates are not those of its positions
+    (``require_consistent``): one in other units, or one that moves while ẋ is zero, would give numbers that look right.
+    ``check_rates=False`` is the word of the caller that the samples need not be a motion: poses to stand still in,
+    states that have nothing to do with one another.
+
     Raises:
         InputError: wrong shapes, values that are not finite, time that does not increase.
     """
@@ -33,8 +40,11 @@ class PlatformMotion(Frozen):
     x: Array
     xd: Array
     xdd: Array
+    _check_rates = True
 
-    def __init__(self, t: ArrayLike, x: ArrayLike, xd: ArrayLike, xdd: ArrayLike) -> None:
+    def __init__(
+        self, t: ArrayLike, x: ArrayLike, xd: ArrayLike, xdd: ArrayLike, *, check_rates: bool = True
+    ) -> None:
         time = checked(t, "t", ("N",))
         rate = checked(xd, "xd", (len(time), "n"))
         is_pose = _dimensions(x) == 3
@@ -46,7 +56,7 @@ class PlatformMotion(Frozen):
         if is_pose:
             _require_poses(position)
         _require_increasing(time, position, rate)
-        assign(self, t=time, x=position, xd=rate, xdd=acceleration)
+        assign(self, t=time, x=position, xd=rate, xdd=acceleration, _check_rates=bool(check_rates))
 
     def __repr__(self) -> str:
         """Return shape and times, not the arrays."""
@@ -69,7 +79,8 @@ class PlatformMotion(Frozen):
 
     def __getitem__(self, index: slice) -> PlatformMotion:
         """Return the motion of a slice of the samples."""
-        return PlatformMotion(self.t[index], self.x[index], self.xd[index], self.xdd[index])
+        parts = self.t[index], self.x[index], self.xd[index], self.xdd[index]
+        return PlatformMotion(*parts, check_rates=self._check_rates)
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -81,6 +92,8 @@ class CarrierMotion(Frozen):
         sd: (N, k) its rate, m/s.
         sdd: (N, k) its second rate, m/s².
 
+    ``check_rates=False`` as of a ``PlatformMotion``.
+
     Raises:
         InputError: wrong shapes or values that are not finite.
     """
@@ -88,12 +101,13 @@ class CarrierMotion(Frozen):
     s: Array
     sd: Array
     sdd: Array
+    _check_rates = True
 
-    def __init__(self, s: ArrayLike, sd: ArrayLike, sdd: ArrayLike) -> None:
+    def __init__(self, s: ArrayLike, sd: ArrayLike, sdd: ArrayLike, *, check_rates: bool = True) -> None:
         position = checked(s, "s", ("N", "k"))
         rate = checked(sd, "sd", position.shape)
         acceleration = checked(sdd, "sdd", position.shape)
-        assign(self, s=position, sd=rate, sdd=acceleration)
+        assign(self, s=position, sd=rate, sdd=acceleration, _check_rates=bool(check_rates))
 
     def __repr__(self) -> str:
         """Return shape and peaks, not the arrays."""
@@ -133,7 +147,7 @@ class CarrierMotion(Frozen):
 
     def __getitem__(self, index: slice) -> CarrierMotion:
         """Return the motion of a slice of the samples."""
-        return CarrierMotion(self.s[index], self.sd[index], self.sdd[index])
+        return CarrierMotion(self.s[index], self.sd[index], self.sdd[index], check_rates=self._check_rates)
 
 
 def require_sampled(motion: object) -> None:
@@ -149,6 +163,155 @@ def require_sampled(motion: object) -> None:
             if hasattr(motion, "sample")
             else "Pass a PlatformMotion, such as trajectory.sample(dt=0.001) returns.",
         )
+
+
+def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = None) -> None:
+    """Check that samples are those of a motion, unless whoever made them says that they need not be.
+
+    For what takes samples as a motion: efforts along it, planners, the search of crossings. Where they are poses and no
+    more (``lift``, ``classify_motion``, ``along``) rates play no part.
+
+    Raises:
+        InputError: rates that are not those of the positions; see ``_require_rates``.
+    """
+    if not motion._check_rates:
+        return
+    _require_rates(motion.t, x=motion.x, xd=motion.xd, xdd=motion.xdd)
+    if carriers is not None and carriers._check_rates:
+        _require_rates(motion.t, s=carriers.s, sd=carriers.sd, sdd=carriers.sdd)
+
+
+def _require_rates(t: Array, **parts: Array) -> None:
+    """Check that each part is the rate of the one before it, where the samples are dense enough to tell.
+
+    What a rate, integrated by trapezoids, says is compared with what the values change by. How far the two may be
+    apart comes from the sampling: the error of the trapezoids, a tenth to a quarter of all that changes. Not told, and
+    passed: fewer than eight steps; a step that is a large part of the whole, behind which anything may lie; values
+    that jump about as those of states do that have nothing to do with one another.
+
+    Args:
+        t: (N,) time, s.
+        **parts: by name the values (N, n), or (N, 4, 4) as poses, their rates (N, n), and the rates of these.
+
+    Raises:
+        InputError: naming the column, the first sample that shows it, and the factor.
+    """
+    names, values = list(parts), list(parts.values())
+    found = [_compared(t, one, rate) for one, rate in pairwise(values)]
+    bad = [(level, int(k)) for level, one in enumerate(found) for k in np.flatnonzero(one.wrong)]
+    if not bad:
+        return
+    (level, k), (of, name) = bad[0], names[bad[0][0] : bad[0][0] + 2]
+    one = found[level]
+    factor, sample = float(one.factor[k]), int(one.sample[k])
+    shown = f"as sample {sample} (t = {t[sample]:.6g} s) shows"
+    # other units of time show in both rates
+    in_time = level == 0 and not (found[-1].moves & ~found[-1].wrong).any()
+    if not values[level + 1][:, k].any():
+        message = f"{of}{k} moves while {name}{k} is zero, {shown}."
+    elif not one.change[k]:
+        message = f"{of}{k} does not change as {name}{k} says, {shown}: it stands still."
+    elif not one.similar[k]:
+        message = f"{of}{k} does not change as {name}{k} says, {shown}, nor in proportion to it: are columns exchanged?"
+    else:
+        unit = _unit(abs(factor), in_time)
+        why = f": {unit}?" if unit else ": a sign?" if factor < 0.0 else "."
+        times = f"{name}{k} is {float(f'{factor:.3g}'):g} times what {of}{k} and t say"
+        message = f"{of}{k} does not change as {name}{k} says, {shown}: {times}{why}"
+    raise InputError(
+        message,
+        remedy="Give SI units (m, rad, s) throughout, and the columns of each coordinate with the same number. Poses "
+        "to stand still in, and states that are no motion, pass with check_rates=False.",
+        column=f"{name}{k}",
+        sample=sample,
+        time=float(t[sample]),
+        factor=factor,
+    )
+
+
+# Rates are compared with positions from so many steps on. A wrong unit is off by 9.5 (rpm), 57 (degrees), 1000 (mm):
+# what is off by a quarter is no rounding, nor an integral by trapezoids over steps that are small parts of the whole;
+# a tenth is left to rates that were measured
+_FEWEST_STEPS, _LEAST_MISFIT, _MISFIT, _LARGEST_STEP, _ROUNDED = 8, 0.1, 0.25, 0.15, 1e-6
+
+_ROUGH = 0.6
+"""Steps of states that have nothing to do with one another are 1.4 times as large as the states are spread (root mean
+square); of ten samples of a whole wave 0.6 times, of twenty half of that. Fewer could be those of another wave."""
+
+_SIMILAR = 0.9
+"""Cosine between what changes and what rates say, above which the two differ by a factor."""
+
+_UNITS = (
+    *((1e3, "milliseconds", "millimetres"), (1e-3, "millimetres", "millimetres"), (1.0 / 60.0, "minutes", "minutes")),
+    *((1e6, "microseconds", "micrometres"), (1e-6, "micrometres", "micrometres"), (60.0, "minutes", "minutes")),
+    *((180.0 / np.pi, "degrees", "degrees"), (np.pi / 180.0, "degrees", "degrees")),
+    *((30.0 / np.pi, "revolutions a minute", "revolutions a minute"), (1.0 / 9.80665, "g", "g")),
+)
+"""Factors that name a unit; the first name where times may be in it."""
+
+
+def _unit(factor: float, in_time: bool) -> str:
+    return next((names[not in_time] for of, *names in _UNITS if abs(factor / of - 1.0) < 0.02), "")
+
+
+class _Compared(NamedTuple):
+    """What n rates say, compared with what the values change by; each (n,)."""
+
+    wrong: BoolArray
+    moves: BoolArray
+    change: BoolArray
+    similar: BoolArray
+    factor: Array
+    sample: IntArray
+
+
+def _compared(t: Array, values: Array, rates: Array) -> _Compared:
+    n = rates.shape[1]
+    later = np.diff(t) > 0.0
+    if np.count_nonzero(later) < _FEWEST_STEPS:
+        no = np.zeros(n, dtype=bool)
+        return _Compared(no, no, no, no, np.ones(n), np.zeros(n, dtype=np.intp))
+    dt, steps, bends = np.diff(t)[:, None], _steps(values), np.diff(rates, axis=0)
+    integral = np.cumsum(0.5 * dt * (rates[:-1] + rates[1:]), axis=0)
+    change = np.cumsum(steps, axis=0)
+    size = np.maximum(np.ptp(change, axis=0), np.ptp(integral, axis=0))
+    # four times the error of the trapezoids, as second differences show it
+    error = (dt[1:] * np.abs(np.diff(bends, axis=0))).sum(axis=0) / 3.0
+    tolerance = np.clip(error, _LEAST_MISFIT * size, _MISFIT * size)
+    apart = np.abs(change - integral)
+    # angles may be written within a turn
+    continued = np.cumsum(steps - 2.0 * np.pi * np.round(steps / (2.0 * np.pi)), axis=0)
+    fits = np.abs(continued - integral).max(axis=0) <= np.minimum(tolerance, _MISFIT * np.ptp(integral, axis=0))
+    # a ramp between two samples is in the values, and not in rates sampled before and after it
+    dense = np.abs(steps).max(axis=0) <= _LARGEST_STEP * size
+    # what hardly changes has few digits: the seventh of the largest coordinate is rounding
+    rounding = _ROUNDED * max(1.0, float(np.abs(change).max(initial=0.0)))
+    moves, changes = size > rounding, np.ptp(change, axis=0) > rounding
+    spread = _rms(np.vstack([np.zeros(n), change]), about_mean=True)
+    rough = np.where(changes, _rms(steps[later]) > _ROUGH * spread, _rms(bends[later]) > _ROUGH * _rms(rates))
+    wrong = (apart > tolerance).any(axis=0) & ~fits & dense & moves & ~rough
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = (change * integral).sum(axis=0) / (change**2).sum(axis=0)
+        similar = np.abs(factor) * np.linalg.norm(change, axis=0) >= _SIMILAR * np.linalg.norm(integral, axis=0)
+    return _Compared(wrong, moves & dense & ~rough, changes, similar, factor, np.argmax(apart > tolerance, axis=0) + 1)
+
+
+def _rms(values: Array, *, about_mean: bool = False) -> Array:
+    result: Array = np.sqrt(np.mean((values - (values.mean(axis=0) if about_mean else 0.0)) ** 2, axis=0))
+    return result
+
+
+def _steps(x: Array) -> Array:
+    """Return (N-1, n) what coordinates change by from sample to sample, or (N-1, 6) poses, as a screw in world axes."""
+    if x.ndim == 2:
+        return np.diff(x, axis=0)
+    turn = x[1:, :3, :3] @ x[:-1, :3, :3].transpose(0, 2, 1)
+    # sin of the angle times the axis; not defined at half a turn, which is no step of a dense motion
+    axis = 0.5 * np.stack([turn[:, i, j] - turn[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1.0))
+    scale = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)
+    return np.concatenate([np.diff(x[:, :3, 3], axis=0), scale[:, None] * axis], axis=1)
 
 
 def _dimensions(values: ArrayLike) -> int:

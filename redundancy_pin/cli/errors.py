@@ -82,10 +82,13 @@ class Wording:
         return text
 
 
-OPTIONS = Wording({"backend": "--backend", "working_mode": "--mode", "gravity": "--gravity"}, " ")
+_CHECK_RATES = "--check-rates/--no-check-rates"
+OPTIONS = Wording(
+    {"backend": "--backend", "working_mode": "--mode", "gravity": "--gravity", "check_rates": _CHECK_RATES}, " "
+)
 """The options that commands share."""
 
-KEYS = Wording({"backend": "backend", "working_mode": "mode"}, ": ")
+KEYS = Wording({"backend": "backend", "working_mode": "mode", "check_rates": "check_rates"}, ": ")
 """The keys of a problem file."""
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, robot_options
+from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, motion_option, robot_options
 from redundancy_pin.cli.output import console, print_json, progress, require_suffix, row, same_file, table_of
 from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
@@ -26,7 +26,7 @@ from redundancy_pin.trajectory import carriers_from_csv, from_csv
 @click.command("inverse-dynamics")
 @robot_options()
 @backend_option(RNEA)
-@click.option("--motion", "motion_path", required=True, metavar="CSV", help="Motion to follow.")
+@motion_option("Motion to follow.", required=True)
 @click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
 @click.option(
     "--unreachable",
@@ -40,6 +40,7 @@ def inverse_dynamics(
     robot: RobotOptions,
     backend: str,
     motion_path: str,
+    check_rates: bool,
     out: str,
     unreachable: OnUnreachable,
     as_json: bool,
@@ -68,7 +69,8 @@ def inverse_dynamics(
     with progress("inverse dynamics") as advance, in_words(OPTIONS.knowing({"unreachable": "--unreachable"})):
         advance(0, 4, "reading")
         loaded = robot.load()
-        motion, carriers = from_csv(motion_path), carriers_from_csv(motion_path)
+        motion = from_csv(motion_path, check_rates=check_rates)
+        carriers = carriers_from_csv(motion_path, check_rates=check_rates)
         advance(1, 4, "dynamics")
         whole = f"dynamics of {len(motion)} samples"  # the long part: shown sample by sample
         dynamics = (

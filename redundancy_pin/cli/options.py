@@ -256,7 +256,12 @@ def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory
 
 
 def followed_motion(
-    who: str, trajectory: str | None, motion_path: str | None, flags: Mapping[str, float | None]
+    who: str,
+    trajectory: str | None,
+    motion_path: str | None,
+    flags: Mapping[str, float | None],
+    *,
+    check_rates: bool,
 ) -> PlatformMotion | Trajectory:
     """Return the motion of ``--trajectory`` and its flags, or of ``--motion``; ``who`` needs it, such as "A plan"."""
     if (trajectory is None) == (motion_path is None):
@@ -271,7 +276,7 @@ def followed_motion(
         )
     from redundancy_pin.trajectory import from_csv
 
-    return from_csv(motion_path)
+    return from_csv(motion_path, check_rates=check_rates)
 
 
 def split_trajectory(text: str) -> tuple[str, dict[str, str]]:
@@ -317,6 +322,21 @@ def trajectory_option(what: str) -> Callable[[_Command], _Command]:
     )
 
 
+def motion_option(text: str, *, required: bool = False) -> Callable[[_Command], _Command]:
+    """Return ``--motion``, and what says that its rates need not be those of its positions."""
+
+    def decorate(command: _Command) -> _Command:
+        command = click.option(
+            "--check-rates/--no-check-rates",
+            default=True,
+            show_default=True,
+            help="Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-.",
+        )(command)
+        return click.option("--motion", "motion_path", required=required, metavar="CSV", help=text)(command)
+
+    return decorate
+
+
 def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--trajectory``, ``--motion`` and the flags of trajectories to a command."""
     flags = {
@@ -330,9 +350,7 @@ def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:
     }
     for flag, text in reversed(flags.items()):
         command = click.option(flag, type=float, metavar="NUMBER", help=text)(command)
-    command = click.option(
-        "--motion", "motion_path", metavar="CSV", help="Motion to follow instead: columns t, x0.., xd0.., xdd0..."
-    )(command)
+    command = motion_option("Motion to follow instead: columns t, x0.., xd0.., xdd0...")(command)
     return trajectory_option("Trajectory to follow")(command)
 
 

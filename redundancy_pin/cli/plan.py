@@ -349,7 +349,8 @@ def _from_flags(planner: str, robot: RobotOptions, given: Mapping[str, Any]) -> 
     parameters = {name.removeprefix(PREFIX): value for name, value in given.items() if name.startswith(PREFIX)}
 
     def read() -> Problem:
-        motion = followed_motion("A plan", given["trajectory"], motion_path, {flag: given[flag] for flag in FLAGS})
+        flags, check = {flag: given[flag] for flag in FLAGS}, given["check_rates"]
+        motion = followed_motion("A plan", given["trajectory"], motion_path, flags, check_rates=check)
         backend, step = given["backend"], given.get("step")
         return problem(planner, robot, backend, motion, parameters, baseline=baseline, step=step)
 

@@ -323,7 +323,7 @@ def problem(
 
 
 _ROBOT_KEYS = ("robot", "set", "mode", "gravity")
-_KEYS = ("planner", *_ROBOT_KEYS, "backend", "trajectory", "motion", "step", "parameters", "baseline")
+_KEYS = ("planner", *_ROBOT_KEYS, "backend", "trajectory", "motion", "check_rates", "step", "parameters", "baseline")
 
 
 WORDING = KEYS.knowing({name: name for names in PARAMETERS.values() for name in names})
@@ -401,7 +401,10 @@ def _motion(data: Mapping[str, Any], path: Path) -> PlatformMotion | Trajectory:
             remedy="Write trajectory: {name: circle, speed: 0.6}, or motion: file.csv.",
         )
     if "motion" in data:
-        return from_csv(path.parent / word("motion", data["motion"]))
+        check = data.get("check_rates", True)
+        if not isinstance(check, bool):
+            raise InputError(f"check_rates is {shown(check)}.", remedy="Write true or false.", key="check_rates")
+        return from_csv(path.parent / word("motion", data["motion"]), check_rates=check)
     options = dict(_mapping(data["trajectory"], "trajectory"))
     if "name" not in options:
         raise InputError("The trajectory lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")

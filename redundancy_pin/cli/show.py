@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from redundancy_pin.cli.errors import printable
-from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
+from redundancy_pin.cli.options import RobotOptions, json_option, motion_option, robot_options
 from redundancy_pin.cli.output import print_json
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
@@ -25,7 +25,7 @@ from redundancy_pin.visualisation.viewer.page import View, require_html, require
 @robot_options(required=False)
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to show, as `plan --out` writes it.")
 @click.option("--run", "run_path", metavar="NPZ", help="Simulation to show, as `simulate --out` writes it.")
-@click.option("--motion", "motion_path", metavar="CSV", help="Motion to show, as `inverse-dynamics` reads it.")
+@motion_option("Motion to show, as `inverse-dynamics` reads it.")
 @click.option("--html", "out", metavar="HTML", help="Write one file that plays offline, instead of a live viewer.")
 @click.option("--forces/--no-forces", default=True, show_default=True, help="Whether arrows are shown at first.")
 @click.option("--force-scale", type=float, default=1.0, metavar="NUMBER", help="Factor on the length of arrows.")
@@ -36,6 +36,7 @@ def show(
     plan_path: str | None,
     run_path: str | None,
     motion_path: str | None,
+    check_rates: bool,
     out: str | None,
     forces: bool,
     force_scale: float,
@@ -59,7 +60,8 @@ def show(
     if out:
         require_html(out)
         require_writable(out)
-    picture = _view(robot, {"--plan": plan_path, "--run": run_path, "--motion": motion_path}, forces, force_scale)
+    given = {"--plan": plan_path, "--run": run_path, "--motion": motion_path}
+    picture = _view(robot, given, forces, force_scale, check_rates=check_rates)
     if out:
         picture.save(out)
         _report(picture, out, as_json=as_json)
@@ -76,7 +78,9 @@ def show(
         live.close()
 
 
-def _view(options: RobotOptions, given: Mapping[str, str | None], forces: bool, force_scale: float) -> View:
+def _view(
+    options: RobotOptions, given: Mapping[str, str | None], forces: bool, force_scale: float, *, check_rates: bool
+) -> View:
     named = [flag for flag, path in given.items() if path]
     if len(named) > 1:
         raise InputError(
@@ -93,7 +97,8 @@ def _view(options: RobotOptions, given: Mapping[str, str | None], forces: bool, 
     robot = options.load()
     if not motion_path:
         return view(robot, **settings)
-    return view(robot, from_csv(motion_path), carriers_from_csv(motion_path), **settings)
+    motion = from_csv(motion_path, check_rates=check_rates)
+    return view(robot, motion, carriers_from_csv(motion_path, check_rates=check_rates), **settings)
 
 
 def robot_of(subject: Plan | Simulation, options: RobotOptions) -> Robot:

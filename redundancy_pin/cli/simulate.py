@@ -201,9 +201,10 @@ def _planned(options: RobotOptions, plan: Plan | None, given: Mapping[str, Any])
         return nominal, plan_reference(plan, robot=nominal)
     if not options.source:
         raise InputError("There is nothing to simulate.", remedy="Add --plan NPZ, or --robot NAME and a motion.")
-    motion = followed_motion("A simulation without --plan", given["trajectory"], given["motion_path"], flags)
+    path, check = given["motion_path"], given["check_rates"]
+    motion = followed_motion("A simulation without --plan", given["trajectory"], path, flags, check_rates=check)
     nominal = options.load()
-    carriers = carriers_from_csv(given["motion_path"]) if given["motion_path"] else None
+    carriers = carriers_from_csv(path, check_rates=check) if path else None
     if carriers is not None and given["park"] is not None:
         raise InputError("The carriers of the motion move, and --park parks them.", remedy="Leave --park out.")
     parked = 0.0 if given["park"] is None else given["park"]

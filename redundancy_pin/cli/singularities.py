@@ -9,7 +9,14 @@ import click
 from rich.table import Table
 
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.options import RobotOptions, json_option, parse_trajectory, robot_options, trajectory_option
+from redundancy_pin.cli.options import (
+    RobotOptions,
+    json_option,
+    motion_option,
+    parse_trajectory,
+    robot_options,
+    trajectory_option,
+)
 from redundancy_pin.cli.output import console, print_json, progress, require_picture, row, table_of
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
@@ -26,13 +33,14 @@ _DRAWN_STEP = 1e-3  # sampling interval of a trajectory in the picture, as a fra
 
 @click.command()
 @robot_options()
-@click.option("--motion", "motion_path", metavar="CSV", help="Motion to search: columns t, x0.., xd0.., xdd0...")
+@motion_option("Motion to search: columns t, x0.., xd0.., xdd0...")
 @trajectory_option("Trajectory to search instead")
 @click.option("--plot", metavar="PICTURE", help="Draw the singularities over the workspace (.png, .svg or .pdf).")
 @json_option
 def singularities(
     robot: RobotOptions,
     motion_path: str | None,
+    check_rates: bool,
     trajectory: str | None,
     plot: str | None,
     as_json: bool,
@@ -56,7 +64,10 @@ def singularities(
     with progress("singularities") as advance, in_words(OPTIONS.knowing({"find_crossings": "--motion"})):
         advance(0, 3, "reading")
         loaded = robot.load()
-        followed = from_csv(motion_path) if motion_path else parse_trajectory(trajectory, {}) if trajectory else None
+        if motion_path:
+            followed: PlatformMotion | Trajectory | None = from_csv(motion_path, check_rates=check_rates)
+        else:
+            followed = parse_trajectory(trajectory, {}) if trajectory else None
         advance(1, 3, "along the motion")
         crossings = find_crossings(loaded, followed) if followed is not None else ()
         advance(2, 3, "over the workspace")

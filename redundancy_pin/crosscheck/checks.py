@@ -207,7 +207,7 @@ def check_derivatives(case: Case, along: DynamicsAlongMotion, label: str) -> Ite
             for sign in (1.0, -1.0):
                 parts = {name: np.array(getattr(carriers, name)) for name in ("s", "sd", "sdd")}
                 parts[argument][:, k] += sign * step
-                shifted.append(along.reduce(CarrierMotion(**parts)))
+                shifted.append(along.reduce(CarrierMotion(parts["s"], parts["sd"], parts["sdd"])))
             for field, quantity in (("f", "f"), ("force", "carrier_force")):
                 difference = (getattr(shifted[0], quantity) - getattr(shifted[1], quantity)) / (2.0 * step)
                 whole = getattr(exact, f"{field}_{argument}")

@@ -18,7 +18,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
 from redundancy_pin.robot import Load, Robot
 
 OnUnreachable = Literal["raise", "mark"]
@@ -182,6 +182,10 @@ class Dynamics(Protocol):
     ) -> ReducedDynamics:
         """Return f, W and carrier forces along a platform motion and a carrier motion.
 
+        Samples are computed one by one. Where they could be a motion they must be one: positions that move while their
+        rates are zero would get efforts of zero. Of states that have nothing to do with one another, and of poses to
+        stand still in, say so: ``PlatformMotion(..., check_rates=False)``.
+
         Args:
             motion: N samples of the platform coordinates.
             carriers: N samples of the carriers; parked at s = 0 when left out.
@@ -192,13 +196,15 @@ class Dynamics(Protocol):
 
         Raises:
             CarrierLimitError: a carrier leaves its track and ``check_track`` is true.
-            InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
+            InputError: rates that are not those of the positions (``require_consistent``), and as in ``along``.
+            UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
             UnsupportedRobotError: a load that the backend does not cover.
         """
         if len(external):
             loaded = self.with_external(*external)
             return loaded.reduce(motion, carriers, unreachable=unreachable, check_track=check_track)
         require_sampled(motion)
+        require_consistent(motion, carriers)
         if check_track:
             require_on_track(self.robot, require_matching_carriers(self.robot, carriers, len(motion)), motion.t)
         return self.along(motion, unreachable=unreachable).reduce(carriers)

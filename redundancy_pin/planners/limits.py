@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, frozen, positive, runs
 from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
@@ -132,7 +132,9 @@ def require_dynamics(dynamics: object) -> None:
 
 
 def require_motion(motion: object, *methods: str) -> None:
-    """Check that a motion is sampled, or a trajectory that offers some methods."""
+    """Check that a motion is sampled, and one, or a trajectory that offers some methods."""
+    if isinstance(motion, PlatformMotion):
+        require_consistent(motion)
     if not isinstance(motion, PlatformMotion) and not all(hasattr(motion, method) for method in methods):
         raise InputError(
             f"The planner was given {type(motion).__name__} for the motion.",

@@ -391,8 +391,9 @@ def _plan(record: Mapping[str, Any], path: str | Path) -> Plan:
     limits = _values(LimitReport, values["limits"])
     kinds = {"violated": LimitEvent, "binding": LimitEvent, "judged_by": CarrierLimits}
     values |= {
-        "motion": PlatformMotion(**values["motion"]),
-        "carriers": CarrierMotion(**values["carriers"]),
+        # looked at, or vouched for, when they were planned
+        "motion": PlatformMotion(**values["motion"], check_rates=False),
+        "carriers": CarrierMotion(**values["carriers"], check_rates=False),
         "limits": LimitReport(**{key: tuple(typed(kind, one) for one in limits[key]) for key, kind in kinds.items()}),
         "status": PlanStatus(values["status"]),
         "robot": read_robot(values["robot"], path),

@@ -139,7 +139,7 @@ class Simulation(Frozen):
     @property
     def carriers(self) -> CarrierMotion:
         """The carriers' motion."""
-        return CarrierMotion(self.s, self.sd, self.sdd)
+        return CarrierMotion(self.s, self.sd, self.sdd, check_rates=False)
 
     def at(self, times: ArrayLike) -> tuple[Array, Array]:
         """Return x and ẋ, each (T, n), at times (T,) within the simulation, from the cubics through x and ẋ.

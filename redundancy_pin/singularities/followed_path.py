@@ -19,10 +19,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import continuous
 from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, require_matching, row_scale
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.motion import (
-    PlatformMotion,
-    require_sampled,
-)
+from redundancy_pin.motion import PlatformMotion, require_consistent, require_sampled
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.singularities.classify import Margins, margins_of
 
@@ -95,6 +92,7 @@ def position_law(robot: Robot, source: PlatformMotion | TimedMotion) -> Position
         require_matching(robot, trajectory.sample_at([0.0]))
         return PositionLaw(0.0, float(trajectory.duration), lambda times: trajectory.sample_at(times).x)
     require_matching(robot, source)
+    require_consistent(source)
     if source.t[-1] == source.t[0]:
         raise InputError(
             "The motion has a single instant: nothing is crossed between samples.",

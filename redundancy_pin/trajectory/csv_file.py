@@ -6,7 +6,8 @@ import csv
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from io import TextIOWrapper
 
 import numpy as np
@@ -15,20 +16,16 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.reading import opened
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 
 _QUATERNION_TOLERANCE = 1e-6
 """How far the norm of a quaternion may be from one: text with six digits passes; it is then normalised."""
-
-# Rates are compared with positions from so many steps on. A wrong unit is off by 9.5 (rpm), 57 (degrees), 1000 (mm):
-# what is off by a quarter is no rounding, nor an integral by trapezoids over steps that are small parts of the whole
-_FEWEST_STEPS, _MISFIT, _LARGEST_STEP, _ROUNDED = 8, 0.25, 0.15, 1e-6
 
 _LARGEST = 1e100
 """Numbers beyond it are refused as infinite: their products are."""
 
 
-def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
+def from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> PlatformMotion:
     """Read a platform motion from a CSV file.
 
     The first row names the columns: ``t`` (s), ``x0``, ``x1``, ... (m, rad), ``xd0``, ... and ``xdd0``, ...; any order,
@@ -38,6 +35,7 @@ def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
 
     Args:
         path: of the file, UTF-8, comma separated.
+        check_rates: as in ``PlatformMotion``: false for poses to stand still in, and states that are no motion.
 
     Raises:
         InputError: no such file, not text, a missing column (with the names seen), a cell that is not a finite
@@ -51,17 +49,18 @@ def from_csv(path: str | os.PathLike[str]) -> PlatformMotion:
     else:
         _require_as_many(path, x=x, xd=xd)
     _require_as_many(path, xd=xd, xdd=xdd)
-    motion = PlatformMotion(table["t"], x, xd, xdd)
-    _require_rates(path, table["t"], _steps(x), xd, "x", "xd")
-    _require_rates(path, table["t"], np.diff(xd, axis=0), xdd, "xd", "xdd")
+    with _in_file(path):
+        motion = PlatformMotion(table["t"], x, xd, xdd, check_rates=check_rates)
+        require_consistent(motion)
     return motion
 
 
-def carriers_from_csv(path: str | os.PathLike[str]) -> CarrierMotion | None:
+def carriers_from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> CarrierMotion | None:
     """Read the carrier motion from a CSV file: columns ``s0``, ..., ``sd0``, ..., ``sdd0``, ... (m, s).
 
     Args:
         path: of the file, as in ``from_csv``.
+        check_rates: as in ``from_csv``.
 
     Returns:
         The carrier motion, or None where the file has no carrier column.
@@ -75,9 +74,11 @@ def carriers_from_csv(path: str | os.PathLike[str]) -> CarrierMotion | None:
     s, sd, sdd = (_columns(table, name, path) for name in ("s", "sd", "sdd"))
     _require_as_many(path, s=s, sd=sd)
     _require_as_many(path, sd=sd, sdd=sdd)
-    _require_rates(path, table["t"], np.diff(s, axis=0), sd, "s", "sd")
-    _require_rates(path, table["t"], np.diff(sd, axis=0), sdd, "sd", "sdd")
-    return CarrierMotion(s, sd, sdd)
+    carriers, still = CarrierMotion(s, sd, sdd, check_rates=check_rates), np.zeros((len(s), 0))
+    if check_rates:
+        with _in_file(path):
+            require_consistent(PlatformMotion(table["t"], still, still, still), carriers)
+    return carriers
 
 
 def table_of_csv(path: str | os.PathLike[str], needs: Sequence[str] = ("t",)) -> dict[str, Array]:
@@ -162,39 +163,14 @@ def poses_of(x: Array, path: str | os.PathLike[str]) -> Array:
     return pose
 
 
-def _steps(x: Array) -> Array:
-    """Return (N-1, n) what coordinates change by from sample to sample, or (N-1, 6) poses, as a screw in world axes."""
-    if x.ndim == 2:
-        return np.diff(x, axis=0)
-    turned = Rotation.from_matrix(x[1:, :3, :3] @ x[:-1, :3, :3].transpose(0, 2, 1)).as_rotvec()
-    return np.concatenate([np.diff(x[:, :3, 3], axis=0), turned], axis=1)
-
-
-def _require_rates(path: str | os.PathLike[str], t: Array, steps: Array, rates: Array, of: str, name: str) -> None:
-    """Check that rates (N, n), integrated by trapezoids, give what the values change by in ``steps`` (N-1, n).
-
-    Only where that can be told: no step is a large part of the whole. Rates that are all zero are those of poses to
-    stand still in.
-    """
-    dt = np.diff(t)[:, None]
-    if len(steps) < _FEWEST_STEPS or not (dt >= 0.0).all() or not rates.any():
-        return
-    integral = np.cumsum(0.5 * dt * (rates[:-1] + rates[1:]), axis=0)
-    change = np.cumsum(steps, axis=0)
-    size = np.maximum(np.ptp(change, axis=0), np.ptp(integral, axis=0))
-    wrong = np.abs(change - integral).max(axis=0) > _MISFIT * size
-    # angles may be written within a turn
-    continued = np.cumsum(steps - 2.0 * np.pi * np.round(steps / (2.0 * np.pi)), axis=0)
-    wrong &= np.abs(continued - integral).max(axis=0) > _MISFIT * np.ptp(integral, axis=0)
-    # a ramp between two samples is in the values, and not in rates sampled before and after it
-    dense = np.abs(steps).max(axis=0) <= _LARGEST_STEP * size
-    # what hardly changes has few digits: the seventh of the largest coordinate is rounding
-    moves = size > _ROUNDED * max(1.0, float(np.abs(change).max(initial=0.0)))
-    for k in np.flatnonzero(dense & wrong & moves).tolist():
-        factor = float(change[:, k] @ integral[:, k]) / (float(integral[:, k] @ integral[:, k]) or 1.0)
-        message = f": {of}{k} does not change as {name}{k} says, but {factor:.4g} times as much at the best."
-        remedy = "Give SI units (m, rad, s) throughout, and the columns of each coordinate with the same number."
-        raise _bad(path, message, remedy, column=f"{name}{k}", factor=factor)
+@contextmanager
+def _in_file(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Say of an error which file it is about."""
+    try:
+        yield
+    except InputError as error:
+        details = {"path": str(path), **error.details}
+        raise InputError(f"{os.fspath(path)}: {error.message}", remedy=error.remedy, **details) from error
 
 
 def _bad(path: str | os.PathLike[str], message: str, remedy: str = "", **details: object) -> InputError:

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, Side, frozen, read_only
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.rotation_vector import angular_rates, vector_rates
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
 
 DEGREE = 15
 """Of the pieces of a fit. Smooth motions of a second then need a few dozen pieces for twelve digits."""
@@ -308,7 +308,7 @@ class PiecewisePolynomial(Frozen):
 
 def carriers_at(position: PiecewisePolynomial, times: ArrayLike, side: Side = "right") -> CarrierMotion:
     """Return the motion of carriers whose positions (k,) are a function of time, at (N,) times, s."""
-    return CarrierMotion(*(position.derivative(order)(times, side) for order in range(3)))
+    return CarrierMotion(*(position.derivative(order)(times, side) for order in range(3)), check_rates=False)
 
 
 def chebyshev_times(edges: Array, degree: int = DEGREE) -> Array:
@@ -400,6 +400,7 @@ class ContinuousMotion(Frozen):
             np.concatenate([x[:-1], np.repeat(x[-1:], len(still), axis=0)]),
             np.concatenate([there.xd[:-1], still]),
             np.concatenate([there.xdd[:-1], still]),
+            check_rates=False,
         )
 
     def _moving(self, times: Array, before: BoolArray) -> PlatformMotion:
@@ -409,7 +410,7 @@ class ContinuousMotion(Frozen):
         n, is_pose = _coordinates(values.shape[1])
         x, xd, xdd = values[:, : -2 * n], values[:, -2 * n : -n], values[:, -n:]
         xdd[before] = self.source(times[before], "left")[:, -n:]
-        return PlatformMotion(times, x.reshape(-1, 4, 4) if is_pose else x, xd, xdd)
+        return PlatformMotion(times, x.reshape(-1, 4, 4) if is_pose else x, xd, xdd, check_rates=False)
 
     def prolonged_until(self, end: float) -> ContinuousMotion:
         """Return the motion with the platform held where it is at the end, until a later time, s."""
@@ -446,8 +447,12 @@ def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMot
     x, ẋ, ẍ at both ends; its acceleration is off by O(Δt⁴). Where samples are so dense that the rounding of x shows in
     it, velocity and acceleration are those of the cubic that matches ẋ and ẍ, off by O(Δt³). Of poses these are
     polynomials of the origin and of the rotation vector from the left sample.
+
+    Raises:
+        InputError: samples that are no motion (``require_consistent``), or of a single instant.
     """
     if isinstance(motion, PlatformMotion):
+        require_consistent(motion)
         return _from_samples(motion)
     if not is_timed(motion):
         require_sampled(motion)

@@ -63,7 +63,8 @@ def test_closed_forms_answer_for_one_sample_too() -> None:
 
 def crank_motion(crank: np.ndarray) -> PlatformMotion:
     size = (len(crank), 1)
-    return PlatformMotion(np.arange(len(crank)) * 0.01, crank[:, None], np.full(size, 2.0), np.full(size, 0.7))
+    t = np.arange(len(crank)) * 0.01
+    return PlatformMotion(t, crank[:, None], np.full(size, 2.0), np.full(size, 0.7), check_rates=False)
 
 
 @pytest.mark.parametrize("modes", [False, True])

@@ -186,13 +186,24 @@ def test_right_motions_pass_however_they_are_sampled(dt, digits, tmp_path):
         assert len(from_csv(_saved(tmp_path / "w.csv", _table(*wave), digits))) == len(wave[0])
 
 
-def test_angles_within_a_turn_pass_and_so_do_poses_to_stand_in(tmp_path):
+def test_angles_within_a_turn_pass_and_poses_to_stand_still_in_need_the_word(tmp_path):
     t = np.arange(0.0, 30.0, 0.01)  # so many turns that one of them is no large step
     table = {"t": t, "x0": (4.0 * t + np.pi) % (2.0 * np.pi) - np.pi, "xd0": np.full(len(t), 4.0), "xdd0": 0.0 * t}
     assert len(from_csv(_saved(tmp_path / "turns.csv", table))) == len(t)
     still = _table(_turning(0.01)[0])
     still = {name: values * (name[:2] != "xd") for name, values in still.items()}
-    assert len(from_csv(_saved(tmp_path / "still.csv", still))) == 201
+    path = _saved(tmp_path / "still.csv", still)
+    with pytest.raises(InputError, match=r"still\.csv: x0 moves while xd0 is zero, as sample \d+ .*check_rates=False"):
+        from_csv(path)
+    assert len(from_csv(path, check_rates=False)) == 201
+
+
+def test_carriers_that_move_at_rest_need_the_word_too(tmp_path):
+    table = _table(*_turning(0.01))
+    path = _saved(tmp_path / "m.csv", table | {"sd0": 0.0 * table["t"], "sdd0": 0.0 * table["t"]})
+    with pytest.raises(InputError, match="s0 moves while sd0 is zero"):
+        carriers_from_csv(path)
+    assert len(carriers_from_csv(path, check_rates=False)) == 201
 
 
 def test_a_pose_that_turns_otherwise_than_its_twist_is_refused(tmp_path):

@@ -236,7 +236,7 @@ def _samples(motion: PlatformMotion, course: Course, planned: int) -> tuple[Carr
     second = np.pad(motion.jumps, (0, len(added)))
     acceleration: Array = np.where(second[:, None], after[which], course.sdd[which])
     return (
-        CarrierMotion(course.s[which], course.sd[which], acceleration),
+        CarrierMotion(course.s[which], course.sd[which], acceleration, check_rates=False),
         np.where(second, phase[follows][which], phase[which]),
     )
 
@@ -245,7 +245,7 @@ def _prolonged(motion: PlatformMotion, added: Array) -> PlatformMotion:
     """Return the motion with the platform held at its end for the added times."""
     x = np.concatenate([motion.x, np.repeat(motion.x[-1:], len(added), axis=0)])
     xd, xdd = (np.pad(part, ((0, len(added)), (0, 0))) for part in (motion.xd, motion.xdd))
-    return PlatformMotion(np.append(motion.t, added), x, xd, xdd)
+    return PlatformMotion(np.append(motion.t, added), x, xd, xdd, check_rates=False)
 
 
 _MET = 1e-9

@@ -83,7 +83,7 @@ def assemble_plan(
     none = tuple(PiecewisePolynomial.constant(np.zeros(dynamics.robot.m), *window) for window in off_windows)
     plan = finish_plan(
         dynamics.along(source.sample_at(times)),
-        CarrierMotion(s, sd, sdd),
+        CarrierMotion(s, sd, sdd, check_rates=False),
         planner="switch_off",
         phase=phase,
         phases=PHASES,
