@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled import CompiledDynamics
     from redundancy_pin.dynamics.compiled.symbolic import symbolic
     from redundancy_pin.dynamics.distribution import distribute
+    from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics
     from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
     from redundancy_pin.dynamics.virtual_work import VirtualWork
     from redundancy_pin.kinematics.lift import lift
@@ -53,6 +54,7 @@ _PLACES = {
     "classify_motion": "singularities.classify",
     "distribute": "dynamics.distribution",
     "find_crossings": "singularities.crossings",
+    "inverse_dynamics": "dynamics.inverse_dynamics",
     "joint_reactions": "dynamics.rnea",
     "lift": "kinematics.lift",
     "load_plan": "planners.plan",
@@ -89,6 +91,7 @@ __all__ = [
     "classify_motion",
     "distribute",
     "find_crossings",
+    "inverse_dynamics",
     "joint_reactions",
     "lift",
     "load_plan",

@@ -29,8 +29,8 @@ class PlatformMotion(Frozen):
 
     Efforts, plans and crossings are not computed of a motion whose rates are not those of its positions
     (``require_consistent``): one in other units, or one that moves while ẋ is zero, would give numbers that look right.
-    ``check_rates=False`` is the word of the caller that the samples need not be a motion: poses to stand still in,
-    states that have nothing to do with one another.
+    ``check_rates=False`` is the word of the caller that the samples need not be a motion (poses to stand still in,
+    states that have nothing to do with one another); slices and copies keep it.
 
     Raises:
         InputError: wrong shapes, values that are not finite, time that does not increase.
@@ -40,11 +40,9 @@ class PlatformMotion(Frozen):
     x: Array
     xd: Array
     xdd: Array
-    _check_rates = True
+    check_rates = True
 
-    def __init__(
-        self, t: ArrayLike, x: ArrayLike, xd: ArrayLike, xdd: ArrayLike, *, check_rates: bool = True
-    ) -> None:
+    def __init__(self, t: ArrayLike, x: ArrayLike, xd: ArrayLike, xdd: ArrayLike, *, check_rates: bool = True) -> None:
         time = checked(t, "t", ("N",))
         rate = checked(xd, "xd", (len(time), "n"))
         is_pose = _dimensions(x) == 3
@@ -56,7 +54,7 @@ class PlatformMotion(Frozen):
         if is_pose:
             _require_poses(position)
         _require_increasing(time, position, rate)
-        assign(self, t=time, x=position, xd=rate, xdd=acceleration, _check_rates=bool(check_rates))
+        assign(self, t=time, x=position, xd=rate, xdd=acceleration, check_rates=bool(check_rates))
 
     def __repr__(self) -> str:
         """Return shape and times, not the arrays."""
@@ -80,7 +78,7 @@ class PlatformMotion(Frozen):
     def __getitem__(self, index: slice) -> PlatformMotion:
         """Return the motion of a slice of the samples."""
         parts = self.t[index], self.x[index], self.xd[index], self.xdd[index]
-        return PlatformMotion(*parts, check_rates=self._check_rates)
+        return PlatformMotion(*parts, check_rates=self.check_rates)
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -101,13 +99,13 @@ class CarrierMotion(Frozen):
     s: Array
     sd: Array
     sdd: Array
-    _check_rates = True
+    check_rates = True
 
     def __init__(self, s: ArrayLike, sd: ArrayLike, sdd: ArrayLike, *, check_rates: bool = True) -> None:
         position = checked(s, "s", ("N", "k"))
         rate = checked(sd, "sd", position.shape)
         acceleration = checked(sdd, "sdd", position.shape)
-        assign(self, s=position, sd=rate, sdd=acceleration, _check_rates=bool(check_rates))
+        assign(self, s=position, sd=rate, sdd=acceleration, check_rates=bool(check_rates))
 
     def __repr__(self) -> str:
         """Return shape and peaks, not the arrays."""
@@ -147,7 +145,7 @@ class CarrierMotion(Frozen):
 
     def __getitem__(self, index: slice) -> CarrierMotion:
         """Return the motion of a slice of the samples."""
-        return CarrierMotion(self.s[index], self.sd[index], self.sdd[index], check_rates=self._check_rates)
+        return CarrierMotion(self.s[index], self.sd[index], self.sdd[index], check_rates=self.check_rates)
 
 
 def require_sampled(motion: object) -> None:
@@ -174,10 +172,10 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     Raises:
         InputError: rates that are not those of the positions; see ``_require_rates``.
     """
-    if not motion._check_rates:
+    if not motion.check_rates:
         return
     _require_rates(motion.t, x=motion.x, xd=motion.xd, xdd=motion.xdd)
-    if carriers is not None and carriers._check_rates:
+    if carriers is not None and carriers.check_rates:
         _require_rates(motion.t, s=carriers.s, sd=carriers.sd, sdd=carriers.sdd)
 
 

@@ -1,4 +1,4 @@
-"""Motions whose rates are not those of their positions: refused where they are taken for motions, by name and factor."""
+"""Motions whose rates are not those of their positions: refused where they are taken for motions."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import zoo
 from command_line import call, refused
+from redundancy_pin.simulation.reference import motion_reference
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin import CarrierMotion, PlatformMotion
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import require_consistent
-from redundancy_pin.simulation.reference import motion_reference
 
 RATE = np.array([2.0, 3.0])
 SIZE = np.array([0.02, 0.05])
@@ -40,7 +40,11 @@ def motion(t: np.ndarray | None = None, *, in_t: float = 1.0, x: float = 1.0, xd
         ({"xd": 1e3, "xdd": 1e3}, "xd0 is 1000 times what x0 and t say: millimetres?", 1e3),
         ({"x": 1e3}, "xd0 is 0.001 times what x0 and t say: millimetres?", 1e-3),
         ({"x": 180 / np.pi}, "xd0 is 0.0175 times what x0 and t say: degrees?", np.pi / 180),
-        ({"xd": 30 / np.pi, "xdd": 30 / np.pi}, "xd0 is 9.55 times what x0 and t say: revolutions a minute?", 30 / np.pi),
+        (
+            {"xd": 30 / np.pi, "xdd": 30 / np.pi},
+            "xd0 is 9.55 times what x0 and t say: revolutions a minute?",
+            30 / np.pi,
+        ),
         ({"xdd": 1 / 9.80665}, "xdd0 is 0.102 times what xd0 and t say: g?", 1 / 9.80665),
         ({"xd": -1.0, "xdd": -1.0}, "xd0 is -1 times what x0 and t say: a sign?", -1.0),
         ({"xd": 0.0, "xdd": 0.0}, "x0 moves while xd0 is zero", 0.0),
@@ -121,7 +125,9 @@ def test_measured_rates_pass_and_their_noise_hides_no_unit() -> None:
 def test_poses_turn_as_their_twist_says() -> None:
     t = np.linspace(0.0, 3.0, 100)
     x = np.tile(np.eye(4), (100, 1, 1))
-    x[:, :3, :3] = (Rotation.from_rotvec(np.outer(2.0 * t, [0.0, 0.0, 1.0])) * Rotation.from_euler("x", 1.5)).as_matrix()
+    x[:, :3, :3] = (
+        Rotation.from_rotvec(np.outer(2.0 * t, [0.0, 0.0, 1.0])) * Rotation.from_euler("x", 1.5)
+    ).as_matrix()
     x[:, 0, 3] = 0.3 * t
     twist = np.tile([0.3, 0.0, 0.0, 0.0, 0.0, 2.0], (100, 1))
     require_consistent(PlatformMotion(t, x, twist, 0.0 * twist))
@@ -168,7 +174,11 @@ def test_the_word_goes_with_slices_and_copies() -> None:
     t = np.linspace(0.0, 1.0, 60)
     vouched = stays_in_place(t, wave(t), check_rates=False)
     carriers = CarrierMotion(wave(t), 0.0 * wave(t), 0.0 * wave(t), check_rates=False)
-    for one, other in ((vouched, carriers), (vouched[5:], carriers[5:]), pickle.loads(pickle.dumps((vouched, carriers)))):
+    for one, other in (
+        (vouched, carriers),
+        (vouched[5:], carriers[5:]),
+        pickle.loads(pickle.dumps((vouched, carriers))),
+    ):
         require_consistent(one, other)
     with pytest.raises(InputError):
         require_consistent(stays_in_place(t, wave(t))[5:])

@@ -13,7 +13,9 @@ from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, motion_option, robot_options
 from redundancy_pin.cli.output import console, print_json, progress, require_suffix, row, same_file, table_of
 from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
-from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
+from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
+from redundancy_pin.dynamics.inverse_dynamics import EffortStatus, InverseDynamics
+from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as along_motion
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import OutputError
 from redundancy_pin.io.files import require_writable, write_text
@@ -21,6 +23,9 @@ from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.studies.table import csv_text
 from redundancy_pin.trajectory import carriers_from_csv, from_csv
+
+EXIT_CODES = {EffortStatus.FINITE_EFFORT: 0, EffortStatus.UNBOUNDED_EFFORT: 3, EffortStatus.UNRESOLVED: 4}
+_LISTED = 10  # instants that a warning names
 
 
 @click.command("inverse-dynamics")
@@ -44,7 +49,7 @@ def inverse_dynamics(
     out: str,
     unreachable: OnUnreachable,
     as_json: bool,
-) -> None:
+) -> int:
     r"""Compute the efforts along a motion.
 
     Those of the main actuators and of the carriers. The motion has a row of names and the columns t; x0, x1, ...;
@@ -55,6 +60,10 @@ def inverse_dynamics(
 
     The result has the columns t, tau0, ..., carrier_force0, ..., status, margin, residual. Where no finite effort
     exists tau is nan and the status says why.
+
+    What the samples do not show is said as well: singularities between them, and joints that leave their limits. The
+    exit code is 3 where the motion meets a singularity at which no finite effort exists, 4 where it cannot be followed
+    between its samples.
 
     \b
     Example:
@@ -78,12 +87,12 @@ def inverse_dynamics(
             if backend == RNEA
             else BACKENDS[backend](loaded)
         )
-        reduced = dynamics.reduce(motion, carriers, unreachable=unreachable)
-        advance(2, 4, "efforts")
-        distribution = distribute(reduced)
+        result = along_motion(dynamics, motion, carriers, unreachable=unreachable)
+        reduced, distribution = result.reduced, result.efforts
         advance(3, 4, "writing")
         write_text(out, efforts_csv(reduced, distribution))
-    facts = _summary(reduced, distribution)
+    facts = _summary(result)
+    _warn(result)
     without = np.flatnonzero(~np.isfinite(distribution.tau).all(axis=1))
     if len(without):
         first = without[0]
@@ -94,15 +103,19 @@ def inverse_dynamics(
         )
     if as_json:
         print_json({"robot": loaded.name, "backend": backend, "motion": motion_path, "out": out, **facts})
-        return
+        return EXIT_CODES[result.status]
     record = robot_record(loaded)
     main, moved = record.effort_unit(*loaded.actuated), record.effort_unit(*loaded.carriers)
     rows = [(f"{name} samples", str(count)) for name, count in facts["statuses"].items()]
     rows.append((f"largest |tau| [{main}]", row(facts["largest_tau"])))
     if loaded.k:
         rows.append((f"largest |carrier force| [{moved}]", row(facts["largest_carrier_force"])))
-    rows += [("smallest margin", f"{facts['smallest_margin']:.6g}"), ("written to", out)]
+    rows += [("smallest margin", f"{facts['smallest_margin']:.6g}"), ("whole motion", result.status.value)]
+    if result.instants:
+        rows.append(("singular at t [s]", row(one.t for one in result.instants)))
+    rows.append(("written to", out))
     console().print(table_of(f"{loaded.name}, {backend}: {len(motion)} samples", (), rows))
+    return EXIT_CODES[result.status]
 
 
 def efforts_csv(reduced: ReducedDynamics, distribution: Distribution) -> str:
@@ -119,7 +132,27 @@ def efforts_csv(reduced: ReducedDynamics, distribution: Distribution) -> str:
     )
 
 
-def _summary(reduced: ReducedDynamics, distribution: Distribution) -> dict[str, Any]:
+def _warn(result: InverseDynamics) -> None:
+    """Print on stderr what the samples do not show, a line each."""
+    unbounded = [one for one in result.instants if one.unbounded]
+    if unbounded:
+        listed = ", ".join(f"{one.t:.9g}" for one in unbounded[:_LISTED])
+        more = f" and {len(unbounded) - _LISTED} more instants" if len(unbounded) > _LISTED else ""
+        worst = max(unbounded, key=lambda one: one.residual)
+        what = "det W changes sign" if any(one.crosses for one in unbounded) else "W loses rank"
+        click.echo(
+            f"warning: no finite main efforts at t = {listed} s{more}: {what} there, at a type II singularity; "
+            f"{worst.residual:.4g} N (scaled) are left that no actuator can carry. Beside it they grow without bound.",
+            err=True,
+        )
+    if result.unresolved:
+        click.echo(f"warning: between its samples the motion cannot be followed: {result.unresolved}", err=True)
+    for excess in result.joint_limits:
+        click.echo(f"warning: {excess}.", err=True)
+
+
+def _summary(result: InverseDynamics) -> dict[str, Any]:
+    reduced, distribution = result.reduced, result.efforts
     counts = Counter(distribution.status.tolist())
     return {
         "samples": len(distribution),
@@ -128,6 +161,13 @@ def _summary(reduced: ReducedDynamics, distribution: Distribution) -> dict[str, 
         "largest_carrier_force": _largest(reduced.carrier_force),
         "smallest_margin": float(np.fmin.reduce(distribution.margin)),
         "largest_gap": float(np.fmax.reduce(reduced.gap)),
+        "status": result.status.value,
+        "singular_instants": [
+            {**vars(one), "kind": one.kind.label, "status": one.status.label, "unbounded": one.unbounded}
+            for one in result.instants
+        ],
+        "joint_limits": [vars(excess) for excess in result.joint_limits],
+        "unresolved": result.unresolved or None,
     }
 
 

@@ -1,0 +1,225 @@
+"""Efforts along a motion, with a word on what its samples do not show: what lies between them, and limits of joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, Frozen, IntArray, runs
+from redundancy_pin.dynamics.base import Dynamics, OnUnreachable, ReducedDynamics
+from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
+from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.kinematics.coordinates import difference, row_scale
+from redundancy_pin.kinematics.joint_limits import JointExcess, beyond_limits
+from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.spectrum import scaled
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot import Robot
+from redundancy_pin.singularities.classify import SingularityKind, signed_margin
+from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+_CONSISTENT = 1e-3
+"""Fraction of f outside the range of W that counts as none at an instant between samples: rates and accelerations are
+interpolated there. Efforts that this asks for exceed f only where the margin is below it, for as long as that lasts."""
+
+_AT_INSTANT = 1e-7
+"""Rank tolerance there: instants are exact to rounding where the margin goes through zero, to its root where it only
+touches."""
+
+
+_NEAR, _FAR = 2.0 * SPACING, 10.0 * SPACING
+"""Steps of samples, in characteristic lengths, between which the margin is not searched where it stays away from zero;
+the second where the search fails."""
+
+
+class EffortStatus(Enum):
+    """What may be said of the efforts along a motion as a whole; values as of ``PlanStatus``."""
+
+    FINITE_EFFORT = "finite_effort"
+    """Every reachable sample has finite efforts, and so has every instant between the samples."""
+    UNBOUNDED_EFFORT = "unbounded_effort"
+    """The motion meets a singularity at which no finite efforts exist: see ``instants``."""
+    UNRESOLVED = "unresolved"
+    """The motion cannot be followed between its samples, so that nobody knows: see ``unresolved``."""
+
+
+@dataclass(frozen=True, eq=False)
+class SingularInstant(Frozen):
+    """A type II singularity that a motion meets, at a sample or between two.
+
+    Attributes:
+        t: time, s.
+        until: equal to ``t``, or the time until which the motion stays on it, s.
+        kind: type II or combined.
+        crosses: whether det W changes sign.
+        status: that of the efforts at this instant.
+        residual: N, scaled: the part of f that no actuator can carry (``Distribution.residual``).
+    """
+
+    t: float
+    until: float
+    kind: SingularityKind
+    crosses: bool
+    status: SampleStatus
+    residual: float
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether no finite efforts exist there, so that they grow without bound towards it."""
+        return self.status > SampleStatus.SINGULAR_CONSISTENT
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InverseDynamics(Frozen):
+    """Efforts along a motion, and what the samples do not show.
+
+    Attributes:
+        reduced: W τ = f and the carrier forces, (N, ...).
+        efforts: the main efforts, with a status for each sample.
+        instants: the type II singularities met, in order of time.
+        joint_limits: joints that leave a limit of position, passive ones too.
+        unresolved: why the motion cannot be followed between its samples; empty where it can.
+    """
+
+    reduced: ReducedDynamics
+    efforts: Distribution
+    instants: tuple[SingularInstant, ...]
+    joint_limits: tuple[JointExcess, ...]
+    unresolved: str
+
+    @property
+    def status(self) -> EffortStatus:
+        """What may be said of the whole motion."""
+        if any(instant.unbounded for instant in self.instants):
+            return EffortStatus.UNBOUNDED_EFFORT
+        return EffortStatus.UNRESOLVED if self.unresolved else EffortStatus.FINITE_EFFORT
+
+    def __repr__(self) -> str:
+        """Return what is to be known of the whole motion, not the arrays."""
+        met = ", ".join(f"{one.t:.6g}" for one in self.instants)
+        parts = [
+            self.status.value,
+            *([f"singular at t = {met} s"] if met else []),
+            *map(str, self.joint_limits),
+            repr(self.efforts),
+        ]
+        return f"InverseDynamics({'; '.join(parts)})"
+
+
+def inverse_dynamics(
+    dynamics: Dynamics,
+    motion: PlatformMotion,
+    carriers: CarrierMotion | None = None,
+    *,
+    unreachable: OnUnreachable = "raise",
+) -> InverseDynamics:
+    """Return the efforts along a motion, what lies between its samples, and the limits of joints that it leaves.
+
+    ``reduce`` and ``distribute`` know samples. Where det W changes sign between two of them both may be regular, and no
+    finite effort exists in between; this function looks there. Samples that are no motion (``check_rates=False``) and
+    a single instant have nothing in between.
+
+    Args:
+        dynamics: any backend.
+        motion: N samples of the platform coordinates.
+        carriers: N samples of the carriers; parked at s = 0 when left out.
+        unreachable: as in ``Dynamics.along``.
+
+    Raises:
+        CarrierLimitError, InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in
+            ``Dynamics.reduce``.
+    """
+    robot = dynamics.robot
+    reduced = dynamics.reduce(motion, carriers, unreachable=unreachable)
+    tree = lift(robot, motion, mark_unreachable=unreachable == "mark")
+    margins = signed_margin(scaled(reduced.W, reduced.row_scale, reduced.column_scale))
+    crossings: list[Crossing] = []
+    unresolved = ""
+    for first, stop in runs(reduced.reachable) if motion.check_rates else ():
+        part, margin = motion[first:stop], margins[first:stop]
+        if part.t[-1] > part.t[0] and _may_meet(robot, part, margin, _NEAR):
+            try:
+                crossings += find_crossings(robot, part)
+            except RedundancyPinError as error:
+                # the samples can be followed, the motion between them cannot, or is too near a rank loss to search
+                if _may_meet(robot, part, margin, _FAR):
+                    unresolved = unresolved or error.message
+    met = [one for one in crossings if one.kind != SingularityKind.TYPE_I]
+    instants = _instants(dynamics, motion, carriers, met, unreachable) if met else ()
+    excesses = beyond_limits(robot, tree.q, motion.t)
+    return InverseDynamics(reduced, distribute(reduced), instants, excesses, unresolved)
+
+
+def _may_meet(robot: Robot, motion: PlatformMotion, margin: Array, nearest: float) -> bool:
+    """Return whether a singularity may lie between samples; always where they are too far apart to tell.
+
+    Between samples that are near the margin (N,) has one dip at most, and it falls by less than twice what it falls
+    outside of them (``roots``).
+    """
+    steps = np.linalg.norm(difference(robot, motion.x[1:], motion.x[:-1]) * row_scale(robot), axis=1)
+    if steps.max() > nearest * robot.characteristic_length:
+        return True
+    size = np.abs(margin)
+    beside = np.pad(size, 1, mode="edge")
+    fall = np.maximum(np.maximum(beside[:-2], beside[2:]) - size, 0.0)
+    return bool((margin[1:] * margin[:-1] <= 0.0).any() or (size - 2.0 * fall <= 0.0).any())
+
+
+def _instants(
+    dynamics: Dynamics,
+    motion: PlatformMotion,
+    carriers: CarrierMotion | None,
+    met: list[Crossing],
+    unreachable: OnUnreachable,
+) -> tuple[SingularInstant, ...]:
+    """Return what the efforts do at crossings, which are put among the samples: one branch is followed through all."""
+    t = np.array([one.t for one in met])
+    new = ~np.isin(t, motion.t)
+    order = np.argsort(np.concatenate([motion.t, t[new]]), kind="stable")
+
+    def merged(old: Array, added: Array) -> Array:
+        both: Array = np.concatenate([old, added[new]])[order]
+        return both
+
+    time, x = merged(motion.t, t), merged(motion.x, np.array([one.x for one in met]))
+    xd, xdd = _rates(motion.t, motion.xd, motion.xdd, t)
+    moved = None
+    if carriers is not None:
+        s, (sd, sdd) = _positions(motion.t, carriers, t), _rates(motion.t, carriers.sd, carriers.sdd, t)
+        pairs = (carriers.s, s), (carriers.sd, sd), (carriers.sdd, sdd)
+        moved = CarrierMotion(*(merged(*pair) for pair in pairs), check_rates=False)
+    among = PlatformMotion(time, x, merged(motion.xd, xd), merged(motion.xdd, xdd), check_rates=False)
+    reduced = dynamics.reduce(among, moved, unreachable=unreachable, check_track=False)
+    solved = distribute(reduced, consistency_tolerance=_CONSISTENT, rank_tolerance=_AT_INSTANT)
+    found = []
+    for one, k in zip(met, np.searchsorted(time, t).tolist(), strict=True):
+        if solved.rank[k] == min(reduced.W.shape[1:]):
+            continue  # the closures lose rank there, W on the branch that goes through does not
+        status, residual = SampleStatus(solved.status[k]), float(solved.residual[k])
+        found.append(SingularInstant(one.t, one.until, one.kind, one.crosses, status, residual))
+    return tuple(found)
+
+
+def _edges(t: Array) -> tuple[IntArray, Array]:
+    """Return the samples (I,) at the left of an interval, and the edges (I + 1,) of the intervals."""
+    left = np.flatnonzero(np.diff(t) > 0.0)
+    return left, np.append(t[left], t[-1])
+
+
+def _rates(t: Array, rate: Array, acceleration: Array, at: Array) -> tuple[Array, Array]:
+    """Return rates and accelerations (C, n) at times: the cubics through both at the samples."""
+    left, edges = _edges(t)
+    h = np.diff(edges)[:, None]
+    v0, v1, a0, a1 = rate[left], rate[left + 1], acceleration[left], acceleration[left + 1]
+    velocity = PiecewisePolynomial.from_bernstein(np.stack([v0, v0 + h * a0 / 3.0, v1 - h * a1 / 3.0, v1]), edges)
+    return velocity(at), velocity.derivative()(at)
+
+
+def _positions(t: Array, carriers: CarrierMotion, at: Array) -> Array:
+    """Return (C, k) positions of carriers: the quintics through s, ṡ, s̈ at the samples."""
+    left, edges = _edges(t)
+    ends = [(carriers.s[k], carriers.sd[k], carriers.sdd[k]) for k in (left, left + 1)]
+    return PiecewisePolynomial.hermite(edges, *ends)(at)

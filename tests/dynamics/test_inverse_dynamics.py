@@ -1,0 +1,200 @@
+"""What the samples of a motion do not show: singularities between them, and joints that leave their limits."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+from command_line import call, write_motion
+from scipy.optimize import brentq
+
+import redundancy_pin as rp
+from redundancy_pin import CarrierMotion, PlatformMotion
+from redundancy_pin.dynamics.distribution import SampleStatus
+from redundancy_pin.dynamics.inverse_dynamics import EffortStatus
+from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
+
+CIRCLE = reference.circle(speed=0.5)
+BACKENDS = {"rnea": rp.RneaDynamics, "virtual work": rp.VirtualWork, "compiled": rp.CompiledDynamics}
+
+
+def base_line_instants() -> list[float]:
+    """The times at which the circle meets the line through both hinges of the 2-RPR, where its legs are parallel."""
+
+    def height(t: float) -> float:
+        return float(CIRCLE.sample_at([t]).x[0, 1])
+
+    grid = np.linspace(0.0, CIRCLE.duration, 200)
+    y = CIRCLE.sample_at(grid).x[:, 1]
+    return [brentq(height, grid[k], grid[k + 1], xtol=1e-14) for k in np.flatnonzero(y[1:] * y[:-1] < 0.0)]
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.01, 1e-3])
+@pytest.mark.parametrize("name", BACKENDS)
+def test_crossings_between_samples_are_named_by_their_instants(name: str, dt: float) -> None:
+    motion = CIRCLE.sample(dt)
+    found = rp.inverse_dynamics(BACKENDS[name](zoo.robot_of("2rpr")), motion)
+    # no sample shows it: every one of them has finite efforts
+    assert np.isfinite(found.efforts.tau).all()
+    expected = base_line_instants()
+    assert len(expected) == 2
+    # between samples the motion is a quintic, off by the sixth power of the step
+    np.testing.assert_allclose([one.t for one in found.instants], expected, atol=max(20.0 * dt**6, 1e-12))
+    assert found.status is EffortStatus.UNBOUNDED_EFFORT
+    for one in found.instants:
+        assert one.crosses
+        assert one.unbounded
+        assert one.status is SampleStatus.SINGULAR_INCONSISTENT
+    assert repr(found).startswith("InverseDynamics(unbounded_effort; singular at t = 0.51941")
+
+
+def test_what_is_left_at_a_crossing_is_what_efforts_beside_it_grow_with() -> None:
+    """τ ~ residual / margin: known from a sample beside the instant, however near."""
+    dynamics = rp.RneaDynamics(zoo.robot_of("2rpr"))
+    [first, _] = rp.inverse_dynamics(dynamics, CIRCLE.sample(0.01)).instants
+    beside = rp.distribute(dynamics.reduce(CIRCLE.sample_at([first.t - 1e-5])))
+    assert np.linalg.norm(beside.tau[0]) * beside.margin[0] == pytest.approx(first.residual, rel=1e-3)
+
+
+def test_carriers_that_carry_the_force_leave_the_efforts_finite() -> None:
+    """A plan through the singularities: the same instants, and finite efforts at them."""
+    pytest.importorskip("casadi")
+    robot = zoo.robot_of("2rpr")
+    plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), CIRCLE)
+    found = rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, plan.carriers)
+    np.testing.assert_allclose([one.t for one in found.instants], base_line_instants(), atol=1e-9)
+    assert [one.status for one in found.instants] == [SampleStatus.SINGULAR_CONSISTENT] * 2
+    assert found.status is EffortStatus.FINITE_EFFORT
+    # half of their motion does not carry it
+    half = CarrierMotion(*(0.5 * part for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd)))
+    assert rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, half).status is EffortStatus.UNBOUNDED_EFFORT
+
+
+def test_a_motion_that_stays_away_is_said_to() -> None:
+    robot = zoo.robot_of("3rrr")
+    for dt in (0.05, 2e-3):
+        found = rp.inverse_dynamics(rp.RneaDynamics(robot), reference.corner().sample(dt))
+        assert (found.status, found.instants, found.joint_limits) == (EffortStatus.FINITE_EFFORT, (), ())
+
+
+def test_states_and_single_instants_have_nothing_in_between() -> None:
+    robot = zoo.robot_of("2rpr")
+    motion = CIRCLE.sample(0.01)
+    states = PlatformMotion(motion.t, motion.x, motion.xd, motion.xdd, check_rates=False)
+    for one in (states, motion[:1]):
+        assert rp.inverse_dynamics(rp.RneaDynamics(robot), one).instants == ()
+
+
+def test_reachable_stretches_are_looked_at_one_by_one() -> None:
+    """From out of reach straight down into the workspace, and through the pose where both distal links are in line."""
+    robot = zoo.robot_of("five_bar")
+    path = Line([0.25, 1.4], [0.25, 0.2])
+    line = Trajectory(path, RestToRest(path.length, duration=2.0))
+    found = rp.inverse_dynamics(rp.RneaDynamics(robot), line.sample(0.02), unreachable="mark")
+    assert (found.efforts.status == SampleStatus.UNREACHABLE).any()
+    expected = brentq(lambda t: line.sample_at([t]).x[0, 1] - 0.25 * np.sqrt(3.0), 0.1, 1.9, xtol=1e-14)
+    assert [one.t for one in found.instants] == pytest.approx([expected], abs=1e-8)
+    assert found.status is EffortStatus.UNBOUNDED_EFFORT
+
+
+# --- the command ---
+
+
+def test_the_command_says_the_instants_and_has_an_exit_code(tmp_path: Path) -> None:
+    motion, out = write_motion(tmp_path / "circle.csv", CIRCLE, 0.01), tmp_path / "out.csv"
+    command = ("inverse-dynamics", "--robot", "2rpr", "--motion", motion, "--out", out)
+    result = call(*command)
+    assert result.exit_code == 3
+    assert "unbounded_effort" in result.stdout
+    [line] = result.stderr.splitlines()
+    assert line.startswith("warning: no finite main efforts at t = 0.519414238, 0.831222824 s: det W changes sign")
+    machine = call(*command, "--json")
+    assert machine.exit_code == 3
+    found = json.loads(machine.stdout)
+    assert found["status"] == "unbounded_effort"
+    np.testing.assert_allclose([one["t"] for one in found["singular_instants"]], base_line_instants(), atol=1e-9)
+    assert {one["kind"] for one in found["singular_instants"]} == {"type_ii"}
+    assert all(one["unbounded"] and one["crosses"] for one in found["singular_instants"])
+    assert found["joint_limits"] == []
+
+
+# --- limits of joints ---
+
+
+@pytest.fixture(scope="module")
+def limited(tmp_path_factory: pytest.TempPathFactory):
+    """The four-bar with a rocker, which is passive, that may turn from 1.5 to 2.0 rad."""
+    folder = tmp_path_factory.mktemp("limited")
+    shutil.copytree(Path(__file__).parents[2] / "models" / "four_bar", folder, dirs_exist_ok=True)
+    path = folder / "four_bar.urdf.xacro"
+    text = path.read_text()
+    [macro] = re.findall(r'<limit lower="-1000" upper="1000"', text)
+    text = text.replace(macro, '<limit lower="${lower}" upper="${upper}"')
+    head = re.search(r'<xacro:macro name="(\w+)" params="([^"]*effort[^"]*)"', text)
+    assert head is not None
+    text = text.replace(head[0], f'{head[0][:-1]} lower:=-1000 upper:=1000"')
+    text = re.sub(rf'(<xacro:{head[1]} name="rocker")', r'\1 lower="1.5" upper="2.0"', text)
+    assert 'upper="2.0"' in text
+    path.write_text(text)
+    return rp.load_robot(folder)
+
+
+def crank(start: float, end: float, samples: int = 201) -> PlatformMotion:
+    t = np.linspace(0.0, 1.0, samples)
+    rate = np.full((samples, 1), end - start)
+    return PlatformMotion(t, start + t[:, None] * (end - start), rate, 0.0 * rate)
+
+
+def test_a_passive_joint_that_leaves_its_limit_is_named_with_time_value_and_limit(limited) -> None:
+    motion = crank(0.6, 2.2)
+    free = rp.load_robot("four_bar")
+    # without limits the same machine says where the rocker is
+    place = free.model.joints[free.model.getJointId("rocker")].idx_q
+    rocker = rp.lift(free, motion).q[:, place]
+    found = {one.value > one.limit: one for one in rp.inverse_dynamics(rp.RneaDynamics(limited), motion).joint_limits}
+    assert (rocker > 2.0).any()
+    for upper, limit, beyond in ((True, 2.0, rocker > 2.0), (False, 1.5, rocker < 1.5)):
+        assert (upper in found) == beyond.any()
+        if upper in found:
+            one = found[upper]
+            assert (one.joint, one.limit, one.unit) == ("rocker", limit, "rad")
+            assert one.t == motion.t[np.argmax(beyond)]
+            assert one.value == pytest.approx(rocker.max() if upper else rocker.min(), abs=1e-12)
+    assert "joint 'rocker' leaves its upper limit 2 rad at t = " in str(found[True])
+    inside = crank(1.0, 1.1)
+    assert rp.inverse_dynamics(rp.RneaDynamics(limited), inside).joint_limits == ()
+    assert rp.inverse_dynamics(rp.RneaDynamics(free), motion).joint_limits == ()
+
+
+def test_limits_may_be_counted_from_another_turn(limited) -> None:
+    """A crank a whole turn on is the same machine, its rocker included."""
+    from redundancy_pin.kinematics.joint_limits import beyond_limits
+
+    motion = crank(1.0, 1.1)
+    q = np.array(rp.lift(limited, motion).q)
+    place = limited.model.joints[limited.model.getJointId("rocker")].idx_q
+    for turns in (-2, 1):
+        moved = q.copy()
+        moved[:, place] += 2.0 * np.pi * turns
+        assert beyond_limits(limited, moved, motion.t) == ()
+        moved[7, place] += 1.0
+        [one] = beyond_limits(limited, moved, motion.t)
+        assert one.t == one.worst == motion.t[7]
+
+
+def test_the_command_warns_of_limits(limited, tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+    motion = crank(0.6, 2.2)
+    rows = np.column_stack([motion.t, motion.x, motion.xd, motion.xdd])
+    np.savetxt(path, rows, delimiter=",", header="t,x0,xd0,xdd0", comments="", fmt="%.17g")
+    result = call(
+        "inverse-dynamics", "--robot", limited.source, "--motion", path, "--out", tmp_path / "o.csv", "--json"
+    )
+    assert result.exit_code == 0
+    assert "warning: joint 'rocker' leaves its upper limit 2 rad at t = " in result.stderr
+    assert {one["joint"] for one in json.loads(result.stdout)["joint_limits"]} == {"rocker"}
