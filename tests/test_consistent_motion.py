@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import zoo
 from command_line import call, refused
-from redundancy_pin.simulation.reference import motion_reference
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
 from redundancy_pin import CarrierMotion, PlatformMotion
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import require_consistent
+from redundancy_pin.planners.reference import motion_reference
 
 RATE = np.array([2.0, 3.0])
 SIZE = np.array([0.02, 0.05])
