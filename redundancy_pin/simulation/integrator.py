@@ -382,7 +382,7 @@ def _step(
     progress = replace(progress, t=solver.t, y=solver.y, steps=progress.steps + 1, short=short)
     if short >= _MOST_SHORT:
         _require_answers(rate)
-        return progress.failed(f"the steps have shrunk to {solver.step_size:.2g} s: {_why(problem, earlier)}")
+        return progress.failed(f"the steps have shrunk to {solver.step_size:.2g} s: {_why(problem, earlier, hold)}")
     rate.failure = None
     # events and samples come from the interpolant, which is that of the step before its end is projected
     step = Step(solver, before)
@@ -476,13 +476,10 @@ def _require_continuous(
     largest = max(float(np.abs(part).max(initial=0.0)) for part in (before[0][nq:], v))
     if not jump <= _JUMP * largest + _STIR:
         i = int(np.abs(projected - v).argmax())
-        moved = [
-            name for name, j in zip(machine.robot.model.names, machine.robot.model.joints, strict=True) if j.idx_v <= i
-        ]
         raise RetryStep(
             0.25 * solver.step_size,
             sheet,
-            f"the velocity of {moved[-1]} would jump from {v[i]:.3g} to {projected[i]:.3g}: the step leads to another "
+            f"the velocity of {_joint_of(machine, i)} would jump from {v[i]:.3g} to {projected[i]:.3g}: the step leads to another "
             "branch of the motion",
         )
 
@@ -499,9 +496,10 @@ def _require_answers(rate: _Rate) -> None:
         raise rate.failure
 
 
-def _why(problem: Problem, earlier: Progress) -> str:
+def _why(problem: Problem, earlier: Progress, hold: Command | None) -> str:
     """Return what makes a motion blow up, as far as it shows."""
-    functions, inertia = problem.functions, problem.machine.least_inertia(earlier.t, earlier.y)
+    machine, functions = problem.machine, problem.functions
+    inertia = machine.least_inertia(earlier.t, earlier.y)
     if earlier.values[-1] < NEAR * NEAR:
         return _at_pose(functions, earlier.y[: functions.nq], "its closures have nearly lost rank")
     if inertia < _LITTLE_INERTIA:
@@ -509,7 +507,20 @@ def _why(problem: Problem, earlier: Progress) -> str:
             f"a free motion has hardly any inertia, {inertia:.2g} of the largest, so accelerations grow without "
             "bound. Give every part mass (such as end_effector_mass=0.1)"
         )
-    return "something grows without bound. Check the efforts of the controller"
+    state = machine.state(earlier.t, earlier.y)
+    i = int(np.abs(state.v).argmax())
+    command = machine.amplifiers.command(state) if hold is None else hold
+    effort = max(float(np.abs(part).max(initial=0.0)) for part in command)
+    driven = f"under efforts of up to {effort:.3g}" if effort else "while no actuator gives any effort"
+    check = "the efforts of the controller" if effort else "the external forces and the start"
+    what = f"joint {_joint_of(machine, i)!r} runs away at {state.v[i]:.3g} rad/s or m/s {driven}"
+    return f"{_at_pose(functions, state.q, what)}: something grows without bound. Check {check}"
+
+
+def _joint_of(machine: Machine, i: int) -> str:
+    """Return the name of the joint that a tree velocity belongs to."""
+    model = machine.robot.model
+    return str([name for name, one in zip(model.names, model.joints, strict=True) if one.idx_v <= i][-1])
 
 
 def _record(

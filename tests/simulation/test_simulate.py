@@ -352,6 +352,26 @@ def test_a_controller_that_blows_up_is_a_failure_with_its_reason() -> None:
     assert few.t[-1] <= 0.02
 
 
+@pytest.mark.parametrize("driven", [True, False])
+def test_what_runs_away_is_named_and_a_controller_is_blamed_only_where_there_is_one(driven: bool) -> None:
+    """Efforts, or external forces, that grow with the third power of the speed: infinite in finite time."""
+    robot = rp.load_robot("four_bar")
+
+    class Cubic:
+        def effort(self, t: float, state: State) -> tuple[Array, Array]:
+            return 50.0 * state.xd**3, np.zeros(0)
+
+    if driven:
+        run = rp.simulate(robot, Cubic(), duration=1.0)
+    else:
+        run = rp.simulate(robot, duration=1.0, external=lambda state: 50.0 * state.v**3)
+    assert run.status is SimulationStatus.FAILED
+    assert "joint 'crank' runs away at -7" in run.reason
+    assert "ratio of singular values 0.41" in run.reason
+    assert ("controller" in run.reason) is driven
+    assert ("no actuator gives any effort" in run.reason) is not driven
+
+
 class From:
     """Efforts that a spring gives, and from a time on something else."""
 
