@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -18,7 +19,9 @@ from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import (
+    gravity_acts,
     in_working_mode,
+    is_revolute,
     mode_name,
     reference_coordinates,
     velocity_scale,
@@ -66,7 +69,20 @@ def load_robot(
         DeclarationError: a declaration that contradicts the URDF or itself: unknown names, joints in two roles, over-
             or under-constrained chains, a reference that does not close.
     """
-    return load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust)
+    robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust)
+    if note := idle_gravity(robot, gravity):
+        warnings.warn(note, UserWarning, stacklevel=2)
+    return robot
+
+
+def idle_gravity(robot: Robot, given: Sequence[float] | None) -> str:
+    """Return what to say of a gravity that was asked for and moves nothing; empty if there is nothing to say."""
+    if given is None or not np.any(robot.gravity) or gravity_acts(robot):
+        return ""
+    return (
+        f"gravity = {robot.gravity.tolist()} is normal to the plane in which {robot.name} moves: it has no effect on "
+        "efforts."
+    )
 
 
 def load_with(
@@ -188,6 +204,7 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
     """
     system = ConstraintSystem(robot)
     _check_mobility(system)
+    _require_radians(robot, declaration.reference.guess, "reference.guess")
     guess = np.array(robot.q_reference)
     columns = _columns(robot.model, declaration.reference.guess)
     if target is None:
@@ -195,7 +212,9 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
         q = closed_near(robot, guess)
         gap, closed = 0.0, bool(in_working_mode(robot, q[None])[0])
     else:
-        q, gap, closed = multistart_nearest(system, guess, target()[0], columns)
+        goal = target()[0]
+        _require_radians(robot, dict(zip(robot.independent_joints, goal.tolist(), strict=False)), "reference.joints")
+        q, gap, closed = multistart_nearest(system, guess, goal, columns)
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q, gap),
@@ -221,9 +240,47 @@ def _columns(model: pin.Model, names: Iterable[str]) -> IntArray:
 def _not_closed(robot: Robot, nearest: Array, gap: float) -> str:
     mode = f" in working mode {mode_name(robot.working_mode)}" if robot.working_mode else ""
     if gap >= CLOSURE_TOLERANCE:
-        return f"The reference of {robot.name} does not close{mode}: the best of many starts leaves a gap of {gap:.3g}."
+        return (
+            f"The reference of {robot.name} does not close{mode}: the best of many starts leaves a gap of {gap:.3g}"
+            f"{_where_open(robot, nearest)}."
+        )
     other = mode_name(tuple(working_modes(robot, nearest[None])[0]))
     return f"The reference of {robot.name} does not close{mode}, only in others such as {other}."
+
+
+_OPEN = 0.1
+"""A closure that is open by this fraction of the largest gap is named with it."""
+
+
+def _where_open(robot: Robot, q: Array) -> str:
+    """Return which closures a configuration (nq,) leaves open, the worst first."""
+    phi = np.abs(ConstraintSystem(robot).evaluate(q[None]).phi[0])
+    of = np.repeat(np.arange(len(robot.closures)), [len(closure.axes) for closure in robot.closures])
+    gaps = [float(phi[of == k].max()) for k in range(len(robot.closures))]
+    worst = max(gaps, default=0.0)
+    if worst < CLOSURE_TOLERANCE:
+        return ": the loops close, but not where the reference says"
+    named = sorted(zip(gaps, (closure.name for closure in robot.closures), strict=True), reverse=True)
+    listed = ", ".join(f"{name!r} by {gap:.3g}" for gap, name in named if gap > _OPEN * worst)
+    return f" (open: {listed}; are its frames where the links meet?)"
+
+
+def _require_radians(robot: Robot, positions: Mapping[str, float], key: str) -> None:
+    """Check that no joint that turns is put beyond a turn that its limits do not ask for: it would be in degrees."""
+    for name, value in positions.items():
+        if not is_revolute(robot, name) or abs(value) <= 2.0 * np.pi:
+            continue
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        ends = [float(limit[joint.idx_q]) for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit)]
+        if joint.nq == 1 and (ends[0] > 2.0 * np.pi or ends[1] < -2.0 * np.pi):
+            continue
+        raise DeclarationError(
+            f"`{key}` puts the joint {name!r} at {value:g} rad, {abs(value) / (2.0 * np.pi):.3g} turns: degrees?",
+            remedy=f"Write radians, within a turn: {value:g} degrees are {np.deg2rad(value):.6g}.",
+            key=key,
+            name=name,
+            value=value,
+        )
 
 
 def _check_mobility(system: ConstraintSystem) -> None:
@@ -242,7 +299,7 @@ def _check_mobility(system: ConstraintSystem) -> None:
             "velocities."
         )
     else:
-        kind, only, where = "under", "only ", ""
+        kind, only, where = "under", "only ", _left_free(system)
         remedy = "Add the missing closure axes, declare more independent velocities, or list carriers as carriers."
     raise DeclarationError(
         f"{robot.name} is {kind}-constrained: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
@@ -252,6 +309,28 @@ def _check_mobility(system: ConstraintSystem) -> None:
         declared=robot.n,
         rank=rank,
     )
+
+
+def _left_free(system: ConstraintSystem) -> str:
+    """Return which joints still move when the independent velocities are held, near the reference."""
+    robot = system.robot
+    state = assemble(system, np.array(robot.q_reference)[None]).state
+    columns = system.pose_columns
+    rows = state.K[0] / velocity_scale(robot)[columns]
+    values, basis = np.linalg.svd(rows)[1:]
+    free = np.abs(basis[int((values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-300)).sum()) :])
+    moving = {int(columns[k]) for k in np.flatnonzero(free.max(axis=0, initial=0.0) > _MOVES)}
+    names = [
+        str(name)
+        for name, joint in zip(robot.model.names, robot.model.joints, strict=True)
+        if moving & set(range(joint.idx_v, joint.idx_v + joint.nv))
+    ]
+    held = f"{robot.platform.frame!r} held along its axes" if robot.platform else "the independent joints held"
+    return f" With {held}, these joints still move: {', '.join(names)}." if names else ""
+
+
+_MOVES = 1e-6
+"""Part of a unit motion, scaled, that a joint must have in it to be said to move."""
 
 
 def _check_reference_rank(system: ConstraintSystem) -> None:

@@ -70,6 +70,7 @@ def objects() -> dict[str, Any]:
         "derivatives": along.carrier_derivatives(carriers),
         "one sample": dynamics.sample(motion.x[0], motion.xd[0], motion.xdd[0]),
         "efforts": efforts,
+        "inverse dynamics": rp.inverse_dynamics(dynamics, motion, carriers),
         "reactions": rp.joint_reactions(along, efforts.tau, carriers),
         "assemblies": forward_displacement(ThreeRrrGeometry(0.5, 0.1, 0.3, 0.3), [0.3, 2.0, -1.5]),
         "allocation": allocate(

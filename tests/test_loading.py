@@ -1,11 +1,15 @@
 """Loading a robot of one's own: what is accepted, and one clear error for everything that is not."""
 
+import shutil
+
 import numpy as np
 import pytest
 import yaml
 
 import redundancy_pin as rp
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, RedundancyPinError
+from redundancy_pin.kinematics.coordinates import gravity_acts
+from redundancy_pin.robot.urdf import models_root
 
 URDF = """<?xml version="1.0"?>
 <robot name="bar">
@@ -340,3 +344,134 @@ def test_paths_that_lead_nowhere_are_said_to(tmp_path):
         rp.load_robot("3RR")
     assert "URDF" not in repr(rp.load_robot("3rrr"))
     assert len(repr(rp.load_robot("3rrr"))) < 400
+
+
+# --- errors that name their cause ---
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ('<mujoco model="a"><worldbody/></mujoco>', "an MJCF model of MuJoCo"),
+        ('<?xml version="1.0"?>\n<!-- a note: <robot> -->\n<sdf version="1.6"><model name="a"/></sdf>', "an SDF model"),
+        ('\n<!-- note: yaml would choke on this -->\n<robot name="a"/>', "a URDF"),
+        ("<!DOCTYPE html><html><body/></html>", "an XML file with <html> on top"),
+        ("<!-- never closed", "an XML file"),
+        ("<?a?>" * 20_000 + "<", "an XML file"),
+    ],
+)
+def test_a_model_of_another_format_is_called_what_it_is(text, what, tmp_path):
+    (tmp_path / "model.xml").write_text(text)
+    with pytest.raises(DeclarationError, match=f"model.xml is {what}.*not a declaration"):
+        rp.load_robot(tmp_path / "model.xml")
+    with pytest.raises(DeclarationError) as caught:
+        rp.load_robot(tmp_path / "model.xml")
+    assert ("convert it" in str(caught.value)) is (what != "a URDF")
+
+
+def test_a_tree_of_another_format_is_called_what_it_is(tmp_path):
+    path = write(tmp_path, tree='<mujoco model="a"><worldbody/></mujoco>')
+    with pytest.raises(ModelFileError, match=r"<mujoco>, not <robot>: it is an MJCF model of MuJoCo.*Convert it"):
+        rp.load_robot(path)
+
+
+def test_a_closure_whose_frame_is_wrong_is_named_and_the_others_are_not(tmp_path):
+    """Two loops, independent of each other, each closed at its tips; in the second a link of the base is named."""
+    second = (
+        body("s1", "base", "c1", origin="3 0 0")
+        + body("s2", "s1", "d1", origin="0.5 0 0")
+        + body("top1", "s2", "n1", kind="fixed", origin="0.5 0 0", mass=0.1)
+        + body("u1", "base", "c2", origin="3.5 0 0")
+        + body("u2", "u1", "d2", origin="0.5 0 0")
+        + body("top2", "u2", "n2", kind="fixed", origin="0.5 0 0", mass=0.1)
+        + body("far", "base", "n3", kind="fixed", origin="9 0 0", mass=0.1)
+    )
+    tree = FIVE_BAR.replace("</robot>", second + "</robot>")
+    guess = {**DECLARATION["reference"]["guess"], "c1": 2.0, "d1": -1.0, "c2": 1.0, "d2": 1.0}
+
+    def declared(frame):
+        return {
+            "closures": [
+                {"name": "left", "frames": ["tip1", "tip2"], "axes": ["x", "y"]},
+                {"name": "right", "frames": ["top1", frame], "axes": ["x", "y"]},
+            ],
+            "actuated": ["a1", "a2", "c1", "c2"],
+            "independent": {"joints": ["a1", "a2", "c1", "c2"]},
+            "reference": {"joints": {"a1": 1.9, "a2": 1.2, "c1": 1.9, "c2": 1.2}, "guess": guess},
+        }
+
+    assert rp.load_robot(write(tmp_path, tree=tree, **declared("top2"))).n == 4
+    # which is farther from there than both links are long
+    with pytest.raises(DeclarationError, match=r"leaves a gap of .* \(open: 'right' by [3-6]") as caught:
+        rp.load_robot(write(tmp_path, tree=tree, **declared("far")))
+    assert "'left'" not in str(caught.value)
+
+
+def test_a_mask_that_leaves_a_freedom_names_the_joints_that_still_move(tmp_path):
+    path = write(tmp_path, closures=[{"frames": ["tip1", "tip2"], "axes": ["x"]}])
+    with pytest.raises(DeclarationError, match=r"With 'tip1' held .* these joints still move: a2, b2\. Add"):
+        rp.load_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        (
+            {"reference": {"platform": [0.25, 0.7], "guess": {"a1": 120, "b1": -57, "a2": 57, "b2": 57}}},
+            r"`reference.guess` puts the joint 'a1' at 120 rad, 19\.1 turns: degrees\? .*120 degrees are 2\.0944",
+        ),
+        (
+            {"independent": {"joints": ["a1", "a2"]}, "reference": {"joints": {"a1": 1.9, "a2": 60}}},
+            r"`reference.joints` puts the joint 'a2' at 60 rad",
+        ),
+    ],
+)
+def test_positions_in_degrees_are_said_to_be(changes, says, tmp_path):
+    with pytest.raises(DeclarationError, match=says):
+        rp.load_robot(write(tmp_path, **changes))
+
+
+def test_a_platform_angle_in_degrees_is_said_to_be(tmp_path):
+    text = (models_root() / "3rrr" / "robot.yaml").read_text()
+    assert "  platform: [" in text
+    lines = [
+        '  platform: ["sqrt(3) / 2", 0.5, 30]' if line.startswith("  platform: [") else line
+        for line in text.splitlines()
+    ]
+    (tmp_path / "robot.yaml").write_text("\n".join(lines))
+    shutil.copy(models_root() / "3rrr" / "3rrr.urdf.xacro", tmp_path)
+    with pytest.raises(DeclarationError, match=r"reference\.platform.*angles in radians, within a turn \(degrees\?\)"):
+        rp.load_robot(tmp_path)
+
+
+def test_a_joint_whose_limits_are_turns_away_may_start_there(tmp_path):
+    tree = FIVE_BAR.replace('lower="-9" upper="9"', 'lower="7" upper="9"', 1)
+    turned = 2.0 + 2.0 * np.pi
+    reference = {"platform": [0.25, 0.7], "guess": {"a1": turned, "b1": -1.0, "a2": 1.0, "b2": 1.0}}
+    assert rp.load_robot(write(tmp_path, tree=tree, reference=reference)).n == 2
+
+
+def test_gravity_that_moves_nothing_is_said(tmp_path):
+    path = write(tmp_path)
+    with pytest.warns(UserWarning, match=r"gravity = \[0\.0, 0\.0, -9\.81\] is normal to the plane"):
+        still = rp.load_robot(path, gravity=[0.0, 0.0, -9.81])
+    lying = rp.load_robot(path)
+    motion = rp.PlatformMotion([0.0], [[0.25, 0.7]], [[0.0, 0.0]], [[0.0, 0.0]])
+    # it is so: the efforts are those of no gravity; any other direction has an effect, and is not warned of
+    for robot, acts in ((still, False), (lying, False), (rp.load_robot(path, gravity=[0.0, -1e-3, -9.81]), True)):
+        assert gravity_acts(robot) is acts
+        assert bool(np.abs(rp.RneaDynamics(robot).reduce(motion).f).max() > 1e-12) is acts
+    # a machine that slides up and down its plane is moved by it
+    slide = body("l1", "base", "a1", kind="prismatic", axis="0 0 1")
+    (tmp_path / "bar.urdf").write_text(URDF.format(links=slide))
+    (tmp_path / "robot.yaml").write_text(
+        "urdf: bar.urdf\nactuated: [a1]\nindependent: {joints: [a1]}\nreference: {joints: {a1: 0.0}}\n"
+    )
+    assert gravity_acts(rp.load_robot(tmp_path, gravity=[0.0, 0.0, -9.81]))
+
+
+def test_moments_of_inertia_of_no_body_say_the_rule(tmp_path):
+    with pytest.raises(ModelFileError, match="no body can have: the largest exceeds the sum of the other two"):
+        rp.load_robot(write(tmp_path, tree=FIVE_BAR.replace('izz="0.02"', 'izz="5"', 1)))
+    with pytest.raises(ModelFileError, match="no body can have: a negative one"):
+        rp.load_robot(write(tmp_path, tree=FIVE_BAR.replace('ixx="0"', 'ixx="-1"', 1)))

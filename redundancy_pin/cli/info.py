@@ -49,7 +49,7 @@ def info(robot: RobotOptions, as_json: bool) -> None:
 
 def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str, Any]:
     """Return what there is to know about a robot as plain data."""
-    from redundancy_pin.kinematics.coordinates import all_working_modes, mode_name
+    from redundancy_pin.kinematics.coordinates import all_working_modes, gravity_acts, mode_name
     from redundancy_pin.robot.declaration import read_declaration
     from redundancy_pin.robot.model_files import DEFAULTS, is_model_file
 
@@ -89,6 +89,7 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
             for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True)
         },
         "gravity": robot.gravity.tolist(),
+        "gravity_acts": gravity_acts(robot),
         "working_mode": mode_name(robot.working_mode),
         "working_modes": [mode_name(mode) for mode in all_working_modes(robot) if mode],
         "characteristic_length": robot.characteristic_length,
@@ -147,7 +148,7 @@ def _general(facts: dict[str, Any]) -> Table:
             "independent",
             f"{', '.join(axes)} of {independent['platform']}" if axes else ", ".join(independent["joints"]),
         ),
-        ("gravity [m/s²]", ", ".join(f"{value:g}" for value in facts["gravity"])),
+        ("gravity [m/s²]", _gravity(facts)),
         *([("working mode", f"{facts['working_mode']} of {', '.join(modes)}")] if modes else []),
         ("characteristic length [m]", f"{facts['characteristic_length']:.6g}"),
         ("closed form (virtual work)", facts["closed_form"] or "none"),
@@ -183,19 +184,35 @@ def _tables(facts: dict[str, Any]) -> Iterator[Table]:
 
 
 def _unit(facts: dict[str, Any]) -> str:
-    """Return the unit of the reference coordinates; "m" of a pose, whose rotation matrix has none."""
+    """Return the unit of the reference coordinates."""
     axes, names = facts["independent"]["axes"], facts["independent"]["joints"] or ()
     turning = [joint["type"] == "revolute" for joint in facts["joints"] if joint["name"] in names]
     turning = turning or [axis in ("rx", "ry", "rz") for axis in axes]
-    if isinstance(facts["reference"]["coordinates"][0], list) or not any(turning):
+    if not any(turning):
         return "m"
     return "rad" if all(turning) else "m, rad"
 
 
+def _gravity(facts: dict[str, Any]) -> str:
+    shown = ", ".join(f"{value:g}" for value in facts["gravity"])
+    idle = any(facts["gravity"]) and not facts["gravity_acts"]
+    return f"{shown}: normal to the plane of motion, no effect on efforts" if idle else shown
+
+
 def _coordinates(values: list[Any]) -> str:
-    if values and isinstance(values[0], list):  # a pose
-        return "; ".join(row(each) for each in values[:3])
-    return row(values)
+    """Return coordinates side by side; of a pose position and roll, pitch, yaw, as a declaration has them."""
+    if values and isinstance(values[0], list):
+        from scipy.spatial.transform import Rotation
+
+        pose = np.array(values)
+        xyz, rpy = _rounded(pose[:3, 3]), _rounded(Rotation.from_matrix(pose[:3, :3]).as_euler("xyz"))
+        return f"xyz {row(xyz)}; rpy {row(rpy)}"
+    return row(_rounded(values))
+
+
+def _rounded(values: Any) -> Any:
+    """Return numbers without the rounding of a closure: nine digits behind the point."""
+    return np.round(np.asarray(values, dtype=float), 9) + 0.0
 
 
 def _text(value: object) -> str:

@@ -36,9 +36,13 @@ class RobotOptions:
 
     def load(self) -> Robot:
         """Load the robot."""
-        from redundancy_pin.loading import load_with
+        from redundancy_pin.loading import idle_gravity, load_with
 
-        return load_with(self.source, self.settings, gravity=self.gravity, working_mode=self.mode, trust=self.trust)
+        mode, gravity = self.mode, self.gravity
+        robot = load_with(self.source, self.settings, gravity=gravity, working_mode=mode, trust=self.trust)
+        if note := idle_gravity(robot, gravity):
+            click.echo(f"warning: {note}", err=True)
+        return robot
 
     @property
     def is_robot_only(self) -> bool:

@@ -47,7 +47,7 @@ class EffortStatus(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class SingularInstant(Frozen):
+class SingularInstant:
     """A type II singularity that a motion meets, at a sample or between two.
 
     Attributes:

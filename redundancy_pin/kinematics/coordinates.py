@@ -148,6 +148,32 @@ def turning_velocities(robot: Robot) -> BoolArray:
     return read_only(turning)
 
 
+def gravity_acts(robot: Robot) -> bool:
+    """Return whether gravity can move anything: not if it is zero, nor if it is normal to all that a planar tree does.
+
+    Where every joint turns about the direction of gravity, or slides normal to it, no body rises or falls.
+    """
+    model, size = robot.model, float(np.linalg.norm(robot.gravity))
+    if size == 0.0:
+        return False
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    down = robot.gravity / size
+    for index in range(1, model.njoints):
+        joint = model.joints[index]
+        turned = data.oMi[index].rotation
+        columns = motion_subspace(model, data, index)
+        slides, turns = turned @ columns[:3], turned @ columns[3:]
+        across = np.abs(np.cross(turns.T, down)).max(initial=0.0)
+        if max(across, np.abs(down @ slides[:, : joint.nv]).max(initial=0.0)) > _NORMAL:
+            return True
+    return False
+
+
+_NORMAL = 1e-6
+"""Sine of an angle that counts as zero: of axes written with six digits."""
+
+
 def joint_position(robot: Robot, name: str, q: Array) -> Array:
     """Return (N,) positions of a joint of one freedom, m or rad; a continuous joint's lies in (−π, π]."""
     joint = robot.model.joints[robot.model.getJointId(name)]

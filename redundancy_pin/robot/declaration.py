@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, RootModel, ValidationInfo, field_validator
 
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
+from redundancy_pin.io.reading import read_text
 from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, validated
-from redundancy_pin.io.yaml_file import YamlFile, read_yaml
+from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
 from redundancy_pin.robot.expressions import MATHEMATICS, Budget, evaluate
 from redundancy_pin.robot.types import AXES, Closure, Platform, WorkingModes
 from redundancy_pin.robot.urdf import Argument
+from redundancy_pin.robot.xml_files import FORMATS, format_of
 
 CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
     "2rpr": (
@@ -217,11 +219,20 @@ class Declaration(Schema):
             return tuple(positions[name] for name in joints)
         if self.platform.is_pose:
             pose = validated(_Pose, given.platform, key="reference.platform", context=context)
+            _require_radians(pose.rpy, "reference.platform.rpy", given.platform)
             return (*pose.xyz, *pose.rpy)
         place = validated(_Coordinates, given.platform, key="reference.platform", context=context).root
         if len(place) != len(self.platform.axes):
             raise bad_value("reference.platform", given.platform, f"a list of {len(self.platform.axes)}")
+        turned = [value for value, axis in zip(place, self.platform.axes, strict=True) if axis.startswith("r")]
+        _require_radians(turned, "reference.platform", given.platform)
         return place
+
+
+def _require_radians(angles: Sequence[float], key: str, given: object) -> None:
+    """Check that no angle is beyond a turn: it would be one in degrees."""
+    if any(abs(angle) > 2.0 * math.pi for angle in angles):
+        raise bad_value(key, given, "angles in radians, within a turn (degrees?)")
 
 
 def read_declaration(path: Path) -> YamlFile:
@@ -231,12 +242,14 @@ def read_declaration(path: Path) -> YamlFile:
         ModelFileError: unreadable file or broken YAML.
         DeclarationError: not a mapping, an unknown key, or no ``urdf``.
     """
-    file = read_yaml(path, ModelFileError)
+    text = read_text(path, ModelFileError, largest=LARGEST_FILE)
+    if other := format_of(text):  # before YAML chokes on it
+        remedy = "Pass the robot.yaml that names it under `urdf`."
+        if other != FORMATS["robot"]:
+            remedy = "Trees are read from URDF and xacro: convert it, and name the result under `urdf` of a robot.yaml."
+        raise DeclarationError(f"{path} is {other}, not a declaration.", remedy=remedy, format=other)
+    file = parse_yaml(text, str(path), ModelFileError)
     data = file.data
-    if isinstance(data, str) and data.lstrip().startswith("<"):
-        raise DeclarationError(
-            f"{path} is a URDF, not a declaration.", remedy="Pass the robot.yaml that names it under `urdf`."
-        )
     known = list(Declaration.model_fields)
     if not isinstance(data, dict):
         raise DeclarationError(f"{path} holds no mapping of keys.", remedy=f"Its keys: {', '.join(known)}.")

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError, did_you_mean
-from redundancy_pin.robot.xml_files import Element, parsed_text
+from redundancy_pin.robot.xml_files import FORMATS, Element, parsed_text
 
 MOST_LINKS = 2000
 """Links of a robot: urdfdom looks each up among all."""
@@ -117,7 +117,10 @@ def read_tree(urdf: str, path: Path) -> Tree:
     """
     robot = _Part(parsed_text(urdf, str(path)), path, "The robot")
     if robot.element.tag != "robot":
-        robot.refuse(f"The top element of {path.name} is <{_short(robot.element.tag)}>, not <robot>")
+        known = FORMATS.get(robot.element.tag)
+        what = f": it is {known}, and trees are read from URDF and xacro" if known else ""
+        remedy = "Convert it, or name another file." if known else ""
+        robot.refuse(f"The top element of {path.name} is <{_short(robot.element.tag)}>, not <robot>{what}", remedy)
     robot.require_known_parts()
     parts = {kind: robot.named(kind) for kind in ("link", "joint")}
     links = {name: _link(name, part) for name, part in parts["link"].items()}
@@ -243,7 +246,8 @@ def _link(name: str, part: _Part) -> LinkEntry:
     allowed = _TRIANGLE_TOLERANCE * float(np.abs(moments).max())
     if moments[0] < -allowed or moments[2] > moments[0] + moments[1] + allowed:
         text = np.array2string(moments, precision=4)
-        inertia.refuse(f"{part.owner} has principal moments of inertia {text} that no body can have")
+        rule = "a negative one" if moments[0] < -allowed else "the largest exceeds the sum of the other two"
+        inertia.refuse(f"{part.owner} has principal moments of inertia {text} that no body can have: {rule}")
     placement = inertial.placement()
     turn = placement[:3, :3]
     return LinkEntry(name, kilograms, placement[:3, 3], turn @ matrix @ turn.T)

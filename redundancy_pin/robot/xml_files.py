@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
 from xml.parsers import expat
 
-from redundancy_pin.errors import ModelFileError
+from redundancy_pin.errors import ModelFileError, shortened
 from redundancy_pin.io.reading import read_text
 
 MOST_BYTES = 2_000_000
@@ -25,6 +26,24 @@ MOST_ATTRIBUTES = 100
 
 DEEPEST = 100
 """Elements in elements: all readers that follow go down by recursion."""
+
+
+FORMATS = {"robot": "a URDF", "mujoco": "an MJCF model of MuJoCo", "sdf": "an SDF model of Gazebo"}
+"""What a file is, by its top element."""
+
+_BEFORE_TOP = (("<?", "?>"), ("<!--", "-->"), ("<!", ">"))
+_TAG = re.compile(r"<\s*([\w:.-]+)")
+
+
+def format_of(text: str) -> str:
+    """Return what a text is, if it is XML: one of ``FORMATS``, or by its top element; empty if it is no XML."""
+    rest = text.lstrip()
+    if not rest.startswith("<"):
+        return ""
+    while begun := next((pair for pair in _BEFORE_TOP if rest.startswith(pair[0])), None):
+        rest = rest.partition(begun[1])[2].lstrip()
+    top = _TAG.match(rest)
+    return FORMATS.get(top[1], f"an XML file with <{shortened(top[1], 40)}> on top") if top else "an XML file"
 
 
 class Element(ElementTree.Element):

@@ -479,8 +479,8 @@ def _require_continuous(
         raise RetryStep(
             0.25 * solver.step_size,
             sheet,
-            f"the velocity of {_joint_of(machine, i)} would jump from {v[i]:.3g} to {projected[i]:.3g}: the step leads to another "
-            "branch of the motion",
+            f"the velocity of {_joint_of(machine, i)} would jump from {v[i]:.3g} to {projected[i]:.3g}: the step leads "
+            "to another branch of the motion",
         )
 
 

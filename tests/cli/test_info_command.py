@@ -46,7 +46,9 @@ def test_describes_every_robot(name: str) -> None:
         assert parameter in text
 
 
-@pytest.mark.parametrize(("name", "unit"), [("2rpr", "m"), ("3rrr", "m, rad"), ("four_bar", "rad"), ("gough", "m")])
+@pytest.mark.parametrize(
+    ("name", "unit"), [("2rpr", "m"), ("3rrr", "m, rad"), ("four_bar", "rad"), ("gough", "m, rad")]
+)
 def test_the_reference_has_its_unit(name: str, unit: str) -> None:
     assert f"reference [{unit}] " in call("info", "--robot", name).stdout
 
@@ -118,3 +120,20 @@ def test_a_robot_without_description_and_parameters_has_no_empty_places(tmp_path
     text = call("info", "--robot", tmp_path).stdout
     assert "bare:" not in text
     assert "--set" not in text
+
+
+def test_the_reference_of_a_pose_is_position_and_angles_without_rounding() -> None:
+    """As the declaration has it: z = 0.6 and no rotation; rounding of a closure is not shown."""
+    [line] = [line for line in call("info", "--robot", "gough").stdout.splitlines() if "reference [" in line]
+    assert "xyz 0, 0, 0.6; rpy 0, 0, 0 " in line
+    assert "reference [m, rad]" in line
+
+
+def test_gravity_without_effect_is_said_where_it_was_asked_for_and_where_it_is_shown() -> None:
+    result = call("info", "--robot", "3rrr", "--gravity", "0,0,-9.81")
+    assert result.stderr.startswith("warning: gravity = [0.0, 0.0, -9.81] is normal to the plane in which 3rrr moves")
+    assert "0, 0, -9.81: normal to the plane of motion, no effect on efforts" in result.stdout
+    for gravity in ("0,-9.81,0", "0,0,0"):
+        result = call("info", "--robot", "3rrr", "--gravity", gravity)
+        assert result.stderr == ""
+        assert "no effect" not in result.stdout

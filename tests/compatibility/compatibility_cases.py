@@ -112,8 +112,9 @@ COMMANDS: Mapping[str, Command] = {
     "info 3rrr": Command(("info", "--robot", "3rrr")),
     "info four_bar": Command(("info", "--robot", "four_bar")),
     "info gough": Command(("info", "--robot", "gough")),
+    # 0 in version 0.1.0, which did not see that the motion crosses two singularities between its samples
     "inverse-dynamics": Command(
-        ("inverse-dynamics", "--robot", "2rpr", "--motion", "motion.csv", "--out", "efforts.csv")
+        ("inverse-dynamics", "--robot", "2rpr", "--motion", "motion.csv", "--out", "efforts.csv"), code=3
     ),
     "singularities": Command(("singularities", "--robot", "2rpr", "--trajectory", "circle:speed=0.5")),
     "plan switch-off": Command(("plan", "switch-off", *CIRCLE, "--threshold", "5", "--out", "made.npz"), code=3),
