@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -71,7 +70,7 @@ def load_robot(
     """
     robot = load_with(source, arguments, gravity=gravity, working_mode=working_mode, trust=trust)
     if note := idle_gravity(robot, gravity):
-        warnings.warn(note, UserWarning, stacklevel=2)
+        _warn_once(note)
     return robot
 
 

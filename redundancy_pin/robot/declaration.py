@@ -244,9 +244,11 @@ def read_declaration(path: Path) -> YamlFile:
     """
     text = read_text(path, ModelFileError, largest=LARGEST_FILE)
     if other := format_of(text):  # before YAML chokes on it
-        remedy = "Pass the robot.yaml that names it under `urdf`."
-        if other != FORMATS["robot"]:
-            remedy = "Trees are read from URDF and xacro: convert it, and name the result under `urdf` of a robot.yaml."
+        remedy = "Convert it to URDF, and name that under `urdf` of a robot.yaml."
+        if other == FORMATS["robot"]:
+            remedy = "Pass the robot.yaml that names it under `urdf`."
+        elif other == FORMATS["mujoco"]:
+            remedy = "Such files are read by their names: call it .xml or .mjcf."
         raise DeclarationError(f"{path} is {other}, not a declaration.", remedy=remedy, format=other)
     file = parse_yaml(text, str(path), ModelFileError)
     data = file.data

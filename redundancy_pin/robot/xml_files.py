@@ -32,17 +32,19 @@ FORMATS = {"robot": "a URDF", "mujoco": "an MJCF model of MuJoCo", "sdf": "an SD
 """What a file is, by its top element."""
 
 _BEFORE_TOP = (("<?", "?>"), ("<!--", "-->"), ("<!", ">"))
+_SPACE = re.compile(r"\s*")
 _TAG = re.compile(r"<\s*([\w:.-]+)")
 
 
 def format_of(text: str) -> str:
     """Return what a text is, if it is XML: one of ``FORMATS``, or by its top element; empty if it is no XML."""
-    rest = text.lstrip()
-    if not rest.startswith("<"):
+    if not text.lstrip().startswith("<"):
         return ""
-    while begun := next((pair for pair in _BEFORE_TOP if rest.startswith(pair[0])), None):
-        rest = rest.partition(begun[1])[2].lstrip()
-    top = _TAG.match(rest)
+    place = _SPACE.match(text).end()  # type: ignore[union-attr]
+    while begun := next((pair for pair in _BEFORE_TOP if text.startswith(pair[0], place)), None):
+        end = text.find(begun[1], place)
+        place = _SPACE.match(text, end + len(begun[1]) if end >= 0 else len(text)).end()  # type: ignore[union-attr]
+    top = _TAG.match(text, place)
     return FORMATS.get(top[1], f"an XML file with <{shortened(top[1], 40)}> on top") if top else "an XML file"
 
 
