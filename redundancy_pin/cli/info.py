@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,7 +13,7 @@ from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
 from redundancy_pin.cli.output import console, print_json, row, table_of
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.io.yaml_file import read_yaml
-from redundancy_pin.robot import Robot
+from redundancy_pin.robot import Load, Robot
 from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
 
 if TYPE_CHECKING:
@@ -96,6 +97,23 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
         "closed_form": robot.closed_form,
         "reference": _reference(robot),
         "notes": list(robot.notes),
+        "loads": [_load(load) for load in robot.loads],
+    }
+
+
+def _load(load: Load) -> dict[str, Any]:
+    """Return a load as plain data: its kind, where it acts, and what of it is not zero."""
+    values = {field.name: getattr(load, field.name) for field in fields(load)}
+    plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+    friction = ("friction_speed",) if not plain.get("friction") else ()
+    gear = ("gear",) if not plain.get("rotor_inertia") else ()
+    rest = ("rest",) if not plain.get("stiffness") else ()
+    hidden = {*friction, *gear, *rest}
+    return {
+        "kind": type(load).__name__,
+        **{
+            name: value for name, value in plain.items() if name not in hidden and np.asarray(value, dtype=object).any()
+        },
     }
 
 
@@ -181,6 +199,21 @@ def _tables(facts: dict[str, Any]) -> Iterator[Table]:
     if limits:
         headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
         yield table_of("carrier limits", headings, limits, numbers=True)
+    if facts["loads"]:
+        yield _loads_table(facts)
+
+
+def _loads_table(facts: dict[str, Any]) -> Table:
+    rows = []
+    for load in facts["loads"]:
+        where = [str(load[name]) for name in ("joint", "frame", "frame_a", "frame_b") if name in load]
+        what = [
+            f"{name.replace('_', ' ')} {value:g}" if isinstance(value, float) else f"{name.replace('_', ' ')} {value}"
+            for name, value in load.items()
+            if name not in ("kind", "joint", "frame", "frame_a", "frame_b")
+        ]
+        rows.append((load["kind"], ", ".join(where), ", ".join(what)))
+    return table_of("loads in force (SI units)", ("kind", "where", "what"), rows)
 
 
 def _unit(facts: dict[str, Any]) -> str:

@@ -9,6 +9,7 @@ import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -18,6 +19,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORMS, CarrierEntry, Declaration
+from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.types import CarrierLimits, Robot
 from redundancy_pin.robot.urdf import Argument, source_of
 from redundancy_pin.robot.urdf_tree import Tree, read_tree, require_same
@@ -46,7 +48,7 @@ def build(
     model = _built(tree, urdf, path.parent / declaration.urdf)
     model.gravity.linear = np.array(declaration.gravity if gravity is None else checked(gravity, "gravity", (3,)))
     name = path.parent.name if declaration.name is None else str(declaration.name)
-    return put_together(
+    robot = put_together(
         declaration,
         model,
         name=name,
@@ -56,6 +58,24 @@ def build(
         mode=working_mode,
         of="URDF",
     )
+    frictions, notes = _frictions(declaration, tree)
+    return replace(robot.loaded(*frictions), notes=notes) if frictions or notes else robot
+
+
+def _frictions(declaration: Declaration, tree: Tree) -> tuple[list[JointForces], tuple[str, ...]]:
+    """Return what the URDF says of friction in joints, but for joints that the declaration speaks of; and notes."""
+    stated = [joint for joint in tree.joints if joint.dynamics and joint.kind != "fixed"]
+    if stated and not declaration.urdf_dynamics:
+        names = ", ".join(joint.name for joint in stated)
+        return [], (f"Friction of the URDF is not in force (urdf_dynamics: false): {names}.",)
+    declared = {entry.joint for entry in declaration.joint_forces}
+    single = [joint for joint in stated if joint.kind not in ("planar", "floating")]
+    notes = tuple(
+        f"Friction of the {joint.kind} joint {joint.name} is not in force: it has several freedoms."
+        for joint in stated
+        if joint not in single
+    )
+    return [JointForces(joint.name, **joint.dynamics) for joint in single if joint.name not in declared], notes
 
 
 def put_together(
@@ -100,7 +120,10 @@ def put_together(
         source=source,
     )
     _check_carriers_carry(robot)
-    return robot
+    try:
+        return robot.loaded(*declaration.loads) if declaration.loads else robot
+    except InputError as error:  # of a name; the declaration is where to correct it
+        raise DeclarationError(error.message, remedy=error.remedy, **error.details) from error
 
 
 def _built(tree: Tree, urdf: str, path: Path) -> pin.Model:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, RootModel, ValidationInfo, field_validator
 
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
@@ -14,6 +15,7 @@ from redundancy_pin.io.reading import read_text
 from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, validated
 from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
 from redundancy_pin.robot.expressions import MATHEMATICS, Budget, evaluate
+from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
 from redundancy_pin.robot.types import AXES, Closure, Platform, WorkingModes
 from redundancy_pin.robot.urdf import Argument
 from redundancy_pin.robot.xml_files import FORMATS, format_of
@@ -81,6 +83,7 @@ def _switch(name: object, info: ValidationInfo[Evaluator]) -> bool:
 Number = Annotated[float, BeforeValidator(_number)]
 Triple = Annotated[tuple[Number, Number, Number], Field(description="a list of 3 numbers")]
 Limit = Annotated[Annotated[Number, Field(gt=0)] | None, Field(description="positive, or left out")]
+Positive = Annotated[Annotated[Number, Field(ge=0)], Field(description="a number, not negative")]
 Name = Annotated[str, Field(description="a name")]
 Names = Annotated[
     tuple[str, ...], Field(min_length=1, description="a list of names, not empty"), AfterValidator(_without_repetitions)
@@ -92,6 +95,9 @@ Axes = Annotated[
     AfterValidator(lambda axes: tuple(sorted(axes, key=AXES.index))),
 ]
 Signs = Annotated[tuple[Literal[1, -1], ...], Field(description="a list of 1 and -1, one a leg", validate_default=True)]
+
+
+_ORIGIN = (0.0, 0.0, 0.0)
 
 
 class ClosureEntry(Schema):
@@ -111,6 +117,65 @@ class CarrierEntry(Schema):
     acceleration: Limit = None
     force: Limit = None
     when: Annotated[bool, BeforeValidator(_switch)] = True
+
+
+class JointForcesEntry(Schema):
+    """What acts in a joint; see ``loads.JointForces``."""
+
+    joint: str = Field(description="the name of a joint")
+    damping: Positive = 0.0
+    friction: Positive = 0.0
+    friction_speed: Limit = None
+    stiffness: Positive = 0.0
+    rest: Number = 0.0
+    rotor_inertia: Positive = 0.0
+    gear: Number = 1.0
+
+    def load(self) -> JointForces:
+        """Return it as a load."""
+        given = {name: value for name, value in dict(self).items() if value is not None}
+        return JointForces(**given)
+
+
+class SpringEntry(Schema):
+    """A spring between two links; see ``loads.Spring``."""
+
+    frames: Annotated[Names, Field(min_length=2, max_length=2, description="two different frames")]
+    stiffness: Positive = 0.0
+    damping: Positive = 0.0
+    length: Positive = 0.0
+    points: Annotated[tuple[Triple, Triple], Field(description="two points, each a list of 3 numbers")] = (_ORIGIN,) * 2
+
+    def load(self) -> Spring:
+        """Return it as a load."""
+        return Spring(self.frames[0], self.frames[1], self.stiffness, self.damping, self.length, *self.points)
+
+
+class PayloadEntry(Schema):
+    """A mass that a link carries; see ``loads.Payload``."""
+
+    frame: str = Field(description="the name of a frame (a URDF link)")
+    mass: Positive
+    centre: Triple = _ORIGIN
+    inertia: Annotated[Triple, Field(description="a list of 3 moments of inertia about its axes")] = _ORIGIN
+
+    def load(self) -> Payload:
+        """Return it as a load."""
+        return Payload(self.frame, self.mass, self.centre, np.diag(self.inertia))
+
+
+class WrenchEntry(Schema):
+    """A constant wrench on a link; see ``loads.Wrench``."""
+
+    frame: str = Field(description="the name of a frame (a URDF link)")
+    force: Triple = _ORIGIN
+    moment: Triple = _ORIGIN
+    reference: Literal["world", "local"] = "world"
+    point: Triple = _ORIGIN
+
+    def load(self) -> Wrench:
+        """Return it as a load."""
+        return Wrench(self.frame, (*self.force, *self.moment), self.reference, self.point)
 
 
 class Independent(Schema):
@@ -188,6 +253,18 @@ class Declaration(Schema):
     working_modes: WorkingModesEntry | None = None
     reference: Reference
     characteristic_length: Limit = Field(None, description="a positive length in metres")
+    urdf_dynamics: bool = Field(True, description="true or false")
+    joint_forces: Annotated[tuple[JointForcesEntry, ...], Field(description="a list of mappings")] = ()
+    springs: Annotated[tuple[SpringEntry, ...], Field(description="a list of mappings")] = ()
+    payloads: Annotated[tuple[PayloadEntry, ...], Field(description="a list of mappings")] = ()
+    wrenches: Annotated[tuple[WrenchEntry, ...], Field(description="a list of mappings")] = ()
+
+    @property
+    def loads(self) -> tuple[Load, ...]:
+        """The loads that are declared, those of the URDF not among them."""
+        entries: tuple[JointForcesEntry | SpringEntry | PayloadEntry | WrenchEntry, ...]
+        entries = (*self.joint_forces, *self.springs, *self.payloads, *self.wrenches)
+        return tuple(entry.load() for entry in entries)
 
     @property
     def loops(self) -> tuple[Closure, ...]:

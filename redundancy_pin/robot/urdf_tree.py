@@ -43,6 +43,8 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
     "joint": ("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller"),
     "inertial": ("origin", "mass", "inertia"),
 }
+_FRICTION = ("damping", "friction")
+
 _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "origin": ("xyz", "rpy"),
     "mass": ("value",),
@@ -50,6 +52,7 @@ _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "axis": ("xyz",),
     "parent": ("link",),
     "child": ("link",),
+    "dynamics": _FRICTION,
     "limit": ("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
 }
 
@@ -82,7 +85,10 @@ class LinkEntry:
 
 @dataclass(frozen=True)
 class JointEntry:
-    """A joint of a file: its (4, 4) placement in the frame of the parent link, its axis of length 1, its limits."""
+    """A joint of a file: its (4, 4) placement in the frame of the parent link, its axis of length 1, its limits.
+
+    ``dynamics``: its damping, N·s/m or N·m·s, and friction, N or N·m, where the file gives them.
+    """
 
     name: str
     kind: str
@@ -91,6 +97,7 @@ class JointEntry:
     placement: Array
     axis: Array
     limits: Mapping[str, float]
+    dynamics: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -281,7 +288,17 @@ def _joint(name: str, part: _Part, links: Mapping[str, LinkEntry]) -> JointEntry
         axis = axis / length
     if kind == "planar" and axis[2] != 1.0:
         part.refuse(f"{part.owner} is planar about another axis than z, which Pinocchio does not know")
-    return JointEntry(name, kind, ends[0], ends[1], part.placement(), axis, _limits(part, kind))
+    return JointEntry(name, kind, ends[0], ends[1], part.placement(), axis, _limits(part, kind), _dynamics(part))
+
+
+def _dynamics(part: _Part) -> Mapping[str, float]:
+    """Return damping and friction of a joint, those that are not zero."""
+    given = part.one("dynamics")
+    found = {} if given is None else {key: given.number(key) for key in _FRICTION if key in given.element.attrib}
+    for key, value in found.items():
+        if value < 0.0 and given is not None:
+            given.refuse(f"{part.owner} has a negative {key}, {value:g}")
+    return {key: value for key, value in found.items() if value}
 
 
 def _limits(part: _Part, kind: str) -> Mapping[str, float]:

@@ -199,7 +199,14 @@ def _by_xacro(robot: Robot, name: str, trust: bool) -> _Column:
     step = _STEP * (abs(value) if value else 1.0)
     weights = _difference_weights(offsets) / step
     used = [(float(weight), float(value + i * step)) for i, weight in zip(offsets, weights, strict=True) if weight]
-    trees = [(weight, _numbers(_reloaded(robot, name, at, trust))) for weight, at in used]
+    others = [_reloaded(robot, name, at, trust) for _, at in used]
+    if len({repr(other.loads) for other in others}) > 1:
+        raise UnsupportedRobotError(
+            f"The parameter {name!r} changes friction, rotors or springs of {robot.name}, by which nothing is known.",
+            remedy="Differentiate by parameters that move joints and change masses and lengths.",
+            parameter=name,
+        )
+    trees = [(weight, _numbers(other)) for (weight, _), other in zip(used, others, strict=True)]
     own = _numbers(robot)
     placements = {
         key: sum((weight * _moved(placement, tree.placements[key]) for weight, tree in trees), np.zeros(6))

@@ -1,0 +1,137 @@
+"""Loads that files state: friction of a URDF, and what a robot.yaml declares."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+from click.testing import CliRunner
+
+import redundancy_pin as rp
+from redundancy_pin.cli import main
+from redundancy_pin.errors import DeclarationError, ModelFileError, UnsupportedRobotError
+from redundancy_pin.robot import JointForces, Payload, Robot, Spring, Wrench
+from redundancy_pin.robot.urdf import declaration_path
+
+DECLARED = """
+joint_forces:
+  - {joint: crank, damping: 0.2, friction: 0.1, friction_speed: 0.05, rotor_inertia: "1.0e-4 * 2", gear: -20}
+springs:
+  - {frames: [base, coupler_link], stiffness: 200, damping: 5, length: 0.1, points: [[0.1, 0, 0], [0, 0, 0]]}
+payloads:
+  - {frame: coupler_link, mass: 0.5, centre: [0.1, 0, 0], inertia: [0, 0.001, 0.001]}
+wrenches:
+  - {frame: coupler_link, force: [0, -5, 0], moment: [0, 0, 1], reference: local, point: [0.1, 0, 0]}
+"""
+
+
+def four_bar(folder: Path, dynamics: str = "", declared: str = "") -> Path:
+    """Write the shipped four-bar with ``<dynamics>`` in its three joints, and more in its robot.yaml."""
+    source = declaration_path("four_bar")
+    text = (source.parent / "four_bar.urdf.xacro").read_text(encoding="utf-8")
+    start = text.index('<joint name="${name}" type="revolute">')
+    end = text.index("</joint>", start)
+    text = text[:end] + dynamics + text[end:]
+    (folder / "four_bar.urdf.xacro").write_text(text, encoding="utf-8")
+    path = folder / "robot.yaml"
+    path.write_text(source.read_text(encoding="utf-8") + declared, encoding="utf-8")
+    return path
+
+
+def torque(robot: Robot) -> np.ndarray:
+    motion = zoo.smooth_motion(zoo.robot_of("four_bar"), 13).at(np.linspace(0.1, 1.0, 8))
+    return rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau
+
+
+def test_friction_of_a_urdf_is_in_force(tmp_path: Path) -> None:
+    """The power of the motor grows by what friction takes, from rates of the tree."""
+    robot = rp.load_robot(four_bar(tmp_path, '<dynamics damping="0.3" friction="0.2"/>'))
+    assert set(robot.loads) == {JointForces(joint, 0.3, 0.2) for joint in ("crank", "rocker", "coupler")}
+    plain = zoo.robot_of("four_bar")
+    motion = zoo.smooth_motion(plain, 13).at(np.linspace(0.1, 1.0, 8))
+    tree = rp.lift(plain, motion)
+    columns = [plain.model.joints[plain.model.getJointId(name)].idx_v for name in ("crank", "rocker", "coupler")]
+    v = tree.v[:, columns]
+    taken = (v * (0.3 * v + 0.2 * np.tanh(v / 0.01))).sum(axis=1)
+    rate = v[:, 0]
+    np.testing.assert_allclose((torque(robot) - torque(plain))[:, 0] * rate, taken, rtol=1e-10)
+
+
+@pytest.mark.parametrize("dynamics", ["", '<dynamics damping="0.0" friction="0"/>'])
+def test_files_that_state_none_have_the_numbers_they_had(tmp_path: Path, dynamics: str) -> None:
+    robot = rp.load_robot(four_bar(tmp_path, dynamics))
+    assert robot.loads == ()
+    assert torque(robot).tobytes() == torque(zoo.robot_of("four_bar")).tobytes()
+
+
+def test_a_declaration_leaves_friction_of_the_urdf_out_or_replaces_it(tmp_path: Path) -> None:
+    stated = '<dynamics damping="0.3"/>'
+    off = rp.load_robot(four_bar(tmp_path, stated, "\nurdf_dynamics: false\n"))
+    assert off.loads == ()
+    assert "not in force" in off.notes[0]
+    own = rp.load_robot(four_bar(tmp_path, stated, "\njoint_forces: [{joint: crank, damping: 0.1}]\n"))
+    assert set(own.loads) == {JointForces("crank", 0.1), JointForces("rocker", 0.3), JointForces("coupler", 0.3)}
+
+
+def test_declared_loads_are_those_of_python(tmp_path: Path) -> None:
+    robot = rp.load_robot(four_bar(tmp_path, declared=DECLARED))
+    same = zoo.robot_of("four_bar").loaded(
+        JointForces("crank", 0.2, 0.1, 0.05, rotor_inertia=2e-4, gear=-20.0),
+        Spring("base", "coupler_link", 200.0, 5.0, 0.1, (0.1, 0.0, 0.0)),
+        Payload("coupler_link", 0.5, (0.1, 0.0, 0.0), np.diag([0.0, 0.001, 0.001])),
+        Wrench("coupler_link", (0.0, -5.0, 0.0, 0.0, 0.0, 1.0), "local", (0.1, 0.0, 0.0)),
+    )
+    assert list(map(repr, robot.loads)) == list(map(repr, same.loads))
+    np.testing.assert_allclose(torque(robot), torque(same), rtol=1e-12)
+    assert np.abs(torque(same) - torque(zoo.robot_of("four_bar"))).min() > 1e-3
+
+
+def test_info_lists_what_is_in_force(tmp_path: Path) -> None:
+    path = four_bar(tmp_path, '<dynamics damping="0.3"/>', DECLARED)
+    shown = CliRunner().invoke(main, ["info", "--robot", str(path)])
+    assert shown.exit_code == 0, shown.output
+    assert "loads in force" in shown.output
+    facts = json.loads(CliRunner().invoke(main, ["info", "--robot", str(path), "--json"]).stdout)
+    assert [load["kind"] for load in facts["loads"]] == ["JointForces", "Spring", "Payload", "Wrench"] + 2 * [
+        "JointForces"
+    ]
+    assert {"kind": "JointForces", "joint": "rocker", "damping": 0.3} in facts["loads"]
+
+
+@pytest.mark.parametrize(
+    ("declared", "said"),
+    [
+        ("joint_forces: [{joint: cranc, damping: 1}]", "cranc"),
+        ("joint_forces: [{joint: crank, damping: -1}]", "damping"),
+        ("springs: [{frames: [base, nowhere], stiffness: 1}]", "nowhere"),
+        ("payloads: [{frame: coupler_link, mass: heavy}]", "mass"),
+        ("payloads: [{frame: coupler_link, mass: 1, inertia: [1, 1, 3]}]", "no body"),
+        ("wrenches: [{frame: coupler_link, force: [1, 2]}]", "force"),
+        ("wrenches: [{frame: coupler_link, reference: body}]", "reference"),
+        ("urdf_dynamics: perhaps", "urdf_dynamics"),
+    ],
+)
+def test_wrong_loads_are_refused_by_key(tmp_path: Path, declared: str, said: str) -> None:
+    with pytest.raises(DeclarationError, match=said):
+        rp.load_robot(four_bar(tmp_path, declared=f"\n{declared}\n"))
+
+
+@pytest.mark.parametrize(
+    "dynamics", ['<dynamics damping="-1"/>', '<dynamics friction="much"/>', '<dynamics dampng="1"/>']
+)
+def test_wrong_friction_of_a_urdf_is_refused_with_its_line(tmp_path: Path, dynamics: str) -> None:
+    with pytest.raises(ModelFileError, match="crank") as caught:
+        rp.load_robot(four_bar(tmp_path, dynamics))
+    assert caught.value.details["line"]
+
+
+def test_friction_that_follows_a_parameter_is_not_differentiated_silently(tmp_path: Path) -> None:
+    pytest.importorskip("casadi")
+    from redundancy_pin.dynamics.compiled import design_of
+
+    robot = rp.load_robot(four_bar(tmp_path, declared="\njoint_forces: [{joint: crank, damping: crank_length}]\n"))
+    with pytest.raises(UnsupportedRobotError, match="friction"):
+        design_of(robot, ["crank_length"])
