@@ -193,7 +193,7 @@ FAULTS: dict[str, tuple[Callable[[str], str], str]] = {
         once("<inertial>", "<collision><geometry/></collision><inertial>"),
         r"collision element for Link \[l1\]\. Correct the element in line 4",
     ),
-    "damping": (once("<axis", '<dynamics damping="x"/><axis'), r"joint 'a1' .* has the damping 'x', .* line 7"),
+    "damping": (once("<axis", '<dynamics damping="x"/><axis'), r"joint 'a1' .* has the damping 'x', .*line 7"),
     "a robot without a name": (once(' name="bar"', ""), "No name given for the robot"),
     "a version to come": (once('name="bar"', 'name="bar" version="7.0"'), "Invalid 'version' specified"),
 }
