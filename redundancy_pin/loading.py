@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, IntArray, checked, frozen
-from redundancy_pin.errors import DeclarationError
+from redundancy_pin.errors import DeclarationError, InputError
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import (
@@ -30,6 +30,7 @@ from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
 from redundancy_pin.kinematics.selection import closed_near, selected
 from redundancy_pin.robot import AXES, Robot
 from redundancy_pin.robot.build import build, characteristic_length, put_together
+from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.from_model import declared
 from redundancy_pin.robot.mechanism import Mechanism
@@ -102,6 +103,55 @@ def load_with(
     file = read_declaration(path)
     with file.naming():
         return _load(path, file.data, gravity, working_mode, arguments, trust)
+
+
+def robot_with(
+    robot: Robot, masses: Mapping[str, float], lengths: Mapping[str, Any], arguments: Mapping[str, object]
+) -> Robot:
+    """Return a robot with other parameters; see ``Robot.with_parameters``."""
+    path = declaration_path(robot.source) if robot.source else Path()
+    if not robot.source or is_model_file(path) or is_model_file(path.parent / read_declaration(path).data["urdf"]):
+        raise InputError(
+            f"{robot.name} was not loaded from a URDF.",
+            remedy="Change its Pinocchio model, or its file, and make the robot of that.",
+        )
+    mode = robot.working_mode or None
+    if arguments:
+        if any(note.startswith(_CHANGED) for note in robot.notes):
+            raise InputError(
+                f"Masses or lengths of {robot.name} are changed already; its arguments would be read from its files.",
+                remedy="Give the arguments first, or all in one call.",
+            )
+        loads = robot.loads
+        robot = load_with(
+            robot.source, {**robot.parameters, **arguments}, gravity=robot.gravity.tolist(), working_mode=mode
+        ).loaded(*loads)
+    if not (masses or lengths):
+        return robot
+    file = read_declaration(path)
+    with file.naming():
+        declaration = parse(file.data, robot.parameters)
+        urdf = changed_urdf(robot.urdf, masses, lengths)
+        new = build(declaration, path, urdf, robot.parameters, robot.gravity.tolist(), mode)
+        new = replace(
+            new,
+            urdf_folder=robot.urdf_folder,
+            carrier_limits=robot.carrier_limits,
+            own_meshes_only=robot.own_meshes_only,
+            closed_form=None,  # it is written in the arguments, which say something else now
+            notes=(*robot.notes, f"{_CHANGED} {', '.join([*masses, *lengths])}"),
+        )
+        for bound in ("lower", "upper"):
+            for what in ("Position", "Velocity", "Effort"):
+                setattr(new.model, f"{bound}{what}Limit", getattr(robot.model, f"{bound}{what}Limit"))
+        closed = _closed(
+            new, declaration, lambda: reference_coordinates(new, declaration.coordinates(robot.parameters))
+        )
+        return closed.loaded(*robot.loads)
+
+
+_CHANGED = "changed since it was loaded:"
+"""How a note begins that says so."""
 
 
 def _load(

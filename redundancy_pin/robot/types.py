@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, IntArray
 from redundancy_pin.robot.loads import Load, Payload, carrying, checked_loads, of_kind
@@ -190,6 +191,62 @@ class Robot(Frozen):
             **more,
         )
         return made
+
+    def with_parameters(
+        self,
+        *,
+        masses: Mapping[str, float] | None = None,
+        lengths: Mapping[str, Any] | None = None,
+        **arguments: object,
+    ) -> Robot:
+        """Return the robot with other masses, lengths or xacro arguments, closed and checked as when it was loaded.
+
+        Gravity, working mode and loads stay; limits too, unless xacro arguments are given. A robot whose masses or
+        lengths are changed has no closed form any more (``VirtualWork`` refuses it): that is written in the arguments.
+
+        Args:
+            masses: kg, by link; the moments of inertia of a link grow as its mass does, its centre stays.
+            lengths: by joint, its distance from the joint before it, m; or (3,) its place in the frame of its parent
+                link, m. Masses and centres of the links stay.
+            **arguments: xacro arguments, as of ``load_robot``; the others stay.
+
+        Raises:
+            InputError: unknown names, values out of their domain, or a robot that was not loaded from a URDF.
+            DeclarationError: the chains do not close at the declared reference any more.
+        """
+        new: Robot = importlib.import_module("redundancy_pin.loading").robot_with(
+            self, {} if masses is None else masses, {} if lengths is None else lengths, arguments
+        )
+        return new
+
+    def with_limits(
+        self,
+        limits: Mapping[str, Mapping[str, float]] | None = None,
+        *,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        speed: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        force: ArrayLike | None = None,
+    ) -> Robot:
+        """Return the robot with other limits of its carriers and joints; what is left out stays.
+
+        Args:
+            limits: by joint, such as ``{"carrier_1": {"upper": 0.3}, "elbow_1": {"lower": -2.5, "effort": 20.0}}``: of
+                a carrier "lower", "upper", "speed", "acceleration", "force"; of another joint "lower", "upper",
+                "speed", "effort".
+            lower: scalar or (k,) where the tracks of all carriers begin, m.
+            upper: scalar or (k,) where they end, m.
+            speed: scalar or (k,) their largest |ṡ|, m/s; infinite for no limit.
+            acceleration: scalar or (k,) their largest |s̈|, m/s².
+            force: scalar or (k,) their largest force, N.
+
+        Raises:
+            InputError: unknown names, tracks that end before they begin, or limits that are not positive.
+        """
+        each = {"lower": lower, "upper": upper, "speed": speed, "acceleration": acceleration, "force": force}
+        new: Robot = importlib.import_module("redundancy_pin.robot.changes").limited(self, limits or {}, each)
+        return new
 
     def __repr__(self) -> str:
         """Return what tells robots apart, not their whole URDF."""

@@ -1,0 +1,193 @@
+"""Changes of a robot that its files have no arguments for: masses and lengths in its URDF, limits of its joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import checked
+from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.robot.types import CarrierLimits, Robot
+
+_INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_CARRIER_LIMITS = ("lower", "upper", "speed", "acceleration", "force")
+_JOINT_LIMITS = ("lower", "upper", "speed", "effort")
+
+
+def changed_urdf(urdf: str, masses: Mapping[str, float], lengths: Mapping[str, Any]) -> str:
+    """Return a URDF with other masses of links and other places of joints.
+
+    Args:
+        urdf: its text.
+        masses: kg, by link; the moments of inertia of a link grow as its mass does, its centre stays.
+        lengths: by joint, its distance from the joint before it, m, in the direction that it has; or (3,) its place in
+            the frame of its parent link, m. Links keep masses and centres.
+
+    Raises:
+        InputError: an unknown name, a negative mass, a link without mass, a direction that is none.
+    """
+    root = ElementTree.fromstring(urdf)
+    links = {str(link.get("name")): link for link in root.findall("link")}
+    joints = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    for name, value in _items(masses, "masses"):
+        _scale_mass(_named(name, links, "link"), name, value)
+    for name, value in _items(lengths, "lengths"):
+        _place(_named(name, joints, "joint"), name, value)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _items(values: Mapping[str, Any], what: str) -> list[tuple[str, Any]]:
+    if not isinstance(values, Mapping):
+        raise InputError(
+            f"{what} is {shown(values)}, not a mapping.", remedy=f"Pass {what}={{name: value}}.", name=what
+        )
+    return list(values.items())
+
+
+def _named(name: str, known: Mapping[str, Any], what: str) -> Any:
+    if name not in known:
+        raise InputError(
+            f"The robot has no {what} {shown(name)}.",
+            remedy=f"{did_you_mean(name, known)}It has: {', '.join(known)}.",
+            name=name,
+        )
+    return known[name]
+
+
+def _number(value: Any, name: str, fits: Callable[[float], bool], wanted: str) -> float:
+    try:
+        number = math.nan if isinstance(value, (str, bool)) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not fits(number):
+        raise InputError(f"{name} is {shown(value)}, expected {wanted}.", remedy="Use SI units.", name=name)
+    return number
+
+
+def _scale_mass(link: Any, name: str, value: Any) -> None:
+    mass = _number(value, f"The mass of {name}", lambda m: 0.0 <= m < math.inf, "a number of kg that is not negative")
+    inertial = link.find("inertial")
+    there = 0.0 if inertial is None else float(inertial.find("mass").get("value"))
+    if not there > 0.0:
+        raise InputError(
+            f"The link {name!r} has no mass, and nothing says how a mass of it would be spread.",
+            remedy="Give it an <inertial> in the URDF, or a mass to another link.",
+            name=name,
+        )
+    inertial.find("mass").set("value", repr(mass))
+    inertia = inertial.find("inertia")
+    for key in _INERTIA:
+        inertia.set(key, repr(float(inertia.get(key, "0")) * mass / there))
+
+
+def _place(joint: Any, name: str, value: Any) -> None:
+    origin = joint.find("origin")
+    if origin is None:
+        origin = ElementTree.SubElement(joint, "origin")
+    place = np.array([float(part) for part in origin.get("xyz", "0 0 0").split()])
+    if np.ndim(value) == 1:
+        place = np.array(checked(value, f"The place of {name}", (3,)))
+    else:
+        length = _number(value, f"The length to {name}", lambda d: 0.0 <= d < math.inf, "a length in m, or (x, y, z)")
+        own = float(np.linalg.norm(place))
+        if own == 0.0:
+            raise InputError(
+                f"The joint {name!r} sits on the joint before it: its length has no direction.",
+                remedy="Pass its place, (x, y, z).",
+                name=name,
+            )
+        place = place * (length / own)
+    origin.set("xyz", " ".join(repr(part) for part in place.tolist()))
+
+
+def limited(robot: Robot, limits: Mapping[str, Mapping[str, float]], each: Mapping[str, ArrayLike | None]) -> Robot:
+    """Return the robot with other limits.
+
+    Args:
+        robot: the robot.
+        limits: by joint, its limits by name: of a carrier those of ``CarrierLimits``; of any other joint "lower",
+            "upper", "speed", "effort".
+        each: of the carriers, by name, scalar or (k,).
+
+    Raises:
+        InputError: an unknown name, a track that ends before it begins, a limit that is not positive.
+    """
+    own = [vars(entry).copy() for entry in robot.carrier_limits]
+    for key, values in each.items():
+        if values is None:
+            continue
+        if np.shape(values) not in ((), (robot.k,)):
+            raise InputError(
+                f"{key} has shape {np.shape(values)}; {robot.name} has {robot.k} carrier(s).",
+                remedy="Pass one number, or one for each carrier.",
+                name=key,
+            )
+        for entry, value in zip(own, np.broadcast_to(np.asarray(values, dtype=object), (robot.k,)), strict=True):
+            entry[key] = value
+    model = robot.model.copy()
+    joints = {str(name): number for number, name in enumerate(model.names) if number}
+    for name, entries in _items(limits, "limits"):
+        number = _named(name, joints, "moving joint")
+        known = _CARRIER_LIMITS if name in robot.carriers else _JOINT_LIMITS
+        for key, value in _items(entries, f"The limits of {name}"):
+            if key not in known:
+                raise InputError(
+                    f"The joint {name!r} has no limit {shown(key)}.",
+                    remedy=f"{did_you_mean(key, known)}It has: {', '.join(known)}.",
+                    name=key,
+                )
+            if name in robot.carriers:
+                own[robot.carriers.index(name)][key] = value
+            else:
+                _limit(model, number, name, key, value)
+    tracks = tuple(_checked(name, entry) for name, entry in zip(robot.carriers, own, strict=True))
+    for name, track in zip(robot.carriers, tracks, strict=True):  # what else reads the model sees the same
+        joint = model.joints[joints[name]]
+        model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q] = track.lower, track.upper
+    return replace(robot, model=model, carrier_limits=tracks)
+
+
+def _checked(name: str, entry: Mapping[str, Any]) -> CarrierLimits:
+    values = {
+        key: _number(value, f"{key} of {name}", math.isfinite, "a finite number")
+        if key in ("lower", "upper")
+        else _number(value, f"{key} of {name}", lambda limit: limit > 0.0, "a positive number, or infinity for none")
+        for key, value in entry.items()
+    }
+    limits = CarrierLimits(**values)
+    if not limits.lower < limits.upper:
+        raise InputError(
+            f"The track of the carrier {name!r} runs from {limits.lower:g} to {limits.upper:g}.",
+            remedy="Pass lower < upper.",
+            name=name,
+        )
+    return limits
+
+
+def _limit(model: Any, number: int, name: str, key: str, value: Any) -> None:
+    joint = model.joints[number]
+    if joint.nv != 1 or (joint.nq != 1 and key in ("lower", "upper")):
+        raise InputError(
+            f"The joint {name!r} has no {key} limit: it is {'continuous' if joint.nv == 1 else 'of several freedoms'}.",
+            remedy="Leave it out.",
+            name=key,
+        )
+    if key in ("lower", "upper"):
+        limit = _number(value, f"{key} of {name}", lambda place: not math.isnan(place), "a number")
+        (model.lowerPositionLimit if key == "lower" else model.upperPositionLimit)[joint.idx_q] = limit
+        low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+        if not low < high:
+            raise InputError(
+                f"The joint {name!r} runs from {low:g} to {high:g}.", remedy="Pass lower < upper.", name=name
+            )
+        return
+    limit = _number(value, f"{key} of {name}", lambda most: most > 0.0, "a positive number, or infinity for none")
+    for bound, sign in (("upper", 1.0), ("lower", -1.0)):
+        vector = getattr(model, f"{bound}{'Velocity' if key == 'speed' else 'Effort'}Limit")
+        vector[joint.idx_v] = sign * limit

@@ -1,0 +1,166 @@
+"""``Robot.with_parameters`` and ``with_limits``: as if the files had said so, and checked as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from written import J, urdf_of, write_robot
+
+import redundancy_pin as rp
+from redundancy_pin.errors import DeclarationError, InputError, PlanFileError, UnsupportedRobotError
+from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory import Line, RestToRest, Trajectory
+
+PATH = Line((0.25, 0.8), (0.32, 0.75))
+MOTION = Trajectory(PATH, RestToRest(PATH.length, 0.5)).sample(dt=0.05)
+GRAVITY = (0.0, -9.81, 0.0)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return rp.load_robot("five_bar", gravity=GRAVITY)
+
+
+def reduced(robot: Robot) -> Any:
+    parked = rp.CarrierMotion.parked(len(MOTION), robot.k, 0.1)
+    return rp.RneaDynamics(robot).reduce(MOTION, parked, check_track=False)
+
+
+def test_masses_of_links_are_those_of_the_argument(robot: Robot) -> None:
+    """The xacro file makes a rod of the same form, whose moments grow as its mass."""
+    other = rp.load_robot("five_bar", gravity=GRAVITY, proximal_mass=1.7, distal_mass=0.3)
+    masses = {"proximal_1": 1.7, "proximal_2": 1.7, "distal_1": 0.3, "distal_2": 0.3}
+    changed = robot.with_parameters(masses=masses)
+    for name in ("f", "carrier_force"):
+        np.testing.assert_allclose(getattr(reduced(changed), name), getattr(reduced(other), name), rtol=1e-9, atol=1e-9)
+    assert np.abs(reduced(changed).f - reduced(robot).f).max() > 0.1
+    np.testing.assert_array_equal(changed.gravity, GRAVITY)
+    assert changed.working_mode == robot.working_mode
+    assert "proximal_1" in changed.notes[-1]
+
+
+def test_lengths_move_the_joints(robot: Robot) -> None:
+    """W is kinematics alone; the links keep their masses, which the argument does not."""
+    other = rp.load_robot("five_bar", gravity=GRAVITY, proximal_length=0.6)
+    changed = robot.with_parameters(lengths={"elbow_1": 0.6, "elbow_2": (0.6, 0.0, 0.0)})
+    np.testing.assert_allclose(reduced(changed).W, reduced(other).W, atol=1e-9)
+    assert np.abs(reduced(changed).W - reduced(robot).W).max() > 0.01
+    masses = [[body.mass for body in list(one.model.inertias)[1:]] for one in (changed, robot)]
+    assert masses[0] == masses[1]
+    data = changed.model.createData()  # closed anew
+    pin.framesForwardKinematics(changed.model, data, np.array(changed.q_reference))
+    tips = [data.oMf[changed.model.getFrameId(name)].translation for name in ("end_effector", "tip_2")]
+    np.testing.assert_allclose(tips[0][:2], tips[1][:2], atol=1e-10)
+    assert np.abs(changed.q_reference - robot.q_reference).max() > 0.05
+    with pytest.raises(DeclarationError, match="does not close"):
+        robot.with_parameters(lengths={"elbow_1": 0.1})
+
+
+def test_arguments_are_those_of_load_robot(robot: Robot) -> None:
+    changed = robot.with_parameters(carrier_mass=2.0)
+    other = rp.load_robot("five_bar", gravity=GRAVITY, carrier_mass=2.0)
+    np.testing.assert_array_equal(reduced(changed).f, reduced(other).f)
+    both = robot.with_parameters(carrier_mass=2.0, masses={"distal_1": 0.9})
+    after = changed.with_parameters(masses={"distal_1": 0.9})
+    np.testing.assert_array_equal(reduced(both).f, reduced(after).f)
+    with pytest.raises(InputError, match="no argument 'carier_mass'"):
+        robot.with_parameters(carier_mass=1.0)
+    with pytest.raises(InputError, match="changed already"):
+        after.with_parameters(carrier_mass=3.0)
+
+
+def test_a_closed_form_does_not_stand_for_a_changed_robot() -> None:
+    two_rpr = rp.load_robot("2rpr")
+    rp.VirtualWork(two_rpr.with_parameters(carrier_mass=2.0))
+    rp.VirtualWork(two_rpr.with_limits(speed=1.0))
+    with pytest.raises(UnsupportedRobotError):
+        rp.VirtualWork(two_rpr.with_parameters(masses={"mass_1": 3.0}))
+
+
+def test_a_plan_of_a_changed_robot_is_not_taken_for_one_of_its_files() -> None:
+    changed = rp.load_robot("2rpr").with_parameters(masses={"mass_1": 3.0})
+    plan = rp.plan_switch_off(rp.RneaDynamics(changed), rp.trajectory.reference.circle(), threshold=20.0, dt=0.1)
+    with pytest.raises(PlanFileError, match="mass properties"):
+        rp.load_robot_of(plan)
+    assert plan.table(10, robot=changed).effort.shape[1] == 4
+
+
+def test_plain_urdfs_take_changes(tmp_path: Path) -> None:
+    """A crank that moves a cross slide; a weight of m at c, and sliders of 1 kg, ask for what a textbook says."""
+    joints = [
+        J("crank", "revolute", "base", "arm"),
+        J("tip_mount", "fixed", "arm", "tip", xyz=(0.5, 0.0, 0.0)),
+        J("across", "prismatic", "base", "slide", axis=(1.0, 0.0, 0.0)),
+        J("up", "prismatic", "slide", "pin", axis=(0.0, 1.0, 0.0)),
+    ]
+    declaration = {
+        "closures": [{"frames": ["tip", "pin"], "axes": ["x", "y"]}],
+        "actuated": ["crank"],
+        "independent": {"joints": ["crank"]},
+        "reference": {"joints": {"crank": 0.3}},
+        "gravity": [0, -9.81, 0],
+    }
+    robot = rp.load_robot(write_robot(tmp_path, urdf_of(joints), declaration))
+    heavy = robot.with_parameters(masses={"arm": 2.5}, lengths={"tip_mount": 0.7})
+    q, qdd = 0.3, 2.0
+    still = rp.PlatformMotion([0.0], [[q]], [[0.0]], [[qdd]])
+    for one, mass, length in ((robot, 1.0, 0.5), (heavy, 2.5, 0.7)):
+        inertia = mass * (0.025 + 0.1**2 + 0.02**2) + length**2 * (np.sin(q) ** 2 + 1.0)  # of the slide and of the pin
+        weight = 9.81 * (mass * (0.1 * np.cos(q) - 0.02 * np.sin(q)) + length * np.cos(q))
+        assert rp.RneaDynamics(one).reduce(still).f[0, 0] == pytest.approx(inertia * qdd + weight, rel=1e-12)
+    frame = heavy.model.frames[heavy.model.getFrameId("tip")]
+    np.testing.assert_allclose(frame.placement.translation, [0.7, 0.0, 0.0])
+    limited = heavy.with_limits({"crank": {"lower": -1.0, "upper": 2.0, "speed": 3.0, "effort": 4.0}})
+    again = limited.with_parameters(masses={"arm": 1.0})
+    crank = heavy.model.joints[heavy.model.getJointId("crank")].idx_q
+    for model in (limited.model, again.model):
+        assert (model.lowerPositionLimit[crank], model.upperPositionLimit[crank]) == (-1.0, 2.0)
+        efforts = model.lowerEffortLimit[crank], model.upperEffortLimit[crank]
+        assert (model.upperVelocityLimit[crank], *efforts) == (3.0, -4.0, 4.0)
+    assert heavy.model.upperPositionLimit[crank] == 100.0  # robots do not change
+
+
+def test_limits_of_carriers(robot: Robot) -> None:
+    own = robot.carrier_limits
+    limited = robot.with_limits({"carrier_2": {"upper": 0.05, "force": 9.0}}, speed=[1.0, 2.0], acceleration=np.inf)
+    first, second = limited.carrier_limits
+    assert (first.lower, first.upper, first.force) == (own[0].lower, own[0].upper, own[0].force)
+    assert (first.speed, second.speed) == (1.0, 2.0)
+    assert first.acceleration == second.acceleration == np.inf
+    assert (second.lower, second.upper, second.force) == (own[1].lower, 0.05, 9.0)
+    assert limited.with_parameters(masses={"distal_1": 1.0}).carrier_limits == limited.carrier_limits
+    parked = rp.CarrierMotion.parked(len(MOTION), 2, 0.06)
+    with pytest.raises(rp.errors.CarrierLimitError, match="carrier_2"):
+        rp.RneaDynamics(limited).reduce(MOTION, parked)
+    assert robot.carrier_limits == own
+
+
+MISTAKES: dict[str, tuple[Callable[[Robot], Any], str]] = {
+    "link": (lambda r: r.with_parameters(masses={"proximal": 1.0}), "no link 'proximal'.*Did you mean 'proximal_"),
+    "joint": (lambda r: r.with_parameters(lengths={"elbow": 1.0}), "no joint 'elbow'"),
+    "negative mass": (lambda r: r.with_parameters(masses={"distal_1": -1.0}), "mass of distal_1 is -1.0"),
+    "text": (lambda r: r.with_parameters(masses={"distal_1": "1 kg"}), "mass of distal_1 is '1 kg'"),
+    "massless": (lambda r: r.with_parameters(masses={"tip_2": 1.0}), "'tip_2' has no mass"),
+    "no mapping": (lambda r: r.with_parameters(masses=[1.0]), "masses is"),
+    "direction": (lambda r: r.with_parameters(lengths={"base_1": 0.1}), "no direction"),
+    "place": (lambda r: r.with_parameters(lengths={"elbow_1": (0.1, 0.2)}), r"shape \(2,\)"),
+    "track": (lambda r: r.with_limits(lower=1.0, upper=0.5), "runs from 1 to 0.5"),
+    "speed": (lambda r: r.with_limits(speed=0.0), "speed of carrier_1 is 0.0"),
+    "three": (lambda r: r.with_limits(speed=[1.0] * 3), "2 carrier"),
+    "unknown": (lambda r: r.with_limits({"carrier_3": {}}), "no moving joint 'carrier_3'"),
+    "unknown limit": (lambda r: r.with_limits({"carrier_1": {"effort": 1.0}}), "no limit 'effort'"),
+    "backwards": (lambda r: r.with_limits({"elbow_1": {"lower": 9.0, "upper": -9.0}}), "runs from"),
+    "effort": (lambda r: r.with_limits({"elbow_1": {"effort": -1.0}}), "effort of elbow_1 is -1.0"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistakes_are_named(name: str, robot: Robot) -> None:
+    change, says = MISTAKES[name]
+    with pytest.raises(InputError, match=says):
+        change(robot)
