@@ -9,7 +9,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, assign, checked, largest, read_only
+from redundancy_pin.arrays import (
+    Array,
+    BoolArray,
+    Frozen,
+    IntArray,
+    assign,
+    checked,
+    largest,
+    read_only,
+    require_type,
+)
 from redundancy_pin.errors import InputError
 
 
@@ -163,6 +173,16 @@ def require_sampled(motion: object) -> None:
         )
 
 
+def require_carrier_motion(carriers: object) -> None:
+    """Check that carriers are a ``CarrierMotion``, or left out.
+
+    Raises:
+        InputError: they are something else.
+    """
+    if carriers is not None:
+        require_type(carriers, CarrierMotion, "A carrier motion", "Pass CarrierMotion.parked(N, k), or one of yours.")
+
+
 def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = None) -> None:
     """Check that samples are those of a motion, unless whoever made them says that they need not be.
 
@@ -172,6 +192,7 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     Raises:
         InputError: rates that are not those of the positions; see ``_require_rates``.
     """
+    require_carrier_motion(carriers)
     if not motion.check_rates:
         return
     _require_rates(motion.t, x=motion.x, xd=motion.xd, xdd=motion.xdd)

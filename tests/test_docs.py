@@ -30,6 +30,8 @@ from redundancy_pin.cli import main
 from redundancy_pin.cli.plan_problem import read_problem
 
 ROOT = Path(__file__).resolve().parents[1]
+MADE = ("docs/reference/api/names.md",)
+"""Pages that others link to, and that are there once the site is built."""
 GENERATED = ("docs/reference/api/modules", "docs/tutorials/notebooks")
 PAGES = {
     path.relative_to(ROOT).as_posix(): path
@@ -94,7 +96,8 @@ def test_every_public_name_has_a_docstring_and_a_page(monkeypatch: pytest.Monkey
 def test_links_between_pages_lead_somewhere() -> None:
     for name, path in (PAGES | OTHERS).items():
         for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", path.read_text(encoding="utf-8")):
-            if "://" not in target:
+            made = (path.parent / target).relative_to(ROOT).as_posix() in MADE
+            if "://" not in target and not made:
                 assert (path.parent / target).exists(), f"{name}: {target}"
 
 

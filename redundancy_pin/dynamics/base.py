@@ -14,11 +14,16 @@ from redundancy_pin.arrays import (
     BoolArray,
     Frozen,
     peak,
-    require_type,
 )
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import CarrierLimitError, InputError, UnsupportedRobotError
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
+from redundancy_pin.motion import (
+    CarrierMotion,
+    PlatformMotion,
+    require_carrier_motion,
+    require_consistent,
+    require_sampled,
+)
 from redundancy_pin.robot import Load, Robot
 
 OnUnreachable = Literal["raise", "mark"]
@@ -300,9 +305,7 @@ def require_matching_carriers(robot: Robot, carriers: CarrierMotion | None, samp
     """
     if carriers is None:
         return CarrierMotion.parked(samples, robot.k)
-    require_type(
-        carriers, CarrierMotion, "A carrier motion", "Pass a CarrierMotion, such as CarrierMotion.parked(N, k)."
-    )
+    require_carrier_motion(carriers)
     if carriers.s.shape != (samples, robot.k):
         raise InputError(
             f"The carrier motion has shape {carriers.s.shape}, expected {(samples, robot.k)}.",
