@@ -9,7 +9,7 @@ import click
 
 from redundancy_pin.cli.errors import printable
 from redundancy_pin.cli.options import RobotOptions, json_option, motion_option, robot_options
-from redundancy_pin.cli.output import print_json
+from redundancy_pin.cli.output import print_json, progress
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.plan import Plan, load_plan
@@ -18,6 +18,7 @@ from redundancy_pin.robot import Robot
 from redundancy_pin.simulation import Simulation, load_simulation
 from redundancy_pin.trajectory import carriers_from_csv, from_csv
 from redundancy_pin.view import show as view
+from redundancy_pin.visualisation.figures.video import require_video, save_video
 from redundancy_pin.visualisation.viewer.page import View, require_html, require_meshcat
 
 
@@ -27,6 +28,7 @@ from redundancy_pin.visualisation.viewer.page import View, require_html, require
 @click.option("--run", "run_path", metavar="NPZ", help="Simulation to show, as `simulate --out` writes it.")
 @motion_option("Motion to show, as `inverse-dynamics` reads it.")
 @click.option("--html", "out", metavar="HTML", help="Write one file that plays offline, instead of a live viewer.")
+@click.option("--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg.")
 @click.option("--forces/--no-forces", default=True, show_default=True, help="Whether arrows are shown at first.")
 @click.option("--force-scale", type=float, default=1.0, metavar="NUMBER", help="Factor on the length of arrows.")
 @click.option("--open", "open_browser", is_flag=True, help="Open it in the default browser.")
@@ -38,6 +40,7 @@ def show(
     motion_path: str | None,
     check_rates: bool,
     out: str | None,
+    video: str | None,
     forces: bool,
     force_scale: float,
     open_browser: bool,
@@ -48,25 +51,34 @@ def show(
     Links, joints, tracks, carriers, the path of the platform, efforts as arrows; platform and path have the colour of
     the margin to a singularity. Without --plan, --run and --motion: its motion in the thesis, or a small swing.
 
-    With --html one self-contained file is written. Without, the same page is served to browsers of this machine until
-    Ctrl-C; its address is printed. No display is needed for either.
+    With --html one self-contained file is written, with --video a GIF or an MP4. Without, the same page is served to
+    browsers of this machine until Ctrl-C; its address is printed. No display is needed for any of them.
 
     \b
     Examples:
       redundancy-pin show --robot 3rrr --html 3rrr.html
       redundancy-pin show --plan plan.npz --open
+      redundancy-pin show --run run.npz --video run.gif
     """
-    require_meshcat()  # before the robot is loaded and lifted
+    # before the robot is loaded and lifted
+    if out or not video:
+        require_meshcat()
+    if video:
+        require_video(video)
     if out:
         require_html(out)
         require_writable(out)
     given = {"--plan": plan_path, "--run": run_path, "--motion": motion_path}
     picture = _view(robot, given, forces, force_scale, check_rates=check_rates)
+    if video:
+        with progress("video") as advance:
+            save_video(picture, video, progress=lambda done, total: advance(done, total, ""))
     if out:
         picture.save(out)
-        _report(picture, out, as_json=as_json)
+    if out or video:
+        _report(picture, " and ".join(path for path in (out, video) if path), as_json=as_json)
         if open_browser:
-            click.launch(out)
+            click.launch(out or str(video))
         return
     live = picture.serve(open_browser=open_browser)
     try:

@@ -55,8 +55,10 @@ from redundancy_pin.simulation import (
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL, DT
 from redundancy_pin.trajectory import carriers_from_csv
+from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.plots import run_title, save
 from redundancy_pin.visualisation.figures.plots import simulation as plot_simulation
+from redundancy_pin.visualisation.figures.video import require_video, save_video
 
 EXIT_CODES = {
     SimulationStatus.COMPLETED: 0,
@@ -120,6 +122,7 @@ def _numbers(name: str) -> Any:
 @click.option("--dt", type=float, metavar="SECONDS", help="Between the samples.  [default: --period, or 0.005]")
 @click.option("--out", metavar="NPZ|CSV", help="Where it goes: all of it, or a table by joint name, as of `export`.")
 @click.option("--plot", metavar="PICTURE", help="Draw it, with the plan behind it (.png, .svg or .pdf).")
+@click.option("--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg.")
 @json_option
 def simulate(robot: RobotOptions, **given: Any) -> int:
     r"""Simulate a machine that is to follow a plan or a motion.
@@ -138,6 +141,9 @@ def simulate(robot: RobotOptions, **given: Any) -> int:
           --period 0.001 --delay 0.001 --noise 0.05 --friction revolute_coulomb=0.02
     """
     plan_path, motion_path, out, plot = (given[name] for name in ("plan_path", "motion_path", "out", "plot"))
+    video = given["video"]
+    if video:
+        require_video(video)
     _require_outputs(out, plot, [path for path in (plan_path, motion_path) if path])
     sampling = _sampling(given)
     with progress("simulate") as advance, in_words(OPTIONS.knowing(_FLAGS)):
@@ -155,12 +161,14 @@ def simulate(robot: RobotOptions, **given: Any) -> int:
         if plot:
             title = run_title(run, CONTROLLERS[given["controller"]])
             save(plot_simulation(run, plan, robot=machine, title=title), plot)
+        if video:
+            save_video(view(run, robot=machine), video, progress=lambda done, total: advance(done, total, "video"))
     facts = summary(run, reference, machine)
     if given["as_json"]:
-        print_json({**facts, "controller": given["controller"], "out": out, "plot": plot})
+        print_json({**facts, "controller": given["controller"], "out": out, "plot": plot, "video": video})
     else:
         title = f"{run.robot.name}, {CONTROLLERS[given['controller']]}"
-        console().print(_table(title, run, facts, {"simulation": out, "picture": plot}))
+        console().print(_table(title, run, facts, {"simulation": out, "picture": plot, "video": video}))
     warn(run)
     return EXIT_CODES.get(run.status, BAD_INPUT)
 

@@ -1,4 +1,4 @@
-"""Figures for papers: ``rp.plot``. Every function returns a matplotlib ``Figure``; ``save`` writes SVG, PNG or PDF.
+"""Figures for papers: ``rp.plot``. Functions return a matplotlib ``Figure``; ``save`` writes SVG, PNG or PDF.
 
 One look for all: the same colour and line style for the same actuator, units on every axis, line styles that tell the
 curves apart in print without colour, singular instants dotted, near-singular stretches grey, what is forbidden hatched.
@@ -10,6 +10,7 @@ curves apart in print without colour, singular instants dotted, near-singular st
     simulation  efforts, carriers, distance from a plan       of a simulation
     path        the mechanism and where its platform goes     of a plan, a simulation or a motion
     snapshots   the mechanism at several instants             of a plan's, a simulation's or a robot's ``View``
+    video       the moving picture as .gif or .mp4            of a plan's, a simulation's or a robot's ``View``
     locus       singular curves over the workspace            of ``singular_locus``
     comparison  the efforts of several plans                  of plans, simulations or ``curves``
 
@@ -54,6 +55,7 @@ from redundancy_pin.visualisation.figures.time_panels import (
     plot_time_panels,
     series,
 )
+from redundancy_pin.visualisation.figures.video import save_video as video
 from redundancy_pin.visualisation.viewer.scene import FLAT, base_hinges, links, traced
 
 if TYPE_CHECKING:
@@ -72,6 +74,7 @@ __all__ = [
     "save",
     "simulation",
     "snapshots",
+    "video",
 ]
 
 

@@ -1,0 +1,141 @@
+"""A moving picture as a file: a GIF, or an MP4 where ffmpeg is installed, drawn without a display."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, IntArray, positive
+from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
+from redundancy_pin.io.files import refusing, replacing_file, require_writable
+from redundancy_pin.visualisation.figures.paths import (
+    draw_frame,
+    draw_path,
+    fitting_plane,
+    label_plane,
+    projection,
+    scene_handles,
+)
+from redundancy_pin.visualisation.figures.style import figure, legend_below, require_matplotlib
+from redundancy_pin.visualisation.viewer.page import View
+from redundancy_pin.visualisation.viewer.scene import Scene
+from redundancy_pin.visualisation.viewer.solids import corners_of
+
+RATE = 25.0
+"""Frames a second; a GIF counts in hundredths of a second, so it is a divisor of 100."""
+
+MOST_FRAMES = 3000
+
+_DPI = 100
+_ROOM = 0.05  # about everything that moves, as a fraction of it
+
+
+def save_video(
+    view: View | Scene,
+    path: str | Path,
+    *,
+    rate: float = RATE,
+    speed: float = 1.0,
+    plane: str | None = None,
+    title: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write a moving picture of what ``rp.show`` returns as .gif or .mp4, with the time written into it.
+
+    Args:
+        view: what ``rp.show`` returns, or its scene.
+        path: of the file, .gif or .mp4.
+        rate: frames a second of the file.
+        speed: seconds of the motion in a second of the file.
+        plane: "xy", "xz", "yz" or "3d", as of ``snapshots``; what fits when left out.
+        title: the scene's when left out.
+        progress: called with the numbers of frames drawn and of all.
+
+    Raises:
+        InputError: no view, a rate or a speed that is not positive, more than 3000 frames.
+        OutputError: another suffix, or the file cannot be written; an earlier one is as it was.
+        RedundancyPinError: matplotlib, or for an MP4 ffmpeg, is not installed.
+    """
+    scene = view.scene if isinstance(view, View) else view
+    if not isinstance(scene, Scene):
+        raise InputError(
+            f"A video shows a view, not a {type(view).__name__}.", remedy="Pass what rp.show returns: rp.show(plan)."
+        )
+    require_video(path)
+    frames = _frames(scene, positive(rate, "rate", "Hz"), positive(speed, "speed", ""))
+    plane = fitting_plane(scene) if plane is None else plane
+    low, high = _extent(scene, projection(plane))
+    with figure(6.0, 5.6) as drawn, replacing_file(path) as temporary, refusing(path):
+        axes = drawn.subplots()
+        legend_below(drawn, scene_handles(scene, range(len(scene.t))))
+        writer = _writer(path, rate)
+        with writer.saving(drawn, str(temporary), _DPI):
+            for done, frame in enumerate(frames.tolist()):
+                axes.clear()
+                axes.set_title(scene.title if title is None else title)
+                draw_frame(axes, scene, frame, plane=plane)
+                draw_path(axes, scene, plane=plane)
+                axes.update_datalim([low, high])
+                axes.autoscale_view()
+                label_plane(axes, plane, flat=scene.is_flat)
+                axes.text(0.99, 0.99, f"t = {scene.t[frame]:.2f} s", transform=axes.transAxes, ha="right", va="top")
+                if done == 1:
+                    drawn.set_layout_engine(None)  # the page is as it was laid out for the first frame
+                writer.grab_frame()
+                if progress is not None:
+                    progress(done + 1, len(frames))
+
+
+def _writer(path: str | Path, rate: float) -> Any:
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+
+    make: Any = PillowWriter if Path(path).suffix.lower() == ".gif" else FFMpegWriter
+    return make(fps=rate)
+
+
+def require_video(path: str | Path) -> None:
+    """Check, before the work, that a video can be drawn and written there; raises as ``save_video``."""
+    require_matplotlib()
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".gif", ".mp4"):
+        raise OutputError(f"Cannot write {path}: it is no .gif and no .mp4.", remedy="Write video.gif.", path=str(path))
+    from matplotlib.animation import FFMpegWriter
+
+    if suffix == ".mp4" and not FFMpegWriter.isAvailable():
+        raise RedundancyPinError(
+            "An MP4 needs the program ffmpeg, which is not found.",
+            remedy="Install it (Debian: apt install ffmpeg), or write a .gif.",
+        )
+    require_writable(path)
+
+
+def _frames(scene: Scene, rate: float, speed: float) -> IntArray:
+    """Return the frames of the scene that the file has, one every ``speed / rate`` s, and the last."""
+    count = int(np.floor(scene.duration * rate / speed + 1e-9)) + 1
+    if count > MOST_FRAMES:
+        raise InputError(
+            f"The video would have {count} frames, more than {MOST_FRAMES}.",
+            remedy="Use a lower rate, or a higher speed.",
+            frames=count,
+        )
+    wanted = np.arange(count) * speed / rate
+    if scene.duration - wanted[-1] > 1e-9:
+        wanted = np.append(wanted, scene.duration)
+    nearest: IntArray = np.abs(scene.t[:, None] - wanted).argmin(axis=0)
+    return nearest
+
+
+def _extent(scene: Scene, matrix: Array) -> tuple[Array, Array]:
+    """Return the corners (2,), (2,) of the picture that holds all solids over the whole motion."""
+    points = [scene.path @ matrix.T]
+    for solid in scene.solids:
+        body = scene.placement[:, solid.body]
+        corners = corners_of(solid) @ body[:, :3, :3].transpose(0, 2, 1) + body[:, None, :3, 3]
+        points.append(corners.reshape(-1, 3) @ matrix.T)
+    every = np.concatenate(points)
+    low, high = every.min(axis=0), every.max(axis=0)
+    room = _ROOM * float((high - low).max())
+    return low - room, high + room
