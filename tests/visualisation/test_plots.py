@@ -312,7 +312,8 @@ def test_a_spatial_path_is_seen_obliquely_and_said_to_be_a_projection() -> None:
 
 def test_snapshots_of_a_spatial_machine_are_not_flattened_without_a_word() -> None:
     view = rp.show(zoo.robot_of("gough"))
-    assert {"x", "y", "z"} <= {text.get_text() for text in rp.plot.snapshots(view, 1).axes[0].texts}
+    assert {"x", "y", "z"} <= {text.get_text() for text in rp.plot.snapshots(view, 1, plane="3d").axes[0].texts}
+    assert rp.plot.snapshots(view, 1).axes[0].get_title() == "gough, projection on x, y"
     assert rp.plot.snapshots(view, 1, plane="xz").axes[0].get_title() == "gough, projection on x, z"
     planar = rp.plot.snapshots(rp.show(zoo.robot_of("2rpr")), 1).axes[0]
     assert (planar.get_xlabel(), "projection" in planar.get_title()) == ("x [m]", False)

@@ -38,7 +38,8 @@ def test_a_gif_shows_the_carriers_where_they_are(tmp_path: Path) -> None:
     still = np.tile(np.array([0.25, 0.7]), (41, 1))
     rest = rp.PlatformMotion(t, still, 0.0 * still, 0.0 * still)
     along = np.stack([0.4 * t, 0.0 * t], axis=1)
-    view = rp.show(robot, rest, rp.CarrierMotion(along, 0.4 + 0.0 * along, 0.0 * along))
+    speed = np.stack([0.4 + 0.0 * t, 0.0 * t], axis=1)
+    view = rp.show(robot, rest, rp.CarrierMotion(along, speed, 0.0 * along))
     out = tmp_path / "seen.gif"
     save_video(view, out, rate=10.0)
     frames = _frames(out)

@@ -278,7 +278,7 @@ _DRAWN_AS_JOINT = {"actuated": "o", "passive": "o", "closure": "D"}
 
 
 def draw_snapshots(
-    view: View | Scene, times: Sequence[float] | int = 5, *, plane: str | None = None, title: str | None = None
+    view: View | Scene, times: Sequence[float] | int = 5, *, plane: str = "xy", title: str | None = None
 ) -> Figure:
     """Draw links, tracks, carriers, base and platform at several instants, later ones stronger, over the path.
 
@@ -287,8 +287,8 @@ def draw_snapshots(
     Args:
         view: what ``rp.show`` returns, or its scene.
         times: instants from the start of the motion, s, or how many, evenly spread.
-        plane: which coordinates are drawn: "xy", "xz" or "yz"; or "3d", seen obliquely. What fits when left out: "xy"
-            for a machine that moves in a plane z = const, else "3d".
+        plane: which coordinates are drawn: "xy", "xz" or "yz", said to be a projection of what is not flat; or
+            "3d", seen obliquely.
         title: of the figure; the scene's when left out.
 
     Raises:
@@ -299,7 +299,6 @@ def draw_snapshots(
         raise InputError(
             f"snapshots draws a view, not a {type(view).__name__}.", remedy="Pass what rp.show returns: rp.show(plan)."
         )
-    plane = fitting_plane(scene) if plane is None else plane
     projection(plane)  # refused before anything is drawn
     wanted = np.linspace(0.0, scene.duration, times) if isinstance(times, int) else np.asarray(times, dtype=float)
     if not wanted.size or not ((wanted >= 0.0) & (wanted <= scene.duration)).all():
