@@ -45,6 +45,8 @@ from redundancy_pin.cli.plan_problem import (
 )
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import replacing_file, require_writable
+from redundancy_pin.kinematics.joint_limits import beyond_limits
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.studies.case import COMPILED, RNEA, VIRTUAL_WORK
@@ -376,9 +378,13 @@ def _run(
                 save(plot_plan(result), stack.enter_context(replacing_file(plot)))
             if out:
                 result.save(out)
+    robot = task.dynamics.robot
+    left = beyond_limits(robot, lift(robot, result.motion, mark_unreachable=True).q, result.t)
     if as_json:
-        print_json({**summary(result), "out": out, "plot": plot})
+        print_json({**summary(result), "joint_limits": [vars(one) for one in left], "out": out, "plot": plot})
     else:
         console().print(_table(result, out, plot))
+    for one in left:
+        click.echo(f"warning: {one}.", err=True)
     warn(result)  # last, and on stderr: what is wrong with a plan is the line a user sees
     return EXIT_CODES.get(result.status, BREAKS_LIMITS)

@@ -14,6 +14,10 @@ _ROUNDING = 1e-9
 """rad or m beyond a limit that count as being at it."""
 
 
+_A_TURN = 2.0 * np.pi + 0.01
+"""rad; limits farther apart count turns."""
+
+
 @dataclass(frozen=True)
 class JointExcess:
     """A joint beyond a limit.
@@ -46,8 +50,8 @@ class JointExcess:
 def beyond_limits(robot: Robot, q: Array, t: Array) -> tuple[JointExcess, ...]:
     """Return the joints that are somewhere beyond a limit of position.
 
-    Carriers have tracks, which are checked elsewhere. A revolute joint may be counted from another turn than its
-    limits: the same whole number of turns is taken from all samples where that helps.
+    Carriers have tracks, which are checked elsewhere. A revolute joint whose limits are within a turn may be counted
+    from another turn than they are: the same whole number of turns is taken from all samples where that helps.
 
     Args:
         robot: the robot.
@@ -67,7 +71,7 @@ def beyond_limits(robot: Robot, q: Array, t: Array) -> tuple[JointExcess, ...]:
         if not lower < upper:  # a URDF says so where it knows no limits
             continue
         turns, value = bool(turning[joint.idx_v]), q[:, joint.idx_q]
-        if turns and np.isfinite(upper - lower):
+        if turns and upper - lower <= _A_TURN:
             middle = 0.5 * (value.max() + value.min() - lower - upper)
             value = value - 2.0 * np.pi * np.round(middle / (2.0 * np.pi))
         for limit, excess in ((lower, lower - value), (upper, value - upper)):

@@ -198,3 +198,26 @@ def test_the_command_warns_of_limits(limited, tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert "warning: joint 'rocker' leaves its upper limit 2 rad at t = " in result.stderr
     assert {one["joint"] for one in json.loads(result.stdout)["joint_limits"]} == {"rocker"}
+
+
+def test_a_plan_whose_motion_leaves_a_limit_says_so(tmp_path: Path) -> None:
+    """The passive swivels of the 2-RPR, which may turn up to 1.4 rad: on the line they go farther."""
+    models = Path(__file__).parents[2] / "models" / "2rpr"
+    shutil.copy(models / "robot.yaml", tmp_path)
+    text = (models / "2rpr.urdf.xacro").read_text()
+    limit = '<limit lower="-1000" upper="1000" velocity="100" effort="0"/>'
+    assert text.count(limit) == 1
+    (tmp_path / "2rpr.urdf.xacro").write_text(text.replace(limit, limit.replace('upper="1000"', 'upper="1.4"')))
+    line = ("plan", "switch-off", "--trajectory", "line", "--threshold", "4", "--dt", "0.02", "--json")
+    result = call(*line, "--robot", tmp_path)
+    assert result.exit_code == 0
+    robot, motion = zoo.robot_of("2rpr"), reference.line().sample(0.02)
+    q = rp.lift(robot, motion).q
+    beyond = {
+        name: q[:, robot.model.joints[robot.model.getJointId(name)].idx_q].max() for name in ("swivel_1", "swivel_2")
+    }
+    found = {one["joint"]: one["value"] for one in json.loads(result.stdout)["joint_limits"]}
+    assert found == pytest.approx({name: value for name, value in beyond.items() if value > 1.4}, abs=1e-3)
+    assert found
+    for name in found:
+        assert f"warning: joint '{name}' leaves its upper limit 1.4 rad at t = " in result.stderr

@@ -231,7 +231,8 @@ def test_correcting_efforts_are_those_of_the_backend():
     # four accelerations at each point: three of one, and none
     points = [motion.at(t) for t in np.repeat(middles, 4).tolist()]
     still, steps = np.zeros((len(points), 3)), np.tile(np.eye(4, 3), (len(middles), 1))
-    motions = PlatformMotion(np.arange(len(points), dtype=float), [point.x for point in points], still, steps)
+    times, x = np.arange(len(points), dtype=float), [point.x for point in points]
+    motions = PlatformMotion(times, x, still, steps, check_rates=False)
     reduced = rp.RneaDynamics(robot).reduce(motions, CarrierMotion([point.s for point in points], still, still))
     for f, W in zip(reduced.f.reshape(-1, 4, 3), reduced.W[::4] / rows[:, None], strict=True):
         mass = (f[:3] - f[3]).T / rows[:, None] / rows
