@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, IntArray, checked, frozen
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, IntArray, checked, frozen, read_only
 from redundancy_pin.errors import DeclarationError, InputError
 from redundancy_pin.kinematics.assembly import assemble, project
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
@@ -33,8 +33,7 @@ from redundancy_pin.robot.build import build, characteristic_length, put_togethe
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.from_model import declared
-from redundancy_pin.robot.mechanism import Mechanism
-from redundancy_pin.robot.mjcf import NOT_IN_FORCE
+from redundancy_pin.robot.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
 from redundancy_pin.robot.urdf import Argument, declaration_path, known_values, render, source_of
 
@@ -235,6 +234,7 @@ def _of_mechanism(
         mode=working_mode,
         parameters=parameters,
         source=source_of(path),
+        drive_independent=not (mechanism.driven_is_said or data.get("actuated") or data.get("independent")),
     )
 
 
@@ -490,6 +490,7 @@ def made(
     mode: Sequence[int] | None = None,
     parameters: Mapping[str, Argument] = MappingProxyType({}),
     source: str = "",
+    drive_independent: bool = False,
 ) -> Robot:
     """Return the robot of a declaration and a model that was built already.
 
@@ -502,6 +503,7 @@ def made(
         mode: ±1 a leg; as declared when left out.
         parameters: of the robot.
         source: of the robot.
+        drive_independent: let the joints that are chosen as independent be the main actuators, ``actuated`` first.
     """
     chosen = dict(data)
     chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
@@ -525,12 +527,18 @@ def made(
                 "is held: the second ball is a universal joint."
             )
         if selection.left_out:
-            notes.append(
-                f"Redundant closure rows left out, the loops stay closed in them: {', '.join(selection.left_out)}."
-            )
+            rows = ", ".join(selection.left_out)
+            notes.append(f"Redundant closure rows left out, the loops stay closed in them: {rows}.")
         if not data.get("independent"):
             robot = replace(robot, independent_joints=selection.independent)
             notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")
+        if drive_independent:
+            columns = [model.joints[model.getJointId(name)].idx_v for name in selection.independent]
+            driven = read_only(np.array(columns, dtype=np.intp))
+            robot = replace(robot, actuated=selection.independent, actuated_velocity=driven)
+            notes.append(
+                "The file does not say what is driven: taken are the independent joints; actuated=... names others."
+            )
     given = declaration.reference
     prescribed = given.platform is not None or given.joints is not None
     target = (lambda: reference_coordinates(robot, declaration.coordinates({}))) if prescribed else None

@@ -52,12 +52,12 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
     """Return what there is to know about a robot as plain data."""
     from redundancy_pin.kinematics.coordinates import all_working_modes, gravity_acts, mode_name
     from redundancy_pin.robot.declaration import read_declaration
-    from redundancy_pin.robot.model_files import DEFAULTS, is_model_file
+    from redundancy_pin.robot.model_files import defaults_of, is_model_file
 
     # once more from the files: a robot knows its parameters' values, but not which of them are defaults
     data = {} if is_model_file(declaration) else read_declaration(declaration).data
     file = declaration.parent / data["urdf"] if data else declaration
-    defaults = DEFAULTS if is_model_file(file) else render(file, {}, trust=trust)[1]
+    defaults = defaults_of(file) if is_model_file(file) else render(file, {}, trust=trust)[1]
     model = robot.model
     return {
         "name": robot.name,

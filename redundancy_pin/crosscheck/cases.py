@@ -128,7 +128,7 @@ def _draw(
     failure: RedundancyPinError | None = None
     for attempt in range(_TRIES):
         try:
-            robot = random_robot(source, rng, carriers, masses) if vary else load_robot(source, trust=trust)
+            robot = random_robot(source, rng, carriers, masses) if vary else _nominal(source, trust)
         except DeclarationError as error:
             failure = error  # these lengths do not close in this mode: draw again
             continue

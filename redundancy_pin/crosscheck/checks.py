@@ -323,9 +323,9 @@ def relative(first: Array, second: Array, floor: float = 1e-6) -> Array:
     of the typical size of the whole array where that is larger.
     """
     count = len(first)
-    a, b = first.reshape(count, -1), second.reshape(count, -1)
-    if a.shape[1] == 0:
+    if first.size == 0:
         return np.zeros(count)
+    a, b = first.reshape(count, -1), second.reshape(count, -1)
     size = np.maximum(np.abs(a).max(axis=1), np.abs(b).max(axis=1))
     typical = float(np.median(size)) if count else 0.0
     result: Array = np.abs(a - b).max(axis=1) / np.maximum(size, max(floor, 1e-3 * typical))

@@ -35,6 +35,9 @@ _RESTARTS = 30
 _STAYS_CLOSED = 1e-8
 """m, or rad: how far the rows that are left out may open. Newton leaves 1e-11; the false ones open by 1e-3 and more."""
 
+_REDUNDANT = 1e-6
+"""Scaled singular values, relative to the largest, of rows that are redundant."""
+
 _WELL_APART = 1e-2
 """A velocity whose column is nearer to the others, in its own length, is taken as dependent only where there is no
 other: it would make a reference next to a singularity of type I."""
@@ -190,32 +193,31 @@ def _with_spin_held(robot: Robot, joint: str, q: Array) -> Robot:
 
 
 def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, ...]]:
+    """Return the robot with the rows that count, and the names of the others."""
     system = ConstraintSystem(robot)
-    around = _neighbours(system, q)
-    rows = [_rows(system, each) for each in around]
+    rows = [_rows(system, each) for each in _neighbours(system, q)]
     ranks = [_rank(each) for each in rows]
     # at a singular reference the rank is lower than around it, and the choice is made where it is not
     best = int(np.argmax(ranks))
-    kept = np.sort(_pivots(rows[best].T, ranks[best]))
-    if len(kept) == len(system.rows):
-        return robot, ()
     keep = np.zeros(len(system.rows), dtype=bool)
-    keep[kept] = True
+    keep[_pivots(rows[best].T, ranks[best])] = True
+    if keep.all():
+        return robot, ()
     fewer, left_out = _with_rows(robot, keep)
     # with these rows alone, do the others stay closed?
     again = _neighbours(ConstraintSystem(fewer), q)
     opened = np.abs(system.evaluate(again).phi).max(axis=0)
+    if opened.max() <= _STAYS_CLOSED:
+        return fewer, left_out
     wide = [name for name, gap in zip(_row_names(robot), opened, strict=True) if gap > _STAYS_CLOSED]
-    if wide:
-        raise DeclarationError(
-            f"{robot.name} is over-constrained: {len(system.rows)} closure rows have rank {ranks[best]}, but where "
-            f"{', '.join(left_out)} are left out the loops open, by {opened.max():.3g} in {', '.join(wide)}.",
-            remedy="It moves against Grübler's count. Give a joint of the loop the freedom that it needs, such as a "
-            "ball in place of a hinge.",
-            rank=ranks[best],
-            gap=float(opened.max()),
-        )
-    return fewer, left_out
+    raise DeclarationError(
+        f"{robot.name} is over-constrained: {len(system.rows)} closure rows have rank {ranks[best]}, but where "
+        f"{', '.join(left_out)} are left out the loops open, by {opened.max():.3g} in {', '.join(wide)}.",
+        remedy="It moves against Grübler's count. Give a joint of the loop the freedom that it needs, such as a "
+        "ball in place of a hinge.",
+        rank=ranks[best],
+        gap=float(opened.max()),
+    )
 
 
 def _neighbours(system: ConstraintSystem, q: Array) -> Array:
@@ -244,7 +246,7 @@ def _rows(system: ConstraintSystem, q: Array) -> Array:
 
 def _rank(matrix: Array) -> int:
     values = np.linalg.svd(matrix, compute_uv=False)
-    return int((values > 1e3 * RANK_TOLERANCE * values.max(initial=0.0)).sum()) if values.size else 0
+    return int((values > _REDUNDANT * values.max(initial=0.0)).sum()) if values.size else 0
 
 
 def _pivots(matrix: Array, count: int) -> IntArray:

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError
-from redundancy_pin.robot.types import Closure
+from redundancy_pin.robot.types import AXES, Closure
 from redundancy_pin.robot.urdf_tree import MOST_FREEDOMS, MOST_LINKS, JointEntry, LinkEntry
 
 _ALIGNED = {
@@ -21,6 +21,9 @@ _ALIGNED = {
 }
 FREEDOMS = {"fixed": 0, "revolute": 1, "prismatic": 1, "ball": 3}
 """Kinds of joints, and the freedoms of each; what has others is made of these."""
+
+NOT_IN_FORCE = "Not in force, though the file says it:"
+"""How the note begins that names forces which are left out."""
 
 UNLIMITED = {"lower": -np.inf, "upper": np.inf, "effort": np.inf, "velocity": np.inf}
 
@@ -39,6 +42,7 @@ class Mechanism:
         start: positions of joints at the file's own configuration, rad or m; (4,) of a ball, x, y, z, w.
         armature: inertia of rotors by joint, kg·m² or kg, in force.
         notes: what is not in force though the file says it, and what is taken in one of several ways.
+        driven_is_said: whether the file says what is driven; else ``actuated`` are joints that may be.
         shapes: a URDF with the shapes of the bodies, for drawing only.
     """
 
@@ -52,6 +56,7 @@ class Mechanism:
     armature: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     shapes: str = ""
+    driven_is_said: bool = True
 
     def model(self, path: str) -> pin.Model:
         """Return Pinocchio's model; every link is a frame of it.
@@ -135,6 +140,26 @@ def _added(model: pin.Model, joint: JointEntry, carrier: int, place: pin.SE3) ->
     kind = aligned[int(along[0])]() if len(along) == 1 else unaligned(joint.axis)
     limits = (np.array([joint.limits[key]]) for key in ("effort", "velocity", "lower", "upper"))
     return int(model.addJoint(carrier, kind, place, joint.name, *limits))
+
+
+def six_joints(name: str, parent: str, child: str, place: Array) -> tuple[list[JointEntry], dict[str, float]]:
+    """Return the joints of a free body, three slides and three hinges, as independent joints have one freedom each.
+
+    Args:
+        name: of the body or its joint; the joints are NAME_x to NAME_rx.
+        parent: the link that does not move.
+        child: the link of the body.
+        place: (4, 4) where it is; the positions of the joints that put it there are returned too, x to rz.
+    """
+    yaw, pitch, roll = angles(place[:3, :3])
+    values = dict(zip(AXES, (*place[:3, 3].tolist(), roll, pitch, yaw), strict=True))
+    joints = []
+    for axis in ("x", "y", "z", "rz", "ry", "rx"):
+        joint, direction = f"{name}_{axis}", np.eye(3)["xyz".index(axis[-1])]
+        kind, link = "revolute" if len(axis) == 2 else "prismatic", child if axis == "rx" else f"{name}_{axis}::link"
+        joints.append(JointEntry(joint, kind, parent, link, np.eye(4), direction, UNLIMITED))
+        parent = link
+    return joints, {f"{name}_{axis}": value for axis, value in values.items()}
 
 
 def placed(rotation: Array, translation: Array) -> Array:

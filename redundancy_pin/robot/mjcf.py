@@ -15,7 +15,17 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import did_you_mean, shown
-from redundancy_pin.robot.mechanism import UNLIMITED, Mechanism, angles, drawn, moved_to, placed, together
+from redundancy_pin.robot.mechanism import (
+    NOT_IN_FORCE,
+    UNLIMITED,
+    Mechanism,
+    angles,
+    drawn,
+    moved_to,
+    placed,
+    six_joints,
+    together,
+)
 from redundancy_pin.robot.mjcf_file import (
     ORIENTATION,
     Defaults,
@@ -368,25 +378,19 @@ class _Reader:
         """Add the six freedoms of a free body as three slides and three hinges: independent joints have one each."""
         if parent != "world" or count > 1:
             part.refuse(f"{part} is free, in a body that is inside of another or has other joints")
-        made = tuple(f"{name}_{axis}" for axis in AXES)
-        self.names[name] = made
-        x, y, z, *_ = place[:3, 3].tolist()
-        yaw, pitch, roll = angles(place[:3, :3])
-        self._positions.append(made)
-        values = dict(zip(made, (x, y, z, roll, pitch, yaw), strict=True))
-        for axis in ("x", "y", "z", "rz", "ry", "rx"):
-            joint, direction = f"{name}_{axis}", np.eye(3)["xyz".index(axis[-1])]
-            kind = "revolute" if len(axis) == 2 else "prismatic"
-            self._moving(JointEntry(joint, kind, parent, f"{joint}::link", np.eye(4), direction, UNLIMITED))
-            self.initial[joint] = values[joint]
-            if part.number("armature", 0.0):
-                part.refuse(f"{part} is free and has an armature, which is not covered")
-            parent = f"{joint}::link"
+        if part.number("armature", 0.0):
+            part.refuse(f"{part} is free and has an armature, which is not covered")
+        made, start = six_joints(name, parent, f"{name}::link", place)
+        for joint in made:
+            self._moving(joint)
+        self.names[name] = tuple(start)
+        self._positions.append(tuple(start))
+        self.initial.update(start)
         self.notes.append(
             f"The free joint {name!r} is three slides and three hinges (yaw, pitch, roll; singular at a pitch of 90°): "
-            f"{', '.join(made)}. Nothing drives it; base=fixed holds it."
+            f"{', '.join(start)}. Nothing drives it; base=fixed holds it."
         )
-        return parent, np.eye(4)
+        return f"{name}::link", np.eye(4)
 
     def _note_forces(self, part: Part, name: str) -> None:
         if part.tag == "freejoint":
@@ -590,10 +594,6 @@ class _Reader:
             self.notes.append("Contacts between geoms are not modelled.")
         if self.armature:
             self.notes.append(f"In force: armature of {', '.join(self.armature)}.")
-
-
-NOT_IN_FORCE = "Not in force, though the file says it:"
-"""How the note begins that names forces which are left out."""
 
 
 def _inertial(part: Part, within: Array) -> LinkEntry:

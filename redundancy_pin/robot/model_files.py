@@ -8,12 +8,15 @@ from pathlib import Path
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.robot.mechanism import Mechanism
 from redundancy_pin.robot.mjcf import read_mjcf
+from redundancy_pin.robot.sdf import read_sdf
 from redundancy_pin.robot.urdf import Argument
 
-_SUFFIXES = (".xml", ".mjcf")
-
-DEFAULTS: Mapping[str, Argument] = {"base": "free", "keyframe": ""}
-"""Arguments of such files, in place of those of a xacro file."""
+_SUFFIXES: Mapping[str, Mapping[str, Argument]] = {
+    ".xml": {"base": "free", "keyframe": ""},
+    ".mjcf": {"base": "free", "keyframe": ""},
+    ".sdf": {"base": "fixed", "actuated": ""},
+}
+"""Such files by their names, and the arguments that they have in place of those of a xacro file."""
 
 
 def is_model_file(path: Path) -> bool:
@@ -21,23 +24,30 @@ def is_model_file(path: Path) -> bool:
     return path.suffix.lower() in _SUFFIXES
 
 
+def defaults_of(path: Path) -> Mapping[str, Argument]:
+    """Return the arguments of a model file, and their values when left out."""
+    return _SUFFIXES[path.suffix.lower()]
+
+
 def read_mechanism(path: Path, arguments: Mapping[str, object]) -> tuple[Mechanism, dict[str, Argument]]:
     """Read a model file; return what it describes, and the arguments with their values.
 
     Args:
         path: the file.
-        arguments: ``keyframe``, the name of the one that the mechanism starts from; ``base``: "free", or "fixed" to
-            hold a free body where it starts.
+        arguments: ``base``: "free", or "fixed" to hold a free body where it starts; of MJCF ``keyframe``, the name of
+            the one that the mechanism starts from; of SDF ``actuated``, names of driven joints with commas between.
 
     Raises:
         ModelFileError: a file that cannot be read, or says what is not covered.
         InputError: another argument, or another value.
     """
+    defaults = defaults_of(path)
     for name in arguments:
-        if name not in DEFAULTS:
-            remedy = f"{did_you_mean(name, DEFAULTS)}Its arguments: {', '.join(DEFAULTS)}."
+        if name not in defaults:
+            remedy = f"{did_you_mean(name, defaults)}Its arguments: {', '.join(defaults)}."
             raise InputError(f"{path.name} has no argument {name!r}.", remedy=remedy, argument=name)
-    values = {name: str(arguments.get(name, default)) for name, default in DEFAULTS.items()}
+    values = {name: str(arguments.get(name, default)) for name, default in defaults.items()}
     if values["base"] not in ("free", "fixed"):
         raise InputError(f"The argument 'base' is {shown(values['base'])}.", remedy="It must be free or fixed.")
-    return read_mjcf(path, keyframe=values["keyframe"], base=values["base"]), dict(values)
+    mechanism = read_sdf(path, **values) if path.suffix.lower() == ".sdf" else read_mjcf(path, **values)
+    return mechanism, dict(values)
