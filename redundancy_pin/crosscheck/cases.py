@@ -165,8 +165,8 @@ def random_robot(
 
 
 @lru_cache
-def _nominal(source: str) -> Robot:
-    return load_robot(source)
+def _nominal(source: str, trust: bool = False) -> Robot:
+    return load_robot(source, trust=trust)
 
 
 def _random_motion(robot: Robot, samples: int, rng: np.random.Generator, amplitude: float) -> Case:
