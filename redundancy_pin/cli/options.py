@@ -77,7 +77,7 @@ def robot_flags(command: _Command, *, required: bool = True) -> _Command:
             "--robot",
             required=required,
             metavar="NAME|PATH",
-            help="Shipped robot (see `info`), a robot.yaml or the folder that holds one, or a model of MuJoCo or Gazebo (.xml, .sdf).",
+            help="Shipped robot (see `info`), robot.yaml, its folder, or a model of MuJoCo or Gazebo (.xml, .sdf).",
         ),
     ):
         command = option(command)
