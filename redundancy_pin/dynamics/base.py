@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, cast
+from typing import Any, Literal, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -147,6 +147,13 @@ class DynamicsAlongMotion(Protocol):
         Zero where the closures lose rank and branches meet; the sign changes where the motion goes through one such
         pose. One throughout, where the kinematics of a backend have no closures; NaN where unreachable, or not known.
         """
+
+    def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any] | None:
+        """Return casadi's f (n, N) and carrier forces (k, N) of expressions of the carriers' motion, (k, N) each.
+
+        Exact, with derivatives of any order; None where a backend has no symbols.
+        """
+        return None
 
 
 class Dynamics(Protocol):

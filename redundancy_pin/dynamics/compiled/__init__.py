@@ -193,6 +193,11 @@ class CompiledDynamics(Dynamics):
         return found
 
     @cached_property
+    def projection(self) -> Any:
+        """casadi's function of one sample: from q, trig, v, a, Γ and the carriers' motion to f and their forces."""
+        return define(self._robot).functions["rp_project"]
+
+    @cached_property
     def reference(self) -> tuple[Array, Array]:
         """The reference configuration (nq,) and its coordinates, (n,) or the 16 of a pose."""
         q = np.array(self._robot.q_reference)
@@ -396,6 +401,14 @@ class CompiledAlongMotion(Frozen):
                 )
         samples = TreeSamples(x, lifted.q, lifted.v, lifted.a, lifted.reachable, self._external)
         return motion_derivatives(robot, design, samples, carriers)
+
+    def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any] | None:
+        """Return casadi's f (n, N) and carrier forces (k, N) of expressions of the carriers' motion, (k, N) each."""
+        lifted, n = self._lifted, self.robot.n
+        known = [part.T for part in (lifted.q, lifted.trig, lifted.v, lifted.a)]
+        known.append(lifted.gamma.reshape(-1, n).T)  # the n rows of one sample beside those of the next
+        f, force = self._dynamics.projection.map(len(self.motion)).call([*known, s, sd, sdd])
+        return f, force
 
     def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N, 6) force and moment of the robot on its base, about the world origin, world axes, N and N·m."""

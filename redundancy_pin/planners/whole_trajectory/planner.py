@@ -33,6 +33,7 @@ from redundancy_pin.planners.whole_trajectory.problem import (
     Grid,
     Task,
     grid_of,
+    has_expressions,
     near_singular,
     read_coefficients,
     steps_around,
@@ -215,9 +216,11 @@ def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multist
         if "deviation" not in error.details:
             raise
         # f is not the polynomial that it is for carriers on straight tracks
-        parked = np.tile(task.settings.start, (len(nodes.t), 1))
-        first = read_coefficients(task, nodes, CarrierMotion(parked, 0.0 * parked, 0.0 * parked))
-        return multistart(first, warm, partial(fit_and_solve, task, first))
+        at = np.tile(task.settings.start, (len(nodes.t), 1))
+        parked, exact = CarrierMotion(at, 0.0 * at, 0.0 * at), has_expressions(task)
+        problem = read_coefficients(task, nodes, parked, exact=exact)
+        if not exact:
+            return multistart(problem, warm, partial(fit_and_solve, task, problem))
 
     def solve_from(guess: dict[str, Array], seconds: float) -> Outcome:
         return Outcome(problem, solve(problem, guess, seconds))

@@ -29,7 +29,7 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort
-from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
+from redundancy_pin.planners.whole_trajectory.options import Scales, Settings, casadi
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, chebyshev_times
 
@@ -157,12 +157,14 @@ class SingularNode:
     """A node on a type II singularity; r directions are lost.
 
     ``index``: its number among the nodes; ``lost`` (r, n) rows u with u W = 0; ``rate``: time derivatives of the
-    coefficients of W, f and the carrier forces, one sample.
+    coefficients of W, f and the carrier forces, one sample; ``exact``: where f is no polynomial but an expression,
+    dynamics at the node and at times around it, and what the values at these weigh in a derivative by time.
     """
 
     index: int
     lost: Array
     rate: CarrierModel
+    exact: tuple[DynamicsAlongMotion, DynamicsAlongMotion, Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +174,8 @@ class Problem:
     ``grid``: the nodes; ``model``: coefficients of W, f and the carrier forces at the nodes; on curved tracks
     ``f_terms`` has two more terms, ṡ² and s s̈, in the end; ``singular``: the nodes on type II singularities;
     ``actuated_rate`` (M, m) rates of the main actuators; ``target`` (M, m) efforts that the objective "tracking" aims
-    at; ``settings``: limits, ends and objective; ``scales``: sizes.
+    at; ``settings``: limits, ends and objective; ``scales``: sizes; ``exact``: for carriers on curved tracks, dynamics
+    whose expressions for f and the carrier forces stand in place of the polynomials of ``model``.
     """
 
     grid: Grid
@@ -182,6 +185,13 @@ class Problem:
     target: Array
     settings: Settings
     scales: Scales
+    exact: DynamicsAlongMotion | None = None
+
+    def carrier_force(self, carriers: CarrierMotion) -> Array:
+        """Return the carrier forces (M, k) for a motion at the nodes, N."""
+        if self.exact is not None:
+            return np.asarray(self.exact.reduce(carriers).carrier_force)
+        return self.model.carrier_force(carriers.s, carriers.sd, carriers.sdd)
 
     def carriers(self, values: Mapping[str, Array]) -> CarrierMotion:
         """Return the motion at the nodes, in units, of scaled s, ṡ and s̈; what is left out is zero."""
@@ -193,11 +203,20 @@ class Problem:
         return {name: getattr(carriers, name) / getattr(self.scales, name) for name in ("s", "sd", "sdd")}
 
 
-def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = None) -> Problem:
+def has_expressions(task: Task) -> bool:
+    """Return whether the backend has f as an expression, so that it need not be fitted."""
+    nothing = casadi().MX(task.dynamics.robot.k, 1)
+    along = task.dynamics.along(task.source.sample_at(np.array([task.source.start])))
+    return getattr(along, "expressions", lambda *_: None)(nothing, nothing, nothing) is not None
+
+
+def read_coefficients(
+    task: Task, grid: Grid, around: CarrierMotion | None = None, *, exact: bool = False
+) -> Problem:
     """Read the coefficients at all nodes off the backend.
 
     ``task``: robot, motion and settings; ``around``: for carriers on curved tracks, the motion at the nodes around
-    which f is fitted.
+    which f is fitted; ``exact``: take f as the backend's expressions have it, and sizes alone from the fit.
     """
     settings, motion = task.settings, task.source.sample_at(grid.t)
     along = task.dynamics.along(motion)
@@ -210,6 +229,7 @@ def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = Non
             None if around is None else around[int(i) : int(i) + 1],
             # of a jump, which has two nodes, the first one
             "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right",
+            exact=exact,
         )
         for i in grid.singular
     )
@@ -217,7 +237,8 @@ def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = Non
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
     scales = _scales(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
-    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, scales)
+    symbols = along if exact else None
+    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, scales, symbols)
 
 
 def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
@@ -237,13 +258,13 @@ def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration:
 
 
 def singular_node(
-    task: Task, index: int, t: float, around: CarrierMotion | None = None, side: Side = "right"
+    task: Task, index: int, t: float, around: CarrierMotion | None = None, side: Side = "right", *, exact: bool = False
 ) -> SingularNode:
     """Read the derivatives of the model at a singular instant off the backend.
 
     ``task``: robot, motion and settings; ``t``: the instant, s; ``around``: for carriers on curved tracks, the motion
     (one sample) around which the model is fitted; ``side``: from which the derivatives are taken; "left" for the node
-    before a jump of the reference acceleration.
+    before a jump of the reference acceleration; ``exact``: as in ``read_coefficients``.
     """
     dynamics, source, dt = task.dynamics, task.source, task.settings.mesh.dt
     if around is None:
@@ -251,7 +272,8 @@ def singular_node(
         rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)
     else:
         rate = _rate_of_fit(dynamics, source, t, around, side)
-    reduced = dynamics.along(source.sample_at(np.array([t]))).reduce()
+    here = dynamics.along(source.sample_at(np.array([t])))
+    reduced = here.reduce()
     u, values, v = np.linalg.svd(scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0])
     size = float(values[0])
     if len(values) == 1:  # the only one vanishes: it is small beside what it is elsewhere
@@ -260,7 +282,12 @@ def singular_node(
     kept = int((values > LOST * size).sum())
     turning = scaled(rate.W, reduced.row_scale, reduced.column_scale)[0]
     _require_crossing(u[:, kept:].T @ turning @ v[kept:].T / size, source, t)
-    return SingularNode(index, read_only(u[:, kept:].T / reduced.row_scale), rate)
+    symbols = None
+    if exact:
+        edges, times = _beside(source, t, side)
+        unit = PiecewisePolynomial.from_values(edges, np.eye(len(times))[None])
+        symbols = here, dynamics.along(source.sample_at(times)), unit.derivative().at(t)
+    return SingularNode(index, read_only(u[:, kept:].T / reduced.row_scale), rate, symbols)
 
 
 def _require_crossing(rate: Array, source: ContinuousMotion, t: float) -> None:
@@ -345,14 +372,7 @@ def _rate_of_fit(
     dynamics: Dynamics, source: ContinuousMotion, t: float, carriers: CarrierMotion, side: Side
 ) -> CarrierModel:
     """Return derivatives by time of the first-order coefficients, fitted around one sample of a motion throughout."""
-    kinks = source.kinks
-    ahead = t == source.start or (side == "right" and t < source.end)
-    # beyond a kink, or the end, the motion is another
-    on_kink = bool((kinks == t).any())
-    start = t if on_kink and ahead else max(t - APART, float(kinks[kinks < t].max()))
-    end = t if on_kink and not ahead else min(t + APART, float(kinks[kinks > t].min()))
-    edges = np.array([start, end])
-    times = chebyshev_times(edges, DEGREE)
+    edges, times = _beside(source, t, side)
     fixed = CarrierMotion(*(np.repeat(part, len(times), axis=0) for part in (carriers.s, carriers.sd, carriers.sdd)))
     model = _first_order_fit(dynamics.along(source.sample_at(times)), fixed)
 
@@ -362,3 +382,15 @@ def _rate_of_fit(
 
     parts = (model.W, model.f0, model.f_terms, model.force0, model.force_terms)
     return CarrierModel(np.array([t]), *(rate(np.asarray(part)) for part in parts))
+
+
+def _beside(source: ContinuousMotion, t: float, side: Side) -> tuple[Array, Array]:
+    """Return (2,) ends of a smooth stretch that holds an instant, s, and times in it for a polynomial."""
+    kinks = source.kinks
+    ahead = t == source.start or (side == "right" and t < source.end)
+    # beyond a kink, or the end, the motion is another
+    on_kink = bool((kinks == t).any())
+    start = t if on_kink and ahead else max(t - APART, float(kinks[kinks < t].max()))
+    end = t if on_kink and not ahead else min(t + APART, float(kinks[kinks > t].min()))
+    edges = np.array([start, end])
+    return edges, chebyshev_times(edges, DEGREE)

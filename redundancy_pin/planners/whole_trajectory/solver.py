@@ -362,7 +362,7 @@ def _leaves_limits(problem: Problem, solution: Solution) -> BoolArray:
 def _exceeds_force(problem: Problem, solution: Solution) -> bool:
     """Return whether a carrier needs more force at a node than its limit."""
     carriers, (low, high) = problem.carriers(solution.values), scaled_bounds(problem)["force"]
-    force = problem.model.carrier_force(carriers.s, carriers.sd, carriers.sdd) / problem.scales.force
+    force = problem.carrier_force(carriers) / problem.scales.force
     return bool(((force > high) | (force < low)).any())
 
 

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.dynamics.base import DynamicsAlongMotion
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Quantities, casadi
-from redundancy_pin.planners.whole_trajectory.problem import Problem
+from redundancy_pin.planners.whole_trajectory.problem import Problem, SingularNode
 
 RESERVE = 1e-9
 """Fraction of the limits kept in reserve for the rounding of the solver."""
@@ -166,6 +167,9 @@ class Transcription(Quantities):
         """The forces of the carriers' actuators, which become variables once something needs them."""
         model, terms = self._problem.model, _terms(self.s, self.sd, self.sdd)
         force = self._variable("force", model.k, self.scales.force)
+        if self._problem.exact is not None:
+            self.equal(force - self._exact[1], np.zeros_like(model.force0), self.scales.force)
+            return force
         own = sum(model.force_terms[..., j] * terms[j] for j in range(model.force_terms.shape[2]))
         self.equal(force - own, model.force0, self.scales.force)
         return force
@@ -188,10 +192,18 @@ class Transcription(Quantities):
     def dynamics(self) -> None:
         """Require W τ = f at every node, whatever the rank of W, and its rate at the singular ones."""
         model = self._problem.model
-        f = _polynomial(model.f_terms, self.s, self.sd, self.sdd)
-        self.equal(_product(model.W, self.tau) - f, model.f0, self.scales.row)
+        if self._problem.exact is None:
+            f, f0 = _polynomial(model.f_terms, self.s, self.sd, self.sdd), model.f0
+        else:
+            f, f0 = self._exact[0], np.zeros_like(model.f0)
+        self.equal(_product(model.W, self.tau) - f, f0, self.scales.row)
         if self._problem.singular:
             self._singular_instants()
+
+    @cached_property
+    def _exact(self) -> tuple[Any, Any]:
+        """f (M, n) and carrier forces (M, k) at the nodes, as the backend's expressions have them."""
+        return _loads(self._problem.exact, self.s, self.sd, self.sdd)
 
     def _singular_instants(self) -> None:
         """Require uᵀ Ẇ τ = uᵀ ḟ, see ``coefficients``; uᵀ f = 0 follows from W τ = f at the node."""
@@ -212,11 +224,29 @@ class Transcription(Quantities):
             along_u(np.concatenate([getattr(node.rate, name) for node in nodes])) for name in ("W", "f0", "f_terms")
         )
         s, sd, sdd, sddd = (ca.MX.sym(name, len(at), k) for name in ("s", "sd", "sdd", "sddd"))
-        f = _polynomial(along_u(self._problem.model.f_terms[at]), s, sd, sdd)
+        if self._problem.exact is None:
+            f = _polynomial(along_u(self._problem.model.f_terms[at]), s, sd, sdd)
+            by_time = _polynomial(f_terms, s, sd, sdd)
+        else:
+            f0 = np.zeros_like(f0)
+            f, by_time = (ca.vertcat(*rows) for rows in zip(*self._exact_at(nodes, u, s, sd, sdd), strict=True))
         carried = ca.jtimes(f, ca.horzcat(s, sd, sdd), ca.horzcat(sd, sdd, sddd))
-        f_dot = ca.Function("f_dot", [s, sd, sdd, sddd], [_polynomial(f_terms, s, sd, sdd) + carried])
+        f_dot = ca.Function("f_dot", [s, sd, sdd, sddd], [by_time + carried])
         size = self.scales.tau * np.maximum(np.abs(W).max(axis=2), np.finfo(float).tiny)
         self.equal(_product(W, self.tau[at, :]) - f_dot(self.s[at, :], self.sd[at, :], self.sdd[at, :], jerk), f0, size)
+
+    @staticmethod
+    def _exact_at(nodes: Sequence[SingularNode], u: Array, *motion: Any) -> list[tuple[Any, Any]]:
+        """Return uᵀ f and its derivative by time, the carriers held, for each row of the carriers' motion."""
+        ca, found = casadi(), []
+        for row, (node, lost) in enumerate(zip(nodes, u, strict=True)):
+            if node.exact is None:
+                raise ValueError("A singular node has no expressions.")
+            here, beside, weights = node.exact
+            one = [part[row, :] for part in motion]
+            around = _loads(beside, *(ca.repmat(part, len(weights), 1) for part in one))[0]
+            found.append((_loads(here, *one)[0] @ lost, ca.mtimes(ca.DM(weights).T, around) @ lost))
+        return found
 
     def motion(self) -> None:
         """Integrate s̈, which is linear in a step, so that ṡ is quadratic and s cubic; keep jerks, start and end."""
@@ -332,6 +362,14 @@ def transcribe(
 def slack_name(kind: str) -> str:
     """Return the name of the variables by which a kind of limit gives way."""
     return f"slack_{kind}"
+
+
+def _loads(along: DynamicsAlongMotion | None, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
+    """Return f (N, n) and carrier forces (N, k) as expressions of the carriers' motion, (N, k) each."""
+    found = None if along is None else along.expressions(s.T, sd.T, sdd.T)
+    if found is None:
+        raise ValueError("The dynamics have no expressions.")
+    return found[0].T, found[1].T
 
 
 def _terms(s: Any, sd: Any, sdd: Any) -> list[Any]:
