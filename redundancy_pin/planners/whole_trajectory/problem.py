@@ -210,9 +210,7 @@ def has_expressions(task: Task) -> bool:
     return getattr(along, "expressions", lambda *_: None)(nothing, nothing, nothing) is not None
 
 
-def read_coefficients(
-    task: Task, grid: Grid, around: CarrierMotion | None = None, *, exact: bool = False
-) -> Problem:
+def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = None, *, exact: bool = False) -> Problem:
     """Read the coefficients at all nodes off the backend.
 
     ``task``: robot, motion and settings; ``around``: for carriers on curved tracks, the motion at the nodes around

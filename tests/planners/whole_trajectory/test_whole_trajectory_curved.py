@@ -11,7 +11,14 @@ import yaml
 
 import redundancy_pin.planners.whole_trajectory.multistart as curved
 import redundancy_pin.planners.whole_trajectory.planner as planner
-from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, plan_whole_trajectory
+from redundancy_pin import (
+    CompiledDynamics,
+    RneaDynamics,
+    VirtualWork,
+    distribute,
+    load_robot,
+    plan_whole_trajectory,
+)
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory.multistart import BALANCED
@@ -141,6 +148,65 @@ def _integrated(t, sdd):
     sd = np.vstack([np.zeros((1, 2)), np.cumsum(h * (sdd[:-1] + sdd[1:]) / 2, axis=0)])
     s = np.vstack([np.zeros((1, 2)), np.cumsum(h * sd[:-1] + h**2 * (2 * sdd[:-1] + sdd[1:]) / 6, axis=0)])
     return sd, s
+
+
+@pytest.fixture(scope="module")
+def exact(robot):
+    """Plans of a backend that has f as an expression, each made once."""
+    dynamics = CompiledDynamics(robot, interpret=True)  # to plan takes less time than to compile
+    return functools.cache(
+        lambda name, objective, **settings: plan_whole_trajectory(
+            dynamics, TRAJECTORIES[name], objective=objective, dt=0.03, refinements=0, **settings
+        )
+    )
+
+
+def require_balanced(robot, plan):
+    assert plan.diagnostics["optimal"]
+    reduced = RneaDynamics(robot).reduce(plan.motion, plan.carriers)
+    left = np.einsum("nim,nm->ni", reduced.W, plan.tau) - reduced.f
+    assert np.abs(left).max() <= 1e-8 * np.abs(reduced.f).max()
+
+
+@pytest.mark.parametrize(
+    ("name", "objective"),
+    [("line", "peak"), ("circle", "effort"), pytest.param("circle", "peak", marks=pytest.mark.long)],
+)
+def test_with_expressions_one_solution_finds_the_optimum_of_the_full_model(robot, exact, name, objective, monkeypatch):
+    def never(*arguments, **settings):
+        raise AssertionError("f was fitted where it is an expression")
+
+    monkeypatch.setattr(planner, "fit_and_solve", never)
+    plan = exact(name, objective)
+    require_balanced(robot, plan)
+    if objective == "effort":  # a peak comes to lie between nodes so far apart
+        assert plan.status is PlanStatus.WITHIN_LIMITS
+        assert plan.diagnostics["dense_check"]["passed"]
+    machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
+    theirs, _ = symbolic_plans.solve(machine, TRAJECTORIES[name], plan, objective, LIMITS)
+    np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)
+
+
+def test_forces_of_carriers_on_curved_tracks_are_limited_and_minimised_by_their_expressions(robot, exact):
+    free = exact("line", "effort")
+    largest = np.abs(RneaDynamics(robot).reduce(free.motion, free.carriers).carrier_force).max()
+    held = exact("line", "effort", carrier_force=0.7 * largest)
+    gentle = exact("line", "carrier_force")
+    for plan in (held, gentle):
+        require_balanced(robot, plan)
+        forces = RneaDynamics(robot).reduce(plan.motion, plan.carriers).carrier_force
+        assert np.abs(forces).max() <= 0.7 * largest * (1.0 + 1e-8) or plan is gentle
+        np.testing.assert_allclose(plan.carrier_force, forces, atol=1e-9 * largest)
+    assert held.diagnostics["objective"]["effort"] > free.diagnostics["objective"]["effort"] * (1.0 + 1e-4)
+    squares = [np.trapezoid((one.carrier_force**2).sum(axis=1), one.t) for one in (gentle, held, free)]
+    assert squares[0] < 0.9 * min(squares[1:])
+
+
+def test_limits_that_no_course_keeps_are_named_by_the_exact_problem(robot, exact):
+    most = exact("line", "peak").peak_effort.max()
+    with pytest.raises(InfeasiblePlanError) as caught:
+        exact("line", "effort", effort=0.5 * most)
+    assert "effort" in {event["constraint"] for event in caught.value.details["relaxations"]}
 
 
 def test_several_first_guesses(robot):
