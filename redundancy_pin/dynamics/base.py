@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol, cast
+from typing import Any, Literal, NamedTuple, Protocol, TypeGuard, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -148,12 +148,20 @@ class DynamicsAlongMotion(Protocol):
         pose. One throughout, where the kinematics of a backend have no closures; NaN where unreachable, or not known.
         """
 
-    def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any] | None:
+
+class ExactAlongMotion(DynamicsAlongMotion, Protocol):
+    """Dynamics along a motion that are expressions too; what some backends' ``along`` returns."""
+
+    def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
         """Return casadi's f (n, N) and carrier forces (k, N) of expressions of the carriers' motion, (k, N) each.
 
-        Exact, with derivatives of any order; None where a backend has no symbols.
+        Exact, with derivatives of any order.
         """
-        return None
+
+
+def has_expressions(along: DynamicsAlongMotion) -> TypeGuard[ExactAlongMotion]:
+    """Return whether a backend has expressions of f along a motion."""
+    return callable(getattr(along, "expressions", None))
 
 
 class Dynamics(Protocol):

@@ -194,7 +194,7 @@ class CompiledDynamics(Dynamics):
 
     @cached_property
     def projection(self) -> Any:
-        """casadi's function of one sample: from q, trig, v, a, Γ and the carriers' motion to f and their forces."""
+        """One sample as a function of casadi: from q, trig, v, a, Γ and the carriers' motion to f and their forces."""
         return define(self._robot).functions["rp_project"]
 
     @cached_property
@@ -402,12 +402,12 @@ class CompiledAlongMotion(Frozen):
         samples = TreeSamples(x, lifted.q, lifted.v, lifted.a, lifted.reachable, self._external)
         return motion_derivatives(robot, design, samples, carriers)
 
-    def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any] | None:
+    def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
         """Return casadi's f (n, N) and carrier forces (k, N) of expressions of the carriers' motion, (k, N) each."""
         lifted, n = self._lifted, self.robot.n
         known = [part.T for part in (lifted.q, lifted.trig, lifted.v, lifted.a)]
         known.append(lifted.gamma.reshape(-1, n).T)  # the n rows of one sample beside those of the next
-        f, force = self._dynamics.projection.map(len(self.motion)).call([*known, s, sd, sdd])
+        f, force = self._dynamics.projection.map(len(self.motion)).call([*known, s, sd, sdd, self._external.T])
         return f, force
 
     def base_wrench(self, carriers: CarrierMotion | None = None) -> Array:

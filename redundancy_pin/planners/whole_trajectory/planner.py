@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.base import Dynamics, has_expressions
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
@@ -33,7 +33,6 @@ from redundancy_pin.planners.whole_trajectory.problem import (
     Grid,
     Task,
     grid_of,
-    has_expressions,
     near_singular,
     read_coefficients,
     steps_around,
@@ -217,7 +216,8 @@ def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multist
             raise
         # f is not the polynomial that it is for carriers on straight tracks
         at = np.tile(task.settings.start, (len(nodes.t), 1))
-        parked, exact = CarrierMotion(at, 0.0 * at, 0.0 * at), has_expressions(task)
+        parked = CarrierMotion(at, 0.0 * at, 0.0 * at)
+        exact = has_expressions(task.dynamics.along(task.source.sample_at(nodes.t[:1])))
         problem = read_coefficients(task, nodes, parked, exact=exact)
         if not exact:
             return multistart(problem, warm, partial(fit_and_solve, task, problem))

@@ -24,12 +24,12 @@ from itertools import pairwise
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only, require_few
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ExactAlongMotion, has_expressions
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort
-from redundancy_pin.planners.whole_trajectory.options import Scales, Settings, casadi
+from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, chebyshev_times
 
@@ -164,7 +164,7 @@ class SingularNode:
     index: int
     lost: Array
     rate: CarrierModel
-    exact: tuple[DynamicsAlongMotion, DynamicsAlongMotion, Array] | None = None
+    exact: tuple[ExactAlongMotion, ExactAlongMotion, Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +185,7 @@ class Problem:
     target: Array
     settings: Settings
     scales: Scales
-    exact: DynamicsAlongMotion | None = None
+    exact: ExactAlongMotion | None = None
 
     def carrier_force(self, carriers: CarrierMotion) -> Array:
         """Return the carrier forces (M, k) for a motion at the nodes, N."""
@@ -201,13 +201,6 @@ class Problem:
     def scaled(self, carriers: CarrierMotion) -> dict[str, Array]:
         """Return scaled s, ṡ and s̈ of a motion at the nodes."""
         return {name: getattr(carriers, name) / getattr(self.scales, name) for name in ("s", "sd", "sdd")}
-
-
-def has_expressions(task: Task) -> bool:
-    """Return whether the backend has f as an expression, so that it need not be fitted."""
-    nothing = casadi().MX(task.dynamics.robot.k, 1)
-    along = task.dynamics.along(task.source.sample_at(np.array([task.source.start])))
-    return getattr(along, "expressions", lambda *_: None)(nothing, nothing, nothing) is not None
 
 
 def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = None, *, exact: bool = False) -> Problem:
@@ -235,7 +228,7 @@ def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = Non
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
     scales = _scales(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
-    symbols = along if exact else None
+    symbols = along if exact and has_expressions(along) else None
     return Problem(grid, model, singular, read_only(rate), read_only(target), settings, scales, symbols)
 
 
@@ -284,7 +277,9 @@ def singular_node(
     if exact:
         edges, times = _beside(source, t, side)
         unit = PiecewisePolynomial.from_values(edges, np.eye(len(times))[None])
-        symbols = here, dynamics.along(source.sample_at(times)), unit.derivative().at(t)
+        beside = dynamics.along(source.sample_at(times))
+        if has_expressions(here) and has_expressions(beside):
+            symbols = here, beside, unit.derivative().at(t)
     return SingularNode(index, read_only(u[:, kept:].T / reduced.row_scale), rate, symbols)
 
 

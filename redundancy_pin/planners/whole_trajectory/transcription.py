@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
-from redundancy_pin.dynamics.base import DynamicsAlongMotion
+from redundancy_pin.dynamics.base import ExactAlongMotion
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Quantities, casadi
 from redundancy_pin.planners.whole_trajectory.problem import Problem, SingularNode
 
@@ -202,7 +202,7 @@ class Transcription(Quantities):
 
     @cached_property
     def _exact(self) -> tuple[Any, Any]:
-        """f (M, n) and carrier forces (M, k) at the nodes, as the backend's expressions have them."""
+        """Right sides f (M, n) and carrier forces (M, k) at the nodes, as the backend's expressions have them."""
         return _loads(self._problem.exact, self.s, self.sd, self.sdd)
 
     def _singular_instants(self) -> None:
@@ -364,12 +364,12 @@ def slack_name(kind: str) -> str:
     return f"slack_{kind}"
 
 
-def _loads(along: DynamicsAlongMotion | None, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
+def _loads(along: ExactAlongMotion | None, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
     """Return f (N, n) and carrier forces (N, k) as expressions of the carriers' motion, (N, k) each."""
-    found = None if along is None else along.expressions(s.T, sd.T, sdd.T)
-    if found is None:
-        raise ValueError("The dynamics have no expressions.")
-    return found[0].T, found[1].T
+    if along is None:
+        raise ValueError("The problem has no expressions.")
+    f, force = along.expressions(s.T, sd.T, sdd.T)
+    return f.T, force.T
 
 
 def _terms(s: Any, sd: Any, sdd: Any) -> list[Any]:
