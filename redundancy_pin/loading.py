@@ -33,6 +33,7 @@ from redundancy_pin.robot.build import build, characteristic_length, put_togethe
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.from_model import declared
+from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
 from redundancy_pin.robot.urdf import Argument, declaration_path, known_values, render, source_of
@@ -194,7 +195,11 @@ def _load_model(
     for note in mechanism.notes:
         if note.startswith(NOT_IN_FORCE):
             _warn_once(f"{file.name}: {note}")
-    return replace(robot, notes=(*mechanism.notes, *robot.notes), urdf_folder=str(file.resolve().parent))
+    robot = replace(robot, notes=(*mechanism.notes, *robot.notes), urdf_folder=str(file.resolve().parent))
+    if data.get("urdf_dynamics") is False:
+        return replace(robot, notes=(*robot.notes, f"Friction and springs of {file.name} are not in force."))
+    said = {load.joint for load in robot.loads if isinstance(load, JointForces)}  # the declaration comes first
+    return robot.loaded(*(load for load in mechanism.forces if load.joint not in said))
 
 
 def _of_mechanism(

@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError
+from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.types import AXES, Closure
 from redundancy_pin.robot.urdf_tree import MOST_FREEDOMS, MOST_LINKS, JointEntry, LinkEntry
 
@@ -40,6 +41,7 @@ class Mechanism:
         actuated: names of the joints that are driven.
         gravity: (3,) m/s².
         start: positions of joints at the file's own configuration, rad or m; (4,) of a ball, x, y, z, w.
+        forces: friction and springs in joints of one freedom, in force.
         armature: inertia of rotors by joint, kg·m² or kg, in force.
         notes: what is not in force though the file says it, and what is taken in one of several ways.
         driven_is_said: whether the file says what is driven; else ``actuated`` are joints that may be.
@@ -54,6 +56,7 @@ class Mechanism:
     gravity: Array
     start: Mapping[str, float | Array] = field(default_factory=dict)
     armature: Mapping[str, float] = field(default_factory=dict)
+    forces: tuple[JointForces, ...] = ()
     notes: tuple[str, ...] = ()
     shapes: str = ""
     driven_is_said: bool = True

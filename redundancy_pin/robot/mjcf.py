@@ -1,7 +1,7 @@
 """Read MJCF, the models of MuJoCo: bodies, joints and sites, the equalities that close loops, what drives the joints.
 
-A subset, read as MuJoCo reads it; what else changes the mechanics is refused by name, file and line. Forces that this
-package has no model of yet (damping, friction, springs, contacts) are named in the notes.
+A subset, read as MuJoCo reads it; what else changes the mechanics is refused by name, file and line. Forces that are
+left out (contacts, tendons, dampers of balls) are named in the notes.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import did_you_mean, shown
+from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.mechanism import (
     NOT_IN_FORCE,
     UNLIMITED,
@@ -83,7 +84,7 @@ _OF_COMPILER = (
     *("strippath", "discardvisual", "usethread", "fusestatic", "coordinate", "convexhull", "exactmeshinertia"),
     *("balanceinertia", "boundmass", "boundinertia", "settotalmass", "alignfree", "saveinertial", "fitaabb"),
 )
-_UNMODELLED = ("damping", "frictionloss", "stiffness", "springdamper")
+_FORCES = ("damping", "frictionloss", "stiffness", "springdamper")
 
 
 def read_mjcf(path: Path, *, keyframe: str = "", base: str = "free") -> Mechanism:
@@ -124,6 +125,7 @@ class _Reader:
         self.armature: dict[str, float] = {}
         self.shapes: dict[str, list[str]] = {}
         self.notes: list[str] = []
+        self.loads: list[JointForces] = []
         self._forces: dict[str, list[str]] = {}
         self._positions: list[tuple[str, ...]] = []  # joints in the order of qpos
         self._skipped: list[tuple[int, int]] = []  # in qpos, of no joint here: before which, how many
@@ -217,6 +219,7 @@ class _Reader:
             self.gravity,
             start,
             self.armature,
+            tuple(self.loads),
             tuple(self.notes),
             drawn(self.shapes),
         )
@@ -331,7 +334,7 @@ class _Reader:
         name = part.name or (f"{body}_joint" if count == 1 else f"{body}_joint_{number + 1}")
         if name in self.names:
             part.refuse(f"there are two joints {name!r}", "Rename one.")
-        self._note_forces(part, name)
+        self._read_forces(part, name, kind)
         if kind == "free":
             return self._free(part, name, parent, place, count)
         if part.has("armature"):
@@ -392,12 +395,20 @@ class _Reader:
         )
         return f"{name}::link", np.eye(4)
 
-    def _note_forces(self, part: Part, name: str) -> None:
-        if part.tag == "freejoint":
-            return
-        for key in _UNMODELLED:
-            if part.has(key) and any(part.numbers(key, 1, 9)):
+    def _read_forces(self, part: Part, name: str, kind: str) -> None:
+        """Take friction and spring of a hinge or slide over; of other joints, and other laws, note them."""
+        given = {key: part.numbers(key, 1, 9) for key in _FORCES if part.tag != "freejoint" and part.has(key)}
+        plain = {}
+        for key, numbers in given.items():
+            if kind in ("hinge", "slide") and key != "springdamper" and not numbers[1:].any() and numbers[0] >= 0.0:
+                plain[key] = float(numbers[0])
+            elif numbers.any():
                 self._forces.setdefault(key, []).append(name)
+        if any(plain.values()):
+            unit = math.pi / 180.0 if kind == "hinge" and self.settings.degrees else 1.0
+            rest = unit * part.number("springref", 0.0)
+            damping, friction, stiffness = (plain.get(key, 0.0) for key in ("damping", "frictionloss", "stiffness"))
+            self.loads.append(JointForces(name, damping, friction, stiffness=stiffness, rest=rest))
 
     # --- masses -------------------------------------------------------------------------------------------------------
 
@@ -592,6 +603,9 @@ class _Reader:
             self.notes.append(f"{NOT_IN_FORCE} {said}.")
         if self._colliding:
             self.notes.append("Contacts between geoms are not modelled.")
+        if self.loads:
+            names = ", ".join(load.joint for load in self.loads)
+            self.notes.append(f"In force: damping, friction and springs of {names}.")
         if self.armature:
             self.notes.append(f"In force: armature of {', '.join(self.armature)}.")
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
+from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.mechanism import NOT_IN_FORCE, UNLIMITED, Mechanism, placed, six_joints
 from redundancy_pin.robot.types import Closure
 from redundancy_pin.robot.urdf_tree import JointEntry, LinkEntry
@@ -86,6 +87,7 @@ class _Reader:
         self.path, self._base = path, base
         self.notes: list[str] = []
         self._forces: dict[str, list[str]] = {}
+        self.loads: dict[str, JointForces] = {}
         root = parsed(path)
         if root.tag != "sdf":
             self.refuse(root, f"the top element is <{root.tag}>, not <sdf>", "Pass a model of Gazebo.")
@@ -267,7 +269,7 @@ class _Reader:
             if axis is None:
                 continue
             self._require_known(axis, f"the joint {name!r}")
-            self._note_forces(axis, name)
+            self._read_forces(axis, name, kind)
             if number >= wanted:  # damping of a ball is said there; a direction means nothing
                 continue
             axes.append(self._direction(axis, name, frame))
@@ -312,14 +314,23 @@ class _Reader:
                 result[key] = value
         return result
 
-    def _note_forces(self, axis: Element, name: str) -> None:
+    def _read_forces(self, axis: Element, name: str, kind: str) -> None:
         dynamics = self._one(axis, "dynamics")
         if dynamics is None:
             return
         self._require_known(dynamics)
-        for key in ("damping", "friction", "spring_stiffness"):
-            if self._number(dynamics, key, "0") != 0.0:
-                self._forces.setdefault(key.replace("_", " "), []).append(name)
+        damping, friction, stiffness = (
+            self._number(dynamics, key, "0") for key in ("damping", "friction", "spring_stiffness")
+        )
+        if not (damping or friction or stiffness):
+            return
+        if kind not in ("revolute", "continuous", "prismatic"):
+            self._forces.setdefault("dynamics", []).append(name)
+            return
+        if min(damping, friction, stiffness) < 0.0:
+            self.refuse(dynamics, f"the joint {name!r} has negative friction or stiffness", "Correct it.")
+        rest = self._number(dynamics, "spring_reference", "0")
+        self.loads[name] = JointForces(name, damping, friction, stiffness=stiffness, rest=rest)
 
     # --- the mechanism ------------------------------------------------------------------------------------------------
 
@@ -344,6 +355,13 @@ class _Reader:
                 self.refuse(
                     self.model, f"actuated names {shown(name)}, which is no joint that moves in the tree", remedy
                 )
+        loads = tuple(load for load in self.loads.values() if load.joint in moving)
+        cut = [name for name in self.loads if name not in moving]  # joints that close loops, or that are held
+        if cut:
+            self._forces.setdefault("dynamics", []).extend(cut)
+        if loads:
+            names = ", ".join(load.joint for load in loads)
+            self.notes.append(f"In force: damping, friction and springs of {names}.")
         self._say()
         return Mechanism(
             self.model.get("name") or self.path.stem,
@@ -353,6 +371,7 @@ class _Reader:
             tuple(driven) or self._candidates(moving.values()),
             np.array([0.0, 0.0, -9.81]),
             start,
+            forces=loads,
             notes=tuple(self.notes),
             driven_is_said=bool(driven),
         )
@@ -458,7 +477,7 @@ class _Reader:
 
     def _candidates(self, joints: Iterable[JointEntry]) -> tuple[str, ...]:
         """Return the joints that may be meant to be driven: with a limit of effort, else with bounds; no springs."""
-        free = [joint for joint in joints if joint.name not in self._forces.get("spring stiffness", ())]
+        free = [joint for joint in joints if not (load := self.loads.get(joint.name)) or not load.stiffness]
         strong = [joint.name for joint in free if 0.0 < joint.limits["effort"] < math.inf]
         bounded = [joint.name for joint in free if math.isfinite(joint.limits["upper"])]
         return tuple(strong or bounded or [joint.name for joint in free])

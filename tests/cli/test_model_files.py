@@ -20,10 +20,10 @@ def test_info_says_what_was_chosen_and_what_is_not_in_force(model):
     assert facts["name"] == "four_bar"
     assert facts["independent"]["joints"] == ["crank"]
     assert facts["closures"] == [{"frame_a": "tip", "frame_b": "end", "axes": ["x", "y"]}]
-    assert any("damping of crank" in note for note in facts["notes"])
+    assert any("springs of crank" in note for note in facts["notes"])
     assert facts["parameters"]["base"] == {"value": "free", "default": "free"}
     text = call("info", "--robot", model).stdout
-    assert "damping of crank" in text.replace("\n", " ")
+    assert "springs of crank" in text.replace("\n", " ")
 
 
 def test_inverse_dynamics_and_mistakes(model, tmp_path):

@@ -10,6 +10,7 @@ from zoo import home_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError
+from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.mjcf import read_mjcf
 
 mujoco = pytest.importorskip("mujoco")
@@ -88,6 +89,7 @@ def test_efforts_of_the_closed_chain_are_those_of_mujoco(name, tmp_path):
     motion = rp.PlatformMotion(np.arange(4.0), x, rng.normal(size=x.shape), rng.normal(size=x.shape))
     lifted = rp.lift(robot, motion)
     efforts = rp.distribute(rp.RneaDynamics(robot).reduce(motion))
+    assert robot.loads
     assert robot.n == robot.m
     system = rp.kinematics.closure.ConstraintSystem(robot)
     # a rod between two balls: its spin is held here and nowhere in the file
@@ -158,7 +160,8 @@ def test_start_limits_gear_armature_and_notes(tmp_path):
     assert (model.armature[crank.idx_v], model.armature[elbow.idx_v]) == (0.01, 0.0)
     assert np.isinf(model.upperPositionLimit[elbow.idx_q])
     notes = "\n".join(robot.notes)
-    assert "Not in force, though the file says it: damping of crank, elbow, rocker" in notes
+    assert "In force: damping, friction and springs of crank, elbow, rocker" in notes
+    assert robot.loads == tuple(JointForces(name, 0.1) for name in ("crank", "elbow", "rocker"))
     assert "In force: armature of crank" in notes
     assert "z of 'pin'" in notes
     assert "Contacts" in notes
@@ -180,6 +183,13 @@ def test_a_declaration_may_name_a_model(tmp_path):
     assert home_of(robot)[0] == pytest.approx(0.4)
     assert robot.gravity[1] == -9.81
     assert robot.name == tmp_path.name
+    own = (tmp_path / "robot.yaml").read_text()
+    assert {load.joint for load in robot.loads} == {"crank", "elbow", "rocker"}
+    (tmp_path / "robot.yaml").write_text(own + "urdf_dynamics: false\n")
+    assert rp.load_robot(tmp_path).loads == ()
+    (tmp_path / "robot.yaml").write_text(own + "joint_forces: [{joint: elbow, damping: 7.0}]\n")
+    dampings = {load.joint: load.damping for load in rp.load_robot(tmp_path).loads}
+    assert dampings == {"crank": 0.1, "elbow": 7.0, "rocker": 0.1}
 
 
 REFUSED = {

@@ -12,6 +12,7 @@ from zoo import home_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError
+from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.sdf import read_sdf
 
 INERTIAL = """<inertial><pose>{centre} 0.1 0.2 0.3</pose><mass>{mass}</mass>
@@ -92,7 +93,8 @@ def test_a_link_of_two_parents_closes_a_loop(kind, tmp_path):
         other = rocker @ np.linalg.inv(placed(robot, "rocker", robot.q_reference))
         np.testing.assert_allclose(point, other @ np.array([0.2 * np.cos(0.9) + 0.5, 0.3, 0.1, 1.0]), atol=1e-9)
     notes = " ".join(robot.notes)
-    assert "damping of crank" in notes
+    assert "In force: damping, friction and springs of crank" in notes
+    assert robot.loads == (JointForces("crank", 0.3),)
     assert "'base', which nothing joins to the world, is held" in notes
 
 
@@ -182,6 +184,18 @@ def test_universal_joints_in_tree_and_loop(tmp_path):
     # at zero the arm of the input is normal to the plane of both shafts
     ratio = np.cos(bend) / (1.0 - np.sin(bend) ** 2 * np.sin(x[:, 0]) ** 2)
     np.testing.assert_allclose(np.abs(lifted.v[:, column]), ratio, atol=1e-9)
+
+
+def test_springs_and_dampers(tmp_path):
+    law = "<dynamics><damping>0.3</damping><friction>0.2</friction><spring_stiffness>5</spring_stiffness>"
+    law += "<spring_reference>0.1</spring_reference></dynamics>"
+    parts = [*FOUR_BAR[:5], joint("elbow", "revolute", "crank", "rod", more=law), FOUR_BAR[6], PIN]
+    cut = joint("pin", "revolute", "rod", "rocker", pose=in_rocker(), more=law)
+    robot = rp.load_robot(written(tmp_path, sdf(*parts)))
+    assert robot.loads == (JointForces("crank", 0.3), JointForces("elbow", 0.3, 0.2, stiffness=5.0, rest=0.1))
+    other = rp.load_robot(written(tmp_path, sdf(*parts[:-1], cut)))
+    assert other.loads == robot.loads
+    assert any("Not in force" in note and "dynamics of pin" in note for note in other.notes)
 
 
 def test_base_and_driven_joints(tmp_path):

@@ -46,7 +46,7 @@ SPATIAL = """<mujoco model="spatial">
     <frame pos="0 0 1" euler="90 0 0">
       <body name="slider" pos="0.1 0.2 0.3" axisangle="1 1 0 30">
         <inertial pos="0.01 0.02 0.03" quat="0.9 0.1 0.2 0.3" mass="1.5" diaginertia="0.02 0.03 0.04"/>
-        <joint name="slide" type="slide" axis="1 2 3" pos="0.1 0.2 0.3" ref="0.05"/>
+        <joint name="slide" type="slide" stiffness="50" springref="0.3" axis="1 2 3" pos="0.1 0.2 0.3" ref="0.05"/>
         <joint name="turn" axis="0 1 0" pos="0.05 0 0.02" ref="20" range="-90 90"/>
         <geom type="box" size="0.1 0.05 0.02"/>
         <body name="rod" pos="0 0 0.2" zaxis="1 0 1">
@@ -66,7 +66,7 @@ SPATIAL = """<mujoco model="spatial">
       <inertial pos="0 0.1 0" mass="0.7" fullinertia="0.01 0.02 0.015 0.001 0.002 -0.001"/>
       <joint name="shoulder" axis="0 0 1"/>
       <body name="fore" pos="0.3 0 0.1">
-        <joint name="fore" axis="1 0 0"/>
+        <joint name="fore" axis="1 0 0" stiffness="3" springref="20" damping="0.2"/>
         <geom type="capsule" fromto="0.1 0 0 0.2 0.1 0.3" size="0.02"/>
         <geom type="box" fromto="0 0 0 0 0.1 0" size="0.01"/>
         <site name="near" pos="0.2 0.1 0.3"/>
@@ -98,7 +98,7 @@ WELD = """<mujoco model="welded">
       <body name="top" pos="0 0 0.3" euler="0 0.2 0"><joint name="elbow" axis="0 1 0"/>
         <geom type="capsule" fromto="0 0 0 0.25 0 0" size="0.02"/></body>
     </body>
-    <body name="right" pos="0.4 0 0.1"><joint name="right" axis="0 1 0"/>
+    <body name="right" pos="0.4 0 0.1"><joint name="right" axis="0 1 0" stiffness="2"/>
       <geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.02"/>
       <body name="stub" pos="0 0 0.3" euler="0 -0.4 0"><joint name="wrist" axis="0 1 0"/>
         <geom type="sphere" size="0.03" pos="-0.05 0 0"/></body>
@@ -144,10 +144,8 @@ class Engine:
 
         self.mujoco = mujoco
         self.model = mujoco.MjModel.from_xml_path(str(path))
-        # only equalities and inertia: what the robot has
-        self.model.dof_damping[:] = 0.0
+        # only equalities, inertia, dampers and springs: what the robot has
         self.model.dof_frictionloss[:] = 0.0
-        self.model.jnt_stiffness[:] = 0.0
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
         self.data = mujoco.MjData(self.model)
 
@@ -175,7 +173,8 @@ class Engine:
     def torque(self, robot, a: Array, held: Array) -> Array:
         """Return the efforts (m,) of the actuators that give the state an acceleration, equalities holding.
 
-        M a + h = Sᵀ τ + Jᵀ λ, all of MuJoCo's own making, solved by least squares; ``held`` (h, nv) are rows that the
+        M a + h = p + Sᵀ τ + Jᵀ λ, with p of dampers and springs, all of MuJoCo's own making, solved by
+        least squares; ``held`` (h, nv) are rows that the
         robot has and MuJoCo has not.
         """
         nv, columns = self.model.nv, self.columns(robot)
@@ -183,7 +182,7 @@ class Engine:
         self.mujoco.mj_fullM(self.model, self.data, mass)
         acceleration = np.zeros(nv)
         acceleration[columns] = a
-        needed = mass @ acceleration + self.data.qfrc_bias
+        needed = mass @ acceleration + self.data.qfrc_bias - self.data.qfrc_passive
         equality = self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY
         J = np.zeros((int(equality.sum()) + len(held), nv))
         J[len(held) :] = self.data.efc_J.reshape(-1, nv)[equality]
