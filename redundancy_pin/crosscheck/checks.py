@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from rich.table import Table
@@ -13,10 +13,12 @@ from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray
 from redundancy_pin.crosscheck.cases import Case
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.tree_loads import TreeLoads, TreeState
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
 
 Deviation = tuple[str, Array, float]
@@ -134,11 +136,23 @@ def check_power(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviatio
     reduced = along.reduce(carriers)
     power = (reduced.f * motion.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
     spread = (t[:, None] + _ENERGY_STEP * _ENERGY_OFFSETS).ravel()
-    energy = dynamics.along(case.motion(spread)).energy(case.carriers(spread)).reshape(len(t), -1)
+    wide, tracks = case.motion(spread), case.carriers(spread)
+    if case.robot.loads:  # friction takes power; what springs keep is counted with it, and not as energy
+        tree = RneaDynamics(case.robot).along(motion).tree_motion(carriers)
+        power = power - (_loads(case, motion, *tree) * tree[1]).sum(axis=0)
+        energy = RneaDynamics(replace(case.robot, loads=())).along(wide).energy(tracks).reshape(len(t), -1)
+    else:
+        energy = dynamics.along(wide).energy(tracks).reshape(len(t), -1)
     size = np.maximum(np.abs(reduced.f * motion.xd).sum(axis=1), np.abs(energy).max(axis=1))
     keep = _away(case, t)
     deviation = np.abs(energy @ _ENERGY_WEIGHTS / _ENERGY_STEP - power) / np.maximum(size, 1e-3)
     yield f"power balance ({label})", deviation[keep], POWER
+
+
+def _loads(case: Case, motion: PlatformMotion, q: Array, v: Array, a: Array) -> Array:
+    """Return (nv, N) what the robot's loads ask of its joints, N or N·m: how they enter is judged."""
+    wrenches = wrench_values(case.robot.loads, motion.t, motion.x, motion.xd)
+    return TreeLoads(case.robot).efforts(TreeState(q.T, v.T, a.T, wrenches))
 
 
 def check_leg_momentum(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
@@ -194,6 +208,8 @@ def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Dev
     effort = np.zeros_like(v)
     effort[robot.actuated_velocity] = tau.T
     effort[robot.carrier_velocity] = reduced.carrier_force.T
+    if robot.loads:  # Pinocchio's solver knows none
+        effort -= _loads(case, motion, q, v, a)
     solve = ConstraintDynamics(case.robot)
     forward = np.array([solve(q[:, k], v[:, k], effort[:, k]) for k in keep]).reshape(len(keep), len(v))
     yield f"inverse -> forward ({label})", relative(forward, a.T[keep]), ROUND_TRIP

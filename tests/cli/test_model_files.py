@@ -49,3 +49,15 @@ def test_plans_know_their_model_again(model, tmp_path):
     again = load_recorded(robot_record(robot))
     np.testing.assert_array_equal(again.q_reference, robot.q_reference)
     np.testing.assert_array_equal(again.gravity, robot.gravity)
+
+
+def test_validation_knows_friction_and_springs(tmp_path):
+    """Power that friction takes, springs, and the same in forward dynamics; a law of the other sign would not pass."""
+    joint = '<joint name="elbow" class="main" stiffness="3" springref="0.2" frictionloss="0.1"/>'
+    text = FOUR_BAR.replace('<joint name="elbow" class="main"/>', joint)
+    assert joint in text
+    path = write(tmp_path, text)
+    report = json.loads(call("validate", "--robot", path, "--samples", "100", "--json").stdout)
+    rows = report["rows"]
+    assert {row["check"] for row in rows} == {"power balance (rnea)", "inverse -> forward (rnea)"}
+    assert all(row["passed"] and row["samples"] > 50 for row in rows)
