@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import zoo
 
+import redundancy_pin as rp
 from redundancy_pin.view import show
 from redundancy_pin.visualisation.viewer.meshcat_scene import rgb
 from redundancy_pin.visualisation.viewer.page import View
@@ -241,6 +242,72 @@ def test_forces_can_be_switched_and_scaled(page: Any) -> None:
     assert off == 0
     assert larger > 2 * usual
     assert _is(_picture(page), color).sum() == usual
+
+
+PLACE = """
+const [part] = [...jointOf].find(([part, joint]) => joint.name === arguments[0] && part.name === arguments[1]);
+viewer.scene.updateMatrixWorld(true);
+const place = new MeshCat.THREE.Vector3().setFromMatrixPosition(part.matrixWorld).project(viewer.camera);
+const edges = document.querySelector("canvas").getBoundingClientRect();
+return [edges.left + (place.x + 1) / 2 * edges.width, edges.top + (1 - place.y) / 2 * edges.height];
+"""
+"""Where a part of a joint is on the screen, pixels."""
+
+
+def _under_the_cursor(browser: Any, x: float, y: float) -> str:
+    """Return what the page says of what is there; empty where it says nothing."""
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    move = ActionChains(browser)
+    move.w3c_actions.pointer_action.move_to_location(round(x), round(y))
+    move.perform()
+    browser.execute_script("point();")
+    return str(browser.execute_script("return byId('tip').hidden ? '' : byId('tip').textContent"))
+
+
+def _number(text: str) -> tuple[float, str]:
+    value, unit = text.split(" ")
+    return float(value), unit
+
+
+def test_values_stand_by_joint_name_under_the_cursor_and_in_the_list(page: Any) -> None:
+    robot = zoo.robot_of("3rrr")
+    motion = rp.trajectory.reference.corner().sample(times=[0.3, 0.9], two_sided=False)
+    reduced = rp.RneaDynamics(robot).reduce(motion, rp.CarrierMotion.parked(2, 3))
+    tau, q = rp.distribute(reduced).tau, rp.lift(robot, motion).q
+    page.execute_script("for (const e of [byId('panel'), byId('bar')]) e.style.visibility = 'visible';")
+    for i, t in enumerate((0.3, 0.9)):
+        _seek(page, t)
+        page.execute_script("tick();")
+        listed = page.execute_script(
+            "return [...byId('values').querySelectorAll('tr')].map(row => [...row.cells].map(cell => cell.textContent))"
+        )
+        values = {name: (_number(position), _number(effort)) for name, position, effort in listed}
+        assert set(values) == {*robot.actuated, *robot.carriers}
+        for k, name in enumerate(robot.actuated):
+            (position, unit), (effort, effort_unit) = values[name]
+            assert (unit, effort_unit) == ("rad", "N·m")
+            angle = q[i, robot.model.joints[robot.model.getJointId(name)].idx_q]
+            assert np.exp(1j * position) == pytest.approx(np.exp(1j * angle), abs=2e-3)  # frames are 15 ms apart
+            assert effort == pytest.approx(tau[i, k], abs=0.02 * np.abs(tau).max())
+        assert values["carrier_1"][1][1] == "N"
+        said = _under_the_cursor(page, *page.execute_script(PLACE, "base_2", "joint_base_2"))
+        assert said.splitlines()[0] == "base_2 (driven joint)"
+        assert [_number(line) for line in said.splitlines()[1:]] == list(values["base_2"])
+    said = _under_the_cursor(page, *page.execute_script(PLACE, "wrist_1", "joint_wrist_1"))
+    assert said.startswith("wrist_1 (passive joint)\n")
+    assert len(said.splitlines()) == 2  # it has no effort
+    assert _under_the_cursor(page, *page.execute_script(PLACE, "carrier_1", "mass_1_0")).startswith(
+        "carrier_1 (carrier)"
+    )
+    canvas = "document.querySelector('canvas').getBoundingClientRect()"
+    corner = page.execute_script(f"const e = {canvas}; return [e.right - 3, e.top + 3]")
+    assert _under_the_cursor(page, *corner) == ""
+    page.execute_script("cursor = null;")
+
+
+def test_the_controls_of_meshcat_are_not_shown(page: Any) -> None:
+    assert page.execute_script("return viewer.gui.domElement.getClientRects().length") == 0
 
 
 def test_nothing_is_asked_of_the_network_and_no_error_is_logged(page: Any) -> None:

@@ -7,6 +7,7 @@ import html
 import json
 import re
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -248,3 +249,15 @@ def test_a_path_that_rests_has_no_tube() -> None:
 
 def test_show_is_one_line() -> None:
     assert rp.show is show
+
+
+def test_names_of_joints_neither_end_a_script_nor_stand_for_a_part_of_the_page() -> None:
+    scene = show("four_bar").scene
+    usual = View(scene).html()
+    named = replace(scene.readings[0], name="</script><b>@VIEWER@", effort=np.full(len(scene.t), np.nan))
+    text = View(replace(scene, readings=(named, *scene.readings[1:]))).html()
+    assert text.count("</script") == usual.count("</script")
+    assert text.count("MeshCat=") == usual.count("MeshCat=")
+    assert "<b>" not in text.partition("const readings")[2].partition("\n")[0]
+    assert "\\u003c/script>\\u003cb>\\u0040VIEWER\\u0040" in text
+    assert "NaN" not in text.partition("const readings")[2].partition("\n")[0]

@@ -11,6 +11,7 @@ import base64
 import html
 import json
 import logging
+import math
 import os
 import warnings
 import webbrowser
@@ -22,6 +23,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
+from redundancy_pin.arrays import Array
 from redundancy_pin.errors import OutputError, RedundancyPinError
 from redundancy_pin.io.files import write_text
 from redundancy_pin.visualisation.viewer.meshcat_scene import arrow_path, send_scene, solid_path
@@ -117,11 +119,13 @@ def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
         "CHECKED": "checked" if forces else "",
         "HAS_FORCES": "" if scene.arrows else "hidden",
         "HAS_MESHES": "" if meshes else "hidden",
-        "MESH_NODES": json.dumps(meshes),
+        "MESH_NODES": _script(meshes),
+        "READINGS": _script(_readings(scene)),
+        "HAS_READINGS": "" if any(reading.effort is not None for reading in scene.readings) else "hidden",
         "MESH_OPACITY": json.dumps(MESH_OPACITY),
         "COMMANDS": json.dumps([base64.b64encode(command).decode("ascii") for command in commands]),
         "DURATION": json.dumps(scene.duration),
-        "FORCE_NODES": json.dumps([arrow_path(arrow) for arrow in scene.arrows]),
+        "FORCE_NODES": _script([arrow_path(arrow) for arrow in scene.arrows]),
         # an end tag inside a script would end it; in a string or a pattern the backslash changes nothing
         "VIEWER": (folder / "dist" / "main.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script"),
     }
@@ -129,6 +133,39 @@ def _page(scene: Scene, commands: Sequence[bytes], *, forces: bool) -> str:
     for name, value in parts.items():  # the viewer last: what it contains is not to be replaced
         text = text.replace(f"@{name}@", value)
     return text
+
+
+def _script(data: Any) -> str:
+    """Return plain data for a script: names come from files of strangers, and may not end it nor look like a mark."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace("@", "\\u0040")
+
+
+def _readings(scene: Scene) -> dict[str, Any]:
+    """Return positions and efforts of the joints over the frames, and which parts of the picture belong to which."""
+    of_body = {reading.body: i for i, reading in enumerate(scene.readings)}
+    of_name = {f"joint_{reading.name}": i for i, reading in enumerate(scene.readings)}
+    parts = [(solid_path(scene, solid), of_name.get(solid.name, of_body.get(solid.body))) for solid in scene.solids]
+    return {
+        "t": _digits(scene.t),
+        "joints": [
+            {
+                "name": reading.name,
+                "kind": reading.kind,
+                "unit": reading.unit,
+                "position": _digits(reading.position),
+                "effort": None if reading.effort is None else _digits(reading.effort),
+                "effort_unit": "N" if reading.unit == "m" else "N·m",
+            }
+            for reading in scene.readings
+        ],
+        "parts": [[path, joint] for path, joint in parts if joint is not None],
+    }
+
+
+def _digits(values: Array) -> list[float | None]:
+    """Return values with six digits, which is what a reader sees; None where there are none."""
+    return [float(f"{value:.6g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
 def _licenses(folder: Path) -> str:

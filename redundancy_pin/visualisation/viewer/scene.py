@@ -18,11 +18,12 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, read_only
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.coordinates import joint_position
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.tree import TreeKinematics, motion_subspace
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import CarrierLimits, Robot
-from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, Mesh, Role, Shape, Solid, shapes_of_urdf
+from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, ROLE_NAMES, Mesh, Role, Shape, Solid, shapes_of_urdf
 
 Group = Literal["main", "carrier"]
 """Whose effort an arrow shows."""
@@ -73,6 +74,18 @@ class Arrow:
 
 
 @dataclass(frozen=True, eq=False)
+class Reading:
+    """What a joint of one freedom does over the frames."""
+
+    name: str  # of the joint
+    body: int  # its index
+    kind: str  # as legends call it
+    unit: str  # of its position: m or rad
+    position: Array  # (F,)
+    effort: Array | None  # (F,) of its actuator, N or N·m; NaN where there is none. None for passive joints
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A robot in motion. F frames, N points of the path, J joints of the tree with the base as number 0."""
 
@@ -87,6 +100,7 @@ class Scene:
     path_margin: Array  # (N,) margin along it
     size: float  # of the machine, m: parts that have no size of their own are drawn in proportion to it
     captions: tuple[str, ...]  # what the arrows' lengths stand for, a line each
+    readings: tuple[Reading, ...] = ()  # of all joints of one freedom
 
     @property
     def duration(self) -> float:
@@ -166,7 +180,24 @@ def scene_of(
         path_margin=np.abs(margin[points]),
         size=robot.characteristic_length,
         captions=captions,
+        readings=_readings(robot, q[frames], {name: effort[frames] for name, _, effort in efforts}),
     )
+
+
+def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[Reading, ...]:
+    found = []
+    for body in range(1, robot.model.njoints):
+        name = str(robot.model.names[body])
+        if robot.model.joints[body].nv != 1:
+            continue
+        role: Role = "carrier" if name in robot.carriers else "actuated" if name in robot.actuated else "passive"
+        position = joint_position(robot, name, q)
+        turning = not slides(robot.model, body)
+        if turning:
+            position = np.unwrap(position)
+        unit = "rad" if turning else "m"
+        found.append(Reading(name, body, ROLE_NAMES[role], unit, read_only(position), efforts.get(name)))
+    return tuple(found)
 
 
 def _require_scale(force_scale: float) -> None:
