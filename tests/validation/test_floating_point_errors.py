@@ -21,7 +21,7 @@ def errors_raised() -> Iterator[None]:
 
 def motion_between(start: list[float], end: list[float], samples: int) -> PlatformMotion:
     x = np.linspace(start, end, samples)
-    return PlatformMotion(np.arange(samples) * 0.1, x, np.ones_like(x), np.zeros_like(x))
+    return PlatformMotion(np.arange(samples) * 0.1, x, np.ones_like(x), np.zeros_like(x), check_rates=False)
 
 
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.VirtualWork])
