@@ -138,12 +138,23 @@ def _reference(robot: Robot) -> dict[str, Any]:
     }
 
 
-def _joint(robot: Robot, index: int) -> dict[str, str]:
+def _joint(robot: Robot, index: int) -> dict[str, Any]:
     name, kind = str(robot.model.names[index]), str(robot.model.joints[index].shortname())
     # Pinocchio has a class for each axis: JointModelRX, JointModelPZ, JointModelRevoluteUnaligned, ...
     known = {"JointModelP": "prismatic", "JointModelR": "revolute"}
     role = "actuated" if name in robot.actuated else "carrier" if name in robot.carriers else "passive"
-    return {"name": name, "type": known.get(kind[: len("JointModelP")], kind), "role": role}
+    joint, model, limits = robot.model.joints[index], robot.model, None
+    if joint.nq == 1:  # others count no turns, or have several freedoms
+        ends = (float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+        limits = [end if np.isfinite(end) and abs(end) < 1e300 else None for end in ends]
+    at = float(robot.q_reference[joint.idx_q]) if joint.nq == 1 else None
+    return {
+        "name": name,
+        "type": known.get(kind[: len("JointModelP")], kind),
+        "role": role,
+        "limits": limits,
+        "reference": at,
+    }
 
 
 def _list_robots(as_json: bool) -> None:
@@ -180,8 +191,8 @@ def _general(facts: dict[str, Any]) -> Table:
 
 def _tables(facts: dict[str, Any]) -> Iterator[Table]:
     """Give the tables of joints and closures, and of parameters and limits where there are any."""
-    joints = [(joint["name"], joint["type"], joint["role"]) for joint in facts["joints"]]
-    yield table_of("joints of the tree", ("joint", "type", "role"), joints)
+    joints = [(joint["name"], joint["type"], joint["role"], *_range(joint)) for joint in facts["joints"]]
+    yield table_of("joints of the tree", ("joint", "type", "role", "limits", "reference"), joints)
     closures = [(each["frame_a"], each["frame_b"], ", ".join(each["axes"])) for each in facts["closures"]]
     yield table_of("closures", ("frame a", "frame b", "axes"), closures)
     values = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
@@ -201,6 +212,17 @@ def _tables(facts: dict[str, Any]) -> Iterator[Table]:
         yield table_of("carrier limits", headings, limits, numbers=True)
     if facts["loads"]:
         yield _loads_table(facts)
+
+
+def _range(joint: dict[str, Any]) -> tuple[str, str]:
+    """Return the limits of a joint, and where it is at the reference configuration, marked where that is outside."""
+    if joint["limits"] is None:
+        return "", ""
+    lower, upper = joint["limits"]
+    at, unit = joint["reference"], "m" if joint["type"] == "prismatic" else "rad"
+    outside = (lower is not None and at < lower) or (upper is not None and at > upper)
+    ends = " … ".join("none" if end is None else f"{end:g}" for end in (lower, upper))
+    return f"{ends} {unit}", f"{at:.4g}{' (outside)' if outside else ''}"
 
 
 def _loads_table(facts: dict[str, Any]) -> Table:

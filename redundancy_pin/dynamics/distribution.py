@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -131,6 +131,7 @@ def distribute(
     weights: ArrayLike | None = None,
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
+    preferred: ArrayLike | None = None,
     near_singular: float = NEAR_SINGULAR_MARGIN,
     rank_tolerance: float = RANK_TOLERANCE,
     consistency_tolerance: float = CONSISTENCY_TOLERANCE,
@@ -155,6 +156,9 @@ def distribute(
         lower: scalar, (m,) or (N, m) smallest efforts, N or N·m by joint; −inf for none.
         upper: scalar, (m,) or (N, m) largest efforts; inf for none. Where the efforts of least norm leave the bounds,
             those of least norm within the bounds are returned, or NaN with the status bound_infeasible.
+        preferred: scalar, (m,) or (N, m) efforts τ⁰ that are kept to where f leaves a choice: Σ w_j (τ_j − τ⁰_j)² is
+            least. Internal forces, such as a squeeze of what two arms hold or a preload against backlash, are
+            preferred efforts along W δ = 0, which then hold exactly.
         near_singular: margin below which a sample is near-singular (scaled, no unit).
         rank_tolerance: singular values up to this fraction of the largest one, and up to this, count as zero.
         consistency_tolerance: fraction of f that may lie outside the range of W, ...
@@ -175,12 +179,24 @@ def distribute(
         force_tolerance=force_tolerance,
     )
     problem = _problem(reduced, weights, lower, upper)
+    size = np.linalg.norm(problem.g, axis=1)
+    start = None
+    if preferred is not None:  # efforts are counted from there
+        start = _bound(preferred, "preferred", math.inf, *reduced.f.shape[:1], problem.A.shape[2])
+        _require_finite(start)
+        start = start / reduced.column_scale
+        problem = replace(
+            problem,
+            g=problem.g - np.einsum("Nij,Nj->Ni", problem.A, start),
+            lower=problem.lower - start,
+            upper=problem.upper - start,
+        )
     spectrum = spectrum_of(problem.A)
     rank = spectrum.rank(rank_tolerance)
     at = problem.solvable
     u, outside = np.full((len(rank), problem.A.shape[2]), np.nan), np.full(len(rank), np.nan)
     u[at], outside[at] = minimum_norm(problem.A[at], problem.g[at], rank[at], problem.cost)
-    allowed = consistency_tolerance * np.linalg.norm(problem.g, axis=1) + force_tolerance
+    allowed = consistency_tolerance * size + force_tolerance
     consistent = at & (outside <= allowed)
     u[~consistent] = np.nan
     u, infeasible = _within_bounds(problem, u, rank)
@@ -200,7 +216,7 @@ def distribute(
     ).astype(np.intp)
     free_direction, uncontrolled = _directions(problem, rank, status)
     return Distribution(
-        tau=read_only(u * reduced.column_scale),
+        tau=read_only((u if start is None else u + start) * reduced.column_scale),
         status=read_only(status),
         rank=rank,
         residual=read_only(_residual(problem, u, outside, infeasible)),
@@ -209,6 +225,35 @@ def distribute(
         free_direction=read_only(free_direction * reduced.column_scale),
         uncontrolled=read_only(uncontrolled / reduced.row_scale),
     )
+
+
+def torque_speed_bounds(rate: ArrayLike, stall: ArrayLike, no_load: ArrayLike) -> tuple[Array, Array]:
+    """Return the smallest and the largest efforts (N, m) of motors whose torque falls with speed, for ``distribute``.
+
+    At stall a motor gives ±τ_s; with the motion it gives the less the faster it turns, τ_s (1 − |ω|/ω₀), nothing at ω₀,
+    and beyond that it can only brake. Against the motion it gives τ_s at any speed.
+
+    Args:
+        rate: (N, m) rates of the main actuators, m/s or rad/s: ``np.einsum("nij,ni->nj", reduced.W, motion.xd)``.
+        stall: scalar or (m,) τ_s, N or N·m, positive.
+        no_load: scalar or (m,) ω₀, m/s or rad/s, positive.
+
+    Raises:
+        InputError: wrong shapes, or numbers that are not positive.
+    """
+    rates = checked(rate, "rate", ("N", "m"))
+    most, fastest = (
+        _positive(values, name, rates.shape[1]) for values, name in ((stall, "stall"), (no_load, "no_load"))
+    )
+    falling = rates / fastest
+    upper = most * np.clip(1.0 - falling, -1.0, 1.0)
+    lower = -most * np.clip(1.0 + falling, -1.0, 1.0)
+    return read_only(lower), read_only(upper)
+
+
+def _require_finite(preferred: Array) -> None:
+    if not np.isfinite(preferred).all():
+        raise InputError("preferred has values that are not finite.", remedy="Pass efforts, 0 where none is preferred.")
 
 
 LARGEST_WEIGHT_RATIO = 1e12

@@ -273,7 +273,7 @@ class _Rotor:
         for each in supports[self.joint]:
             turn += jacobian[3:, each] * state.a[:, each]
         if self.turning:  # back from the link behind the joint to the one before it
-            omega, turn = omega - axis * v, turn - axis * a - cross(omega, axis) * v
+            omega, turn = omega - axis * v, turn - axis * a  # but for what is across the axis, and has no share in drag
         drag = np.einsum("in,in->n", axis, turn)
         return _Spin(self.load.gear * a + drag, axis * a + cross(omega, axis) * v, np.einsum("in,in->n", axis, omega))
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
 from redundancy_pin.dynamics.allocation import fit_into_bounds
-from redundancy_pin.dynamics.distribution import SampleStatus, distribute
+from redundancy_pin.dynamics.distribution import SampleStatus, distribute, torque_speed_bounds
+from redundancy_pin.errors import InputError
 
 OPTIMUM = 1e-8
 """Relative: bounds count as met within 1e-9 of the largest effort, and the optimum moves by about as much."""
@@ -282,3 +283,50 @@ def test_bounds_that_miss_the_equations_by_rounding_count_as_met():
         u = fit_into_bounds(matrix, half, np.array([1]), np.ones(2), np.full((1, 2), -np.inf), upper)
         assert np.isfinite(u).all() == met
         assert not (u > upper).any()
+
+
+@given(seed=st.integers(0, 2**32 - 1), bounded=st.booleans())
+@examples(25)
+def test_preferred_efforts_are_missed_least(seed, bounded):
+    """Against a general optimiser, with weights and bounds, at samples each with its own preference."""
+    rng = np.random.default_rng(seed)
+    n, m, samples = 2, 4, 2
+    problem = reduced(rng.normal(size=(samples, n, m)), rng.normal(size=(samples, n)))
+    preferred, weights = rng.normal(size=(samples, m)), rng.uniform(0.2, 5.0, m)
+    bounds = {"lower": -1.5 * np.ones(m), "upper": 1.5 * np.ones(m)} if bounded else {}
+    efforts = distribute(problem, weights=weights, preferred=preferred, **bounds)
+    for k in np.flatnonzero(np.isfinite(efforts.tau).all(axis=1)):
+        W, f = problem.W[k], problem.f[k]
+        np.testing.assert_allclose(W @ efforts.tau[k], f, atol=1e-9)
+        found = scipy.optimize.minimize(
+            lambda u, k=k: weights @ (u - preferred[k]) ** 2,
+            efforts.tau[k],
+            jac=lambda u, k=k: 2.0 * weights * (u - preferred[k]),
+            constraints={"type": "eq", "fun": lambda u, W=W, f=f: W @ u - f, "jac": lambda u, W=W: W},
+            bounds=[(-1.5, 1.5)] * m if bounded else None,
+            method="SLSQP",
+            options={"ftol": 1e-14},
+        )
+        assert weights @ (efforts.tau[k] - preferred[k]) ** 2 <= found.fun + 1e-7
+
+
+def test_a_squeeze_is_held_exactly_whatever_the_force_does():
+    """Efforts along W δ = 0 change nothing, so all of those preferred stay: by a pseudoinverse."""
+    rng = np.random.default_rng(4)
+    W = rng.normal(size=(5, 3, 4))
+    problem = reduced(W, rng.normal(size=(5, 3)))
+    free = np.array([np.linalg.svd(one)[2][-1] for one in W])
+    plain, squeezed = distribute(problem), distribute(problem, preferred=20.0 * free)
+    np.testing.assert_allclose(squeezed.tau - plain.tau, 20.0 * free, atol=1e-9)
+    assert (squeezed.status == plain.status).all()
+    np.testing.assert_allclose(squeezed.residual, 0.0, atol=1e-9)
+
+
+def test_bounds_of_a_motor_fall_with_its_speed():
+    lower, upper = torque_speed_bounds([[0.0, 5.0, -5.0, 20.0]], stall=4.0, no_load=10.0)
+    assert upper.tolist() == [[4.0, 2.0, 4.0, -4.0]]
+    assert lower.tolist() == [[-4.0, -4.0, -2.0, -4.0]]
+    with pytest.raises(InputError, match="no_load"):
+        torque_speed_bounds([[1.0]], 4.0, 0.0)
+    with pytest.raises(InputError, match="preferred"):
+        distribute(reduced(np.ones((1, 1, 2)), np.ones((1, 1))), preferred=[np.inf, 0.0])
