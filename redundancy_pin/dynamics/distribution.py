@@ -182,7 +182,7 @@ def distribute(
     size = np.linalg.norm(problem.g, axis=1)
     start = None
     if preferred is not None:  # efforts are counted from there
-        start = _bound(preferred, "preferred", math.inf, *reduced.f.shape[:1], problem.A.shape[2])
+        start = _bound(preferred, "preferred", math.inf, len(size), problem.A.shape[2])
         _require_finite(start)
         start = start / reduced.column_scale
         problem = replace(

@@ -135,3 +135,21 @@ def test_friction_that_follows_a_parameter_is_not_differentiated_silently(tmp_pa
     robot = rp.load_robot(four_bar(tmp_path, declared="\njoint_forces: [{joint: crank, damping: crank_length}]\n"))
     with pytest.raises(UnsupportedRobotError, match="friction"):
         design_of(robot, ["crank_length"])
+
+
+def test_info_shows_limits_of_all_joints_and_what_is_outside(tmp_path: Path) -> None:
+    path = four_bar(tmp_path)
+    robot = rp.load_robot(path)
+    joint = robot.model.joints[robot.model.getJointId("rocker")]
+    at = float(robot.q_reference[joint.idx_q])
+    text = (tmp_path / "four_bar.urdf.xacro").read_text(encoding="utf-8")
+    assert text.count('lower="-1000"') == 1
+    (tmp_path / "four_bar.urdf.xacro").write_text(
+        text.replace('lower="-1000"', f'lower="{at + 0.1}"'), encoding="utf-8"
+    )
+    shown = CliRunner().invoke(main, ["info", "--robot", str(path), "--json"])
+    facts = {one["name"]: one for one in json.loads(shown.stdout)["joints"]}
+    assert facts["rocker"]["limits"] == pytest.approx([at + 0.1, 1000.0])
+    assert facts["rocker"]["reference"] == pytest.approx(at)
+    outside = CliRunner().invoke(main, ["info", "--robot", str(path)], terminal_width=200)
+    assert "(outside)" in outside.output
