@@ -28,10 +28,21 @@ def shipped(request: pytest.FixtureRequest) -> Robot:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark every property test, so that ``make long`` can run them with more examples."""
+    """Mark what ``make long`` runs: property tests, with more examples, and cases that ``long_for`` names."""
+    unknown: dict[str, set[str]] = {}
     for item in items:
         if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
             item.add_marker(pytest.mark.property)
+        chosen = item.get_closest_marker("long_for")
+        if chosen and hasattr(item, "callspec"):
+            left = unknown.setdefault(item.nodeid.partition("[")[0], set(chosen.args))
+            if item.callspec.id in chosen.args:
+                left.remove(item.callspec.id)
+                item.add_marker(pytest.mark.long)
+    misnamed = {name: left for name, left in unknown.items() if left}
+    # a single case named on the command line leaves no others to find
+    if misnamed and not any("::" in argument for argument in items[0].config.args):
+        raise pytest.UsageError(f"long_for names cases that are not there: {misnamed}")
 
 
 keep = promises.keep

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import os
@@ -189,9 +190,18 @@ def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) 
         texts = {
             name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()
         }
-        urdf, resolved = expand(path, texts, trust=trust)
-        parameters = {name: from_text(value) for name, value in resolved.items()}
+        shipped = not trust and path.resolve().parent.parent == models_root().resolve()
+        urdf, resolved = (_expanded if shipped else _expanded.__wrapped__)(path, tuple(texts.items()), trust)
+        parameters = {name: from_text(value) for name, value in resolved}
     else:
         urdf, parameters = read_model(path), {}
-    read_tree(urdf, path)
+        read_tree(urdf, path)
     return urdf, parameters
+
+
+@functools.lru_cache(maxsize=256)  # of files that do not change: sweeps and tests load the same robots time and again
+def _expanded(path: Path, given: tuple[tuple[str, str], ...], trust: bool) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Return the URDF of a xacro file, checked, and its arguments."""
+    urdf, resolved = expand(path, dict(given), trust=trust)
+    read_tree(urdf, path)
+    return urdf, tuple(resolved.items())

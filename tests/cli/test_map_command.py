@@ -80,6 +80,7 @@ def test_a_map_is_that_of_the_python_api(tmp_path: Path) -> None:
         assert float(row["peak_effort"]) == cell["peak_effort"] == ours.peak_effort
 
 
+@pytest.mark.long
 def test_what_is_finished_is_not_computed_again(computed: list[Any]) -> None:
     assert call(*CORNER).exit_code == 0
     assert len(computed) == 12
@@ -126,6 +127,7 @@ def test_another_map_in_the_same_folder_is_refused(computed: list[Any]) -> None:
     assert {path.name: path.read_bytes() for path in Path("map-3rrr").iterdir()} == before
 
 
+@pytest.mark.long
 def test_failed_cells_are_told_and_nothing_but_them_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
         failed = planner == STEPWISE and x > 0.25

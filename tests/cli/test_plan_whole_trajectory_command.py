@@ -156,6 +156,7 @@ def test_the_picture_of_a_plan_that_stopped_early_says_so() -> None:
     assert plan_title(plan) == "2rpr: whole trajectory, stopped early, NOT an optimum"
 
 
+@pytest.mark.long
 def test_an_impossible_task_names_the_limit_and_what_would_suffice(tmp_path: Path) -> None:
     task = (*CORNER, "--max-effort", "1", "--end", "free")
     said = refused(*task, "--out", tmp_path / "plan.npz")

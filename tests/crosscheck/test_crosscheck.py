@@ -36,6 +36,7 @@ def test_everything_agrees_on_random_robots(report):
     assert all(row.samples > 0 for row in report.rows)
 
 
+@pytest.mark.long
 def test_same_seed_same_numbers_other_seed_other_numbers():
     first, again, other = (crosscheck.run(["four_bar"], samples=20, seed=seed) for seed in (3, 3, 4))
     assert first == again
@@ -112,6 +113,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.long_for("f off by a millionth", "legs swapped")
 @pytest.mark.parametrize(
     "name",
     [

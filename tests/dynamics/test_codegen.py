@@ -69,6 +69,7 @@ def assert_near(got: object, want: np.ndarray, what: str, factor: float = 1.0, s
 # --- the compiler's view -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long_for("3rrr-gcc", "universal-gcc")
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
 def test_it_compiles_and_its_own_test_passes(name: str, compiler: str, tmp_path: Path) -> None:
@@ -80,6 +81,7 @@ def test_it_compiles_and_its_own_test_passes(name: str, compiler: str, tmp_path:
         assert done.stdout.startswith("0 failures")
 
 
+@pytest.mark.long_for("fewer actuators", "more actuators")
 @pytest.mark.parametrize("name", ["2rpr", "more actuators", "fewer actuators", *LONG])
 def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     folder = folder_of(robot_of(name))
@@ -90,6 +92,7 @@ def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.long_for("fewer actuators")
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
 @pytest.mark.parametrize("name", ["2rpr", "fewer actuators", *LONG])
 def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
@@ -117,6 +120,7 @@ MATH = {
 }
 
 
+@pytest.mark.long_for("universal")
 @pytest.mark.skipif(shutil.which("nm") is None, reason="nm is not installed")
 @pytest.mark.parametrize("name", SMALL)
 def test_it_needs_math_alone_and_keeps_no_state(name: str, tmp_path: Path) -> None:
@@ -210,6 +214,7 @@ def assert_same(name: str, motion: rp.PlatformMotion, carriers: rp.CarrierMotion
     return want.status.tolist()
 
 
+@pytest.mark.long_for("0-universal")
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
 @pytest.mark.parametrize("seed", range(3))
 def test_smooth_motions(name: str, seed: int) -> None:
@@ -244,6 +249,7 @@ int probe(const double *W, const double *f, unit_efforts *out) { return distribu
 """
 
 
+@pytest.mark.long_for("3rrr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", LARGE, "more actuators", "fewer actuators"])
 def test_every_rank_is_distributed_as_by_distribute(name: str, tmp_path: Path) -> None:
     robot, random = robot_of(name), np.random.default_rng(3)
@@ -547,6 +553,7 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: p
         codegen.write_c(robot, folder)
 
 
+@pytest.mark.long
 def test_a_motion_of_ones_own(tmp_path: Path) -> None:
     robot = robot_of("2rpr")
     motion = rp.trajectory.reference.circle().sample(dt=0.01)
@@ -571,6 +578,7 @@ def test_without_casadi_there_is_one_clear_error(tmp_path: Path, monkeypatch: py
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_times_are_printed(tmp_path: Path) -> None:
     folder = folder_of(robot_of("2rpr"))
     program = compiled([folder / "unit.c", folder / "test_unit.c"], tmp_path / "program", "-O2")

@@ -95,6 +95,7 @@ def assert_same_dynamics(compiled: CompiledDynamics, motion: PlatformMotion, car
 # --- the same as RNEA on the tree, written by others ----------------------------------------------------------------
 
 
+@pytest.mark.long_for("gough")
 @pytest.mark.parametrize("name", [*MASSIVE, *spatial_chains.CHAINS])
 def test_every_robot_moves_as_with_rnea(name: str) -> None:
     robot = robot_of(name)
@@ -216,6 +217,7 @@ def test_every_type_of_joint_is_pinocchios() -> None:
 # --- Lagrange's equations, for point masses -------------------------------------------------------------------------
 
 
+@pytest.mark.long_for("0-3rrr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 @pytest.mark.parametrize("seed", range(3))
 def test_efforts_obey_lagrange(name: str, seed: int) -> None:
@@ -345,6 +347,7 @@ def test_a_motion_that_cannot_be_is_refused_as_by_rnea(what: str, interpret: boo
         assert 0.3 < mine.value.details["gap"] / theirs.value.details["gap"] < 3.0  # type: ignore[operator]
 
 
+@pytest.mark.long_for("True")
 @pytest.mark.parametrize("interpret", [False, True])
 def test_marked_samples_are_those_of_rnea(interpret: bool) -> None:
     robot = robot_of("3rrr")
@@ -435,6 +438,7 @@ def built(folder: Path) -> str:
     ).stdout.strip()
 
 
+@pytest.mark.long
 def test_two_processes_build_at_once(four_bar: Robot, tmp_path: Path) -> None:
     with ThreadPoolExecutor(2) as pool:
         names = set(pool.map(built, [tmp_path / "shared"] * 2))

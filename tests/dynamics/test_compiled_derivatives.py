@@ -129,6 +129,7 @@ def test_by_a_pose() -> None:
     assert_motion_derivatives(robot_of("gough"), 2, columns=3)
 
 
+@pytest.mark.long
 @examples(3)
 @given(mode=st.tuples(*[st.sampled_from((1, -1))] * 3), seed=st.integers(0, 2**16))
 def test_random_machines_and_modes(mode: tuple[int, int, int], seed: int) -> None:
@@ -202,6 +203,7 @@ def test_closure_forces(name: str) -> None:
 # --- by what the machine is made of -----------------------------------------------------------------------------------
 
 
+@pytest.mark.long_for("gough-parameters3", "3rrr-parameters2")
 @pytest.mark.parametrize(
     ("name", "parameters"),
     [
@@ -246,6 +248,7 @@ def remade(robot: Robot, change: Callable[[object], None]) -> Robot:
     return dataclasses.replace(robot, model=model)
 
 
+@pytest.mark.long_for("universal")
 @pytest.mark.parametrize("name", ["five_bar", "universal"])
 def test_by_numbers_of_the_tree(name: str) -> None:
     import pinocchio as pin

@@ -29,6 +29,7 @@ def assert_equal(got: object, want: np.ndarray, what: str) -> None:
     np.testing.assert_allclose(np.array(got).reshape(want.shape), want, rtol=0.0, atol=EQUAL * scale, err_msg=what)
 
 
+@pytest.mark.long_for("gough")
 @pytest.mark.parametrize("name", [*zoo.SHIPPED, *spatial_chains.CHAINS])
 def test_they_say_what_rnea_says(name: str) -> None:
     robot = robot_of(name)

@@ -117,6 +117,7 @@ def test_no_solution_is_missed_that_scanning_finds(theta, geometry):
     assert len(solutions) == count
 
 
+@pytest.mark.long
 @given(
     x=st.floats(-0.5, 2.2),
     y=st.floats(-0.8, 1.8),

@@ -71,6 +71,7 @@ def crossings(simulation):
     return [event for event in simulation.events if event.kind == "type_II"]
 
 
+@pytest.mark.long_for("exudyn-3rrr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_the_same_efforts_give_the_same_motion_through_a_type_ii_pose(engine, name):
     task = thrown(name)
@@ -83,6 +84,7 @@ def test_the_same_efforts_give_the_same_motion_through_a_type_ii_pose(engine, na
     assert np.abs(4.0 * fine - coarse).max() / 3.0 < EXTRAPOLATED
 
 
+@pytest.mark.long_for("exudyn-3rrr", "mujoco-3rrr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_planned_efforts_too(engine, planned, name):
     task = planned[name].task
@@ -91,6 +93,7 @@ def test_planned_efforts_too(engine, planned, name):
     assert np.abs(difference(own, engine(task, step=1e-3))).max() < TOLERANCE
 
 
+@pytest.mark.long_for("exudyn")
 def test_a_stepwise_plan_too_whose_carriers_jump_in_acceleration_at_every_sample(engine):
     robot, trajectory = zoo.robot_of("3rrr"), rp.trajectory.reference.corner(0.025)
     plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(dt=0.02), lam=0.0)

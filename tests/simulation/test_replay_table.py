@@ -44,12 +44,14 @@ def test_open_loop_a_stepwise_plan_follows_the_motion_it_stands_for():
     assert 1e-4 < found.carrier_lag < 1e-1  # half a step at up to 1 m/s, carried on
 
 
+@pytest.mark.long
 def test_efforts_of_the_samples_alone_cost_what_the_step_costs():
     errors = [replay(corner_plan(step), "open loop, samples", motion=MOTION).largest for step in (2e-2, 1e-2)]
     assert errors[0] > 1e-4  # far above the error of the integrator: it is the discretisation
     assert errors[1] < 0.8 * errors[0]
 
 
+@pytest.mark.long
 def test_under_control_the_start_is_off_and_the_end_is_not():
     assert list(controlled()) == ["computed torque", "LQR"]
     for found in controlled().values():

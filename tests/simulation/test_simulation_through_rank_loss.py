@@ -148,6 +148,7 @@ def require_change_point(seed: int, options: Mapping[str, Any], within: float) -
     return len(of_kind(run, "closure_rank"))
 
 
+@pytest.mark.long_for("RK45", "RK45 and constraint_dynamics")
 @pytest.mark.parametrize("options", ALL)
 def test_random_change_point_linkages_stay_on_their_branch(options: str) -> None:
     within = EXACT if "RK45" not in options else 1e-5
@@ -272,6 +273,7 @@ LOOSE: Mapping[str, Mapping[str, Any]] = {
 }
 
 
+@pytest.mark.long_for("RK45", "constraint_dynamics")
 @pytest.mark.parametrize("options", LOOSE)
 def test_no_step_is_so_long_that_a_rank_loss_within_it_is_missed(options: str) -> None:
     """Without gravity it turns evenly, and loose tolerances allow steps of more than a turn."""
@@ -469,6 +471,7 @@ def with_pendulum(times: Array, start: tuple[float, float], rate: tuple[float, f
     return run.y[:2].T
 
 
+@pytest.mark.long_for("RK45", "constraint_dynamics")
 @pytest.mark.parametrize("options", ["DOP853", "RK45", "constraint_dynamics"])
 def test_with_two_freedoms_the_sheet_is_a_surface(options: str) -> None:
     robot: Robot = parallelogram("pendulum")

@@ -106,6 +106,7 @@ def test_a_map_of_a_cluster_that_loses_a_worker_is_that_of_one_machine(
     assert there.as_dict() == feasibility_map(small_maps.corner(), jobs=1).as_dict()
 
 
+@pytest.mark.long
 def test_errors_of_calls_and_of_the_cluster_reach_the_caller(
     machines: Machines, monkeypatch: pytest.MonkeyPatch
 ) -> None:

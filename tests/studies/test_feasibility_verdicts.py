@@ -81,6 +81,7 @@ def test_whole_trajectory_cells_of_a_crossing_are_those_of_the_planner(circle: F
     _require_cells_of_the_planner(circle, dynamics, lambda v: reference.circle(speed=v, ramp_length=0.1 * v))
 
 
+@pytest.mark.long_for("corners")
 def test_whole_trajectory_cells_of_a_corner_are_those_of_the_planner(bend: FeasibilityMap) -> None:
     dynamics = rp.VirtualWork(rp.load_robot("3rrr", working_mode=(1, 1, 1)))
     _require_cells_of_the_planner(bend, dynamics, lambda v: reference.corner(speed=v))

@@ -223,6 +223,7 @@ def test_the_largest_forces_are_those_of_every_period(monkeypatch: pytest.Monkey
     assert found.carrier_force == acted[:, 2:].max()
 
 
+@pytest.mark.long
 def test_a_plan_that_hardly_uses_its_main_actuators_crosses_against_friction():
     """With τ̂ the largest planned effort alone, 0.08 N, carrier 1 comes to the end of its track in every draw."""
     bounds = scaled(Imperfections(), 5.0)

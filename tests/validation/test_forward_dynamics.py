@@ -123,6 +123,7 @@ def pin_gaps(robot, q):
     return np.array(gaps)
 
 
+@pytest.mark.long_for("four_bar")
 @pytest.mark.parametrize("name", CONSERVATIVE)
 def test_ten_seconds_without_efforts_keep_the_energy_and_the_closures(name):
     arguments, speed = CONSERVATIVE[name]

@@ -189,6 +189,7 @@ def test_kinds_of_cells_differ_without_colour() -> None:
     assert abs(means[2] - means[3]) > 0.005
 
 
+@pytest.mark.long
 def test_the_same_map_gives_the_same_files(tmp_path: Path) -> None:
     first = [path.read_bytes() for path in write_map(_map("x"), tmp_path / "one")]
     second = [path.read_bytes() for path in write_map(_map("x"), tmp_path / "two")]

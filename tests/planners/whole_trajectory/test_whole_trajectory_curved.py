@@ -81,6 +81,7 @@ def short_line():
 TRAJECTORIES = {"line": short_line(), "circle": reference.circle(0.5, 0.2, 0.05)}
 
 
+@pytest.mark.long_for("circle-effort")
 @pytest.mark.parametrize(
     ("name", "objective"),
     [

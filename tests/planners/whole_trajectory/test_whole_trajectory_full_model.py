@@ -56,6 +56,7 @@ def test_circle(objective, masses):
     assert len(plan.diagnostics["singular_nodes"]) == 2
 
 
+@pytest.mark.long_for("peak-0.025")
 @pytest.mark.parametrize(
     ("objective", "radius"),
     [
@@ -153,6 +154,7 @@ def random_case(seed, steps):
     pytest.fail("infeasible however wide the limits")
 
 
+@pytest.mark.long_for("1")
 @pytest.mark.parametrize("seed", [pytest.param(seed, marks=() if seed in (1, 2, 3) else long) for seed in range(9)])
 def test_random_machines(seed):
     random_case(seed, 20)

@@ -69,6 +69,7 @@ def test_two_crossings_in_a_moment_are_both_on_nodes(depth):
     assert plan.diagnostics["dense_check"]["passed"]
 
 
+@pytest.mark.long_for("peak-1e-06")
 @pytest.mark.parametrize(
     ("objective", "height"),
     [

@@ -71,6 +71,7 @@ def test_the_best_of_several_optima_is_kept_and_all_are_reported():
     assert starts["costs"][starts["won"]] == min(starts["costs"]) == plan.diagnostics["cost"]
 
 
+@pytest.mark.long
 def test_every_first_guess_is_tried_before_the_planner_gives_up(monkeypatch):
     tried = set()
     solve_nlp = constraint_generation.solve_nlp

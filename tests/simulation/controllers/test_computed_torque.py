@@ -55,6 +55,7 @@ def test_the_platform_obeys_its_error_equation_through_both_type_ii_poses():
     assert 1e-4 < away < 1e-2
 
 
+@pytest.mark.long
 def test_without_carriers_that_help_the_efforts_have_no_bound():
     """The same with carriers pinned to their plan: near the type II pose the main actuators would take anything."""
     motion, robot = crossing(), two_rpr()
@@ -72,6 +73,7 @@ def test_without_carriers_that_help_the_efforts_have_no_bound():
     assert peaks[1] > 50.0 * peaks[0]
 
 
+@pytest.mark.long
 def test_a_digital_one_with_a_delay_of_one_sample_crosses_too():
     motion, robot = crossing(), two_rpr()
     sampling = Sampling(1e-3, 1e-3)
@@ -93,6 +95,7 @@ def test_a_controller_made_for_another_sampling_is_refused():
             rp.simulate(two_rpr(), control, duration=0.01, sampling=sampling)
 
 
+@pytest.mark.long
 def test_the_corner_of_the_three_rrr():
     motion = corner()
     start = perturbed(motion.robot, motion, 0.7, [*AWAY, 0.0], [*SPEED, 0.0])
@@ -102,6 +105,7 @@ def test_the_corner_of_the_three_rrr():
     assert np.abs(errors(run, motion) - expected).max() < 1e-10
 
 
+@pytest.mark.long
 def test_carriers_come_back_to_their_plan():
     motion = corner()
     point = motion.at(0.7)

@@ -44,6 +44,7 @@ def deviations(run, motion):
     return np.array(found)
 
 
+@pytest.mark.long
 def test_gains_are_finite_and_smooth_at_the_type_ii_pose():
     control = regulator()
     beside, there = control.gain(0.3), control.gain(SINGULAR)
@@ -54,6 +55,7 @@ def test_gains_are_finite_and_smooth_at_the_type_ii_pose():
     assert control.holds_end
 
 
+@pytest.mark.long
 def test_the_cost_to_go_is_symmetric_and_positive():
     for control in (regulator(), delayed()):
         P = control.riccati.P
@@ -96,6 +98,7 @@ def test_a_perturbed_machine_is_brought_back_through_both_type_ii_poses():
     assert away[-1] < 0.02 * away[0]
 
 
+@pytest.mark.long
 def test_open_loop_the_same_machine_drifts_away():
     motion, robot = crossing(), two_rpr()
     start = perturbed(robot, motion, BEFORE, AWAY, SPEED)
@@ -111,6 +114,7 @@ def test_open_loop_the_same_machine_drifts_away():
     assert np.linalg.norm(deviations(run, motion)[-1, :2]) > 5e-3
 
 
+@pytest.mark.long
 def test_the_corner_of_the_three_rrr():
     motion = corner()
     control = TimeVaryingLqr(motion, step=0.02)
