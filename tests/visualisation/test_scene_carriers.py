@@ -55,8 +55,9 @@ def robot() -> Robot:
 def turned() -> tuple[Array, Scene]:
     """Angles (N, 2) through the rotor's range and round the wheel, and what is shown of them."""
     motion = default_motion(robot())
-    s = np.stack([np.linspace(-0.7, 1.1, len(motion)), np.linspace(0.0, 2.0, len(motion))], axis=1)
-    carriers = CarrierMotion(s, np.zeros_like(s), np.zeros_like(s))
+    rate = np.array([1.8, 2.0]) / np.ptp(motion.t)
+    s = np.array([-0.7, 0.0]) + np.outer(motion.t - motion.t[0], rate)
+    carriers = CarrierMotion(s, np.tile(rate, (len(s), 1)), np.zeros_like(s))
     return s, show(robot(), motion, carriers).scene
 
 
