@@ -135,6 +135,7 @@ def _draw(
         case = _random_motion(robot, samples, rng, amplitude=0.6 * 0.9**attempt)
         try:
             lift(robot, case.motion(np.linspace(0.0, case.t[-1], 200)))
+            lift(robot, case.motion(case.t))  # these are farther apart in places
         except RedundancyPinError as error:
             failure = error  # the swing leaves the workspace: draw again, smaller
             continue

@@ -45,7 +45,7 @@ def build(
     """
     _require_closed_form(declaration, parameters)
     tree = read_tree(urdf, path.parent / declaration.urdf)
-    model = _built(tree, urdf, path.parent / declaration.urdf)
+    model = built(tree, urdf, path.parent / declaration.urdf)
     model.gravity.linear = np.array(declaration.gravity if gravity is None else checked(gravity, "gravity", (3,)))
     name = path.parent.name if declaration.name is None else str(declaration.name)
     robot = put_together(
@@ -126,7 +126,7 @@ def put_together(
         raise DeclarationError(error.message, remedy=error.remedy, **error.details) from error
 
 
-def _built(tree: Tree, urdf: str, path: Path) -> pin.Model:
+def built(tree: Tree, urdf: str, path: Path) -> pin.Model:
     """Return Pinocchio's model of a URDF, which is what the file says."""
     with _complaints_of_urdfdom() as complaints:
         try:

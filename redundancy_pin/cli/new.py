@@ -1,0 +1,175 @@
+"""``redundancy-pin new``: a declaration proposed for a URDF."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from redundancy_pin.cli.options import json_option, trust_option
+from redundancy_pin.cli.output import print_json
+from redundancy_pin.errors import InputError
+from redundancy_pin.io.files import require_writable, write_text
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+    from redundancy_pin.robot import Robot
+    from redundancy_pin.robot.urdf_tree import Tree
+
+_SINGLE = ("revolute", "continuous", "prismatic")
+
+_COINCIDE = 1e-6
+"""m: frames that are nearer at the zero configuration are taken to be one point, cut in two."""
+
+
+@click.command()
+@click.argument("path", metavar="URDF")
+@click.option("--out", metavar="FILE", help="What to write.  [default: robot.yaml beside the URDF]")
+@trust_option
+@json_option
+def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
+    r"""Propose a robot.yaml for a URDF.
+
+    Nothing is asked. It looks at the tree: frames of two bodies that coincide when all joints are at zero, or the two
+    that carry nothing and weigh nothing, are where a loop was cut; joints with transmissions are driven, else as many
+    as there are freedoms; the reference is a closed configuration. What is written loads; read it, and correct it.
+
+    \b
+    Example:
+      redundancy-pin new machine.urdf
+    """
+    import pinocchio as pin
+
+    from redundancy_pin.loading import load_robot, made
+    from redundancy_pin.robot.build import built
+    from redundancy_pin.robot.urdf import render
+    from redundancy_pin.robot.urdf_tree import read_tree
+
+    source = Path(path)
+    if source.suffix.lower() not in (".urdf", ".xacro"):
+        raise InputError(
+            f"{path} is no URDF.", remedy="Pass a .urdf or .xacro; models of MuJoCo and Gazebo need no declaration."
+        )
+    target = require_writable(out or source.parent / "robot.yaml")
+    if target.exists():
+        raise InputError(f"{target} is there already.", remedy="Pass --out, or move it away.", path=str(target))
+    urdf, _ = render(source, {}, trust=trust)
+    tree = read_tree(urdf, source)
+    model = built(tree, urdf, source)
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    pairs, how = _proposed_closures(tree, model)
+    transmissions = _transmissions(urdf, tree)
+    driven = transmissions or [
+        joint.name for joint in tree.joints if joint.kind in ("revolute", "continuous", "prismatic")
+    ]
+    if not driven:
+        raise InputError(f"{source.name} has no joint of one freedom to drive.", remedy="Add one.")
+    data = {
+        "name": source.name.partition(".")[0],
+        "urdf": source.name,
+        "closures": [{"frames": pair, "axes": ["x", "y", "z"]} for pair in pairs],
+        "actuated": driven,
+        "reference": {},
+    }
+    robot = made(data, model, pin.neutral(model), loose=True, drive_independent=not transmissions)
+    beside = target.resolve().parent == source.resolve().parent
+    write_text(target, _text(robot, source.name if beside else str(source.resolve()), how, bool(transmissions)))
+    loaded = load_robot(target, trust=trust)
+    if as_json:
+        print_json(
+            {
+                "out": str(target),
+                "closures": [{"frames": [c.frame_a, c.frame_b], "axes": list(c.axes)} for c in loaded.closures],
+                "actuated": list(loaded.actuated),
+                "independent": list(loaded.independent_joints),
+            }
+        )
+    else:
+        click.echo(
+            f"{target}: n = {loaded.n}, m = {loaded.m}, {len(loaded.closures)} closure(s). Read it, and correct it."
+        )
+
+
+def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], str]:
+    """Return pairs of frames that close loops, and how they were found."""
+    import pinocchio as pin
+
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+    at = {str(frame.name): data.oMf[model.getFrameId(frame.name, pin.FrameType.BODY)].translation for frame in frames}
+    carrier = {str(frame.name): int(frame.parentJoint) for frame in frames}
+    parents = {joint.parent for joint in tree.joints}
+    ends = [
+        joint.child
+        for joint in tree.joints
+        if joint.kind == "fixed" and joint.child not in parents and not tree.links[joint.child].mass
+    ]
+    pairs: list[list[str]] = []
+    for one, other in itertools.combinations(ends, 2):
+        apart = carrier[one] != carrier[other] and not {one, other} & {name for pair in pairs for name in pair}
+        if apart and np.linalg.norm(at[one] - at[other]) < _COINCIDE:
+            pairs.append([one, other])
+    if pairs:
+        return pairs, "they coincide when all joints are at zero"
+    if len(ends) == 2 and carrier[ends[0]] != carrier[ends[1]]:
+        return [ends], "the only two links that carry nothing and weigh nothing"
+    return [], "no two frames coincide when all joints are at zero"
+
+
+def _transmissions(urdf: str, tree: Tree) -> list[str]:
+    """Return the moving joints that transmissions name."""
+    from redundancy_pin.robot.xml_files import parsed_text
+
+    moving = [joint.name for joint in tree.joints if joint.kind in _SINGLE]
+    named = [
+        joint.get("name") or (joint.text or "").strip()
+        for transmission in parsed_text(urdf, "the URDF").iter("transmission")
+        for joint in transmission.iter("joint")
+    ]
+    return [name for name in dict.fromkeys(named) if name in moving]
+
+
+def _text(robot: Robot, urdf: str, how: str, transmissions: bool) -> str:
+    """Return the declaration, with a comment on each thing that was guessed."""
+    import json
+
+    def quoted(value: Any) -> str:
+        return json.dumps(value, ensure_ascii=False)
+
+    q, model = robot.q_reference, robot.model
+    positions = {}
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        if joint.nv == 1:
+            angle = q[joint.idx_q] if joint.nq == 1 else np.arctan2(q[joint.idx_q + 1], q[joint.idx_q])
+            positions[str(name)] = round(float(angle), 6)
+    driven = "the joints with transmissions." if transmissions else "as many joints as freedoms; choose."
+    free = {name: positions[name] for name in robot.independent_joints}
+    rest = {name: value for name, value in positions.items() if name not in free}
+    lines = [
+        "# Proposed by `redundancy-pin new`. Look at what it says, and correct what it cannot know.",
+        f"name: {quoted(robot.name)}",
+        f"urdf: {quoted(urdf)}",
+        "gravity: [0, 0, -9.81]      # a URDF does not say it",
+        "",
+        f"# Where loops were cut: {how}. [x, y] is a pin in the plane of frame a, [x, y, z] a ball.",
+        "closures:" if robot.closures else "closures: []",
+        *(f"  - {{frames: {quoted([c.frame_a, c.frame_b])}, axes: {quoted(list(c.axes))}}}" for c in robot.closures),
+        "",
+        f"# What is driven: {driven}",
+        f"actuated: {quoted(list(robot.actuated))}",
+        "carriers: []                # masses that slide on links, if there are any",
+        "",
+        "# What the motion is given in: these joints, or rows of a platform, {platform: LINK, axes: [x, y]}.",
+        f"independent: {{joints: {quoted(list(robot.independent_joints))}}}",
+        "",
+        "# A closed configuration: the nearest to the guess is taken.",
+        "reference:",
+        f"  joints: {quoted(free)}",
+        f"  guess: {quoted(rest)}",
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,73 @@
+"""``new``: from a URDF to a declaration that loads, with nothing asked."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import call, refused
+
+import redundancy_pin as rp
+
+GUIDE = Path(__file__).parents[2] / "docs/guide/own_robot.md"
+
+
+@pytest.fixture
+def urdf(tmp_path):
+    """The four-bar of the guide, which does not close at zero."""
+    path = tmp_path / "crank_drive.urdf"
+    path.write_text(re.search(r"<robot .*?</robot>\n", GUIDE.read_text(encoding="utf-8"), re.DOTALL)[0])
+    return path
+
+
+def test_what_is_written_loads_and_moves(urdf):
+    text = call("new", urdf).stdout
+    assert "n = 1, m = 1, 1 closure(s)" in text
+    robot = rp.load_robot(urdf.parent)
+    (closure,) = robot.closures
+    assert ({closure.frame_a, closure.frame_b}, closure.axes) == ({"coupler_tip", "rocker_tip"}, ("x", "y"))
+    # lengths by hand: a crank of 0.1, a coupler of 0.3, a rocker of 0.2 on a base of 0.3
+    q = dict(zip(list(robot.model.names)[1:], robot.q_reference, strict=True))
+    coupler = q["crank"] + q["knee"]
+    tip = 0.1 * np.exp(1j * q["crank"]) + 0.3 * np.exp(1j * coupler)
+    assert tip == pytest.approx(0.3 + 0.2 * np.exp(1j * q["rocker"]), abs=1e-10)
+    x = np.array([[q[robot.actuated[0]]]])
+    motion = rp.PlatformMotion([0.0], x, np.ones_like(x), np.ones_like(x))
+    assert np.isfinite(rp.distribute(rp.RneaDynamics(robot).reduce(motion)).tau).all()
+    comments = (urdf.parent / "robot.yaml").read_text()
+    assert "only two links that carry nothing" in comments
+    assert "as many joints as freedoms; choose" in comments
+    assert "is there already" in refused("new", urdf)
+
+
+def test_frames_that_coincide_and_transmissions(urdf, tmp_path):
+    text = urdf.read_text()
+    # the tips are where the pin is when all joints are at zero: the coupler points 0.5 rad upwards, the rocker along x
+    tip = 0.1 + 0.3 * np.exp(0.5j)
+    text = text.replace(
+        'link="coupler"/><origin xyz="0.1 0 0"/>', 'link="coupler"/><origin xyz="0.1 0 0" rpy="0 0 0.5"/>'
+    )
+    foot = f'<origin xyz="{float(tip.real - 0.2)!r} {float(tip.imag)!r} 0"/>'
+    text = text.replace('<child link="rocker"/><origin xyz="0.3 0 0"/>', f'<child link="rocker"/>{foot}')
+    text = text.replace(
+        "</robot>",
+        '<transmission name="t"><joint name="rocker"/></transmission><link name="mark"/>\n'
+        '<joint name="marked" type="fixed"><parent link="crank"/><child link="mark"/></joint></robot>',
+    )
+    urdf.write_text(text)
+    out = tmp_path / "other" / "own.yaml"
+    out.parent.mkdir()
+    facts = json.loads(call("new", urdf, "--out", out, "--json").stdout)
+    assert facts["actuated"] == ["rocker"]
+    assert facts["independent"] == ["rocker"]
+    assert set(facts["closures"][0]["frames"]) == {"coupler_tip", "rocker_tip"}
+    assert rp.load_robot(out).actuated == ("rocker",)
+    assert "they coincide when all joints are at zero" in out.read_text()
+
+
+def test_refusals(urdf, tmp_path):
+    assert "no URDF" in refused("new", tmp_path / "model.xml")
+    assert "nothing.urdf" in refused("new", tmp_path / "nothing.urdf")
+    urdf.write_text('<robot name="still"><link name="base"/></robot>')
+    assert "no joint of one freedom" in refused("new", urdf)
