@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import errno
 import importlib.metadata
 import os
 import pickle
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -26,6 +28,7 @@ import pytest
 import spatial_chains
 import zoo
 from examples import examples
+from flat_linkages import parallelogram
 from hypothesis import given
 from hypothesis import strategies as st
 from point_mass_oracle import three_rrr_masses, two_rpr_masses
@@ -424,6 +427,76 @@ def test_the_second_one_is_loaded_and_a_broken_one_built_again(
     library.write_bytes(b"half a file")
     assert built(tmp_path / "kept") == library.name
     assert library.stat().st_size == size
+
+
+def test_another_robots_library_under_the_right_name_is_built_again(
+    four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(build.CACHE, str(tmp_path / "kept"))
+    longer = load_robot("four_bar", coupler_length=0.36)
+    assert works(longer)
+    (other,) = (tmp_path / "kept").iterdir()
+    right = other.with_name(built(tmp_path / "kept"))
+    other.replace(right)  # sound machine code, of a robot with the same joints
+    changed = right.read_bytes()
+    assert built(tmp_path / "kept") == right.name
+    assert right.read_bytes() != changed
+    motion = zoo.smooth_motion(four_bar, 0).at(np.linspace(0.0, 1.0, 5))
+    assert_equal(CompiledDynamics(four_bar).reduce(motion).f, RneaDynamics(four_bar).reduce(motion).f, "f")
+
+
+@pytest.mark.parametrize("what", ["compiler", "folder"])
+def test_on_a_full_disk_it_is_compiled_elsewhere(
+    what: str, four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = tmp_path / "kept"
+    monkeypatch.setenv(build.CACHE, str(kept))
+    if what == "compiler":
+        full = f'case "$*" in *{kept}*) echo "No space left on device" >&2; exit 1;; esac; exec cc "$@"'
+        monkeypatch.setenv("CC", script(tmp_path, full))
+        monkeypatch.setattr(build.shutil, "disk_usage", lambda folder: SimpleNamespace(free=4096))
+    else:
+        make = tempfile.TemporaryDirectory
+
+        def refused(prefix: str, dir: Path | None) -> tempfile.TemporaryDirectory[str]:
+            if dir is not None:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return make(prefix=prefix)
+
+        monkeypatch.setattr(build.tempfile, "TemporaryDirectory", refused)
+    assert works(four_bar)
+    assert list(kept.iterdir()) == []
+
+
+def test_a_compiler_may_be_named_with_its_arguments(
+    four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(build.CACHE, "")
+    told = tmp_path / "told"
+    wrapper = script(tmp_path, f'echo "$1" > {told}; shift; exec "$@"')
+    monkeypatch.setenv("CC", f"{wrapper} 'two words' cc")
+    assert works(four_bar)
+    assert told.read_text() == "two words\n"
+    found = build.find_compiler()
+    assert found is not None
+    assert found.command == (wrapper, "two words", "cc")
+    for unusable in ("'no end", "   ", "nothing-of-this-name -O2"):  # the usual ones serve
+        monkeypatch.setenv("CC", unusable)
+        assert (other := build.find_compiler()) is not None
+        assert len(other.command) == 1
+
+
+def test_a_motion_through_a_rank_loss_of_the_closures_is_refused_by_name() -> None:
+    robot = parallelogram()
+    t = np.linspace(0.0, 1.0, 101)
+    through = PlatformMotion(t, 1.2 - 2.4 * t[:, None], np.full((101, 1), -2.4), np.zeros((101, 1)))
+    compiled = CompiledDynamics(robot, interpret=True)
+    with pytest.raises(SingularPoseError, match="sample 50") as caught:
+        compiled.along(through)
+    assert caught.value.details["sample"] == 50
+    reachable = compiled.along(through, unreachable="mark").reduce().reachable
+    assert not reachable[50]
+    assert reachable[:50].all()
 
 
 def built(folder: Path) -> str:

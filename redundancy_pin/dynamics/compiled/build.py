@@ -352,27 +352,38 @@ def built(
         library = _opened(folder / name, load)
         if library is not None:
             return library, ""
-    with contextlib.ExitStack() as stack:
+    text = f'{write()}\nconst char {_KEY}[] = "{digest}";\n'
+    reason = ""
+    for place in [None] if folder is None else [folder, None]:
         try:
-            work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="redundancy_pin-", dir=folder)))
-        except OSError:  # a full disk, or one that no longer is what it was
-            try:
-                work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="redundancy_pin-")))
-            except OSError as error:
-                return None, f"there is no place to compile in: {error}"
-            folder = None
-        text = f'{write()}\nconst char {_KEY}[] = "{digest}";\n'
-        reason = _compile(compiler, flags, text, work / name)
-        if reason:
-            return None, reason
-        if folder is not None:
-            with contextlib.suppress(OSError):
-                os.replace(work / name, folder / name)
-                library = _opened(folder / name, load)
-                if library is not None:
-                    return library, ""
-        library = _opened(work / name, load)  # stays in memory when its file is gone
-    return library, "" if library is not None else "what the compiler made cannot be loaded"
+            with tempfile.TemporaryDirectory(prefix="redundancy_pin-", dir=place) as work:
+                made = Path(work) / name
+                reason = _compile(compiler, flags, text, made)
+                # opened where it was made: under its final name this process may have another one open, which it would
+                # get again; what is open stays in memory when its file has gone
+                library = None if reason else _opened(made, load)
+                if library is not None and place is not None:
+                    with contextlib.suppress(OSError):
+                        os.replace(made, place / name)
+        except OSError as error:  # a full disk, or one that no longer is what it was
+            reason = f"there is no place to compile in: {error}"
+            continue
+        if library is not None:
+            return library, ""
+        if place is None or not _is_full(place):
+            return None, reason or "what the compiler made cannot be loaded"
+    return None, reason
+
+
+_ROOM = 16 << 20
+"""Bytes that must be free for a compiler's failure not to be put down to a full disk; a library takes one of them."""
+
+
+def _is_full(folder: Path) -> bool:
+    try:
+        return shutil.disk_usage(folder).free < _ROOM
+    except OSError:
+        return False
 
 
 def cache_folder() -> Path | None:
