@@ -35,6 +35,7 @@ from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.lqr import linear_model
 from redundancy_pin.simulation.derivatives import linearise_along
 from redundancy_pin.simulation.state import Manifold
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 EQUAL = 1e-11
 """Relative: two codes for one system of equations, conditioned no worse than 1e3."""
@@ -131,7 +132,7 @@ def test_what_has_no_acceleration_is_left_to_those_who_say_why() -> None:
     run = rp.simulate(robot, start=start, duration=1.0, stop_at=(), dynamics=compiled(robot))
     assert run.status is SimulationStatus.FAILED
     assert "inertia" in run.reason
-    flat = row_of_four_bars(1)
+    flat = row_of_four_bars(2)
     q = np.zeros(flat.model.nq)
     with pytest.raises(SingularPoseError):
         ForwardDynamics(flat).adapt(q)
@@ -246,6 +247,26 @@ def test_plans_are_played_back_by_their_polynomials_and_saturate() -> None:
     require_same(*both(robot, Half(reference), duration=0.1, **options), 1e-5)
 
 
+def test_efforts_that_jump_act_up_to_the_jump_and_from_it_on() -> None:
+    robot = moving.massive("2rpr")
+
+    class Switched:
+        """Constant efforts that jump twice."""
+
+        open_loop = PiecewisePolynomial(
+            np.array([0.0, 0.1, 0.17, 0.3]),
+            np.array([[[0.3, -0.2, 0.2, 0.1], [-0.5, 0.4, -0.6, 0.2], [0.1, 0.6, 0.3, -0.4]]]),
+        )
+        breaks, end = (0.1, 0.17), 0.3
+
+        def effort(self, t: float, state: State) -> tuple[Array, Array]:
+            return tuple(np.split(self.open_loop.at(t), [2]))
+
+    run, own = both(robot, Switched(), start=closed_state(robot, [0.15, 0.2], s=0.05), dt=0.01, stop_at=())
+    require_same(run, own)
+    assert run.statistics.steps == own.statistics.steps  # a jump that is met inside a step costs dozens
+
+
 def test_carriers_that_follow_their_motion_take_the_same_forces() -> None:
     robot = moving.massive("3rrr")
 
@@ -261,13 +282,14 @@ def test_carriers_that_follow_their_motion_take_the_same_forces() -> None:
         np.testing.assert_allclose(run.s, 0.1 * np.sin(5.0 * run.t[:, None] + np.arange(3)), atol=1e-14)
 
 
-def test_a_falling_parallelogram_passes_its_flat_poses_like_the_pendulum_it_is() -> None:
-    robot = row_of_four_bars(1)
+def test_falling_parallelograms_pass_their_flat_poses_like_the_pendulum_they_are() -> None:
+    """Two loops that are flat at once: no determinant changes its sign there."""
+    robot = row_of_four_bars(2)
     run = rp.simulate(
         robot, start=closed_state(robot, [0.5 * np.pi], [-0.3]), duration=3.0, dt=0.05, dynamics=compiled(robot)
     )
     pendulum = solve_ivp(
-        lambda t, y: [y[1], -2.0 * GRAVITY / (2.0 / 3.0 + 1.0) * np.cos(y[0])],
+        lambda t, y: [y[1], -3.5 * GRAVITY / (3.0 / 3.0 + 2.0) * np.cos(y[0])],
         (0.0, 3.0),
         [0.5 * np.pi, -0.3],
         "DOP853",
