@@ -24,6 +24,7 @@ from redundancy_pin import (
 )
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.robot import Load, Robot
 
@@ -401,3 +402,49 @@ def test_a_robot_keeps_its_loads() -> None:
     robot = machine("3rrr").loaded(Payload("platform", 1.0)).loaded(JointForces("base_1", 1.0))
     assert len(robot.loads) == 2
     assert replace(robot, name="other").loads == robot.loads
+
+
+def test_rotors_obey_lagrange_on_a_spatial_tree() -> None:
+    """Gyroscopic moments do no work, and no balance of power sees them: d/dt ∂T/∂v − ∂T/∂q, by differences."""
+    robot = machine("gough")
+    model, data = robot.model, robot.model.createData()
+    loads = [JointForces(name, rotor_inertia=0.02, gear=gear) for name, gear in _GEARS.items()]
+    loaded = robot.loaded(*loads)
+
+    def mass(q: Array) -> Array:
+        """Return M_r of T = ½ vᵀ M_r v = Σ ½ I G² v² + I G v z·ω, ω of the link before the joint."""
+        pin.computeJointJacobians(model, data, q)
+        total = np.zeros((model.nv, model.nv))
+        for load in loads:
+            index = model.getJointId(load.joint)
+            column = model.joints[index].idx_v
+            own, before = (
+                pin.getJointJacobian(model, data, which, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+                for which in (index, model.parents[index])
+            )
+            axis = own[3:, column] if load.joint.startswith(("tilt", "ball")) else own[:3, column]
+            size = load.rotor_inertia * load.gear
+            total[column, column] += size * load.gear
+            coupling = np.zeros_like(total)
+            coupling[column] = size * axis @ (before[3:] if model.parents[index] else 0.0 * own[3:])
+            total += coupling + coupling.T
+        return total
+
+    rng = np.random.default_rng(2)
+    (q,), (v,) = zoo.random_tree(robot, 5, 1)
+    a, h = rng.normal(size=model.nv), 1e-3
+    weights = {1: 8.0 / 12.0, 2: -1.0 / 12.0}
+    by_q = np.array(
+        [
+            sum(s * w * mass(q + s * k * h * unit) / h for k, w in weights.items() for s in (1.0, -1.0))
+            for unit in np.eye(model.nv)
+        ]
+    )
+    expected = mass(q) @ a + np.einsum("kij,k,j->i", by_q, v, v) - 0.5 * np.einsum("kij,i,j->k", by_q, v, v)
+    own = tree_loads(loaded)
+    assert own is not None
+    np.testing.assert_allclose(own.efforts(TreeState(q[None], v[None], a[None]))[:, 0], expected, atol=1e-9)
+    np.testing.assert_allclose(own.rotor_mass(TreeState(q[None], v[None], a[None])), mass(q), atol=1e-13)
+
+
+_GEARS = {"tilt_1": -7.0, "slide_2": 30.0, "ball_1_z": 5.0, "ball_1_y": -9.0}
