@@ -90,7 +90,9 @@ def show(
         motion = default_motion(shown) if motion is None else motion
         require_sampled(motion)
         carriers = CarrierMotion.parked(len(motion), shown.k) if carriers is None else carriers
-        reduced = RneaDynamics(shown).reduce(motion, carriers)
+        # a picture may be one of poses, whose rates nobody has
+        poses = PlatformMotion(motion.t, motion.x, motion.xd, motion.xdd, check_rates=False)
+        reduced = RneaDynamics(shown).reduce(poses, carriers)
         efforts = distribute(reduced)
         margin, tau, force, title = efforts.margin, efforts.tau, reduced.carrier_force, shown.name
     else:
