@@ -10,7 +10,16 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.options import RobotOptions, backend_option, json_option, motion_option, robot_options
+from redundancy_pin.cli.options import (
+    RobotOptions,
+    backend_option,
+    followed_motion,
+    json_option,
+    motion_option,
+    robot_options,
+    split_trajectory,
+    trajectory_option,
+)
 from redundancy_pin.cli.output import console, print_json, progress, require_suffix, row, same_file, table_of
 from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
@@ -19,11 +28,13 @@ from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as along_m
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import OutputError
 from redundancy_pin.io.files import require_writable, write_text
+from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.studies.table import csv_text
-from redundancy_pin.trajectory import carriers_from_csv, from_csv
+from redundancy_pin.trajectory import carriers_from_csv
 
+STEP = 1e-3  # between samples of a trajectory, s
 EXIT_CODES = {EffortStatus.FINITE_EFFORT: 0, EffortStatus.UNBOUNDED_EFFORT: 3, EffortStatus.UNRESOLVED: 4}
 _LISTED = 10  # instants that a warning names
 
@@ -31,7 +42,9 @@ _LISTED = 10  # instants that a warning names
 @click.command("inverse-dynamics")
 @robot_options()
 @backend_option(RNEA)
-@motion_option("Motion to follow.", required=True)
+@motion_option("Motion to follow.")
+@trajectory_option("Trajectory to follow instead, carriers parked")
+@click.option("--dt", type=float, metavar="SECONDS", help=f"Between samples of the trajectory.  [default: {STEP:g}]")
 @click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
 @click.option(
     "--unreachable",
@@ -44,8 +57,10 @@ _LISTED = 10  # instants that a warning names
 def inverse_dynamics(
     robot: RobotOptions,
     backend: str,
-    motion_path: str,
+    motion_path: str | None,
     check_rates: bool,
+    trajectory: str | None,
+    dt: float | None,
     out: str,
     unreachable: OnUnreachable,
     as_json: bool,
@@ -69,17 +84,22 @@ def inverse_dynamics(
     Example:
       redundancy-pin inverse-dynamics --robot 3rrr --set carrier_mass=2.0 \
           --motion motion.csv --out efforts.csv
+      redundancy-pin inverse-dynamics --robot 2rpr --trajectory way.csv:speed=0.1 --out efforts.csv
     """
     # whatever is wrong with the output is reported before the work, and a motion is never written over
-    if same_file(motion_path, out):
-        raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
+    for read in (motion_path, split_trajectory(trajectory)[0] if trajectory else None):
+        if read and same_file(read, out):
+            raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
     require_suffix("--out", out, ".csv")
     require_writable(out)
     with progress("inverse dynamics") as advance, in_words(OPTIONS.knowing({"unreachable": "--unreachable"})):
         advance(0, 4, "reading")
         loaded = robot.load()
-        motion = from_csv(motion_path, check_rates=check_rates)
-        carriers = carriers_from_csv(motion_path, check_rates=check_rates)
+        followed = followed_motion(
+            "Inverse dynamics", trajectory, motion_path, {"dt": dt} if motion_path else {}, check_rates=check_rates
+        )
+        motion = followed if isinstance(followed, PlatformMotion) else followed.sample(STEP if dt is None else dt)
+        carriers = carriers_from_csv(motion_path, check_rates=check_rates) if motion_path else None
         advance(1, 4, "dynamics")
         whole = f"dynamics of {len(motion)} samples"  # the long part: shown sample by sample
         dynamics = (
@@ -102,7 +122,16 @@ def inverse_dynamics(
             err=True,
         )
     if as_json:
-        print_json({"robot": loaded.name, "backend": backend, "motion": motion_path, "out": out, **facts})
+        print_json(
+            {
+                "robot": loaded.name,
+                "backend": backend,
+                "motion": motion_path,
+                "trajectory": trajectory,
+                "out": out,
+                **facts,
+            }
+        )
         return EXIT_CODES[result.status]
     record = robot_record(loaded)
     main, moved = record.effort_unit(*loaded.actuated), record.effort_unit(*loaded.carriers)

@@ -101,3 +101,39 @@ def test_a_map_takes_the_points_and_not_the_file() -> None:
 )
 def test_mistakes_are_one_line(trajectory: str, says: str) -> None:
     assert says in refused("singularities", "--robot", "2rpr", "--trajectory", trajectory)
+
+
+def test_efforts_along_a_trajectory_are_those_of_its_samples() -> None:
+    result = call(
+        "inverse-dynamics", "--robot", "2rpr", "--trajectory", "way.csv:speed=0.2", "--dt", "0.05", "--out", "out.csv",
+        "--json",
+    )  # fmt: skip
+    assert result.exit_code == 3  # it crosses the singular line
+    told = json.loads(result.stdout)
+    assert (told["motion"], told["trajectory"]) == (None, "way.csv:speed=0.2")
+    motion = from_points(WAY, speed=0.2).sample(0.05)
+    rows = np.genfromtxt("out.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    np.testing.assert_array_equal(rows["t"], motion.t)
+    tau = rp.distribute(rp.RneaDynamics("2rpr").reduce(motion)).tau
+    np.testing.assert_allclose(np.stack([rows["tau0"], rows["tau1"]], axis=1), tau, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        ((), "needs either --trajectory or --motion"),
+        (("--trajectory", "timed.csv", "--motion", "timed.csv"), "needs either"),
+        (("--trajectory", "timed.csv", "--dt", "0"), "dt is 0 s"),
+        (("--motion", "timed.csv", "--dt", "0.1"), "--dt does not apply"),
+    ],
+)
+def test_what_inverse_dynamics_cannot_follow(flags: tuple[str, ...], says: str) -> None:
+    assert says in refused("inverse-dynamics", "--robot", "2rpr", *flags, "--out", "out.csv")
+    assert not Path("out.csv").exists()
+
+
+def test_points_are_not_written_over() -> None:
+    before = Path("timed.csv").read_bytes()
+    arguments = ("inverse-dynamics", "--robot", "2rpr", "--trajectory", "timed.csv", "--out", "timed.csv")
+    assert "file of the motion" in refused(*arguments)
+    assert Path("timed.csv").read_bytes() == before
