@@ -92,7 +92,10 @@ def inverse_dynamics(
             raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
     require_suffix("--out", out, ".csv")
     require_writable(out)
-    with progress("inverse dynamics") as advance, in_words(OPTIONS.knowing({"unreachable": "--unreachable"})):
+    with (
+        progress("inverse dynamics") as advance,
+        in_words(OPTIONS.knowing({"unreachable": "--unreachable", "dt": "--dt"})),
+    ):
         advance(0, 4, "reading")
         loaded = robot.load()
         followed = followed_motion(

@@ -2,9 +2,9 @@
 
 With w = ṗ² and u = p̈ the limits are linear at every arc length: ẋ = x' ṗ and ẍ = x' u + x'' w, while w' = 2 u. Going
 backwards from the end, the largest w from which the rest can still be braked is known at every node of a grid; going
-forwards, the largest u that keeps below it is optimal (Pham and Pham 2018, TOPP-RA; the durations are those of toppra 0.6.10 to 1e-6). In each step of the grid u is
-constant and the limits hold at both of its ends. The lower end of the controllable set is zero here, as every limit is
-symmetric: a platform at rest may stay so.
+forwards, the largest u that keeps below it is optimal (Pham and Pham 2018, TOPP-RA; durations agree with those of
+toppra 0.6.10 to 1e-6). In each step of the grid u is constant and the limits hold at both of its ends. The lower end of
+the controllable set is zero here, as every limit is symmetric: a platform at rest may stay so.
 
 That optimum switches between extreme accelerations at once. Planners and motors need a continuous one, so the law is
 averaged over a short window, ``BLEND`` of the duration, by which it gets longer; then it is run as fast as the

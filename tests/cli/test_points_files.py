@@ -123,7 +123,7 @@ def test_efforts_along_a_trajectory_are_those_of_its_samples() -> None:
     [
         ((), "needs either --trajectory or --motion"),
         (("--trajectory", "timed.csv", "--motion", "timed.csv"), "needs either"),
-        (("--trajectory", "timed.csv", "--dt", "0"), "dt is 0 s"),
+        (("--trajectory", "timed.csv", "--dt", "0"), "--dt is 0 s"),
         (("--motion", "timed.csv", "--dt", "0.1"), "--dt does not apply"),
     ],
 )
