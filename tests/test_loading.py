@@ -364,7 +364,7 @@ def test_a_model_of_another_format_is_called_what_it_is(text, what, tmp_path):
     (tmp_path / "model.yaml").write_text(text)
     with pytest.raises(DeclarationError, match=f"model.yaml is {what}.*not a declaration") as caught:
         rp.load_robot(tmp_path / "model.yaml")
-    assert ("Convert it" in str(caught.value)) is (what not in ("a URDF", "an MJCF model of MuJoCo"))
+    assert ("Convert it" in str(caught.value)) is (what not in ("a URDF", "an MJCF model of MuJoCo", "an SDF model"))
 
 
 def test_a_tree_of_another_format_is_called_what_it_is(tmp_path):

@@ -324,8 +324,8 @@ def read_declaration(path: Path) -> YamlFile:
         remedy = "Convert it to URDF, and name that under `urdf` of a robot.yaml."
         if other == FORMATS["robot"]:
             remedy = "Pass the robot.yaml that names it under `urdf`."
-        elif other == FORMATS["mujoco"]:
-            remedy = "Such files are read by their names: call it .xml or .mjcf."
+        elif other in FORMATS.values():
+            remedy = "Such files are read by their names: call it .xml, .mjcf or .sdf."
         raise DeclarationError(f"{path} is {other}, not a declaration.", remedy=remedy, format=other)
     file = parse_yaml(text, str(path), ModelFileError)
     data = file.data

@@ -6,27 +6,29 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.mechanism import Mechanism
 from redundancy_pin.robot.mjcf import read_mjcf
 from redundancy_pin.robot.sdf import read_sdf
 from redundancy_pin.robot.urdf import Argument
+from redundancy_pin.robot.xml_files import FORMATS, format_of, read_model
 
-_SUFFIXES: Mapping[str, Mapping[str, Argument]] = {
-    ".xml": {"base": "free", "keyframe": ""},
-    ".mjcf": {"base": "free", "keyframe": ""},
-    ".sdf": {"base": "fixed", "actuated": ""},
+_SUFFIXES = (".xml", ".mjcf", ".sdf", ".world")
+_ARGUMENTS: Mapping[str, Mapping[str, Argument]] = {
+    FORMATS["mujoco"]: {"base": "free", "keyframe": ""},
+    FORMATS["sdf"]: {"base": "fixed", "actuated": ""},
 }
-"""Such files by their names, and the arguments that they have in place of those of a xacro file."""
+"""Such files by what they are, and the arguments that they have in place of those of a xacro file."""
 
 
 def is_model_file(path: Path) -> bool:
-    """Return whether a file is one of those that need no declaration, by its name."""
-    return path.suffix.lower() in _SUFFIXES
+    """Return whether a file is one of those that need no declaration: by its name, and by its top element."""
+    return path.suffix.lower() in _SUFFIXES and is_file(path) and format_of(read_model(path)) in _ARGUMENTS
 
 
 def defaults_of(path: Path) -> Mapping[str, Argument]:
     """Return the arguments of a model file, and their values when left out."""
-    return _SUFFIXES[path.suffix.lower()]
+    return _ARGUMENTS[format_of(read_model(path))]
 
 
 def read_mechanism(path: Path, arguments: Mapping[str, object]) -> tuple[Mechanism, dict[str, Argument]]:
@@ -49,5 +51,5 @@ def read_mechanism(path: Path, arguments: Mapping[str, object]) -> tuple[Mechani
     values = {name: str(arguments.get(name, default)) for name, default in defaults.items()}
     if values["base"] not in ("free", "fixed"):
         raise InputError(f"The argument 'base' is {shown(values['base'])}.", remedy="It must be free or fixed.")
-    mechanism = read_sdf(path, **values) if path.suffix.lower() == ".sdf" else read_mjcf(path, **values)
+    mechanism = read_sdf(path, **values) if "actuated" in defaults else read_mjcf(path, **values)
     return mechanism, dict(values)

@@ -126,7 +126,7 @@ def read_tree(urdf: str, path: Path) -> Tree:
     if robot.element.tag != "robot":
         known = FORMATS.get(robot.element.tag)
         what = f": it is {known}" if known else ""
-        remedy = "Convert it to URDF, or call it .xml or .mjcf if it is of MuJoCo." if known else ""
+        remedy = "Convert it to URDF, or call it .xml, .mjcf or .sdf." if known else ""
         robot.refuse(f"The top element of {path.name} is <{_short(robot.element.tag)}>, not <robot>{what}", remedy)
     robot.require_known_parts()
     parts = {kind: robot.named(kind) for kind in ("link", "joint")}
