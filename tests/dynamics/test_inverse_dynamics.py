@@ -75,6 +75,14 @@ def test_carriers_that_carry_the_force_leave_the_efforts_finite() -> None:
     assert rp.inverse_dynamics(rp.RneaDynamics(robot), plan.motion, half).status is EffortStatus.UNBOUNDED_EFFORT
 
 
+def test_two_samples_on_either_side_are_enough() -> None:
+    [t, _] = base_line_instants()
+    # as far from it on both sides: no sample is nearer than its neighbour
+    motion = CIRCLE.sample_at([t - 1e-3, t + 1e-3])
+    [one] = rp.inverse_dynamics(rp.RneaDynamics(zoo.robot_of("2rpr")), motion).instants
+    assert one.t == pytest.approx(t, abs=1e-11)
+
+
 def test_a_motion_that_stays_away_is_said_to() -> None:
     robot = zoo.robot_of("3rrr")
     for dt in (0.05, 2e-3):
