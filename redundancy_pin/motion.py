@@ -144,10 +144,10 @@ class CarrierMotion(Frozen):
                     f"The numbers of samples and of carriers are whole and not negative; one is {count!r}.",
                     remedy="Pass len(motion) of a sampled motion, and robot.k.",
                 )
-        place = checked(np.atleast_1d(at) if _dimensions(at) == 0 else at, "at", ("k",))
+        place = checked(np.atleast_1d(at) if _dimensions(at) == 0 else at, "The place of parked carriers", ("k",))
         if len(place) not in (1, carriers):
             raise InputError(
-                f"at has {len(place)} values for {carriers} carriers.",
+                f"{len(place)} places are given to park {carriers} carrier{'s' * (carriers != 1)}.",
                 remedy="Pass one number, or one for each carrier.",
             )
         zero = np.zeros((samples, carriers))

@@ -110,7 +110,7 @@ def _numbers(name: str) -> Any:
 @click.option("--encoders", is_flag=True, help="It sees the joints through encoders of 16 bits a turn and 1 µm.")
 @click.option("--noise", type=float, default=0.0, show_default=True, metavar="N",
               help="Standard deviation of every actuator's effort, one value a period, N or N·m.")  # fmt: skip
-@click.option("--seed", default=0, show_default=True, metavar="N", help="Of the noise.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Of the noise.")
 @settings_option("--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s; repeatable.")
 @click.option("--max-effort", metavar="E[,E...]", callback=_numbers("--max-effort"),
               help="Where the amplifiers of the main actuators saturate, N or N·m.")  # fmt: skip
@@ -255,7 +255,7 @@ def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, 
         controller,
         start=start,
         duration=reference.end - reference.start if given["duration"] is None else given["duration"],
-        dt=given["dt"] or (DT if sampling is None else sampling.period),
+        dt=(DT if sampling is None else sampling.period) if given["dt"] is None else given["dt"],
         carriers=given["carriers"],
         sampling=sampling,
         external=joint_friction(machine, **friction) if friction else None,

@@ -212,7 +212,7 @@ def motion_reference(
     if isinstance(carriers, CarrierMotion):
         position = _between_samples(motion, carriers, robot.k)
     else:
-        place = np.broadcast_to(np.asarray(carriers, dtype=float), (robot.k,))
+        place = CarrierMotion.parked(1, robot.k, carriers).s[0]
         position = PiecewisePolynomial.constant(place, source.start, source.end)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]

@@ -91,7 +91,7 @@ def _place(joint: Any, name: str, value: Any) -> None:
     if origin is None:
         origin = ElementTree.SubElement(joint, "origin")
     place = np.array([float(part) for part in origin.get("xyz", "0 0 0").split()])
-    if np.ndim(value) == 1:
+    if np.ndim(np.asarray(value, dtype=object)) == 1:
         place = np.array(checked(value, f"The place of {name}", (3,)))
     else:
         length = _number(value, f"The length to {name}", lambda d: 0.0 <= d < math.inf, "a length in m, or (x, y, z)")
@@ -122,19 +122,21 @@ def limited(robot: Robot, limits: Mapping[str, Mapping[str, float]], each: Mappi
     for key, values in each.items():
         if values is None:
             continue
-        if np.shape(values) not in ((), (robot.k,)):
+        given = np.asarray(values, dtype=object)  # rows of different lengths are objects, and no numbers: said below
+        if given.shape not in ((), (robot.k,)):
             raise InputError(
-                f"{key} has shape {np.shape(values)}; {robot.name} has {robot.k} carrier(s).",
+                f"{key} has shape {given.shape}; {robot.name} has {robot.k} carrier(s).",
                 remedy="Pass one number, or one for each carrier.",
                 name=key,
             )
-        for entry, value in zip(own, np.broadcast_to(np.asarray(values, dtype=object), (robot.k,)), strict=True):
+        for entry, value in zip(own, np.broadcast_to(given, (robot.k,)), strict=True):
             entry[key] = value
     model = robot.model.copy()
     joints = {str(name): number for number, name in enumerate(model.names) if number}
     for name, entries in _items(limits, "limits"):
         number = _named(name, joints, "moving joint")
         known = _CARRIER_LIMITS if name in robot.carriers else _JOINT_LIMITS
+        ends: dict[str, float] = {}
         for key, value in _items(entries, f"The limits of {name}"):
             if key not in known:
                 raise InputError(
@@ -145,7 +147,13 @@ def limited(robot: Robot, limits: Mapping[str, Mapping[str, float]], each: Mappi
             if name in robot.carriers:
                 own[robot.carriers.index(name)][key] = value
             else:
-                _limit(model, number, name, key, value)
+                _require_limit(model, number, name, key)
+                if key in ("lower", "upper"):
+                    ends[key] = _number(value, f"{key} of {name}", lambda place: not math.isnan(place), "a number")
+                else:
+                    _bound(model, number, name, key, value)
+        if ends:
+            _range(model, number, name, ends)
     tracks = tuple(_checked(name, entry) for name, entry in zip(robot.carriers, own, strict=True))
     for name, track in zip(robot.carriers, tracks, strict=True):  # what else reads the model sees the same
         joint = model.joints[joints[name]]
@@ -170,7 +178,7 @@ def _checked(name: str, entry: Mapping[str, Any]) -> CarrierLimits:
     return limits
 
 
-def _limit(model: Any, number: int, name: str, key: str, value: Any) -> None:
+def _require_limit(model: Any, number: int, name: str, key: str) -> None:
     joint = model.joints[number]
     if joint.nv != 1 or (joint.nq != 1 and key in ("lower", "upper")):
         raise InputError(
@@ -178,16 +186,23 @@ def _limit(model: Any, number: int, name: str, key: str, value: Any) -> None:
             remedy="Leave it out.",
             name=key,
         )
-    if key in ("lower", "upper"):
-        limit = _number(value, f"{key} of {name}", lambda place: not math.isnan(place), "a number")
-        (model.lowerPositionLimit if key == "lower" else model.upperPositionLimit)[joint.idx_q] = limit
-        low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
-        if not low < high:
-            raise InputError(
-                f"The joint {name!r} runs from {low:g} to {high:g}.", remedy="Pass lower < upper.", name=name
-            )
-        return
+
+
+def _range(model: Any, number: int, name: str, ends: Mapping[str, float]) -> None:
+    """Set where a joint ends, by "lower", "upper" or both: together, so that it does not matter which comes first."""
+    at = model.joints[number].idx_q
+    low, high = model.lowerPositionLimit[at], model.upperPositionLimit[at]
+    if not low < high:  # a URDF says so where it knows no limits: one that is set does not put the other in force
+        low, high = -math.inf, math.inf
+    low, high = ends.get("lower", low), ends.get("upper", high)
+    if not low < high:
+        raise InputError(f"The joint {name!r} runs from {low:g} to {high:g}.", remedy="Pass lower < upper.", name=name)
+    model.lowerPositionLimit[at], model.upperPositionLimit[at] = low, high
+
+
+def _bound(model: Any, number: int, name: str, key: str, value: Any) -> None:
+    """Set the largest speed or effort of a joint, both ways."""
     limit = _number(value, f"{key} of {name}", lambda most: most > 0.0, "a positive number, or infinity for none")
     for bound, sign in (("upper", 1.0), ("lower", -1.0)):
         vector = getattr(model, f"{bound}{'Velocity' if key == 'speed' else 'Effort'}Limit")
-        vector[joint.idx_v] = sign * limit
+        vector[model.joints[number].idx_v] = sign * limit

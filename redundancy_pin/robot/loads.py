@@ -36,7 +36,7 @@ def _vector(values: ArrayLike, name: str) -> Array:
 
 
 def _number(value: float, name: str, *, least: float = -np.inf) -> float:
-    number = float(checked(np.array(value), name, ()))
+    number = float(checked(value, name, ()))
     if number < least:
         raise InputError(f"{name} is {number:g}.", remedy=f"It is at least {least:g}.", name=name)
     return number
@@ -135,8 +135,9 @@ class Payload(Frozen):
     inertia: Array
 
     def __init__(self, frame: str, mass: float, centre: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = 0.0) -> None:
-        given = np.asarray(inertia, dtype=float)
-        matrix = checked(given * np.eye(3) if given.ndim == 0 else given, "inertia", (3, 3))
+        ball = np.ndim(np.asarray(inertia, dtype=object)) == 0
+        given = checked(inertia, "inertia", () if ball else (3, 3))
+        matrix = checked(given * np.eye(3), "inertia", (3, 3)) if ball else given
         moments = np.linalg.eigvalsh(matrix)
         allowed = 1e-9 * float(np.abs(moments).max())
         if (
@@ -207,7 +208,8 @@ class JointForces:
 
     def resistance_rate(self, v: Array) -> Array:
         """Return (N,) the derivative of ``resistance`` by speed, N·s/m or N·m·s."""
-        result: Array = self.damping + self.friction / self.friction_speed / np.cosh(v / self.friction_speed) ** 2
+        slow = np.tanh(v / self.friction_speed)  # 1 / cosh² of it would overflow at 710 friction speeds
+        result: Array = self.damping + self.friction / self.friction_speed * (1.0 - slow**2)
         return result
 
 

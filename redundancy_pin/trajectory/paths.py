@@ -231,7 +231,9 @@ class ConstantAppended(Frozen):
     values: Array
 
     def __init__(self, path: Path, values: ArrayLike) -> None:
-        assign(self, path=path, values=checked(np.atleast_1d(np.asarray(values, dtype=float)), "values", ("c",)))
+        one = np.ndim(np.asarray(values, dtype=object)) == 0
+        constants = checked(values, "The constant coordinate", () if one else ("c",))
+        assign(self, path=path, values=np.atleast_1d(constants))
 
     @property
     def length(self) -> float:

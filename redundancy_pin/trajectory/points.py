@@ -63,7 +63,8 @@ def from_points(
     Args:
         points: (N, n) coordinates, m and rad; poses as (N, 4, 4), or (N, 7) position and unit quaternion x, y, z, w;
             or a file: CSV with a row of names such as ``t,x,y`` (``t`` and ``speed`` may be left out; poses are
-            ``x,y,z,qx,qy,qz,qw``), or JSON, ``{"points": [...], "t": [...]}`` or a list of points.
+            ``x,y,z,qx,qy,qz,qw``; x, y and z come first, whatever their order), or JSON, ``{"points": [...], "t":
+            [...]}`` or a list of points.
         times: (N,) increasing times, s, counted from the first; or "time-optimal". Those of a file when left out.
         speed: cruising speed, m/s; or (N,) the speed at each point, zero where it stops.
         ramp_time: duration of each ramp to the cruising speed, s; when left out ramps are a tenth of the path long.
@@ -189,8 +190,21 @@ def read_points(path: str | os.PathLike[str]) -> tuple[Array, Array | None, Arra
         )
     if not columns:
         raise InputError(f"{place} has no coordinates.", remedy="Name its columns t, x, y, ....", path=str(place))
-    names = _POSE if set(_POSE) == set(columns) else tuple(columns)
+    names = _POSE if set(_POSE) == set(columns) else _in_order(columns, place)
     return np.stack([columns[name] for name in names], axis=1), times, speed
+
+
+def _in_order(columns: Mapping[str, Array], path: File) -> list[str]:
+    """Return the names of coordinates, x, y and z first, in whatever order the file has them."""
+    angles = [name for name in columns if name.lower() in ("roll", "pitch", "yaw")]
+    if angles and (len(angles) > 1 or angles[0].lower() != "yaw" or "z" in columns):  # x, y and yaw are a plane's
+        raise InputError(
+            f"{path} has the column {angles[0]!r}: by itself it does not say about which axes, nor in which order.",
+            remedy="Turn it into a unit quaternion, columns x, y, z, qx, qy, qz, qw (scipy: "
+            'Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_quat()).',
+            path=str(path),
+        )
+    return sorted(columns, key=lambda name: _POSE.index(name) if name in _POSE[:3] else len(_POSE))
 
 
 def _read_json(path: File) -> Mapping[str, Array] | tuple[Array, Array | None, Array | None]:

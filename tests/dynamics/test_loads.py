@@ -448,3 +448,19 @@ def test_rotors_obey_lagrange_on_a_spatial_tree() -> None:
 
 
 _GEARS = {"tilt_1": -7.0, "slide_2": 30.0, "ball_1_z": 5.0, "ball_1_y": -9.0}
+
+
+def test_friction_of_fast_joints_does_not_overflow() -> None:
+    """Its derivative against central differences; at a thousand friction speeds it is the damping."""
+    load, step = JointForces("crank", damping=0.3, friction=2.0, friction_speed=0.01), 1e-6
+    v = np.array([-0.02, 0.0, 0.004, 0.03])
+    expected = (load.resistance(0.0 * v, v + step) - load.resistance(0.0 * v, v - step)) / (2.0 * step)
+    np.testing.assert_allclose(load.resistance_rate(v), expected, rtol=1e-6)
+    with np.errstate(all="raise"):
+        np.testing.assert_array_equal(load.resistance_rate(np.array([-10.0, 10.0])), 0.3)
+
+
+@pytest.mark.parametrize("inertia", ["ball", [[1.0], [2.0, 3.0]], [1.0, 2.0]])
+def test_an_inertia_is_a_number_or_a_matrix(inertia: object) -> None:
+    with pytest.raises(InputError, match=r"^inertia "):
+        Payload("platform", 1.0, inertia=inertia)

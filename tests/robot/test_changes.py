@@ -156,6 +156,8 @@ MISTAKES: dict[str, tuple[Callable[[Robot], Any], str]] = {
     "unknown limit": (lambda r: r.with_limits({"carrier_1": {"effort": 1.0}}), "no limit 'effort'"),
     "backwards": (lambda r: r.with_limits({"elbow_1": {"lower": 9.0, "upper": -9.0}}), "runs from"),
     "effort": (lambda r: r.with_limits({"elbow_1": {"effort": -1.0}}), "effort of elbow_1 is -1.0"),
+    "ragged speeds": (lambda r: r.with_limits(speed=[[1], [2, 3]]), r"speed of carrier_1 is \[1\]"),
+    "ragged place": (lambda r: r.with_parameters(lengths={"elbow_1": [1, [2]]}), "place of elbow_1 is not an array"),
 }
 
 
@@ -164,3 +166,18 @@ def test_mistakes_are_named(name: str, robot: Robot) -> None:
     change, says = MISTAKES[name]
     with pytest.raises(InputError, match=says):
         change(robot)
+
+
+def test_both_ends_of_a_joint_are_set_before_they_are_compared() -> None:
+    once = rp.load_robot("four_bar").with_limits({"rocker": {"lower": -1.0, "upper": 1.0}})
+    at = once.model.joints[once.model.getJointId("rocker")].idx_q
+    for ends in ({"lower": 2.0, "upper": 3.0}, {"upper": -2.0, "lower": -3.0}):
+        model = once.with_limits({"rocker": ends}).model
+        assert (model.lowerPositionLimit[at], model.upperPositionLimit[at]) == (ends["lower"], ends["upper"])
+    with pytest.raises(InputError, match="runs from 2 to 1"):
+        once.with_limits({"rocker": {"lower": 2.0}})
+    # limits of 0 and 0 are none: a URDF without lower and upper has them
+    once.model.lowerPositionLimit[at] = once.model.upperPositionLimit[at] = 0.0
+    for name, expected in (("lower", (0.5, np.inf)), ("upper", (-np.inf, 0.5))):
+        model = once.with_limits({"rocker": {name: 0.5}}).model
+        assert (model.lowerPositionLimit[at], model.upperPositionLimit[at]) == expected

@@ -250,6 +250,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "three speeds": ({"speed": [0.1] * 3}, "3 values for 5 points"),
     "negative speed": ({"speed": [0.0, 0.1, -0.1, 0.1, 0.0]}, r"speed\[2\] is -0.1"),
     "two stops": ({"speed": [0.0, 0.1, 0.0, 0.0, 0.1]}, r"speed\[2\] and speed\[3\] are zero"),
+    "text": ({"times": TIMES, "alpha": "x"}, "constant coordinate is not an array of numbers"),
     "closed times": ({"times": TIMES, "closed": True}, "closed is for coordinates"),
 }
 
@@ -300,3 +301,18 @@ def test_times_of_a_file_are_not_overridden_in_silence(tmp_path: Path) -> None:
     file = write(tmp_path / "way.csv", "t,x,y", np.column_stack([TIMES, POINTS]))
     with pytest.raises(InputError, match="times of its own, and speed"):
         from_points(file, speed=0.1)
+
+
+@pytest.mark.parametrize(("names", "order"), [("t,y,x", [1, 0]), ("t,z,x,y", [1, 2, 0]), ("t,yaw,x,y", [1, 2, 0])])
+def test_coordinates_of_a_file_are_taken_by_name(names: str, order: list[int], tmp_path: Path) -> None:
+    rows = np.random.default_rng(3).uniform(size=(len(TIMES), len(order)))
+    file = write(tmp_path / "way.csv", names, np.column_stack([TIMES, rows]))
+    found = from_points(file).evaluate(TIMES - TIMES[0]).x
+    np.testing.assert_allclose(found, rows[:, order], atol=1e-12)
+
+
+@pytest.mark.parametrize("names", ["t,x,y,z,roll,pitch,yaw", "x,y,z,yaw", "x,Roll"])
+def test_angles_of_a_pose_are_refused_with_what_to_do(names: str, tmp_path: Path) -> None:
+    file = write(tmp_path / "way.csv", names, np.random.default_rng(3).uniform(size=(5, names.count(",") + 1)))
+    with pytest.raises(InputError, match=r"qx, qy, qz, qw \(scipy"):
+        from_points(file, None if names[0] == "t" else TIMES)
