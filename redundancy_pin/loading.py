@@ -33,7 +33,7 @@ from redundancy_pin.robot.build import build, characteristic_length, put_togethe
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
 from redundancy_pin.robot.from_model import declared
-from redundancy_pin.robot.loads import JointForces
+from redundancy_pin.robot.loads import JointForces, Load
 from redundancy_pin.robot.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
 from redundancy_pin.robot.urdf import Argument, declaration_path, known_values, render, source_of
@@ -125,7 +125,8 @@ def robot_with(
         loads = robot.loads
         robot = load_with(
             robot.source, {**robot.parameters, **arguments}, gravity=robot.gravity.tolist(), working_mode=mode
-        ).loaded(*loads)
+        )
+        robot = _with_added(robot, loads)
     if not (masses or lengths):
         return robot
     file = read_declaration(path)
@@ -147,7 +148,13 @@ def robot_with(
         closed = _closed(
             new, declaration, lambda: reference_coordinates(new, declaration.coordinates(robot.parameters))
         )
-        return closed.loaded(*robot.loads)
+        return _with_added(closed, robot.loads)
+
+
+def _with_added(robot: Robot, loads: tuple[Load, ...]) -> Robot:
+    """Return a robot that was read anew with the loads it got since: those of its files come first, and it has them."""
+    added = loads[len(robot.loads) :]
+    return robot.loaded(*added) if added else robot
 
 
 _CHANGED = "changed since it was loaded:"

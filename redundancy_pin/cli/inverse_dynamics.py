@@ -77,8 +77,8 @@ def inverse_dynamics(
     exists tau is nan and the status says why.
 
     What the samples do not show is said as well: singularities between them, and joints that leave their limits. The
-    exit code is 3 where the motion meets a singularity at which no finite effort exists, 4 where it cannot be followed
-    between its samples.
+    exit code is 3 where no finite effort exists, at a sample or between two, 4 where the motion cannot
+    be followed between its samples.
 
     \b
     Example:

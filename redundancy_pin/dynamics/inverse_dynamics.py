@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, Frozen, IntArray, runs
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, runs
 from redundancy_pin.dynamics.base import Dynamics, OnUnreachable, ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import RedundancyPinError
@@ -17,6 +18,7 @@ from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.loads import Load, Wrench
 from redundancy_pin.singularities.classify import SingularityKind, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -41,7 +43,7 @@ class EffortStatus(Enum):
     FINITE_EFFORT = "finite_effort"
     """Every reachable sample has finite efforts, and so has every instant between the samples."""
     UNBOUNDED_EFFORT = "unbounded_effort"
-    """The motion meets a singularity at which no finite efforts exist: see ``instants``."""
+    """No finite efforts exist at a sample, or at a singularity between two: see ``efforts.status``, ``instants``."""
     UNRESOLVED = "unresolved"
     """The motion cannot be followed between its samples, so that nobody knows: see ``unresolved``."""
 
@@ -93,7 +95,8 @@ class InverseDynamics(Frozen):
     @property
     def status(self) -> EffortStatus:
         """What may be said of the whole motion."""
-        if any(instant.unbounded for instant in self.instants):
+        without = self.reduced.reachable & ~np.isfinite(self.efforts.tau).all(axis=1)
+        if without.any() or any(instant.unbounded for instant in self.instants):
             return EffortStatus.UNBOUNDED_EFFORT
         return EffortStatus.UNRESOLVED if self.unresolved else EffortStatus.FINITE_EFFORT
 
@@ -115,6 +118,7 @@ def inverse_dynamics(
     carriers: CarrierMotion | None = None,
     *,
     unreachable: OnUnreachable = "raise",
+    external: Sequence[Load] = (),
 ) -> InverseDynamics:
     """Return the efforts along a motion, what lies between its samples, and the limits of joints that it leaves.
 
@@ -127,11 +131,13 @@ def inverse_dynamics(
         motion: N samples of the platform coordinates.
         carriers: N samples of the carriers; parked at s = 0 when left out.
         unreachable: as in ``Dynamics.along``.
+        external: further loads, as in ``Dynamics.reduce``; sampled wrenches are linear between their samples.
 
     Raises:
         CarrierLimitError, InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in
             ``Dynamics.reduce``.
     """
+    dynamics = dynamics.with_external(*external) if external else dynamics
     robot = dynamics.robot
     reduced = dynamics.reduce(motion, carriers, unreachable=unreachable)
     tree = lift(robot, motion, mark_unreachable=unreachable == "mark")
@@ -165,7 +171,8 @@ def _may_meet(robot: Robot, motion: PlatformMotion, margin: Array, nearest: floa
     size = np.abs(margin)
     beside = np.pad(size, 1, mode="edge")
     fall = np.maximum(np.maximum(beside[:-2], beside[2:]) - size, 0.0)
-    return bool((margin[1:] * margin[:-1] <= 0.0).any() or (size - 2.0 * fall <= 0.0).any())
+    stays = size <= RANK_TOLERANCE  # along a singularity the margin is rounding, of either sign
+    return bool((margin[1:] * margin[:-1] <= 0.0).any() or (size - 2.0 * fall <= 0.0).any() or stays.any())
 
 
 def _instants(
@@ -192,6 +199,9 @@ def _instants(
         pairs = (carriers.s, s), (carriers.sd, sd), (carriers.sdd, sdd)
         moved = CarrierMotion(*(merged(*pair) for pair in pairs), check_rates=False)
     among = PlatformMotion(time, x, merged(motion.xd, xd), merged(motion.xdd, xdd), check_rates=False)
+    loads = tuple(_between(load, motion.t, time) for load in dynamics.robot.loads)
+    if any(new is not old for new, old in zip(loads, dynamics.robot.loads, strict=True)):
+        dynamics = type(dynamics)(replace(dynamics.robot, loads=loads))  # type: ignore[call-arg]
     reduced = dynamics.reduce(among, moved, unreachable=unreachable, check_track=False)
     solved = distribute(reduced, consistency_tolerance=_CONSISTENT, rank_tolerance=_AT_INSTANT)
     found = []
@@ -201,6 +211,14 @@ def _instants(
         status, residual = SampleStatus(solved.status[k]), float(solved.residual[k])
         found.append(SingularInstant(one.t, one.until, one.kind, one.crosses, status, residual))
     return tuple(found)
+
+
+def _between(load: Load, t: Array, at: Array) -> Load:
+    """Return a wrench that is given at times, at others: linear in between. Other loads are as they are."""
+    if not (isinstance(load, Wrench) and isinstance(load.value, np.ndarray) and load.value.ndim == 2):
+        return load
+    value = np.stack([np.interp(at, t, column) for column in load.value.T], axis=1)
+    return Wrench(load.frame, value, load.reference, load.point)
 
 
 def _edges(t: Array) -> tuple[IntArray, Array]:

@@ -229,3 +229,39 @@ def test_a_plan_whose_motion_leaves_a_limit_says_so(tmp_path: Path) -> None:
     assert found
     for name in found:
         assert f"warning: joint '{name}' leaves its upper limit 1.4 rad at t = " in result.stderr
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_samples_without_efforts_are_a_motion_without(name: str) -> None:
+    """On the singularity itself, at one sample; and all along it, where the margin is rounding of one sign."""
+    dynamics = BACKENDS[name](zoo.robot_of("2rpr"))
+    instant = CIRCLE.sample_at([base_line_instants()[0]])
+    found = rp.inverse_dynamics(dynamics, instant)
+    assert found.efforts.status_labels == ("singular_inconsistent",) or np.isnan(found.efforts.tau).all()
+    assert found.status is EffortStatus.UNBOUNDED_EFFORT
+
+    line = Line((0.15, 0.0), (0.25, 0.0))
+    along = Trajectory(line, RestToRest(line.length, 1.0)).sample(0.01)
+    push = rp.Wrench("end_effector", lambda t, x, xd: np.outer(5.0 * t, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
+    stays = rp.inverse_dynamics(dynamics, along, external=[push])
+    assert [(one.t, one.until) for one in stays.instants] == [(along.t[0], along.t[-1])]
+    assert stays.status is EffortStatus.UNBOUNDED_EFFORT
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_wrenches_given_at_samples_are_known_between_them(name: str) -> None:
+    motion = CIRCLE.sample(0.01)
+    values = np.zeros((len(motion), 6))
+    values[:, 1] = 2.0 * motion.t  # linear in time: between samples what they say is exact
+    dynamics = BACKENDS[name](zoo.robot_of("2rpr"))
+    sampled = rp.inverse_dynamics(dynamics, motion, external=[rp.Wrench("end_effector", values)])
+    law = rp.Wrench("end_effector", lambda t, x, xd: np.outer(2.0 * t, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
+    exact = rp.inverse_dynamics(dynamics, motion, external=[law])
+    residuals = [[one.residual for one in found.instants] for found in (sampled, exact)]
+    np.testing.assert_allclose(*residuals, rtol=1e-9)
+    assert (
+        np.abs(
+            np.subtract(residuals[1], [one.residual for one in rp.inverse_dynamics(dynamics, motion).instants])
+        ).min()
+        > 0.1
+    )

@@ -181,3 +181,24 @@ def test_both_ends_of_a_joint_are_set_before_they_are_compared() -> None:
     for name, expected in (("lower", (0.5, np.inf)), ("upper", (-np.inf, 0.5))):
         model = once.with_limits({"rocker": {name: 0.5}}).model
         assert (model.lowerPositionLimit[at], model.upperPositionLimit[at]) == expected
+
+
+def test_loads_of_the_files_are_there_once(tmp_path: Path) -> None:
+    """Those declared, and those added since; a payload twice would be twice its mass."""
+    import shutil
+
+    from redundancy_pin.robot.urdf import declaration_path
+
+    folder = tmp_path / "bar"
+    shutil.copytree(declaration_path("four_bar").parent, folder)
+    with (folder / "robot.yaml").open("a") as file:
+        file.write("joint_forces: [{joint: crank, damping: 0.5}]\npayloads: [{frame: rocker_link, mass: 1.0}]\n")
+    loaded = rp.load_robot(folder).loaded(rp.JointForces("rocker", damping=0.1))
+    masses = [body.mass for body in loaded.model.inertias]
+    mass = loaded.parameters["crank_mass"]
+    for changed in (
+        loaded.with_parameters(crank_mass=mass),
+        loaded.with_parameters(masses={"crank_link": float(mass)}),
+    ):
+        assert repr(changed.loads) == repr(loaded.loads)
+        np.testing.assert_allclose([body.mass for body in changed.model.inertias], masses, rtol=1e-12)
