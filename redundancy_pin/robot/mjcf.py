@@ -84,7 +84,24 @@ _OF_COMPILER = (
     *("strippath", "discardvisual", "usethread", "fusestatic", "coordinate", "convexhull", "exactmeshinertia"),
     *("balanceinertia", "boundmass", "boundinertia", "settotalmass", "alignfree", "saveinertial", "fitaabb"),
 )
-_FORCES = ("damping", "frictionloss", "stiffness", "springdamper")
+_FORCES = {
+    "damping": {"damper"},
+    "frictionloss": {"frictionloss"},
+    "stiffness": {"spring"},
+    "springdamper": {"spring", "damper"},
+}
+"""Attributes of joints, and the flags that disable what they give."""
+
+_FLAGS = (
+    *("constraint", "equality", "frictionloss", "limit", "contact", "spring", "damper", "gravity", "clampctrl"),
+    *("warmstart", "filterparent", "actuation", "refsafe", "sensor", "midphase", "eulerdamp", "autoreset"),
+    *("nativeccd", "island", "multiccd", "override", "energy", "fwdinv", "invdiscrete", "sleep", "diagexact"),
+    *("ipc", "speculative"),
+)
+"""Those of MuJoCo. Most say how it computes; ranges and drives stay those of the machine, whatever it simulates."""
+
+_SMALLEST = 1e-15
+"""MuJoCo's mjMINVAL: a quaternion that is shorter is no turn."""
 
 
 def read_mjcf(path: Path, *, keyframe: str = "", base: str = "free") -> Mechanism:
@@ -114,6 +131,7 @@ class _Reader:
                 files.refuse(element, f"<{element.tag}> is not covered", did_you_mean(element.tag, _SECTIONS))
         self.settings = self._settings()
         self._defaults = Defaults(files)
+        self._disabled = self._flags()
         self.gravity = self._gravity()
         self.links: dict[str, LinkEntry] = {"world": LinkEntry("world", 0.0, np.zeros(3), np.zeros((3, 3)))}
         self.joints: list[JointEntry] = []
@@ -143,10 +161,11 @@ class _Reader:
         for section in self._sections(tag):
             for element in section:
                 if isinstance(element, Element):
-                    yield self._part(element, "")
+                    yield self._part(element, "", tag)
 
-    def _part(self, element: Element, inherited: str) -> Part:
-        return Part(self.files, element, self.settings, self._defaults.of(self.files, element, inherited))
+    def _part(self, element: Element, inherited: str, section: str = "") -> Part:
+        defaults = self._defaults.of(self.files, element, inherited, section)
+        return Part(self.files, element, self.settings, defaults)
 
     def _settings(self) -> Settings:
         given: dict[str, str] = {}
@@ -189,14 +208,27 @@ class _Reader:
             if part.has("gravity"):
                 gravity = part.numbers("gravity", 3)
             self._fluid |= any(part.number(key, 0.0) != 0.0 for key in ("density", "viscosity"))
+        return np.zeros(3) if "gravity" in self._disabled else gravity
+
+    def _flags(self) -> set[str]:
+        """Return the flags that are disabled; of several that say one, the last counts."""
+        said: dict[str, Part] = {}
         for section in self._sections("option"):
-            for flag in section:
-                if flag.get("gravity") == "disable":
-                    gravity = np.zeros(3)
-                for key in ("constraint", "equality"):
-                    if flag.get(key) == "disable" and isinstance(flag, Element):
-                        self.files.refuse(flag, f"the flag {key}=disable is not covered: loops would be open")
-        return gravity
+            for child in section:
+                if not isinstance(child, Element):
+                    continue
+                part = Part(self.files, child, self.settings)
+                if part.tag != "flag":
+                    part.refuse(f"<{part.tag}> is not covered", did_you_mean(part.tag, ["flag"]))
+                for key in child.attrib:
+                    if key not in _FLAGS:
+                        part.refuse(f"there is no flag {shown(key)}", did_you_mean(key, _FLAGS).strip())
+                    part.choice(key, ("enable", "disable"), "enable")
+                    said[key] = part
+        disabled = {key for key, part in said.items() if part.text(key) == "disable"}
+        for key in sorted(disabled & {"constraint", "equality"}):
+            said[key].refuse(f"the flag {key}=disable is not covered: loops would be open")
+        return disabled
 
     # --- bodies -------------------------------------------------------------------------------------------------------
 
@@ -398,6 +430,13 @@ class _Reader:
     def _read_forces(self, part: Part, name: str, kind: str) -> None:
         """Take friction and spring of a hinge or slide over; of other joints, and other laws, note them."""
         given = {key: part.numbers(key, 1, 9) for key in _FORCES if part.tag != "freejoint" and part.has(key)}
+        law = part.numbers("springdamper", 2) if "springdamper" in given else np.zeros(2)
+        if law.any():
+            if not (law > 0.0).all():
+                part.refuse(f"{part} has springdamper={shown(part.text('springdamper'))}", "Both must be positive.")
+            # it replaces both, by values that follow from the inertia of the whole model: neither is in force here
+            given = {key: value for key, value in given.items() if key not in ("stiffness", "damping")}
+        given = {key: value for key, value in given.items() if not _FORCES[key] <= self._disabled}
         plain = {}
         for key, numbers in given.items():
             if kind in ("hinge", "slide") and key != "springdamper" and not numbers[1:].any() and numbers[0] >= 0.0:
@@ -572,9 +611,9 @@ class _Reader:
             if size == 1:
                 start[made[0]] = float(part[0])
             elif size == 4:
-                start[made[0]] = np.append(part[1:], part[0]) / np.linalg.norm(part)
+                start[made[0]] = np.roll(_unit(part), -1)
             else:
-                yaw, pitch, roll = angles(from_quaternion(part[3:] / np.linalg.norm(part[3:])))
+                yaw, pitch, roll = angles(from_quaternion(_unit(part[3:])))
                 start.update(zip(made, (*part[:3].tolist(), roll, pitch, yaw), strict=True))
         return start
 
@@ -603,11 +642,19 @@ class _Reader:
             self.notes.append(f"{NOT_IN_FORCE} {said}.")
         if self._colliding:
             self.notes.append("Contacts between geoms are not modelled.")
+        if left_out := sorted(self._disabled & set().union(*_FORCES.values())):
+            self.notes.append(f"Disabled by flags of the model: {', '.join(left_out)}.")
         if self.loads:
             names = ", ".join(load.joint for load in self.loads)
             self.notes.append(f"In force: damping, friction and springs of {names}.")
         if self.armature:
             self.notes.append(f"In force: armature of {', '.join(self.armature)}.")
+
+
+def _unit(wxyz: Array) -> Array:
+    """Return a quaternion (4,) of length one; as MuJoCo does, that of no turn where all its numbers are zero."""
+    length = float(np.linalg.norm(wxyz))
+    return np.array([1.0, 0.0, 0.0, 0.0]) if length < _SMALLEST else wxyz / length
 
 
 def _inertial(part: Part, within: Array) -> LinkEntry:

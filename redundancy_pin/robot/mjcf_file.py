@@ -39,6 +39,13 @@ ACTUATORS = (
 )
 """Elements of one and the same default."""
 
+_WITH_DEFAULTS = (
+    *("mesh", "texture", "material", "joint", "geom", "site", "camera", "light", "pair", "equality", "tendon"),
+    *("orientation", "pid", *ACTUATORS),
+)
+_OF_SECTIONS = ("actuator", "equality", "tendon")
+"""Sections whose elements have one default, whatever their own tags."""
+
 
 class Included:
     """The elements of a file and of those it includes, and the file of each.
@@ -194,11 +201,14 @@ class Part:
         return text
 
     def limited(self, key: str, of: str) -> bool:
-        """Whether a range is in force: ``limited`` says so, or the range is given and counts by itself."""
+        """Whether a range is in force: ``limited`` says so, or the range counts by itself, not being empty."""
         said = self.choice(key, ("true", "false", "auto"), "auto")
-        if said == "auto" and self.has(of) and not self.settings.autolimits:
+        low, high = self.numbers(of, 2, default="0 0")
+        if said == "auto" and (low or high) and not self.settings.autolimits:
             self.refuse(f"{self} has {of} and no {key}, and the compiler's autolimits is false", f"Say {key}.")
-        return said == "true" or (said == "auto" and self.has(of))
+        if said == "true" and not low < high:
+            self.refuse(f"{self} has {key} and the empty {of} {low:g} {high:g}", f"Correct {of}, or take {key} out.")
+        return said != "false" and bool(low < high)
 
     def placement(self) -> Array:
         """Return the (4, 4) placement of pos and orientation."""
@@ -264,20 +274,29 @@ class Defaults:
         for kind, values in self._classes[parent or "main"].items():
             kinds.setdefault(kind, {}).update(values)
         for child in element:
-            if child.tag != "default":
+            if child.tag != "default" and isinstance(child, Element):
+                if child.tag not in _WITH_DEFAULTS:
+                    remedy = did_you_mean(child.tag, _WITH_DEFAULTS).strip()
+                    files.refuse(child, f"<{child.tag}> has no defaults", remedy)
                 kind = "actuator" if child.tag in ACTUATORS else str(child.tag)
                 kinds.setdefault(kind, {}).update(child.attrib)
         for child in element:
             if child.tag == "default" and isinstance(child, Element):
                 self._read(files, child, name)
 
-    def of(self, files: Included, element: Element, inherited: str) -> Mapping[str, str]:
-        """Return the defaults of an element: of its class, that of the body around it, or of all."""
+    def of(self, files: Included, element: Element, inherited: str, section: str = "") -> Mapping[str, str]:
+        """Return the defaults of an element: of its class, that of the body around it, or of all.
+
+        Args:
+            files: the model.
+            element: what they are of.
+            inherited: class of the body around it.
+            section: the section it is in, empty in bodies: all equalities have one default, and so have all tendons.
+        """
         name = element.get("class") or inherited or "main"
         if name not in self._classes:
             files.refuse(element, f"there is no default class {shown(name)}", did_you_mean(name, self._classes).strip())
-        kind = "actuator" if element.tag in ACTUATORS else str(element.tag)
-        return self._classes[name].get(kind, {})
+        return self._classes[name].get(section if section in _OF_SECTIONS else str(element.tag), {})
 
 
 def from_quaternion(wxyz: Array) -> Array:

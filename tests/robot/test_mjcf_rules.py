@@ -1,0 +1,218 @@
+"""What a model of MuJoCo leaves out of force, judged by MuJoCo: flags, defaults, empty ranges, zero quaternions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mjcf_models import write
+
+from redundancy_pin.errors import ModelFileError
+from redundancy_pin.robot.mechanism import NOT_IN_FORCE
+from redundancy_pin.robot.mjcf import read_mjcf
+
+mujoco = pytest.importorskip("mujoco")
+
+MODEL = """<mujoco><compiler angle="radian" {compiler}/>{first}
+<worldbody>
+  <body name="a"><joint name="j" axis="0 1 0" {joint}/><geom size="0.1" pos="0.2 0 0"/></body>
+  <body name="b" pos="1 0 0"><joint name="k" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body>
+</worldbody>{last}
+<actuator><motor joint="k" {motor}/></actuator></mujoco>"""
+
+FORCES = 'stiffness="10" damping="3" frictionloss="2" springref="0.3"'
+CONNECT = '<equality><connect {} body1="a" body2="b" anchor="0.5 0 0"/></equality>'
+
+
+def _model(first="", *, joint="", last="", motor="", compiler=""):
+    return MODEL.format(first=first, joint=joint, last=last, motor=motor, compiler=compiler)
+
+
+def _refused(text):
+    """Whether MuJoCo refuses a model."""
+    try:
+        mujoco.MjModel.from_xml_string(text)
+    except ValueError:
+        return True
+    return False
+
+
+def _spring_and_damper(text, q, v):
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0] = q, v
+    mujoco.mj_forward(model, data)
+    friction = data.efc_frictionloss[data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF]
+    return data.qfrc_passive[0], friction.sum()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        "",
+        '<option><flag spring="disable"/></option>',
+        '<option><flag damper="disable"/></option>',
+        '<option><flag frictionloss="disable"/></option>',
+        '<option><flag spring="disable" damper="disable" frictionloss="disable"/></option>',
+        '<option><flag spring="disable"/></option><option><flag spring="enable" energy="enable"/></option>',
+        '<option><flag spring="disable"/></option><option><flag damper="disable"/></option>',
+    ],
+)
+def test_flags_disable_springs_dampers_and_friction(options, tmp_path):
+    text = _model(options, joint=FORCES)
+    mechanism = read_mjcf(write(tmp_path, text))
+    for q, v in ((0.7, 0.0), (0.3, 0.4), (-0.2, -1.1)):
+        passive, friction = _spring_and_damper(text, q, v)
+        ours = sum(-load.stiffness * (q - load.rest) - load.damping * v for load in mechanism.forces)
+        assert ours == pytest.approx(passive)
+        assert sum(load.friction for load in mechanism.forces) == pytest.approx(friction)
+    assert any("Disabled by flags" in note for note in mechanism.notes) == (
+        "disable" in options and "enable" not in options
+    )
+
+
+@pytest.mark.parametrize("options", ['gravity="disable"', 'gravity="enable"', 'gravity="disable" spring="disable"'])
+def test_of_several_flags_the_last_counts(options, tmp_path):
+    text = _model(f'<option gravity="0 0 -3"><flag gravity="disable"/></option><option><flag {options}/></option>')
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    own = read_mjcf(write(tmp_path, text)).model("x")
+    np.testing.assert_allclose(pin.rnea(own, own.createData(), np.zeros(2), np.zeros(2), np.zeros(2)), data.qfrc_bias)
+
+
+def test_flags_are_those_of_mujoco(tmp_path):
+    named = {"enable": mujoco.mjtDisableBit.__members__, "disable": mujoco.mjtEnableBit.__members__}
+    flags = [f'{bit.split("_")[1].lower()}="{word}"' for word, bits in named.items() for bit in bits if "_" in bit]
+    assert len(flags) > 20
+    for flag in flags:  # as they are when nothing is said
+        text = _model(f"<option><flag {flag}/></option>")
+        assert not _refused(text)
+        read_mjcf(write(tmp_path, text))
+
+
+DEFAULT = "<default>{}</default>"
+REFUSED = {
+    "flag": (_model('<option><flag sprig="disable"/></option>'), "no flag 'sprig'.*mean 'spring'"),
+    "word": (_model('<option><flag spring="off"/></option>'), "spring='off'.*enable, disable"),
+    "option": (_model("<option><flags/></option>"), "<flags> is not covered"),
+    "default": (_model(DEFAULT.format('<connect active="false"/>')), "<connect> has no defaults"),
+    "joint": (_model(joint='range="0 0" limited="true"'), "the joint 'j' has limited and the empty range 0 0"),
+    "range": (_model(joint='range="1 0" limited="true"'), "empty range 1 0"),
+    "no range": (_model(joint='limited="true"'), "empty range"),
+    "force": (_model(motor='forcerange="0 0" forcelimited="true"'), "empty forcerange"),
+    "autolimits": (_model(joint='range="1 0"', compiler='autolimits="false"'), "Say limited"),
+    "springdamper": (_model(joint='springdamper="0.1 0"'), "springdamper='0.1 0'.*positive"),
+    "one springdamper": (_model(joint='springdamper="0.1"'), "not 2 finite"),
+    "body": (_model().replace('pos="1 0 0"', 'quat="0 0 0 0"'), "quat of length zero"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_mujoco_refuses_is_refused_by_name(case, tmp_path):
+    text, message = REFUSED[case]
+    assert _refused(text)
+    with pytest.raises(ModelFileError, match=message):
+        read_mjcf(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("flag", ["equality", "constraint"])
+def test_loops_that_a_flag_opens_are_refused(flag, tmp_path):
+    text = _model(f'<option><flag {flag}="disable"/></option>', last=CONNECT.format(""))
+    with pytest.raises(ModelFileError, match=f"line 1: the flag {flag}=disable.*loops would be open"):
+        read_mjcf(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("defaults", "said"),
+    [
+        ("", ""),
+        ('<equality active="false"/>', ""),
+        ('<equality active="false"/>', 'active="true"'),
+        ('<default class="open"><equality active="false"/></default>', 'class="open"'),
+        ('<default class="open"><equality active="false"/></default>', ""),
+        ('<equality active="false"/><default class="shut"><equality active="true"/></default>', 'class="shut"'),
+    ],
+)
+def test_defaults_of_equalities(defaults, said, tmp_path):
+    text = _model(DEFAULT.format(defaults), last=CONNECT.format(said))
+    active = mujoco.MjModel.from_xml_string(text).eq_active0
+    mechanism = read_mjcf(write(tmp_path, text))
+    assert len(mechanism.closures) == active.sum()
+    assert any("is not active" in note for note in mechanism.notes) == (not active.all())
+
+
+def test_defaults_of_tendons_are_named(tmp_path):
+    tendon = '<tendon><fixed name="rope"><joint joint="j" coef="1"/></fixed></tendon>'
+    text = _model(DEFAULT.format('<tendon stiffness="5"/>'), last=tendon)
+    assert mujoco.MjModel.from_xml_string(text).tendon_stiffness[0] == 5.0
+    assert f"{NOT_IN_FORCE} tendons of rope." in read_mjcf(write(tmp_path, text)).notes
+
+
+@pytest.mark.parametrize("kind", ["motor", "general"])
+def test_actuators_have_one_default(kind, tmp_path):
+    text = _model(DEFAULT.format(f'<{kind} forcerange="-2 2"/>'))
+    (joint,) = (joint for joint in read_mjcf(write(tmp_path, text)).joints if joint.name == "k")
+    assert joint.limits["effort"] == mujoco.MjModel.from_xml_string(text).actuator_forcerange[0, 1] == 2.0
+
+
+@pytest.mark.parametrize("length", ["0 0 0 0", "1e-16 0 1e-16 0", "0 1e-14 1e-14 0", "0 0 0 3"])
+@pytest.mark.parametrize("joint", ["<freejoint/>", '<joint type="ball"/>'])
+def test_quaternions_of_keyframes(joint, length, tmp_path):
+    at = "1 2 3 " if "free" in joint else ""
+    text = (
+        f'<mujoco><worldbody><body name="a">{joint}<geom size="0.1" pos="0.1 0 0"/></body></worldbody>'
+        f'<keyframe><key name="k" qpos="{at}{length}"/></keyframe></mujoco>'
+    )
+    path = write(tmp_path, text)
+    engine = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(engine)
+    mujoco.mj_resetDataKeyframe(engine, data, 0)
+    mujoco.mj_forward(engine, data)
+    mechanism = read_mjcf(path, keyframe="k")
+    own = mechanism.model("x")
+    place = own.createData()
+    pin.framesForwardKinematics(own, place, mechanism.configuration(own))
+    frame = place.oMf[own.getFrameId("a", pin.FrameType.BODY)]
+    np.testing.assert_allclose(frame.translation, data.body("a").xpos, atol=1e-12)
+    np.testing.assert_allclose(frame.rotation, data.body("a").xmat.reshape(3, 3), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "compiler"), [("0 0", ""), ("1 1", ""), ("1 0", ""), ("-2 3", ""), ("0 0", 'autolimits="false"')]
+)
+def test_empty_ranges_count_as_none(numbers, compiler, tmp_path):
+    text = _model(
+        joint=f'range="{numbers}" actuatorfrcrange="{numbers}"',
+        motor=f'forcerange="{numbers}" ctrlrange="{numbers}"',
+        compiler=compiler,
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    limits = {joint.name: joint.limits for joint in read_mjcf(write(tmp_path, text)).joints}
+    assert np.isfinite(limits["j"]["upper"]) == np.isfinite(limits["j"]["lower"]) == model.jnt_limited[0]
+    assert np.isfinite(limits["j"]["effort"]) == model.jnt_actfrclimited[0]
+    assert np.isfinite(limits["k"]["effort"]) == model.actuator_forcelimited[0] == model.actuator_ctrllimited[0]
+
+
+def test_an_empty_range_replaces_one_by_default(tmp_path):
+    text = _model(DEFAULT.format('<joint range="-1 1"/>'), joint='range="0 0"')
+    limits = {joint.name: joint.limits for joint in read_mjcf(write(tmp_path, text)).joints}
+    limited = mujoco.MjModel.from_xml_string(text).jnt_limited
+    assert [bool(np.isfinite(limits[name]["upper"])) for name in "jk"] == limited.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("law", ["0.1 1", "0 0"])
+@pytest.mark.parametrize("flags", ["", 'spring="disable"', 'spring="disable" damper="disable"'])
+def test_springdamper_takes_the_place_of_both(law, flags, tmp_path):
+    """Of the inertia of the model: not in force here, and said so; those that it replaces are not either."""
+    text = _model(f"<option><flag {flags}/></option>", joint=f'{FORCES} springdamper="{law}"')
+    model = mujoco.MjModel.from_xml_string(text)
+    replaced = model.jnt_stiffness[0] != 10.0
+    assert replaced == (law == "0.1 1") == (model.dof_damping[0] != 3.0)
+    mechanism = read_mjcf(write(tmp_path, text))
+    (load,) = mechanism.forces
+    assert load.friction == 2.0
+    assert load.stiffness == (0.0 if replaced or "spring" in flags else 10.0)
+    assert load.damping == (0.0 if replaced or "damper" in flags else 3.0)
+    said = f"{NOT_IN_FORCE} springdamper of j." in mechanism.notes
+    assert said == (replaced and _spring_and_damper(text, 0.9, 1.0)[0] != 0.0)
