@@ -205,8 +205,9 @@ def _require_rates(t: Array, **parts: Array) -> None:
 
     What a rate, integrated by trapezoids, says is compared with what the values change by. How far the two may be
     apart comes from the sampling: the error of the trapezoids, a tenth to a quarter of all that changes. Not told, and
-    passed: fewer than eight steps; a step that is a large part of the whole, behind which anything may lie; values
-    that jump about as those of states do that have nothing to do with one another.
+    passed: rates that are off by a constant of at most a twentieth of their size, as measured ones are; fewer than
+    eight steps; a step that is a large part of the whole, behind which anything may lie; values that jump about as
+    those of states do that have nothing to do with one another.
 
     Args:
         t: (N,) time, s.
@@ -253,6 +254,10 @@ def _require_rates(t: Array, **parts: Array) -> None:
 # a tenth is left to rates that were measured
 _FEWEST_STEPS, _LEAST_MISFIT, _MISFIT, _LARGEST_STEP, _ROUNDED = 8, 0.1, 0.25, 0.15, 1e-6
 
+_BIAS = 0.05
+"""Constant error of measured rates, as a part of their root mean square, that is none of units, signs or columns: its
+integral grows with the length of the motion, and what it is compared with does not."""
+
 _ROUGH = 0.6
 """Steps of states that have nothing to do with one another are 1.4 times as large as the states are spread (root mean
 square); of ten samples of a whole wave 0.6 times, of twenty half of that. Fewer could be those of another wave."""
@@ -293,14 +298,30 @@ def _compared(t: Array, values: Array, rates: Array) -> _Compared:
     dt, steps, bends = np.diff(t)[:, None], _steps(values), np.diff(rates, axis=0)
     integral = np.cumsum(0.5 * dt * (rates[:-1] + rates[1:]), axis=0)
     change = np.cumsum(steps, axis=0)
-    size = np.maximum(np.ptp(change, axis=0), np.ptp(integral, axis=0))
     # four times the error of the trapezoids, as second differences show it
     error = (dt[1:] * np.abs(np.diff(bends, axis=0))).sum(axis=0) / 3.0
-    tolerance = np.clip(error, _LEAST_MISFIT * size, _MISFIT * size)
-    apart = np.abs(change - integral)
+    elapsed, most = (t[1:] - t[0])[:, None], _BIAS * _rms(rates)
+
+    def without_bias(changed: Array) -> Array:
+        """Return the integral of the rates less a constant, where a small one brings it nearer to what changes."""
+        bias = (elapsed * (integral - changed)).sum(axis=0) / (elapsed**2).sum(axis=0)
+        return np.asarray(integral - elapsed * np.where(np.abs(bias) <= most, bias, 0.0))
+
+    def tolerance(integral: Array) -> Array:
+        size = np.maximum(np.ptp(change, axis=0), np.ptp(integral, axis=0))
+        return np.asarray(np.clip(error, _LEAST_MISFIT * size, _MISFIT * size))
+
+    def follows(changed: Array, integral: Array, most: Array) -> BoolArray:
+        return np.asarray(np.abs(changed - integral).max(axis=0) <= most)
+
+    size = np.maximum(np.ptp(change, axis=0), np.ptp(integral, axis=0))
+    apart = np.abs(change - integral) > tolerance(integral)
+    unbiased = without_bias(change)
+    fits = ~apart.any(axis=0) | follows(change, unbiased, tolerance(unbiased))
     # angles may be written within a turn
     continued = np.cumsum(steps - 2.0 * np.pi * np.round(steps / (2.0 * np.pi)), axis=0)
-    fits = np.abs(continued - integral).max(axis=0) <= np.minimum(tolerance, _MISFIT * np.ptp(integral, axis=0))
+    for rest in (integral, without_bias(continued)):
+        fits |= follows(continued, rest, np.minimum(tolerance(rest), _MISFIT * np.ptp(rest, axis=0)))
     # a ramp between two samples is in the values, and not in rates sampled before and after it
     dense = np.abs(steps).max(axis=0) <= _LARGEST_STEP * size
     # what hardly changes has few digits: the seventh of the largest coordinate is rounding
@@ -308,11 +329,11 @@ def _compared(t: Array, values: Array, rates: Array) -> _Compared:
     moves, changes = size > rounding, np.ptp(change, axis=0) > rounding
     spread = _rms(np.vstack([np.zeros(n), change]), about_mean=True)
     rough = np.where(changes, _rms(steps[later]) > _ROUGH * spread, _rms(bends[later]) > _ROUGH * _rms(rates))
-    wrong = (apart > tolerance).any(axis=0) & ~fits & dense & moves & ~rough
+    wrong = ~fits & dense & moves & ~rough
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = (change * integral).sum(axis=0) / (change**2).sum(axis=0)
         similar = np.abs(factor) * np.linalg.norm(change, axis=0) >= _SIMILAR * np.linalg.norm(integral, axis=0)
-    return _Compared(wrong, moves & dense & ~rough, changes, similar, factor, np.argmax(apart > tolerance, axis=0) + 1)
+    return _Compared(wrong, moves & dense & ~rough, changes, similar, factor, np.argmax(apart, axis=0) + 1)
 
 
 def _rms(values: Array, *, about_mean: bool = False) -> Array:

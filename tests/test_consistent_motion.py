@@ -122,6 +122,23 @@ def test_measured_rates_pass_and_their_noise_hides_no_unit() -> None:
         require_consistent(PlatformMotion(1e3 * t, x, *noisy))
 
 
+@pytest.mark.parametrize("seconds", [2.0, 60.0, 600.0])
+def test_a_small_bias_of_measured_rates_passes_however_long_and_hides_nothing(seconds: float) -> None:
+    t = np.arange(0.0, seconds, 0.01)
+    x, xd, xdd = (0.1 * 3.0**k * np.sin(3.0 * t + 0.5 * np.pi * k)[:, None] for k in range(3))
+    require_consistent(PlatformMotion(t, x, xd + 0.002, xdd - 0.01))
+    turning = np.angle(np.exp(1j * (x + 3.1)))  # the same about half a turn, written within a turn
+    assert np.abs(np.diff(turning, axis=0)).max() > 6.0
+    require_consistent(PlatformMotion(t, turning, xd + 0.002, xdd))
+    wrong = [1.25 * xd, 0.75 * xd, -xd, 1e3 * xd, 0.0 * xd, xdd / 3.0]
+    if seconds > 2.0:  # shorter than a swing a bias has no time to show
+        wrong.append(xd + 0.1 * np.abs(xd).max())
+    for rates in wrong:
+        for bias in (0.0, 0.002):
+            with pytest.raises(InputError):
+                require_consistent(PlatformMotion(t, x, rates + bias, xdd))
+
+
 def test_poses_turn_as_their_twist_says() -> None:
     t = np.linspace(0.0, 3.0, 100)
     x = np.tile(np.eye(4), (100, 1, 1))
