@@ -144,18 +144,28 @@ class CarrierMotion(Frozen):
                     f"The numbers of samples and of carriers are whole and not negative; one is {count!r}.",
                     remedy="Pass len(motion) of a sampled motion, and robot.k.",
                 )
-        place = checked(np.atleast_1d(at) if _dimensions(at) == 0 else at, "The place of parked carriers", ("k",))
-        if len(place) not in (1, carriers):
-            raise InputError(
-                f"{len(place)} places are given to park {carriers} carrier{'s' * (carriers != 1)}.",
-                remedy="Pass one number, or one for each carrier.",
-            )
+        place = parked_place(at, carriers, "at")
         zero = np.zeros((samples, carriers))
-        return CarrierMotion(zero + place[: max(carriers, 1)] if carriers else zero, zero, zero)
+        return CarrierMotion(zero + place, zero, zero)
 
     def __getitem__(self, index: slice) -> CarrierMotion:
         """Return the motion of a slice of the samples."""
         return CarrierMotion(self.s[index], self.sd[index], self.sdd[index], check_rates=self.check_rates)
+
+
+def parked_place(at: ArrayLike, carriers: int, name: str) -> Array:
+    """Return (k,) where carriers are parked, m, by one number for all or one for each.
+
+    Raises:
+        InputError: ``at``, called ``name``, does not fit k carriers.
+    """
+    place = checked(np.atleast_1d(at) if _dimensions(at) == 0 else at, name, ("k",))
+    if len(place) not in (1, carriers):
+        raise InputError(
+            f"{name} has {len(place)} values for {carriers} carrier{'s' * (carriers != 1)}.",
+            remedy="Pass one number, or one for each carrier.",
+        )
+    return np.broadcast_to(place[:carriers], (carriers,))
 
 
 def require_sampled(motion: object) -> None:

@@ -22,7 +22,7 @@ from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import TreeMotion, lift
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, parked_place
 from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunctions, apart
 from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot, RobotLike, as_robot
@@ -212,7 +212,7 @@ def motion_reference(
     if isinstance(carriers, CarrierMotion):
         position = _between_samples(motion, carriers, robot.k)
     else:
-        place = CarrierMotion.parked(1, robot.k, carriers).s[0]
+        place = parked_place(carriers, robot.k, "The place of parked carriers")
         position = PiecewisePolynomial.constant(place, source.start, source.end)
     own = np.unique(np.concatenate([[source.start], source.breaks, source.knots, [source.end]]))
     parts = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in itertools.pairwise(own)]

@@ -176,7 +176,7 @@ def test_a_motion_from_a_file_and_a_trajectory(tmp_path: Path) -> None:
         (("--plan", "PLAN", "--dt", "-1"), "--dt is -1"),
         (("--plan", "PLAN", "--dt", "0"), "--dt is 0"),
         (("--plan", "PLAN", "--noise", "1", "--period", "0.01", "--seed", "-3"), "--seed"),
-        (("--robot", "2rpr", "--trajectory", "circle", "--park", "0,0,0"), "3 places are given to park 2 carriers"),
+        (("--robot", "2rpr", "--trajectory", "circle", "--park", "0,0,0"), "3 values for 2 carriers"),
         (("--plan", "PLAN", "--out", "run.txt"), "ends in neither .npz nor .csv"),
         (("--plan", "PLAN", "--out", "PLAN"), "--out is the file"),
         (("--plan", "PLAN", "--plot", "run.txt"), "no picture format"),
