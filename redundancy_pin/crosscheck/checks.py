@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray
 from redundancy_pin.crosscheck.cases import Case
+from redundancy_pin.crosscheck.load_power import load_energy, load_power
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.tree_loads import TreeLoads, TreeState
@@ -137,10 +138,12 @@ def check_power(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviatio
     power = (reduced.f * motion.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
     spread = (t[:, None] + _ENERGY_STEP * _ENERGY_OFFSETS).ravel()
     wide, tracks = case.motion(spread), case.carriers(spread)
-    if case.robot.loads:  # friction takes power; what springs keep is counted with it, and not as energy
-        tree = RneaDynamics(case.robot).along(motion).tree_motion(carriers)
-        power = power - (_loads(case, motion, *tree) * tree[1]).sum(axis=0)
-        energy = RneaDynamics(replace(case.robot, loads=())).along(wide).energy(tracks).reshape(len(t), -1)
+    if case.robot.loads:  # by their own definitions: the efforts that they ask for are judged
+        bare = RneaDynamics(replace(case.robot, loads=()))
+        states, around = bare.along(motion).tree_motion(carriers), bare.along(wide)
+        q, v, _ = around.tree_motion(tracks)
+        power = power - load_power(case.robot, motion, *states[:2], q, _ENERGY_WEIGHTS / _ENERGY_STEP)
+        energy = (around.energy(tracks) + load_energy(case.robot, q, v)).reshape(len(t), -1)
     else:
         energy = dynamics.along(wide).energy(tracks).reshape(len(t), -1)
     size = np.maximum(np.abs(reduced.f * motion.xd).sum(axis=1), np.abs(energy).max(axis=1))

@@ -232,7 +232,7 @@ class ConstantAppended(Frozen):
 
     def __init__(self, path: Path, values: ArrayLike) -> None:
         one = np.ndim(np.asarray(values, dtype=object)) == 0
-        constants = checked(values, "The constant coordinate", () if one else ("c",))
+        constants = checked(values, "values", () if one else ("c",))
         assign(self, path=path, values=np.atleast_1d(constants))
 
     @property

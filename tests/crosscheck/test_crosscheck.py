@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from examples import FACTOR
 
@@ -12,7 +13,9 @@ from redundancy_pin.crosscheck.cases import Masses, Wave, random_case
 from redundancy_pin.crosscheck.checks import CheckRow, CrossCheckReport, checked_row, merged, relative
 from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.rnea import RneaDynamics
+from redundancy_pin.dynamics.tree_loads import TreeLoads
 from redundancy_pin.errors import InputError, ModelFileError, UnreachablePoseError
+from redundancy_pin.robot import JointForces, Spring, Wrench
 
 
 def failed(report):
@@ -81,6 +84,36 @@ def test_power_of_the_fastest_state_of_the_long_run():
     case = random_case("five_bar", 250, 2000, 101, masses=Masses.ALL)
     ((_, deviation, tolerance),) = physics.check_power(case, RneaDynamics(case.robot), "rnea")
     assert 0.0 < deviation.max() < 1e-10 < tolerance
+
+
+LOADS = {
+    "friction": lambda links, joint: JointForces(joint, damping=0.7, friction=0.4, friction_speed=0.5),
+    "joint spring": lambda links, joint: JointForces(joint, stiffness=3.0, rest=0.2),
+    "rotor": lambda links, joint: JointForces(joint, rotor_inertia=2e-3, gear=-12.0),
+    "spring": lambda links, joint: Spring(links[1], links[-1], 40.0, 3.0, 0.1, (0.05, 0.02, 0.01), (0.0, 0.03, 0.2)),
+    "wrench": lambda links, joint: Wrench(links[-1], [1.0, -2.0, 0.5, 0.3, 0.1, -0.4], "world", (0.1, 0.05, 0.02)),
+    "local wrench": lambda links, joint: Wrench(links[1], [1.0, 2.0, 3.0, 0.1, 0.2, 0.3], "local", (0.1, 0.0, 0.3)),
+}
+
+
+@pytest.mark.parametrize(
+    ("load", "robot"), [*((load, "five_bar") for load in LOADS), ("rotor", "gough"), ("local wrench", "gough")]
+)
+def test_the_power_balance_judges_what_loads_ask_of_joints(monkeypatch, load, robot):
+    """It does not take their efforts from the function that it is to judge."""
+    case = random_case(robot, 2, 0, masses=Masses.ALL)
+    model = case.robot.model
+    links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+    case = replace(case, robot=case.robot.loaded(LOADS[load](links, model.names[2])))
+    efforts = TreeLoads.efforts
+
+    def balance():
+        ((_, deviation, tolerance),) = physics.check_power(case, RneaDynamics(case.robot), "rnea")
+        return deviation.max() / tolerance
+
+    assert balance() < 1.0
+    monkeypatch.setattr(TreeLoads, "efforts", lambda *a, **k: 1.001 * efforts(*a, **k))
+    assert balance() > 1.0
 
 
 class Tampered:

@@ -250,7 +250,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "three speeds": ({"speed": [0.1] * 3}, "3 values for 5 points"),
     "negative speed": ({"speed": [0.0, 0.1, -0.1, 0.1, 0.0]}, r"speed\[2\] is -0.1"),
     "two stops": ({"speed": [0.0, 0.1, 0.0, 0.0, 0.1]}, r"speed\[2\] and speed\[3\] are zero"),
-    "text": ({"times": TIMES, "alpha": "x"}, "constant coordinate is not an array of numbers"),
+    "text": ({"times": TIMES, "alpha": "x"}, "values is not an array of numbers"),
     "closed times": ({"times": TIMES, "closed": True}, "closed is for coordinates"),
 }
 
