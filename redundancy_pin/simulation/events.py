@@ -225,7 +225,7 @@ def _stops(robot: Robot) -> tuple[list[tuple[str, str]], Array]:
         if i in tracks:
             kind, (name, lower, upper) = "track", tracks[i]
         for side, bound, which in ((-1.0, lower, "lower"), (1.0, upper, "upper")):
-            if abs(bound) < _UNLIMITED:
+            if lower < upper and abs(bound) < _UNLIMITED:  # a URDF says 0, 0 where it knows no limits
                 labels.append((kind, f"{name} {which}"))
                 stops.append((i, joint.idx_v, side, bound))
     return labels, np.array(stops, dtype=float).reshape(-1, 4).T

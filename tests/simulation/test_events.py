@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import moving
 import numpy as np
@@ -178,3 +179,16 @@ def test_a_robot_without_declared_modes_reports_type_one_by_its_rows() -> None:
     assert both[0].events[-1].name == "leg 1"
     assert both[1].events[-1].name == "type_I"
     assert both[0].t[-1] == pytest.approx(both[1].t[-1], abs=TIMES)
+
+
+def test_limits_of_zero_are_none() -> None:
+    """A URDF writes lower = upper = 0 where it knows no limits: a joint that passes zero meets no stop."""
+    robot = rp.load_robot("four_bar")
+    crank = robot.model.joints[robot.model.getJointId("crank")].idx_q
+    for bound, expected in ((0.0, set()), (0.02, {"crank lower"})):
+        model = robot.model.copy()
+        model.lowerPositionLimit[crank], model.upperPositionLimit[crank] = -bound, bound
+        limited = replace(robot, model=model)
+        run = rp.simulate(limited, start=closed_state(limited, [0.01], xd=[-2.0]), duration=0.05, stop_at=())
+        assert run.q[-1, crank] < -0.03
+        assert {event.name for event in run.events if event.kind == "joint_limit"} == expected
