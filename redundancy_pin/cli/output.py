@@ -98,6 +98,18 @@ def same_file(first: str | Path, second: str | Path) -> bool:
         return False
 
 
+def require_outputs(out: str | None, plot: str | None, inputs: Iterable[str | Path]) -> None:
+    """Check that both files can be written and are none of the inputs, before the work is done."""
+    if out:
+        require_writable(out)
+    if plot:
+        require_picture(plot)
+    given = tuple(inputs)
+    for flag, path in (("--out", out), ("--plot", plot)):
+        if path and any(same_file(path, one) for one in given):
+            raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
+
+
 @contextmanager
 def progress(title: str) -> Iterator[Advance]:
     """Show a progress bar on stderr while the block runs; nothing unless stdout and stderr are terminals.

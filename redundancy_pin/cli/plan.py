@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
@@ -27,10 +27,9 @@ from redundancy_pin.cli.output import (
     number,
     print_json,
     progress,
-    require_picture,
+    require_outputs,
     require_suffix,
     row,
-    same_file,
     table_of,
 )
 from redundancy_pin.cli.plan_problem import (
@@ -43,8 +42,8 @@ from redundancy_pin.cli.plan_problem import (
     problem,
     read_problem,
 )
-from redundancy_pin.errors import InputError, OutputError
-from redundancy_pin.io.files import replacing_file, require_writable
+from redundancy_pin.errors import InputError
+from redundancy_pin.io.files import replacing_file
 from redundancy_pin.kinematics.joint_limits import beyond_limits
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.limits import LimitEvent
@@ -74,18 +73,6 @@ _FINER = {
     "switch_off": "use --scheme integration, or a shorter --dt",
 }
 """What helps a planner whose samples do not show its efforts."""
-
-
-def _require_outputs(out: str | None, plot: str | None, inputs: Sequence[str]) -> None:
-    """Check that both files can be written and are none of the inputs, before the work is done."""
-    if out:
-        require_suffix("--out", out, ".npz")
-        require_writable(out)
-    if plot:
-        require_picture(plot)
-    for flag, path in (("--out", out), ("--plot", plot)):
-        if path and any(same_file(path, given) for given in inputs):
-            raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
 
 
 def warn(plan: Plan) -> None:
@@ -365,7 +352,9 @@ def _run(
 ) -> int:
     """Read, plan, write, print; return the exit code."""
     # before the work: minutes of optimisation are not lost to a misspelt folder
-    _require_outputs(out, plot, inputs)
+    if out:
+        require_suffix("--out", out, ".npz")
+    require_outputs(out, plot, inputs)
     with progress("plan") as advance:
         advance(0, 3, "reading")
         task = read()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -26,15 +26,13 @@ from redundancy_pin.cli.output import (
     number,
     print_json,
     progress,
-    require_picture,
-    same_file,
+    require_outputs,
     table_of,
 )
 from redundancy_pin.cli.plan import BREAKS_LIMITS, NOT_OPTIMAL
 from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.cli.show import robot_of
 from redundancy_pin.errors import InputError, OutputError
-from redundancy_pin.io.files import require_writable
 from redundancy_pin.kinematics.coordinates import distance
 from redundancy_pin.loading import load_with
 from redundancy_pin.planners.plan import Plan, load_plan
@@ -144,7 +142,9 @@ def simulate(robot: RobotOptions, **given: Any) -> int:
     video = given["video"]
     if video:
         require_video(video)
-    _require_outputs(out, plot, [path for path in (plan_path, motion_path) if path])
+    if out and not out.lower().endswith((".npz", ".csv")):
+        raise OutputError(f"--out {out} ends in neither .npz nor .csv.", remedy="Write --out run.npz.", path=out)
+    require_outputs(out, plot, [path for path in (plan_path, motion_path) if path])
     sampling = _sampling(given)
     with progress("simulate") as advance, in_words(OPTIONS.knowing(_FLAGS)):
         advance(0, 3, "reading")
@@ -171,19 +171,6 @@ def simulate(robot: RobotOptions, **given: Any) -> int:
         console().print(_table(title, run, facts, {"simulation": out, "picture": plot, "video": video}))
     warn(run)
     return EXIT_CODES.get(run.status, BAD_INPUT)
-
-
-def _require_outputs(out: str | None, plot: str | None, inputs: Sequence[str]) -> None:
-    """Check that all files can be written and are none of the inputs, before the work is done."""
-    if out:
-        if not out.lower().endswith((".npz", ".csv")):
-            raise OutputError(f"--out {out} ends in neither .npz nor .csv.", remedy="Write --out run.npz.", path=out)
-        require_writable(out)
-    if plot:
-        require_picture(plot)
-    for flag, path in (("--out", out), ("--plot", plot)):
-        if path and any(same_file(path, given) for given in inputs):
-            raise OutputError(f"{flag} is the file {path} to read from.", remedy="Give it another name.", path=path)
 
 
 def _sampling(given: Mapping[str, Any]) -> Sampling | None:
