@@ -21,7 +21,7 @@ from redundancy_pin.planners.whole_trajectory.planner import Mesh, Objective, So
 from redundancy_pin.planners.whole_trajectory.problem import Task, grid_of, read_coefficients
 from redundancy_pin.planners.whole_trajectory.solver import solve, solve_nlp
 from redundancy_pin.planners.whole_trajectory.transcription import transcribe
-from redundancy_pin.trajectory.functions_of_time import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
 
 REPEATS = 5
 FULL_REPEATS = 3

@@ -25,7 +25,7 @@ from redundancy_pin.planners.limits import Limits
 from redundancy_pin.planners.switch_off.carrier_equation import RampDown
 from redundancy_pin.planners.switch_off.crossing import LostDirection
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
-from redundancy_pin.trajectory.functions_of_time import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
 
 ELSEWHERE = {"Riccati", "LinearModel", "SampledModel", "LqrWeights", "ReferencePoint", "ConstantAppended"}
 """Inner types of controllers and paths, whose owners are copied whole."""

@@ -18,7 +18,7 @@ from redundancy_pin.loading import load_robot
 from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import Line, PoseTrajectory, RestToRest, Trajectory, reference
-from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,8 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DEGREE, PlanFunctions
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, plan_reference, reference_of
-from redundancy_pin.trajectory.functions_of_time import (
-    PiecewisePolynomial,
-    TimedTrajectory,
-    chebyshev_series,
-    chebyshev_times,
-    continuous_motion,
-)
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_series, chebyshev_times
 
 STRETCH = 0.01
 """Longest stretch of a motion that is no plan, s: a polynomial over it resolves whatever a machine can follow."""

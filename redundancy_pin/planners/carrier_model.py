@@ -26,7 +26,8 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.roots import Interval, below_zero, minima, zeros
 from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Measure = Literal["condition", "margin"]
 

@@ -45,7 +45,8 @@ from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.singularities.roots import zeros
-from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 BALANCE_TOLERANCE = 1e-6
 """Largest imbalance W τ − f, relative to the size of f along the motion, of efforts that a planner prescribes."""

@@ -26,6 +26,7 @@ from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.trajectory.quaternions import quaternions_of
 from redundancy_pin.trajectory.trajectory import sample_times
 
 if TYPE_CHECKING:
@@ -213,12 +214,7 @@ def _coordinates(robot: Robot, x: Array) -> tuple[tuple[str, ...], tuple[str, ..
     if not robot.platform.is_pose:
         names = tuple(f"platform.{axis}" for axis in robot.platform.axes)
         return names, tuple("rad" if axis.startswith("r") else "m" for axis in robot.platform.axes), x
-    from scipy.spatial.transform import Rotation
-
-    quaternion = Rotation.from_matrix(x[:, :3, :3]).as_quat()
-    flips = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    quaternion[1:] *= np.cumprod(flips)[:, None]  # the sign that the row before it has
-    values = np.concatenate([x[:, :3, 3], quaternion], axis=1)
+    values = np.concatenate([x[:, :3, 3], quaternions_of(x[:, :3, :3])], axis=1)
     axes = ("x", "y", "z", "qx", "qy", "qz", "qw")
     return tuple(f"platform.{axis}" for axis in axes), ("m",) * 3 + ("1",) * 4, values
 

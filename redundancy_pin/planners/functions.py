@@ -26,8 +26,8 @@ from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.limits import LimitEvent, limits_broken
 from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import (
-    ContinuousMotion,
     PiecewisePolynomial,
     carriers_at,
     chebyshev_points,

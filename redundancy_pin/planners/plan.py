@@ -23,12 +23,8 @@ from redundancy_pin.planners.functions import DenseCheck, PlanFunctions
 from redundancy_pin.planners.limits import LimitEvent, LimitReport, require_dynamics
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
 from redundancy_pin.robot import CarrierLimits, Robot, RobotLike
-from redundancy_pin.trajectory.functions_of_time import (
-    ContinuousMotion,
-    PiecewisePolynomial,
-    TimedTrajectory,
-    continuous_motion,
-)
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 if TYPE_CHECKING:
     from redundancy_pin.planners.export import PlanTable

@@ -27,13 +27,8 @@ from redundancy_pin.planners.functions import DEGREE, SINGULAR_SAMPLE, PlanFunct
 from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
-from redundancy_pin.trajectory.functions_of_time import (
-    SHIFT,
-    PiecewisePolynomial,
-    TimedTrajectory,
-    chebyshev_times,
-    continuous_motion,
-)
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import SHIFT, PiecewisePolynomial, chebyshev_times
 
 if TYPE_CHECKING:
     from redundancy_pin.planners.plan import Plan

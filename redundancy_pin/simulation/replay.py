@@ -20,7 +20,7 @@ from redundancy_pin.simulation.controllers.base import Command, Controller, Samp
 from redundancy_pin.simulation.controllers.by_name import controller_by_name
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
-from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
 Drive = Literal["open loop", "open loop, samples", "carriers by motion", "computed torque", "LQR"]
 

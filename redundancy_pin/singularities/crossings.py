@@ -18,8 +18,9 @@ from redundancy_pin.kinematics.coordinates import difference, mode_indicator, ro
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import RobotLike, as_robot
 from redundancy_pin.singularities.classify import SingularityKind, classify
-from redundancy_pin.singularities.followed_path import FollowedPath, TimedMotion, follow_law, position_law
+from redundancy_pin.singularities.followed_path import FollowedPath, follow_law, motion_of
 from redundancy_pin.singularities.roots import Zero, zeros
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
 SPACING = 0.01
 """Distance of samples along the path, in characteristic lengths. On every shipped robot the margin is far from
@@ -75,7 +76,7 @@ class Crossing(Frozen):
 
 def find_crossings(
     robot: RobotLike,
-    motion: PlatformMotion | TimedMotion,
+    motion: PlatformMotion | TimedTrajectory,
     *,
     spacing: float = SPACING,
     tolerance: float = RANK_TOLERANCE,
@@ -85,7 +86,7 @@ def find_crossings(
     Args:
         robot: the robot, or its name or path; the motion is followed in its working mode.
         motion: a trajectory (evaluated exactly at every time asked for), or N samples (interpolated by quintics
-            through x, ẋ, ẍ; see ``position_law``).
+            through x, ẋ, ẍ; see ``continuous_motion``).
         spacing: longest step of the search along the path, in characteristic lengths.
         tolerance: scaled margin of W below which a minimum counts as touching type II.
 
@@ -98,7 +99,7 @@ def find_crossings(
         if not 0.0 < value < 1.0:
             raise InputError(f"{name} is {value}.", remedy="Pass a number between 0 and 1.", name=name)
     robot = as_robot(robot)
-    path = follow_law(constraint_system(robot), position_law(robot, motion), spacing)
+    path = follow_law(constraint_system(robot), motion_of(robot, motion), spacing)
 
     def parallel(times: Array) -> Array:
         margins = path.margins(times)
@@ -138,7 +139,7 @@ def _described(path: FollowedPath, zero: Zero, expected: SingularityKind) -> Cro
     return Crossing(
         t=zero.t,
         until=zero.until,
-        x=frozen(path.law.at(time)[0]),
+        x=frozen(path.law.sample_at(time).x[0]),
         q=frozen(q[0]),
         kind=kind,
         crosses=zero.crosses,
@@ -154,7 +155,7 @@ def _slope(system: ConstraintSystem, path: FollowedPath, t: float) -> float:
     robot = system.robot
     half = _PROBE * float(np.diff(path.t).max())
     times = np.array([max(path.law.start, t - half), min(path.law.end, t + half)])
-    x = path.law.at(times)
+    x = path.law.sample_at(times).x
     length = float(np.linalg.norm(difference(robot, x[1:], x[:-1])[0] * row_scale(robot)))
     if length == 0.0:
         return 0.0

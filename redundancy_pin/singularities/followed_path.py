@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NoReturn, Protocol
+from typing import NoReturn
 
 import numpy as np
-import pinocchio as pin
-from numpy.typing import ArrayLike
-from scipy.interpolate import BPoly
-from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray
-from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeError
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray
+from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import continuous
-from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, require_matching, row_scale
+from redundancy_pin.kinematics.coordinates import (
+    difference,
+    mode_indicator,
+    mode_name,
+    pose_rows,
+    require_matching,
+    row_scale,
+)
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.motion import PlatformMotion, require_consistent, require_sampled
-from redundancy_pin.robot import AXES, Robot
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import Margins, margins_of
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
 
 _FEWEST_STEPS = 400
 """Steps in time at least, however short the path."""
@@ -50,95 +53,28 @@ _SLOW_NEWTON = 80
 _STAY_AWAY = "Keep the legs away from full stretch, full fold and zero length."
 
 
-class TimedMotion(Protocol):
-    """What kinematics needs of a trajectory: a duration, and samples at any times in [0, duration]."""
+def motion_of(robot: Robot, source: PlatformMotion | TimedTrajectory) -> ContinuousMotion:
+    """Return the motion of a robot's platform as a function of time (``continuous_motion``).
 
-    @property
-    def duration(self) -> float:
-        """Total time, s."""
-
-    def sample_at(self, times: ArrayLike) -> PlatformMotion:
-        """Return the motion at (N,) increasing times, s."""
-
-
-@dataclass(frozen=True, eq=False)
-class PositionLaw:
-    """Platform coordinates over time.
-
-    Attributes:
-        start, end: first and last time, s.
-        at: from (N,) increasing times in [start, end] to (N, n) coordinates or (N, 4, 4) poses.
-    """
-
-    start: float
-    end: float
-    at: Callable[[Array], Array]
-
-
-def position_law(robot: Robot, source: PlatformMotion | TimedMotion) -> PositionLaw:
-    """Return the platform coordinates of a trajectory or a sampled motion as a function of time.
-
-    A trajectory is asked for its own exact coordinates. Between the samples of a motion the coordinates are the quintic
-    that matches x, ẋ, ẍ at both ends (error O(Δt⁶)); the orientation of a pose is the cubic in the rotation vector from
-    the left sample that matches orientation and angular velocity at both ends (error O(Δt⁴)).
+    Angles of samples may be written within a turn; between them they take the short way. Where a platform cannot move
+    along some axes, the rates of its pose along them are zero.
 
     Raises:
         InputError: the motion does not have the robot's coordinates, or has a single instant only.
     """
     if not isinstance(source, PlatformMotion):
-        trajectory = source
-        if not (hasattr(trajectory, "duration") and hasattr(trajectory, "sample_at")):
-            require_sampled(trajectory)
-        require_matching(robot, trajectory.sample_at([0.0]))
-        return PositionLaw(0.0, float(trajectory.duration), lambda times: trajectory.sample_at(times).x)
+        law = continuous_motion(source)
+        require_matching(robot, law.sample_at(np.array([law.start])))
+        return law
     require_matching(robot, source)
-    require_consistent(source)
-    if source.t[-1] == source.t[0]:
-        raise InputError(
-            "The motion has a single instant: nothing is crossed between samples.",
-            remedy="Pass at least two samples, or classify the configuration.",
-        )
-    left = np.flatnonzero(np.diff(source.t) > 0.0)  # the two halves of a two-sided sample are in different intervals
     if source.is_pose:
-        interpolate = _poses(robot, source, left)
-    else:
-        change = difference(robot, source.x[left + 1], source.x[left])
-        interpolate = _quintic(source, left, source.x[left], source.x[left] + change, source.xd, source.xdd)
-    return PositionLaw(float(source.t[0]), float(source.t[-1]), interpolate)
-
-
-def _quintic(motion: PlatformMotion, left: IntArray, x0: Array, x1: Array, xd: Array, xdd: Array) -> BPoly:
-    """Return the piecewise quintic between interval ends x0, x1 (I, n), with the rates of N samples."""
-    h = (motion.t[left + 1] - motion.t[left])[:, None]
-    (v0, v1), (a0, a1) = ((h * xd[left], h * xd[left + 1]), (h * h * xdd[left], h * h * xdd[left + 1]))
-    control = [x0, x0 + v0 / 5, x0 + 2 * v0 / 5 + a0 / 20, x1 - 2 * v1 / 5 + a1 / 20, x1 - v1 / 5, x1]
-    return BPoly(np.stack(control), np.append(motion.t[left], motion.t[-1]))
-
-
-def _poses(robot: Robot, motion: PlatformMotion, left: IntArray) -> Callable[[Array], Array]:
-    rows = [AXES.index(axis) for axis in robot.platform.axes] if robot.platform else []
-    rate, acceleration = np.zeros((len(motion), 6)), np.zeros((len(motion), 6))
-    rate[:, rows], acceleration[:, rows] = motion.xd, motion.xdd
-    p, R = motion.x[:, :3, 3], motion.x[:, :3, :3]
-    position = _quintic(motion, left, p[left], p[left + 1], rate[:, :3], acceleration[:, :3])
-    h = (motion.t[left + 1] - motion.t[left])[:, None]
-    between = R[left + 1] @ R[left].transpose(0, 2, 1)
-    turn = Rotation.from_matrix(between).as_rotvec()
-    # φ̇ of exp([φ]×) that turns with ω in world axes: the inverse of the left Jacobian, the transpose of the right one's
-    end_rate = np.array([pin.Jlog3(one).T @ omega for one, omega in zip(between, rate[left + 1, 3:], strict=True)])
-    rotation_vector = BPoly(
-        np.stack([np.zeros_like(turn), h * rate[left, 3:] / 3.0, turn - h * end_rate / 3.0, turn]), position.x
-    )
-
-    def at(times: Array) -> Array:
-        interval = np.clip(np.searchsorted(position.x, times, side="right") - 1, 0, len(left) - 1)
-        poses = np.zeros((len(times), 4, 4))
-        poses[:, :3, :3] = Rotation.from_rotvec(rotation_vector(times)).as_matrix() @ R[left[interval]]
-        poses[:, :3, 3] = position(times)
-        poses[:, 3, 3] = 1.0
-        return poses
-
-    return at
+        rates = np.zeros((2, len(source), 6))
+        rates[:, :, pose_rows(robot)] = source.xd, source.xdd
+        return continuous_motion(PlatformMotion(source.t, source.x, *rates, check_rates=source.check_rates))
+    steps = np.diff(source.x, axis=0)
+    turns = np.cumsum(np.round((difference(robot, source.x[1:], source.x[:-1]) - steps) / (2.0 * np.pi)), axis=0)
+    x = source.x + 2.0 * np.pi * np.concatenate([np.zeros((1, robot.n)), turns])
+    return continuous_motion(PlatformMotion(source.t, x, source.xd, source.xdd, check_rates=source.check_rates))
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +83,13 @@ class FollowedPath:
 
     Attributes:
         system: closures and platform rows.
-        law: platform coordinates over time.
+        law: the platform's motion.
         t: (N,) times, s.
         q: (N, nq) configurations.
     """
 
     system: ConstraintSystem
-    law: PositionLaw
+    law: ContinuousMotion
     t: Array
     q: Array
 
@@ -169,7 +105,7 @@ class FollowedPath:
         span = configuration_difference(model, self.q[left], self.q[left + 1])
         u = ((times - self.t[left]) / (self.t[left + 1] - self.t[left]))[:, None]
         guess = integrate(model, self.q[left], u * span)
-        solution = assemble(self.system, guess, self.law.at(times), max_iterations=_SLOW_NEWTON)
+        solution = assemble(self.system, guess, self.law.sample_at(times).x, max_iterations=_SLOW_NEWTON)
         _require_closed(times, solution.gap)
         miss = np.abs(configuration_difference(model, guess, solution.q)).max(axis=1)
         # near a type I singularity q goes with a square root: within half of the span is on the branch, not beyond
@@ -188,7 +124,7 @@ class FollowedPath:
         return margins_of(self.system, self.system.evaluate(self.configurations(times)))
 
 
-def follow_law(system: ConstraintSystem, law: PositionLaw, spacing: float) -> FollowedPath:
+def follow_law(system: ConstraintSystem, law: ContinuousMotion, spacing: float) -> FollowedPath:
     """Solve a path on the robot's branch at steps of at most ``spacing`` characteristic lengths.
 
     Rotations count with the characteristic length.
@@ -208,10 +144,10 @@ def follow_law(system: ConstraintSystem, law: PositionLaw, spacing: float) -> Fo
     return path
 
 
-def _times(robot: Robot, law: PositionLaw, spacing: float) -> tuple[Array, Array]:
+def _times(robot: Robot, law: ContinuousMotion, spacing: float) -> tuple[Array, Array]:
     """Return times and coordinates, no step longer than ``spacing`` characteristic lengths."""
     t = np.linspace(law.start, law.end, _FEWEST_STEPS + 1)
-    x = law.at(t)
+    x = law.sample_at(t).x
     steps = np.linalg.norm(difference(robot, x[1:], x[:-1]) * row_scale(robot), axis=1)
     pieces = np.maximum(np.ceil(steps / (spacing * robot.characteristic_length)), 1).astype(np.intp)
     if (pieces == 1).all():
@@ -219,7 +155,7 @@ def _times(robot: Robot, law: PositionLaw, spacing: float) -> tuple[Array, Array
     within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     fraction = within / np.repeat(pieces, pieces)
     t = np.append(np.repeat(t[:-1], pieces) + fraction * np.repeat(np.diff(t), pieces), law.end)
-    return t, law.at(t)
+    return t, law.sample_at(t).x
 
 
 def _without_strays(q: Array) -> Array:
@@ -235,7 +171,7 @@ def _without_strays(q: Array) -> Array:
     return q
 
 
-def _fill_in(system: ConstraintSystem, law: PositionLaw, t: Array, x: Array, q: Array, gap: Array) -> None:
+def _fill_in(system: ConstraintSystem, law: ContinuousMotion, t: Array, x: Array, q: Array, gap: Array) -> None:
     """Close the samples that the lift passed over (NaN in q), each from its nearest neighbour.
 
     They lie at a type I singularity, or so near that a predicted step would end behind it. Newton without prediction
@@ -282,7 +218,7 @@ def _require_no_jump(path: FollowedPath, suspects: BoolArray) -> None:
         for _ in range(_HALVINGS):
             middle = 0.5 * (left + right)
             # from both ends: Newton cannot start at the one that is singular
-            goal = path.law.at(np.array([middle])).repeat(2, axis=0)
+            goal = path.law.sample_at(np.array([middle])).x.repeat(2, axis=0)
             solution = assemble(path.system, np.stack([q_left, q_right]), goal, max_iterations=_SLOW_NEWTON)
             if not solution.closed.any():
                 break
@@ -315,14 +251,16 @@ def _require_closed(times: Array, gap: Array) -> None:
         )
 
 
-def _raise_border(system: ConstraintSystem, law: PositionLaw, t: Array, q: Array, bad: int, gap: float) -> NoReturn:
+def _raise_border(
+    system: ConstraintSystem, law: ContinuousMotion, t: Array, q: Array, bad: int, gap: float
+) -> NoReturn:
     """Bisect for the time at which the path leaves the workspace, and say so."""
     if bad == 0:
         _require_closed(t[:1], np.array([gap]))
     inside, outside, at = float(t[bad - 1]), float(t[bad]), q[bad - 1]
     for _ in range(_BISECTIONS):
         middle = 0.5 * (inside + outside)
-        solution = assemble(system, at[None], law.at(np.array([middle])), max_iterations=_SLOW_NEWTON)
+        solution = assemble(system, at[None], law.sample_at(np.array([middle])).x, max_iterations=_SLOW_NEWTON)
         if solution.closed[0]:
             inside, at = middle, solution.q[0]
         else:

@@ -11,12 +11,12 @@ from contextlib import contextmanager
 from io import TextIOWrapper
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.reading import opened
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
+from redundancy_pin.trajectory.quaternions import poses_of
 
 _QUATERNION_TOLERANCE = 1e-6
 """How far the norm of a quaternion may be from one: text with six digits passes; it is then normalised."""
@@ -45,7 +45,7 @@ def from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> Platf
     table = table_of_csv(path)
     x, xd, xdd = (_columns(table, name, path) for name in ("x", "xd", "xdd"))
     if x.shape[1] == 7 and xd.shape[1] == 6:
-        x = poses_of(x, path)
+        x = checked_poses(x, path)
     else:
         _require_as_many(path, x=x, xd=xd)
     _require_as_many(path, xd=xd, xdd=xdd)
@@ -150,17 +150,14 @@ def _require_as_many(path: str | os.PathLike[str], **columns: Array) -> None:
         )
 
 
-def poses_of(x: Array, path: str | os.PathLike[str]) -> Array:
+def checked_poses(x: Array, path: str | os.PathLike[str]) -> Array:
     """Return (N, 4, 4) poses of (N, 7) positions, m, and quaternions x, y, z, w; ``path`` is what errors name."""
     norms = np.linalg.norm(x[:, 3:], axis=1)
     k = int(np.argmax(np.abs(norms - 1.0)))
     if abs(norms[k] - 1.0) > _QUATERNION_TOLERANCE:
         message = f": the quaternion x3..x6 of sample {k} has norm {norms[k]:.9g}."
         raise _bad(path, message, "Give unit quaternions in the order x, y, z, w.", sample=k)
-    pose = np.tile(np.eye(4), (len(x), 1, 1))
-    pose[:, :3, :3] = Rotation.from_quat(x[:, 3:]).as_matrix()
-    pose[:, :3, 3] = x[:, :3]
-    return pose
+    return poses_of(x[:, :3], x[:, 3:])
 
 
 @contextmanager

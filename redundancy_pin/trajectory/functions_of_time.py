@@ -1,6 +1,6 @@
-"""The two functions of time: a piecewise polynomial with any number of values, and the motion of the platform.
+"""Functions of time: piecewise polynomials with any number of values.
 
-Polynomials are scipy's ``PPoly``: on each piece powers of the time since its left end. They come from values at
+They are scipy's ``PPoly``: on each piece powers of the time since its left end. They come from values at
 Chebyshev points by way of Chebyshev coefficients, which are small where a smooth function is resolved, so that the
 powers are as accurate as the Chebyshev series itself: values to 1e-15, first and second derivatives digit for digit the
 same (degree 15, measured; a tail of 1e-6 costs 1e-10). Bernstein coefficients are no better there, all as large as the
@@ -11,21 +11,17 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import comb
-from typing import Protocol, TypeGuard
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Legendre, Polynomial, chebyshev
 from numpy.typing import ArrayLike
 from scipy.interpolate import PPoly
-from scipy.spatial.transform import Rotation
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, Side, frozen, read_only
-from redundancy_pin.errors import InputError
-from redundancy_pin.kinematics.rotation_vector import angular_rates, vector_rates
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
+from redundancy_pin.arrays import Array, Frozen, Side, frozen, read_only
+from redundancy_pin.motion import CarrierMotion
 
 DEGREE = 15
 """Of the pieces of a fit. Smooth motions of a second then need a few dozen pieces for twelve digits."""
@@ -45,19 +41,6 @@ JUMP = 1e-6
 
 STANDS_OUT = 1e-6
 """A peak counts if it exceeds both ends by this fraction; less is no peak worth a sample."""
-
-LEAST_KNOT_DISTANCE = 1e-4
-"""Of the knots of a path, as a fraction of the duration: towards a cusp they come closer and closer."""
-
-DENSE = 1e-9
-"""Rounding of the accelerations of the quintic, relative to the largest, from which samples count as dense: at 0.4 m
-and 1 m/s² about 2 ms apart."""
-
-MOST_TURN = 3.0
-"""Between two samples of a pose, rad: at half a turn its sense is not determined."""
-
-PLATFORM_TOLERANCE = 1e-12
-"""Of the polynomials that stand for a trajectory in a file, relative to the largest x, ẋ and ẍ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,253 +319,10 @@ def preferred_middle(left: float, right: float, knots: Array) -> float:
     return float(inside[np.abs(inside - middle).argmin()]) if len(inside) else middle
 
 
-class TimedTrajectory(Protocol):
-    """What a planner needs of a trajectory."""
-
-    @property
-    def duration(self) -> float:
-        """Total time, s."""
-
-    @property
-    def breaks(self) -> Array:
-        """(b,) times at which the acceleration jumps, s."""
-
-    def sample_at(self, times: ArrayLike) -> PlatformMotion:
-        """Return the motion at (N,) increasing times; a break that occurs twice gets both accelerations."""
-
-
-def is_timed(motion: object) -> TypeGuard[TimedTrajectory]:
-    """Return whether a motion can be evaluated at any time, rather than being samples."""
-    return all(hasattr(motion, name) for name in ("duration", "breaks", "sample_at"))
-
-
-@dataclass(frozen=True, eq=False)
-class ContinuousMotion(Frozen):
-    """A platform motion over an interval, from a trajectory or from polynomials.
-
-    Attributes:
-        source: the trajectory, or polynomials with the values x (n, or 16 of a pose, row by row), ẋ and ẍ (n each).
-        start, end: first and last time, s.
-        moves_until: time from which on the platform is held where it is then, s; the end but where carriers move on.
-        breaks: (b,) inner times at which the acceleration jumps, s.
-        knots: (c,) inner times at which a higher derivative jumps, s, as far as they are known.
-        exact: whether it is smooth between breaks and knots to rounding; not so a sampled motion.
-    """
-
-    source: TimedTrajectory | PiecewisePolynomial
-    start: float
-    end: float
-    moves_until: float
-    breaks: Array
-    knots: Array
-    exact: bool
-
-    @property
-    def kinks(self) -> Array:
-        """(e,) both ends and, in order, where it is not smooth in between as far as that is known, s."""
-        inner = np.concatenate([self.breaks, self.knots]) if self.exact else self.breaks
-        return np.unique(np.concatenate([[self.start], inner, [self.end]]))
-
-    def sample_at(self, times: Array) -> PlatformMotion:
-        """Return the motion at (N,) increasing times, s.
-
-        A break that occurs twice gets the acceleration before and after the jump, a single one that after it.
-        """
-        before = np.append(times[1:] == times[:-1], False)
-        if self.moves_until == self.end:
-            return self._moving(times, before)
-        moving = (times < self.moves_until) | (before & (times == self.moves_until))
-        # a motion has samples: that of the last instant is repeated where the platform is held
-        there = self._moving(np.append(times[moving], self.moves_until), np.append(before[moving], False))
-        x, still = np.asarray(there.x), np.zeros((int((~moving).sum()), there.xd.shape[1]))
-        return PlatformMotion(
-            times,
-            np.concatenate([x[:-1], np.repeat(x[-1:], len(still), axis=0)]),
-            np.concatenate([there.xd[:-1], still]),
-            np.concatenate([there.xdd[:-1], still]),
-            check_rates=False,
-        )
-
-    def _moving(self, times: Array, before: BoolArray) -> PlatformMotion:
-        if not isinstance(self.source, PiecewisePolynomial):
-            return self.source.sample_at(times)
-        values = self.source(times)
-        n, is_pose = _coordinates(values.shape[1])
-        x, xd, xdd = values[:, : -2 * n], values[:, -2 * n : -n], values[:, -n:]
-        xdd[before] = self.source(times[before], "left")[:, -n:]
-        return PlatformMotion(times, x.reshape(-1, 4, 4) if is_pose else x, xd, xdd, check_rates=False)
-
-    def prolonged_until(self, end: float) -> ContinuousMotion:
-        """Return the motion with the platform held where it is at the end, until a later time, s."""
-        if not end > self.end:
-            return self
-        return replace(self, end=end, breaks=frozen(np.append(self.breaks, self.end)))
-
-    @cached_property
-    def polynomials(self) -> PiecewisePolynomial:
-        """x, ẋ and ẍ side by side, without the time in which the platform is held; those of a trajectory are fitted."""
-        if isinstance(self.source, PiecewisePolynomial):
-            return self.source
-        trajectory = self.source
-        inner = self.breaks[self.breaks < self.moves_until]
-        edges = np.unique(np.concatenate([[self.start], inner, self.knots, [self.moves_until]]))
-
-        def values(times: Array) -> Array:
-            motion = trajectory.sample_at(times)
-            return np.concatenate([motion.x.reshape(len(times), -1), motion.xd, motion.xdd], axis=1)
-
-        def scale(values: Array) -> Array:
-            n, _ = _coordinates(values.shape[1])
-            sizes = [np.full(part.shape[1], np.abs(part).max()) for part in np.split(values, [-2 * n, -n], axis=1)]
-            largest: Array = np.maximum(np.concatenate(sizes), np.finfo(float).tiny)
-            return largest
-
-        return PiecewisePolynomial.fit(values, edges, self.knots, scale, PLATFORM_TOLERANCE)
-
-
-def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMotion:
-    """Return a trajectory or a sampled motion as a function of time.
-
-    A trajectory is asked for its own exact motion. Between the samples of a motion stands the quintic that matches
-    x, ẋ, ẍ at both ends; its acceleration is off by O(Δt⁴). Where samples are so dense that the rounding of x shows in
-    it, velocity and acceleration are those of the cubic that matches ẋ and ẍ, off by O(Δt³). Of poses these are
-    polynomials of the origin and of the rotation vector from the left sample.
-
-    Raises:
-        InputError: samples that are no motion (``require_consistent``), or of a single instant.
-    """
-    if isinstance(motion, PlatformMotion):
-        require_consistent(motion)
-        return _from_samples(motion)
-    if not is_timed(motion):
-        require_sampled(motion)
-    end = float(motion.duration)
-    inner = [float(t) for t in motion.breaks if 0.0 < t < end]
-    knots = [t for t in _knots(motion) if 0.0 < t < end]
-    return ContinuousMotion(motion, 0.0, end, end, frozen(inner), frozen(knots), True)
-
-
-def _knots(motion: TimedTrajectory) -> list[float]:
-    """Return the times, s, at which the jerk jumps, and those beside a cusp of the path, where little is smooth."""
-    timing, lengths = getattr(motion, "timing", None), getattr(getattr(motion, "path", None), "knots", ())
-    ramps = getattr(timing, "knots", ())
-    along = np.array([timing.time_at(float(p)) for p in lengths]) if timing is not None else np.empty(0)
-    if len(along):
-        apart = np.diff(along, prepend=0.0) > LEAST_KNOT_DISTANCE * motion.duration
-        along = along[apart]
-    return sorted({*map(float, ramps), *along.tolist()})
-
-
-def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
-    left = np.flatnonzero(np.diff(motion.t) > 0.0)
-    if len(left) == 0:
-        raise InputError("The motion has a single instant.", remedy="Pass at least two samples.")
-    right = left + 1
-    edges = np.append(motion.t[left], motion.t[-1])
-    h = np.diff(edges)[:, None]
-    if motion.is_pose:
-        start, end = _local_ends(motion, left, right)
-    else:
-        start, end = ((motion.x[at], motion.xd[at], motion.xdd[at]) for at in (left, right))
-    position = PiecewisePolynomial.hermite(edges, start, end)
-    velocity = position.derivative()
-    acceleration = velocity.derivative()
-    # second differences of positions that are rounded themselves, over h²; 60 is the factor of the quintic
-    rounding = 60.0 * np.finfo(float).eps * np.abs(motion.x).max() / np.median(h) ** 2
-    # of the motion, not of its samples: between two at rest there may be one
-    largest = max(np.abs(motion.xdd).max(), np.abs(position.derivative(2).ranges()).max())
-    if rounding > DENSE * largest:
-        (_, v0, a0), (_, v1, a1) = start, end
-        cubic = np.stack([v0, v0 + h * a0 / 3.0, v1 - h * a1 / 3.0, v1])
-        velocity = PiecewisePolynomial.from_bernstein(cubic, edges)
-        acceleration = velocity.derivative()
-    polynomials = position.beside(velocity).beside(acceleration)
-    breaks = frozen(motion.t[motion.jumps])
-    knots = frozen(np.setdiff1d(edges[1:-1], breaks))
-    source = _PosesBetween(polynomials, breaks, motion.x[left, :3, :3]) if motion.is_pose else polynomials
-    return ContinuousMotion(source, float(edges[0]), float(edges[-1]), float(edges[-1]), breaks, knots, False)
-
-
-def _local_ends(motion: PlatformMotion, left: IntArray, right: IntArray) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Return origin and rotation vector from the left sample (P, 6), and two derivatives, at both ends of each piece.
-
-    Raises:
-        InputError: samples half a turn apart, or a pose without six rates.
-    """
-    if motion.xd.shape[1] != 6:
-        raise InputError(
-            f"The poses have {motion.xd.shape[1]} rates: nothing says how the origin moves between the samples.",
-            remedy="Pass a trajectory.",
-        )
-    p, R = motion.x[:, :3, 3], motion.x[:, :3, :3]
-    turn = Rotation.from_matrix(R[right] @ R[left].transpose(0, 2, 1)).as_rotvec()
-    angle = np.linalg.norm(turn, axis=1)
-    if angle.max() > MOST_TURN:
-        k = int(left[angle.argmax()])
-        raise InputError(
-            f"The platform turns by {angle.max():.4g} rad between its samples at {motion.t[k]:.6g} and "
-            f"{motion.t[k + 1]:.6g} s: nothing says which way round.",
-            remedy="Sample the motion more densely.",
-            time=float(motion.t[k]),
-        )
-
-    def ends(at: IntArray, origin: Array, phi: Array) -> tuple[Array, ...]:
-        twist, rate = motion.xd[at], motion.xdd[at]
-        turning = (phi, *vector_rates(phi, twist[:, 3:], rate[:, 3:]))
-        moving = (origin, twist[:, :3], rate[:, :3])
-        return tuple(np.concatenate(pair, axis=1) for pair in zip(moving, turning, strict=True))
-
-    return ends(left, p[left], np.zeros_like(turn)), ends(right, p[right], turn)
-
-
-@dataclass(frozen=True, eq=False)
-class _PosesBetween(Frozen):
-    """A motion of poses between samples: origin and rotation vector from the left sample as polynomials.
-
-    Attributes:
-        local: on each of P pieces origin and rotation vector, m and rad, their rates and second derivatives (18).
-        breaks: (b,) times at which the acceleration jumps, s.
-        rotations: (P, 3, 3) of the samples that the pieces begin with.
-    """
-
-    local: PiecewisePolynomial
-    breaks: Array
-    rotations: Array
-
-    @property
-    def duration(self) -> float:
-        """Last time, s."""
-        return self.local.end
-
-    def sample_at(self, times: ArrayLike) -> PlatformMotion:
-        """Return the motion at (N,) increasing times, s; a break that occurs twice gets both accelerations."""
-        t = np.asarray(times, dtype=np.float64)
-        values, before = self.local(t), np.append(t[1:] == t[:-1], False)
-        piece = np.clip(np.searchsorted(self.local.edges, t, side="right") - 1, 0, len(self.rotations) - 1)
-        # the piece before a jump ends there
-        values[before], piece[before] = self.local(t[before], "left"), np.maximum(piece[before] - 1, 0)
-        (p, phi), (v, phid), (a, phidd) = (np.split(part, 2, axis=1) for part in np.split(values, 3, axis=1))
-        omega, alpha = angular_rates(phi, phid, phidd)
-        x = np.tile(np.eye(4), (len(t), 1, 1))
-        x[:, :3, :3] = Rotation.from_rotvec(phi).as_matrix() @ self.rotations[piece]
-        x[:, :3, 3] = p
-        xd, xdd = np.concatenate([v, omega], axis=1), np.concatenate([a, alpha], axis=1)
-        x[before], xd[before] = x[1:][before[:-1]], xd[1:][before[:-1]]  # bit for bit: it is one state
-        return PlatformMotion(t, x, xd, xdd)
-
-
 def _padded(coefficients: list[Array]) -> list[Array]:
     """Return coefficients (D + 1, P, C) with as many powers as the longest."""
     most = max(map(len, coefficients))
     return [np.pad(part, ((most - len(part), 0), (0, 0), (0, 0))) for part in coefficients]
-
-
-def _coordinates(columns: int) -> tuple[int, bool]:
-    """Return the number n of coordinates of x, ẋ, ẍ side by side, and whether x is a pose: 16 + 2 · 6 numbers.
-
-    Three times n is never 28.
-    """
-    return (6, True) if columns == 28 else (columns // 3, False)
 
 
 @lru_cache(maxsize=8)

@@ -15,7 +15,7 @@ from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.json_text import LARGEST_TEXT, read_json
 from redundancy_pin.io.reading import read_text
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.trajectory.csv_file import poses_of, table_of_csv
+from redundancy_pin.trajectory.csv_file import checked_poses, table_of_csv
 from redundancy_pin.trajectory.paths import Path, with_constant
 from redundancy_pin.trajectory.piecewise_law import law_through_speeds, uniform_law
 from redundancy_pin.trajectory.splines import PosePath, TimedSpline
@@ -158,7 +158,7 @@ def _split(points: Any) -> tuple[Array, Array | None]:
         axes = 2
     given = checked(points, "points", ("N", 4, 4) if axes == 3 else ("N", "n"))
     if given.shape[1:] == (7,):
-        given = poses_of(given, "points")
+        given = checked_poses(given, "points")
     if given.ndim == 2:
         return given, None
     still = np.zeros((len(given), 6))

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
-from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, Frozen, assign, checked, frozen
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.paths import PathPoint, SmoothPath
+from redundancy_pin.trajectory.quaternions import angular_rates, poses_of, quaternions_of, turns_between
 from redundancy_pin.trajectory.waypoints import SplinePath
 
 _LEAST_NORM = 0.3
@@ -72,8 +72,7 @@ class TimedSpline(Frozen, SmoothPath):
 class PosePath(Frozen, SmoothPath):
     """Poses along a path of their origins: SE(3) splines with continuous twist and rate of twist.
 
-    The orientation is a spline of quaternions, normalised: with q(p) and its derivatives q', q'', and q* its conjugate,
-    ω' = 2 Im(q' q*)/|q|², its derivative [2 Im(q'' q*) − 2 (q·q') ω']/|q|², in world axes.
+    The orientation is a spline of quaternions, normalised (``trajectory.quaternions``, with p in place of the time).
 
     Attributes:
         origin: path of the platform's origin, m.
@@ -88,7 +87,15 @@ class PosePath(Frozen, SmoothPath):
 
     def __init__(self, origin: TimedSpline | SplinePath, rotations: ArrayLike) -> None:
         matrices = checked(rotations, "rotations", ("N", 3, 3))
-        quaternions = _aligned(matrices)
+        quaternions = quaternions_of(matrices)
+        turned_over = np.flatnonzero(turns_between(quaternions) > np.pi - _HALF_TURN_MARGIN)
+        if len(turned_over):
+            k = int(turned_over[0])
+            raise InputError(
+                f"Poses {k} and {k + 1} are half a turn apart: the axis is not determined.",
+                remedy="Go through a pose in between.",
+                index=k,
+            )
         if isinstance(origin, TimedSpline):
             places = origin.times
             turn = TimedSpline(quaternions, places)._spline
@@ -117,33 +124,6 @@ class PosePath(Frozen, SmoothPath):
     def _at(self, p: Array) -> PathPoint:
         place = self.origin._at(p)
         q, first, second = (self._turn(p, order) for order in range(3))
-        square = (q**2).sum(axis=-1, keepdims=True)
-        omega = 2.0 * _imaginary(first, q) / square
-        alpha = 2.0 * (_imaginary(second, q) - (q * first).sum(axis=-1, keepdims=True) * omega) / square
-        pose = np.zeros((*p.shape, 4, 4))
-        pose[..., :3, :3] = Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*p.shape, 3, 3)
-        pose[..., :3, 3], pose[..., 3, 3] = place.x, 1.0
+        omega, alpha = angular_rates(q, first, second)
         tangent = np.concatenate([place.tangent, omega], axis=-1)
-        return PathPoint(pose, tangent, np.concatenate([place.curvature, alpha], axis=-1))
-
-
-def _imaginary(a: Array, b: Array) -> Array:
-    """Return (..., 3) the imaginary part of a b* of quaternions (..., 4), x, y, z, w."""
-    product: Array = b[..., 3:] * a[..., :3] - a[..., 3:] * b[..., :3] - np.cross(a[..., :3], b[..., :3])
-    return product
-
-
-def _aligned(rotations: Array) -> Array:
-    """Return (N, 4) quaternions, each of the sign that is nearer to the one before."""
-    quaternions: Array = Rotation.from_matrix(rotations).as_quat()
-    steps = (quaternions[1:] * quaternions[:-1]).sum(axis=1)
-    bad = np.flatnonzero(np.abs(steps) < np.sin(0.5 * _HALF_TURN_MARGIN))
-    if len(bad):
-        k = int(bad[0])
-        raise InputError(
-            f"Poses {k} and {k + 1} are half a turn apart: the axis is not determined.",
-            remedy="Go through a pose in between.",
-            index=k,
-        )
-    quaternions[1:] *= np.cumprod(np.where(steps < 0.0, -1.0, 1.0))[:, None]
-    return quaternions
+        return PathPoint(poses_of(place.x, q), tangent, np.concatenate([place.curvature, alpha], axis=-1))

@@ -11,7 +11,8 @@ from redundancy_pin import PlatformMotion, VirtualWork
 from redundancy_pin.planners.carrier_model import Actuation, TimedModel, carrier_model
 from redundancy_pin.singularities.roots import below_zero, minima
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
 def test_model_is_that_of_the_backend():

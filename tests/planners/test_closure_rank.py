@@ -15,7 +15,7 @@ from redundancy_pin.cli import main
 from redundancy_pin.planners.check import closure_rank_losses
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.functions_of_time import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
 
 DURATION = 2.0
 

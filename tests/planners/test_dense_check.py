@@ -20,7 +20,8 @@ from redundancy_pin.planners.limits import motion_broken
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory import RestToRest, SplinePath, Trajectory, reference, rounded_polygon, with_constant
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 MANY = 100 * int(os.environ.get("EXAMPLES", "1"))
 """Random problems of the long test: 1,000 in ``make long``."""

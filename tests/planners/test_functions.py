@@ -9,7 +9,8 @@ from prescribed import reduced
 
 from redundancy_pin.planners.functions import DEGREE, PlanFunctions, apart
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
 
 
 def functions(**options: object) -> PlanFunctions:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory import Line, Trajectory, circle_path, corner_path, from_points, through_points
-from redundancy_pin.trajectory.functions_of_time import continuous_motion
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.piecewise_law import law_through_speeds
 from redundancy_pin.trajectory.time_optimal import BLEND, fastest_law, least_duration
 

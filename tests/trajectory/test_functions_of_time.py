@@ -12,7 +12,8 @@ from zoo import robot_of, smooth_motion
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory import reference
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, continuous_motion, preferred_middle
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, preferred_middle
 
 EDGES = np.array([0.7, 0.75, 0.9])
 

@@ -36,12 +36,8 @@ from redundancy_pin.planners.stepwise.optimiser import (
     optimality,
     step_problems,
 )
-from redundancy_pin.trajectory.functions_of_time import (
-    PiecewisePolynomial,
-    TimedTrajectory,
-    continuous_motion,
-    is_timed,
-)
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion, is_timed
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 LEAST_MARGIN = 1e-3
 """Smallest margin of W that is accepted: efforts grow with its inverse."""

@@ -23,7 +23,8 @@ from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import TimedModel
 from redundancy_pin.trajectory import Polynomial, boundary_polynomial
-from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, preferred_middle
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, preferred_middle
 
 _NODES = 16
 """Nodes of the interpolant from which the parked efforts are differentiated."""

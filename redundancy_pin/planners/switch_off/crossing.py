@@ -25,7 +25,8 @@ from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, dens
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, RampDown, StepGivenUpError, ramp_down
 from redundancy_pin.singularities.roots import Interval, minima
-from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, carriers_at
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 RANK_LOSS = 1e-8
 """Smallest singular value of F, as a fraction of its largest, that counts as zero at a minimum found by search."""

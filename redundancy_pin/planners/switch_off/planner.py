@@ -21,13 +21,8 @@ from redundancy_pin.planners.limits import Limits, one_of, require_dynamics, req
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross, cross_stepwise
 from redundancy_pin.singularities.roots import Interval
-from redundancy_pin.trajectory.functions_of_time import (
-    ContinuousMotion,
-    PiecewisePolynomial,
-    TimedTrajectory,
-    carriers_at,
-    continuous_motion,
-)
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 MOST_SAMPLES = 1_000_000  # of a plan: each takes kilobytes on its course through the dynamics
 

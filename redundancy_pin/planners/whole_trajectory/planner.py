@@ -40,11 +40,8 @@ from redundancy_pin.planners.whole_trajectory.problem import (
 )
 from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME, solve
 from redundancy_pin.planners.whole_trajectory.transcription import objective_values
-from redundancy_pin.trajectory.functions_of_time import (
-    PiecewisePolynomial,
-    TimedTrajectory,
-    continuous_motion,
-)
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 BESIDE = 4
 """Steps on both sides of one with a middle node that get one as well: the next plan would have its kink just beside the

@@ -31,7 +31,8 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort
 from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
 from redundancy_pin.trajectory import Side
-from redundancy_pin.trajectory.functions_of_time import ContinuousMotion, PiecewisePolynomial, chebyshev_times
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
 
 MOST_NODES = 100_000  # unknowns and rows of the programme are a few dozen times as many
 

@@ -20,7 +20,8 @@ from redundancy_pin.planners.reference import MotionReference, plan_reference
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.state import State, closed_state, tree_state
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, TimedTrajectory
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 CarrierLaw = Callable[[float], tuple[Array, Array, Array]]
 """From time to carrier positions, speeds and accelerations, each (k,); smooth between the controller's ``breaks``."""

@@ -35,7 +35,7 @@ from redundancy_pin.simulation.controllers.base import (
 )
 from redundancy_pin.simulation.derivatives import state_error
 from redundancy_pin.simulation.state import GAP, Manifold, State
-from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
 
 @dataclass(frozen=True, eq=False)

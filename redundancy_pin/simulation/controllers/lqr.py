@@ -34,7 +34,7 @@ from redundancy_pin.simulation.controllers.base import (
 )
 from redundancy_pin.simulation.derivatives import linearise_along, state_error
 from redundancy_pin.simulation.state import State
-from redundancy_pin.trajectory.functions_of_time import TimedTrajectory
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
 
 LEAST_SHARE = 0.05
 """An actuator that a plan hardly uses may still deviate by this share of the largest of its kind."""

@@ -13,7 +13,8 @@ from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory.options import Mesh, checked_settings
 from redundancy_pin.planners.whole_trajectory.problem import Task, singular_node
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at, continuous_motion
+from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line
 
 HEAVY = {"end_effector_mass": 0.5, "cylinder_mass": 0.3}

@@ -1,0 +1,269 @@
+"""The motion of the platform as a function of time: of a trajectory, of samples, or read from a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol, TypeGuard
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, BoolArray, Frozen, frozen
+from redundancy_pin.errors import InputError
+from redundancy_pin.motion import PlatformMotion, require_consistent, require_sampled
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.quaternions import (
+    angular_rates,
+    poses_of,
+    quaternion_rates,
+    quaternions_of,
+    turns_between,
+)
+
+LEAST_KNOT_DISTANCE = 1e-4
+"""Of the knots of a path, as a fraction of the duration: towards a cusp they come closer and closer."""
+
+DENSE = 1e-9
+"""Rounding of the accelerations of the quintic, relative to the largest, from which samples count as dense: at 0.4 m
+and 1 m/s² about 2 ms apart."""
+
+MOST_TURN = 3.0
+"""Between two samples of a pose, rad: at half a turn its sense is not determined."""
+
+PLATFORM_TOLERANCE = 1e-12
+"""Of the polynomials that stand for a trajectory in a file, relative to the largest x, ẋ and ẍ."""
+
+
+class TimedTrajectory(Protocol):
+    """What a planner needs of a trajectory."""
+
+    @property
+    def duration(self) -> float:
+        """Total time, s."""
+
+    @property
+    def breaks(self) -> Array:
+        """(b,) times at which the acceleration jumps, s."""
+
+    def sample_at(self, times: ArrayLike) -> PlatformMotion:
+        """Return the motion at (N,) increasing times; a break that occurs twice gets both accelerations."""
+
+
+def is_timed(motion: object) -> TypeGuard[TimedTrajectory]:
+    """Return whether a motion can be evaluated at any time, rather than being samples."""
+    return all(hasattr(motion, name) for name in ("duration", "breaks", "sample_at"))
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousMotion(Frozen):
+    """A platform motion over an interval, from a trajectory or from polynomials.
+
+    Attributes:
+        source: the trajectory, or polynomials with the values x (n, or 16 of a pose, row by row), ẋ and ẍ (n each).
+        start, end: first and last time, s.
+        moves_until: time from which on the platform is held where it is then, s; the end but where carriers move on.
+        breaks: (b,) inner times at which the acceleration jumps, s.
+        knots: (c,) inner times at which a higher derivative jumps, s, as far as they are known.
+        exact: whether it is smooth between breaks and knots to rounding; not so a sampled motion.
+    """
+
+    source: TimedTrajectory | PiecewisePolynomial
+    start: float
+    end: float
+    moves_until: float
+    breaks: Array
+    knots: Array
+    exact: bool
+
+    @property
+    def kinks(self) -> Array:
+        """(e,) both ends and, in order, where it is not smooth in between as far as that is known, s."""
+        inner = np.concatenate([self.breaks, self.knots]) if self.exact else self.breaks
+        return np.unique(np.concatenate([[self.start], inner, [self.end]]))
+
+    def sample_at(self, times: Array) -> PlatformMotion:
+        """Return the motion at (N,) increasing times, s.
+
+        A break that occurs twice gets the acceleration before and after the jump, a single one that after it.
+        """
+        before = np.append(times[1:] == times[:-1], False)
+        if self.moves_until == self.end:
+            return self._moving(times, before)
+        moving = (times < self.moves_until) | (before & (times == self.moves_until))
+        # a motion has samples: that of the last instant is repeated where the platform is held
+        there = self._moving(np.append(times[moving], self.moves_until), np.append(before[moving], False))
+        x, still = np.asarray(there.x), np.zeros((int((~moving).sum()), there.xd.shape[1]))
+        return PlatformMotion(
+            times,
+            np.concatenate([x[:-1], np.repeat(x[-1:], len(still), axis=0)]),
+            np.concatenate([there.xd[:-1], still]),
+            np.concatenate([there.xdd[:-1], still]),
+            check_rates=False,
+        )
+
+    def _moving(self, times: Array, before: BoolArray) -> PlatformMotion:
+        if not isinstance(self.source, PiecewisePolynomial):
+            return self.source.sample_at(times)
+        n, is_pose = _coordinates(self.source.coefficients.shape[2])
+        x, xd, xdd = np.split(_with_jumps(self.source, times, before, n), [-2 * n, -n], axis=1)
+        return PlatformMotion(times, x.reshape(-1, 4, 4) if is_pose else x, xd, xdd, check_rates=False)
+
+    def prolonged_until(self, end: float) -> ContinuousMotion:
+        """Return the motion with the platform held where it is at the end, until a later time, s."""
+        if not end > self.end:
+            return self
+        return replace(self, end=end, breaks=frozen(np.append(self.breaks, self.end)))
+
+    @cached_property
+    def polynomials(self) -> PiecewisePolynomial:
+        """x, ẋ and ẍ side by side, without the time in which the platform is held; those of a trajectory are fitted."""
+        if isinstance(self.source, PiecewisePolynomial):
+            return self.source
+        trajectory = self.source
+        inner = self.breaks[self.breaks < self.moves_until]
+        edges = np.unique(np.concatenate([[self.start], inner, self.knots, [self.moves_until]]))
+
+        def values(times: Array) -> Array:
+            motion = trajectory.sample_at(times)
+            return np.concatenate([motion.x.reshape(len(times), -1), motion.xd, motion.xdd], axis=1)
+
+        def scale(values: Array) -> Array:
+            n, _ = _coordinates(values.shape[1])
+            sizes = [np.full(part.shape[1], np.abs(part).max()) for part in np.split(values, [-2 * n, -n], axis=1)]
+            largest: Array = np.maximum(np.concatenate(sizes), np.finfo(float).tiny)
+            return largest
+
+        return PiecewisePolynomial.fit(values, edges, self.knots, scale, PLATFORM_TOLERANCE)
+
+
+def continuous_motion(motion: PlatformMotion | TimedTrajectory) -> ContinuousMotion:
+    """Return a trajectory or a sampled motion as a function of time.
+
+    A trajectory is asked for its own exact motion. Between the samples of a motion stands the quintic that matches
+    x, ẋ, ẍ at both ends; its acceleration is off by O(Δt⁴). Where samples are so dense that the rounding of x shows in
+    it, velocity and acceleration are those of the cubic that matches ẋ and ẍ, off by O(Δt³). Of poses these are
+    polynomials of the origin and of the quaternion.
+
+    Raises:
+        InputError: samples that are no motion (``require_consistent``), or of a single instant.
+    """
+    if isinstance(motion, PlatformMotion):
+        require_consistent(motion)
+        return _from_samples(motion)
+    if not is_timed(motion):
+        require_sampled(motion)
+    end = float(motion.duration)
+    inner = [float(t) for t in motion.breaks if 0.0 < t < end]
+    knots = [t for t in _knots(motion) if 0.0 < t < end]
+    return ContinuousMotion(motion, 0.0, end, end, frozen(inner), frozen(knots), True)
+
+
+def _knots(motion: TimedTrajectory) -> list[float]:
+    """Return the times, s, at which the jerk jumps, and those beside a cusp of the path, where little is smooth."""
+    timing, lengths = getattr(motion, "timing", None), getattr(getattr(motion, "path", None), "knots", ())
+    ramps = getattr(timing, "knots", ())
+    along = np.array([timing.time_at(float(p)) for p in lengths]) if timing is not None else np.empty(0)
+    if len(along):
+        apart = np.diff(along, prepend=0.0) > LEAST_KNOT_DISTANCE * motion.duration
+        along = along[apart]
+    return sorted({*map(float, ramps), *along.tolist()})
+
+
+def _from_samples(motion: PlatformMotion) -> ContinuousMotion:
+    left = np.flatnonzero(np.diff(motion.t) > 0.0)
+    if len(left) == 0:
+        raise InputError("The motion has a single instant.", remedy="Pass at least two samples.")
+    right = left + 1
+    edges = np.append(motion.t[left], motion.t[-1])
+    h = np.diff(edges)[:, None]
+    values = _in_quaternions(motion) if motion.is_pose else (motion.x, motion.xd, motion.xdd)
+    start, end = (tuple(part[at] for part in values) for at in (left, right))
+    position = PiecewisePolynomial.hermite(edges, start, end)
+    velocity = position.derivative()
+    acceleration = velocity.derivative()
+    # second differences of positions that are rounded themselves, over h²; 60 is the factor of the quintic
+    rounding = 60.0 * np.finfo(float).eps * np.abs(motion.x).max() / np.median(h) ** 2
+    # of the motion, not of its samples: between two at rest there may be one
+    largest = max(np.abs(motion.xdd).max(), np.abs(position.derivative(2).ranges()).max())
+    if rounding > DENSE * largest:
+        (_, v0, a0), (_, v1, a1) = start, end
+        cubic = np.stack([v0, v0 + h * a0 / 3.0, v1 - h * a1 / 3.0, v1])
+        velocity = PiecewisePolynomial.from_bernstein(cubic, edges)
+        acceleration = velocity.derivative()
+    polynomials = position.beside(velocity).beside(acceleration)
+    breaks = frozen(motion.t[motion.jumps])
+    knots = frozen(np.setdiff1d(edges[1:-1], breaks))
+    source = _PosesBetween(polynomials, breaks) if motion.is_pose else polynomials
+    return ContinuousMotion(source, float(edges[0]), float(edges[-1]), float(edges[-1]), breaks, knots, False)
+
+
+def _in_quaternions(motion: PlatformMotion) -> tuple[Array, Array, Array]:
+    """Return origins and quaternions (N, 7) of poses, m, and their first and second derivatives.
+
+    Raises:
+        InputError: samples half a turn apart, or a pose without six rates.
+    """
+    if motion.xd.shape[1] != 6:
+        raise InputError(
+            f"The poses have {motion.xd.shape[1]} rates: nothing says how the origin moves between the samples.",
+            remedy="Pass a trajectory.",
+        )
+    q = quaternions_of(motion.x[:, :3, :3])
+    angle = turns_between(q)
+    k = int(angle.argmax())
+    if angle[k] > MOST_TURN:
+        raise InputError(
+            f"The platform turns by {angle[k]:.4g} rad between its samples at {motion.t[k]:.6g} and "
+            f"{motion.t[k + 1]:.6g} s: nothing says which way round.",
+            remedy="Sample the motion more densely.",
+            time=float(motion.t[k]),
+        )
+    turning = (q, *quaternion_rates(q, motion.xd[:, 3:], motion.xdd[:, 3:]))
+    moving = (motion.x[:, :3, 3], motion.xd[:, :3], motion.xdd[:, :3])
+    x, xd, xdd = (np.concatenate(pair, axis=1) for pair in zip(moving, turning, strict=True))
+    return x, xd, xdd
+
+
+@dataclass(frozen=True, eq=False)
+class _PosesBetween(Frozen):
+    """A motion of poses between samples.
+
+    Attributes:
+        numbers: origin and quaternion, m and 1, their rates and second derivatives (21), as polynomials.
+        breaks: (b,) times at which the acceleration jumps, s.
+    """
+
+    numbers: PiecewisePolynomial
+    breaks: Array
+
+    @property
+    def duration(self) -> float:
+        """Last time, s."""
+        return self.numbers.end
+
+    def sample_at(self, times: ArrayLike) -> PlatformMotion:
+        """Return the motion at (N,) increasing times, s; a break that occurs twice gets both accelerations."""
+        t = np.asarray(times, dtype=np.float64)
+        values = _with_jumps(self.numbers, t, np.append(t[1:] == t[:-1], False), 7)
+        (p, q), (v, qd), (a, qdd) = (np.split(part, [3], axis=1) for part in np.split(values, 3, axis=1))
+        omega, alpha = angular_rates(q, qd, qdd)
+        return PlatformMotion(t, poses_of(p, q), np.concatenate([v, omega], axis=1), np.concatenate([a, alpha], axis=1))
+
+
+def _with_jumps(source: PiecewisePolynomial, times: Array, before: BoolArray, last: int) -> Array:
+    """Return the values at (N,) times, s, the last columns of those ``before`` a jump from the left: it is one state.
+
+    The others are bit for bit the same from both sides.
+    """
+    values = source(times)
+    values[before, -last:] = source(times[before], "left")[:, -last:]
+    return values
+
+
+def _coordinates(columns: int) -> tuple[int, bool]:
+    """Return the number n of coordinates of x, ẋ, ẍ side by side, and whether x is a pose: 16 + 2 · 6 numbers.
+
+    Three times n is never 28.
+    """
+    return (6, True) if columns == 28 else (columns // 3, False)
