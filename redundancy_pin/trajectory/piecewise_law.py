@@ -6,73 +6,44 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import PchipInterpolator
-from scipy.optimize import brentq
+from scipy.interpolate import BPoly, PchipInterpolator
 
-from redundancy_pin.arrays import Array, Frozen, assign, checked, inside, positive, read_only
+from redundancy_pin.arrays import Array, Frozen, checked, frozen, positive
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
-from redundancy_pin.trajectory.timing import TimingPoint
+from redundancy_pin.trajectory.timing import PolynomialLaw
 
 
-@dataclass(frozen=True, init=False, eq=False)
-class PiecewiseLaw(Frozen):
+@dataclass(frozen=True, eq=False)
+class PiecewiseLaw(Frozen, PolynomialLaw):
     """Arc length as polynomials of time, continuous up to its second derivative.
 
     Attributes:
-        polynomials: p(t) with a single value, from t = 0; increasing.
+        curve: p(t), m, from t = 0; increasing.
         length: arc length at the end, m.
     """
 
-    polynomials: PiecewisePolynomial
+    curve: BPoly
     length: float
-
-    def __init__(self, polynomials: PiecewisePolynomial, length: float) -> None:
-        assign(self, polynomials=polynomials, length=length)
 
     @property
     def duration(self) -> float:
         """Time at the end, s."""
-        return self.polynomials.end
+        return float(self.curve.x[-1])
 
     @property
     def knots(self) -> Array:
         """(c,) times at which p's third derivative may jump, s."""
-        return self.polynomials.edges[1:-1]
-
-    def evaluate(self, t: ArrayLike) -> TimingPoint:
-        """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``."""
-        times = inside(t, 0.0, self.duration, "t", "s")
-        p, pd, pdd = (self.polynomials.derivative(order)(times.ravel()).reshape(times.shape) for order in range(3))
-        return TimingPoint(np.clip(p, 0.0, self.length), pd, pdd)
-
-    def time_at(self, p: float) -> float:
-        """Return the time, s, at which arc length p, m, is reached; see ``TimingLaw.time_at``."""
-        place = float(inside(p, 0.0, self.length, "p", "m"))
-        edges = self.polynomials.edges
-        reached = np.append(self.polynomials(edges[:-1])[:, 0], self.length)
-        k = int(np.clip(np.searchsorted(reached, place, side="right") - 1, 0, len(edges) - 2))
-        a, b = float(edges[k]), float(edges[k + 1])
-
-        def beyond(t: float) -> float:
-            return float(self.polynomials.at(t)[0]) - place
-
-        if beyond(a) >= 0.0 or beyond(b) <= 0.0:
-            return a if beyond(a) >= 0.0 else b
-        return float(brentq(beyond, a, b, xtol=1e-300, rtol=4.0 * np.finfo(float).eps))
+        return frozen(self.curve.x[1:-1])
 
     def scaled(self, factor: float) -> PiecewiseLaw:
         """Return the same law run ``factor`` times as fast."""
-        faster = positive(factor, "factor", "(ratio)")
-        powers = faster ** np.arange(len(self.polynomials.coefficients))[::-1, None, None]
-        edges = read_only(self.polynomials.edges / faster)
-        return PiecewiseLaw(PiecewisePolynomial(edges, read_only(self.polynomials.coefficients * powers)), self.length)
+        return PiecewiseLaw(BPoly(self.curve.c, self.curve.x / positive(factor, "factor", "(ratio)")), self.length)
 
 
 def uniform_law(length: float, duration: float) -> PiecewiseLaw:
     """Return p = length · t / duration: the law of a path that is a function of time itself."""
-    coefficients = np.array([[[length / duration]], [[0.0]]])
-    return PiecewiseLaw(PiecewisePolynomial(read_only(np.array([0.0, duration])), read_only(coefficients)), length)
+    return PiecewiseLaw(BPoly([[0.0], [length]], [0.0, duration]), length)
 
 
 def law_through_speeds(lengths: ArrayLike, speeds: ArrayLike) -> PiecewiseLaw:
@@ -120,6 +91,5 @@ def _law(p: Array, v: Array, a: Array) -> PiecewiseLaw | None:
     edges = np.concatenate([[0.0], np.cumsum(T)])
     speed = np.stack([v[:-1], v[:-1] + T * a[:-1] / 3.0, v[1:] - T * a[1:] / 3.0, v[1:]])  # Bernstein
     control = np.concatenate([np.zeros((1, len(T))), np.cumsum(speed, axis=0)]) * T / 4.0 + p[:-1] - p[0]
-    polynomials = PiecewisePolynomial.from_bernstein(control[:, :, None], edges)
-    least, _ = polynomials.derivative().ranges()
-    return PiecewiseLaw(polynomials, float(p[-1] - p[0])) if least.min() >= -1e-12 * v.max() else None
+    least, _ = PiecewisePolynomial.from_bernstein(control[:, :, None], edges).derivative().ranges()
+    return PiecewiseLaw(BPoly(control, edges), float(p[-1] - p[0])) if least.min() >= -1e-12 * v.max() else None

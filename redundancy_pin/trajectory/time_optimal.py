@@ -2,9 +2,10 @@
 
 With w = ṗ² and u = p̈ the limits are linear at every arc length: ẋ = x' ṗ and ẍ = x' u + x'' w, while w' = 2 u. Going
 backwards from the end, the largest w from which the rest can still be braked is known at every node of a grid; going
-forwards, the largest u that keeps below it is optimal (Pham and Pham 2018, TOPP-RA; durations agree with those of
-toppra 0.6.10 to 1e-6). In each step of the grid u is constant and the limits hold at both of its ends. The lower end of
-the controllable set is zero here, as every limit is symmetric: a platform at rest may stay so.
+forwards, the largest u that keeps below it is optimal (Pham and Pham 2018, TOPP-RA). In each step of the grid u is
+constant and the limits hold at both of its ends. The lower end of the controllable set is zero here, as every limit is
+symmetric: a platform at rest may stay so. Durations agree with those of toppra 0.6.10 to 1e-6. That library is not used
+because it requires matplotlib, and because planning with carriers will need the recursion itself.
 
 That optimum switches between extreme accelerations at once. Planners and motors need a continuous one, so the law is
 averaged over a short window, ``BLEND`` of the duration, by which it gets longer; then it is run as fast as the
@@ -17,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import BPoly
 
-from redundancy_pin.arrays import Array, IntArray, Side, checked, read_only
+from redundancy_pin.arrays import Array, IntArray, Side, checked
 from redundancy_pin.errors import InputError
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
 from redundancy_pin.trajectory.piecewise_law import PiecewiseLaw
 
@@ -67,7 +68,7 @@ def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -
     groups = _groups(path, max_speed, max_acceleration)
     p, w, u = _optimum(path, groups)
     law = _averaged(p, w, u)
-    times = np.linspace(0.0, law.duration, _DENSE * (len(law.polynomials.edges) - 1) + 1)
+    times = np.linspace(0.0, law.duration, _DENSE * (len(law.curve.x) - 1) + 1)
     return law.scaled((1.0 - _SPARE) / _use(path, groups, law, times))
 
 
@@ -218,12 +219,10 @@ def _averaged(p: Array, w: Array, u: Array) -> PiecewiseLaw:
 
     nodes = np.linspace(0.0, end + window, int(np.ceil(_PIECES / BLEND)) + 1)
     ahead, behind = integral(nodes), integral(nodes - window)
-    values = tuple(((a - b) / window)[:, None] for a, b in zip(ahead, behind, strict=True))
-    values[0][0], values[0][-1] = 0.0, p[-1]
-    law = PiecewisePolynomial.hermite(
-        read_only(nodes), tuple(part[:-1] for part in values), tuple(part[1:] for part in values)
-    )
-    return PiecewiseLaw(law, float(p[-1]))
+    place, rate, acceleration = ((a - b) / window for a, b in zip(ahead, behind, strict=True))
+    place[0], place[-1] = 0.0, p[-1]
+    states = np.stack([place, rate, acceleration], axis=1)
+    return PiecewiseLaw(BPoly.from_derivatives(nodes, states), float(p[-1]))
 
 
 def _use(path: Path, groups: list[_Group], law: PiecewiseLaw, times: Array) -> float:

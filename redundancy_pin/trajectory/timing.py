@@ -46,7 +46,8 @@ class Polynomial(Frozen):
         return read_only(np.array([comb(self.degree, j) * np.diff(self.control, n=j, axis=0)[0] for j in orders]))
 
     @cached_property
-    def _bernstein(self) -> BPoly:
+    def curve(self) -> BPoly:
+        """The same as scipy's type."""
         return BPoly(self.control[:, None], [self.t0, self.t1])
 
     def __call__(self, t: ArrayLike, derivative: int = 0) -> Array:
@@ -67,7 +68,7 @@ class Polynomial(Frozen):
         times = inside(t, self.t0, self.t1, "t", "s")
         if derivative > self.degree:
             return np.zeros(times.shape + self.control.shape[1:])
-        return np.asarray(self._bernstein(times, derivative))
+        return np.asarray(self.curve(times, derivative))
 
 
 def boundary_polynomial(t0: float, t1: float, start: Sequence[ArrayLike], end: Sequence[ArrayLike]) -> Polynomial:
@@ -122,15 +123,6 @@ def rest_to_rest_4567(t0: float, t1: float, start: ArrayLike, end: ArrayLike) ->
     return _rest_to_rest(t0, t1, start, end, zeros=3)
 
 
-def time_of_value(law: Polynomial, p: float) -> float:
-    """Return the time, s, at which an increasing scalar polynomial takes a value; beyond its range the nearer end."""
-    if p <= float(law(law.t0)):
-        return law.t0
-    if p >= float(law(law.t1)):
-        return law.t1
-    return float(brentq(lambda t: float(law(t)) - p, law.t0, law.t1, xtol=1e-300, rtol=4.0 * np.finfo(float).eps))
-
-
 def _rest_to_rest(t0: float, t1: float, start: ArrayLike, end: ArrayLike, zeros: int) -> Polynomial:
     rest = [np.zeros(np.shape(start))] * zeros
     return boundary_polynomial(t0, t1, [start, *rest], [end, *rest])
@@ -183,8 +175,35 @@ class TimingLaw(Protocol):
         """
 
 
+class PolynomialLaw:
+    """Base of the timing laws that are polynomials in pieces: they define ``length``, m, and ``curve``, p(t) from 0."""
+
+    length: float
+    curve: BPoly
+
+    def evaluate(self, t: ArrayLike) -> TimingPoint:
+        """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``."""
+        times = inside(t, 0.0, float(self.curve.x[-1]), "t", "s")
+        p, pd, pdd = (np.asarray(self.curve(times, order)) for order in range(3))
+        return TimingPoint(np.clip(p, 0.0, self.length), pd, pdd)
+
+    def time_at(self, p: float) -> float:
+        """Return the time, s, at which arc length p, m, is reached; see ``TimingLaw.time_at``."""
+        place = float(inside(p, 0.0, self.length, "p", "m"))
+        edges, reached = self.curve.x, self.curve.c[0]  # where each piece begins
+        k = max(int(np.searchsorted(reached, place, side="right")) - 1, 0)
+        a, b = float(edges[k]), float(edges[k + 1])
+
+        def beyond(t: float) -> float:
+            return float(self.curve(t)) - place
+
+        if beyond(a) >= 0.0 or beyond(b) <= 0.0:
+            return a if beyond(a) >= 0.0 else b
+        return float(brentq(beyond, a, b, xtol=1e-300, rtol=4.0 * np.finfo(float).eps))
+
+
 @dataclass(frozen=True)
-class RestToRest:
+class RestToRest(PolynomialLaw):
     """A single polynomial from rest to rest over the whole length.
 
     Attributes:
@@ -212,14 +231,10 @@ class RestToRest:
         law = rest_to_rest_345 if self.shape == "3-4-5" else rest_to_rest_4567
         return law(0.0, self.duration, 0.0, self.length)
 
-    def evaluate(self, t: ArrayLike) -> TimingPoint:
-        """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``."""
-        polynomial = self.polynomial
-        return TimingPoint(polynomial(t), polynomial(t, 1), polynomial(t, 2))
-
-    def time_at(self, p: float) -> float:
-        """Return the time, s, at which arc length p, m, is reached; see ``TimingLaw.time_at``."""
-        return time_of_value(self.polynomial, float(inside(p, 0.0, self.length, "p", "m")))
+    @cached_property
+    def curve(self) -> BPoly:  # type: ignore[override]
+        """p(t), m."""
+        return self.polynomial.curve
 
     def scaled(self, factor: float) -> RestToRest:
         """Return the same law run ``factor`` times as fast."""
@@ -231,7 +246,7 @@ LEAST_RAMP_FRACTION = 0.4
 
 
 @dataclass(frozen=True, init=False)
-class SpeedProfile:
+class SpeedProfile(PolynomialLaw):
     """Ramp up, cruise, ramp down (Parsa 2014, sections 3.2 and 4.2.2).
 
     The ramp up is the quintic in arc length from (0, 0, 0) to (ℓ, v, 0) in time T, the ramp down its mirror image.
@@ -304,6 +319,15 @@ class SpeedProfile:
         """Time at the end, s."""
         return self.ramp_time + self.cruise_time + self.end_ramp_time
 
+    @cached_property
+    def curve(self) -> BPoly:  # type: ignore[override]
+        """p(t), m: a quintic, a straight line where there is a cruise, and a quintic."""
+        ends = np.cumsum([0.0, self.ramp_time, self.cruise_time, self.end_ramp_time])
+        places = 0.0, self.ramp_length, self.length - self.end_ramp_length, self.length
+        states = [(p, v, 0.0) for p, v in zip(places, (0.0, self.speed, self.speed, 0.0), strict=True)]
+        kept = [0, 1, 2, 3] if ends[2] > ends[1] else [0, 1, 3]
+        return BPoly.from_derivatives(ends[kept], [states[i] for i in kept])
+
     @property
     def knots(self) -> Array:
         """(2,) times at which a ramp meets the cruise, s: the jerk jumps there."""
@@ -318,29 +342,6 @@ class SpeedProfile:
         up = _peak(self.ramp_length / (self.speed * self.ramp_time))
         return max(up, _peak(self.end_ramp_length / (self.speed * self.end_ramp_time))) * self.speed
 
-    def evaluate(self, t: ArrayLike) -> TimingPoint:
-        """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``."""
-        times = inside(t, 0.0, self.duration, "t", "s")
-        cruise_end = self.ramp_time + self.cruise_time
-        up, down = self._ramps()
-        p = self.ramp_length + self.speed * (times - self.ramp_time)
-        pd = np.full(times.shape, self.speed)
-        pdd = np.zeros(times.shape)
-        for ramp, there in ((up, times < self.ramp_time), (down, times > cruise_end)):
-            clipped = np.clip(times, ramp.t0, ramp.t1)
-            p, pd, pdd = (np.where(there, ramp(clipped, order), cruise) for order, cruise in enumerate((p, pd, pdd)))
-        return TimingPoint(p, pd, pdd)
-
-    def time_at(self, p: float) -> float:
-        """Return the time, s, at which arc length p, m, is reached; see ``TimingLaw.time_at``."""
-        place = float(inside(p, 0.0, self.length, "p", "m"))
-        up, down = self._ramps()
-        if place < self.ramp_length:
-            return time_of_value(up, place)
-        if place > self.length - self.end_ramp_length:
-            return time_of_value(down, place)
-        return self.ramp_time + (place - self.ramp_length) / self.speed
-
     def scaled(self, factor: float) -> SpeedProfile:
         """Return the same profile run ``factor`` times as fast; the ramps keep their lengths."""
         faster = positive(factor, "factor", "(ratio)")
@@ -352,12 +353,6 @@ class SpeedProfile:
             self.end_ramp_time / faster,
             self.end_ramp_length,
         )
-
-    def _ramps(self) -> tuple[Polynomial, Polynomial]:
-        up = boundary_polynomial(0.0, self.ramp_time, [0.0, 0.0, 0.0], [self.ramp_length, self.speed, 0.0])
-        cruise_end = self.ramp_time + self.cruise_time
-        braking = [self.length - self.end_ramp_length, self.speed, 0.0]
-        return up, boundary_polynomial(cruise_end, self.duration, braking, [self.length, 0.0, 0.0])
 
 
 def _require_forward(name: str, ramp: float, speed: float, time: float, length: float) -> None:

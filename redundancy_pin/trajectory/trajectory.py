@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,7 +24,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.trajectory.paths import Path
+from redundancy_pin.trajectory.paths import Path, PathPoint, SmoothPath
 from redundancy_pin.trajectory.timing import TimingLaw
 
 MOST_SAMPLES = 10_000_000
@@ -88,55 +87,8 @@ class TrajectoryPoint(NamedTuple):
     xdd: Array
 
 
-class TimedMotion(ABC):
-    """What a motion with a timing law offers besides its own ``evaluate``."""
-
-    timing: TimingLaw
-    breaks: Array
-
-    @property
-    def duration(self) -> float:
-        """Total time, s."""
-        return self.timing.duration
-
-    def sample_at(self, times: ArrayLike) -> PlatformMotion:
-        """Return the motion at given times; nothing is inserted.
-
-        Args:
-            times: (N,) increasing times, s. An instant may occur twice if it is one of ``breaks``: the first gets
-                the acceleration before the jump, the second that after it. A single one gets that after it.
-
-        Raises:
-            InputError: times outside [0, duration] or not increasing.
-        """
-        instants = inside(checked(np.asarray(times), "times", ("N",)), 0.0, self.duration, "times", "s")
-        before_jump = np.append(instants[1:] == instants[:-1], False)
-        return PlatformMotion(instants, *self._evaluate(instants, before_jump))
-
-    def sample(
-        self, dt: float | None = None, *, times: ArrayLike | None = None, two_sided: bool = True
-    ) -> PlatformMotion:
-        """Return the motion sampled every ``dt`` seconds or at given times, jumps included.
-
-        Args:
-            dt: sampling interval, s; the last sample falls on the duration, with a shorter last interval
-                where dt does not divide it.
-            times: (N,) strictly increasing times, s, instead of dt.
-            two_sided: whether to insert every break between the first and the last sample as a
-                two-sided sample: the same instant twice, equal x and ẋ, ẍ before and after the jump.
-
-        Raises:
-            InputError: both or none of ``dt`` and ``times``, or times outside [0, duration] or not increasing.
-        """
-        return self.sample_at(sample_times(self.duration, self.breaks, dt, times, two_sided))
-
-    @abstractmethod
-    def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
-        """Return x, ẋ, ẍ at (N,) times; ``before`` (N,) selects the left limit where a time is a break."""
-
-
 @dataclass(frozen=True, init=False, eq=False)
-class Trajectory(Frozen, TimedMotion):
+class Trajectory(Frozen):
     """A path travelled by a timing law: x(p(t)), ẋ = x' ṗ, ẍ = x' p̈ + x'' ṗ².
 
     Where x'' jumps by Δ (a straight meets an arc) and the speed is not zero, the acceleration jumps by
@@ -180,8 +132,44 @@ class Trajectory(Frozen, TimedMotion):
 
     @property
     def dimension(self) -> int:
-        """Number n of platform coordinates."""
+        """Number n of platform coordinates; of the rates of poses: six."""
         return self.path.dimension
+
+    @property
+    def duration(self) -> float:
+        """Total time, s."""
+        return self.timing.duration
+
+    def sample_at(self, times: ArrayLike) -> PlatformMotion:
+        """Return the motion at given times; nothing is inserted.
+
+        Args:
+            times: (N,) increasing times, s. An instant may occur twice if it is one of ``breaks``: the first gets
+                the acceleration before the jump, the second that after it. A single one gets that after it.
+
+        Raises:
+            InputError: times outside [0, duration] or not increasing.
+        """
+        instants = inside(checked(np.asarray(times), "times", ("N",)), 0.0, self.duration, "times", "s")
+        before_jump = np.append(instants[1:] == instants[:-1], False)
+        return PlatformMotion(instants, *self._evaluate(instants, before_jump))
+
+    def sample(
+        self, dt: float | None = None, *, times: ArrayLike | None = None, two_sided: bool = True
+    ) -> PlatformMotion:
+        """Return the motion sampled every ``dt`` seconds or at given times, jumps included.
+
+        Args:
+            dt: sampling interval, s; the last sample falls on the duration, with a shorter last interval
+                where dt does not divide it.
+            times: (N,) strictly increasing times, s, instead of dt.
+            two_sided: whether to insert every break between the first and the last sample as a
+                two-sided sample: the same instant twice, equal x and ẋ, ẍ before and after the jump.
+
+        Raises:
+            InputError: both or none of ``dt`` and ``times``, or times outside [0, duration] or not increasing.
+        """
+        return self.sample_at(sample_times(self.duration, self.breaks, dt, times, two_sided))
 
     def evaluate(self, t: ArrayLike, side: Side = "right") -> TrajectoryPoint:
         """Return x, ẋ, ẍ at times t, s, of any shape: arrays of that shape followed by (n,); x of poses by (4, 4).
@@ -227,8 +215,26 @@ _HALF_TURN_MARGIN = 1e-6
 pose) would tilt it by 1e-3."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Screw(Frozen, SmoothPath):
+    """Poses from ``start`` (4, 4): displaced and turned in proportion to p by a ``screw`` (6,), m and rad, in all."""
+
+    start: Array
+    screw: Array
+    length: float
+    dimension = 6
+
+    def _at(self, p: Array) -> PathPoint:
+        part = p[..., None] / self.length * self.screw
+        poses = np.tile(np.eye(4), (*p.shape, 1, 1))
+        turned = Rotation.from_rotvec(part[..., 3:].reshape(-1, 3)).as_matrix() @ self.start[:3, :3]
+        poses[..., :3, :3], poses[..., :3, 3] = turned.reshape(*p.shape, 3, 3), self.start[:3, 3] + part[..., :3]
+        tangent = np.broadcast_to(self.screw / self.length, part.shape)
+        return PathPoint(poses, tangent, np.zeros(part.shape))
+
+
 @dataclass(frozen=True, init=False, eq=False)
-class PoseTrajectory(Frozen, TimedMotion):
+class PoseTrajectory(Trajectory):
     """The position moves on a straight line while the platform turns about an axis fixed in the world.
 
     With κ = p(t)/length: position p0 + κ d, rotation exp(κ [φ]×) R0, twist κ̇ (d, φ) and its rate κ̈ (d, φ), in
@@ -239,7 +245,6 @@ class PoseTrajectory(Frozen, TimedMotion):
         timing: the timing law; only the fraction p / length of it is used, so its length may be
             one, the distance in metres, or the angle in radians.
         screw: (6,) displacement d, m, and rotation vector φ, rad, world axes.
-        breaks: (0,) the acceleration does not jump.
 
     Raises:
         InputError: not homogeneous poses, or poses half a turn apart.
@@ -247,9 +252,7 @@ class PoseTrajectory(Frozen, TimedMotion):
 
     start: Array
     end: Array
-    timing: TimingLaw
     screw: Array
-    breaks: Array
 
     def __init__(self, start: ArrayLike, end: ArrayLike, timing: TimingLaw) -> None:
         poses = np.stack([checked(start, "start", (4, 4)), checked(end, "end", (4, 4))])
@@ -264,34 +267,8 @@ class PoseTrajectory(Frozen, TimedMotion):
                 angle=angle,
             )
         screw = frozen(np.concatenate([poses[1, :3, 3] - poses[0, :3, 3], turn]))
-        assign(self, start=frozen(poses[0]), end=frozen(poses[1]), timing=timing, screw=screw, breaks=frozen([]))
-
-    @property
-    def dimension(self) -> int:
-        """Number of rates: six."""
-        return 6
-
-    def evaluate(self, t: ArrayLike, side: Side = "right") -> TrajectoryPoint:
-        """Return poses (..., 4, 4), twists (..., 6) and their rates (..., 6) at times t, s.
-
-        Raises:
-            InputError: t outside [0, duration].
-        """
-        require_side(side)
-        times = inside(t, 0.0, self.duration, "t", "s")
-        kappa, rate, acceleration = (part.ravel()[:, None] / self.timing.length for part in self.timing.evaluate(times))
-        pose = np.tile(np.eye(4), (times.size, 1, 1))
-        pose[:, :3, :3] = Rotation.from_rotvec(kappa * self.screw[3:]).as_matrix() @ self.start[:3, :3]
-        pose[:, :3, 3] = self.start[:3, 3] + kappa * self.screw[:3]
-        shape = (*times.shape, 6)
-        return TrajectoryPoint(
-            pose.reshape(*times.shape, 4, 4),
-            (rate * self.screw).reshape(shape),
-            (acceleration * self.screw).reshape(shape),
-        )
-
-    def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
-        return self.evaluate(times)
+        assign(self, start=frozen(poses[0]), end=frozen(poses[1]), screw=screw)
+        super().__init__(_Screw(self.start, screw, timing.length), timing)
 
     def scaled(self, factor: float) -> PoseTrajectory:
         """Return the same motion run ``factor`` times as fast.
