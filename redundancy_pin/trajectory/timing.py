@@ -232,7 +232,7 @@ class RestToRest(PolynomialLaw):
         return law(0.0, self.duration, 0.0, self.length)
 
     @cached_property
-    def curve(self) -> BPoly:  # type: ignore[override]
+    def curve(self) -> BPoly:
         """p(t), m."""
         return self.polynomial.curve
 
@@ -320,7 +320,7 @@ class SpeedProfile(PolynomialLaw):
         return self.ramp_time + self.cruise_time + self.end_ramp_time
 
     @cached_property
-    def curve(self) -> BPoly:  # type: ignore[override]
+    def curve(self) -> BPoly:
         """p(t), m: a quintic, a straight line where there is a cruise, and a quintic."""
         ends = np.cumsum([0.0, self.ramp_time, self.cruise_time, self.end_ramp_time])
         places = 0.0, self.ramp_length, self.length - self.end_ramp_length, self.length
