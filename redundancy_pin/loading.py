@@ -27,8 +27,8 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
-from redundancy_pin.kinematics.selection import closed_near, selected
-from redundancy_pin.robot import AXES, Robot
+from redundancy_pin.kinematics.selection import closed_near, row_names, selected
+from redundancy_pin.robot import AXES, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, put_together
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
@@ -247,6 +247,7 @@ def _of_mechanism(
         parameters=parameters,
         source=source_of(path),
         drive_independent=not (mechanism.driven_is_said or data.get("actuated") or data.get("independent")),
+        couplings=mechanism.couplings,
     )
 
 
@@ -316,12 +317,13 @@ _OPEN = 0.1
 def _where_open(robot: Robot, q: Array) -> str:
     """Return which closures a configuration (nq,) leaves open, the worst first."""
     phi = np.abs(ConstraintSystem(robot).evaluate(q[None]).phi[0])
-    of = np.repeat(np.arange(len(robot.closures)), [len(closure.axes) for closure in robot.closures])
-    gaps = [float(phi[of == k].max()) for k in range(len(robot.closures))]
+    rows = [len(closure.axes) for closure in robot.closures] + [1] * len(robot.couplings)
+    gaps = [float(part.max(initial=0.0)) for part in np.split(phi, np.cumsum(rows)[:-1])]
     worst = max(gaps, default=0.0)
     if worst < CLOSURE_TOLERANCE:
         return ": the loops close, but not where the reference says"
-    named = sorted(zip(gaps, (closure.name for closure in robot.closures), strict=True), reverse=True)
+    names = [closure.name for closure in robot.closures] + [coupling.name for coupling in robot.couplings]
+    named = sorted(zip(gaps, names, strict=True), reverse=True)
     listed = ", ".join(f"{name!r} by {gap:.3g}" for gap, name in named if gap > _OPEN * worst)
     return f" (open: {listed}; are its frames where the links meet?)"
 
@@ -451,7 +453,7 @@ def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[s
     _, triangle, order = qr(jacobian.T, pivoting=True, mode="economic")
     diagonal = np.abs(np.diag(triangle))
     rank = int((diagonal > RANK_TOLERANCE * max(diagonal.max(initial=0.0), np.finfo(float).tiny)).sum())
-    names = [f"{axis} of {closure.name!r}" for closure in system.robot.closures for axis in closure.axes]
+    names = row_names(system.robot)
     return rank, [names[row] for row in sorted(order[rank:])]
 
 
@@ -460,26 +462,22 @@ def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[s
 
 def robot_from_model(
     model: pin.Model,
+    said: Mapping[str, Any],
     *,
-    actuated: Sequence[str],
-    closures: Sequence[Any] = (),
-    carriers: Sequence[Any] = (),
-    independent: Any = None,
-    reference: Any = None,
-    name: str = "",
     working_modes: Any = None,
     working_mode: Sequence[int] | None = None,
     characteristic_length: float | None = None,
     urdf: str = "",
     urdf_folder: str = "",
 ) -> Robot:
-    """Return a robot as ``Robot.from_model`` says."""
+    """Return a robot as ``Robot.from_model`` says, which puts its named arguments into ``said``."""
+    reference, closures = said["reference"], said["closures"]
     if isinstance(model, pin.Model):
         model = pin.Model(model)
     data: dict[str, Any] = {
-        "name": name or str(getattr(model, "name", "")) or "robot",
+        "name": said["name"] or str(getattr(model, "name", "")) or "robot",
         "urdf": "model",
-        **declared(model, closures, actuated, carriers, independent),
+        **declared(model, said),
         "working_modes": working_modes,
         "characteristic_length": characteristic_length,
         "reference": reference if isinstance(reference, Mapping) else {},
@@ -503,6 +501,7 @@ def made(
     parameters: Mapping[str, Argument] = MappingProxyType({}),
     source: str = "",
     drive_independent: bool = False,
+    couplings: Sequence[Coupling] = (),
 ) -> Robot:
     """Return the robot of a declaration and a model that was built already.
 
@@ -516,12 +515,20 @@ def made(
         parameters: of the robot.
         source: of the robot.
         drive_independent: let the joints that are chosen as independent be the main actuators, ``actuated`` first.
+        couplings: those of the model, beside those of the declaration.
     """
     chosen = dict(data)
     chosen["independent"] = data.get("independent") or {"joints": list(data["actuated"])}
     declaration = parse(chosen, {})
     robot = put_together(
-        declaration, model, name=str(declaration.name), parameters=parameters, urdf=urdf, source=source, mode=mode
+        declaration,
+        model,
+        name=str(declaration.name),
+        parameters=parameters,
+        urdf=urdf,
+        source=source,
+        mode=mode,
+        couplings=couplings,
     )
     if start is not None:
         listed = _columns(model, declaration.reference.guess)
@@ -532,15 +539,17 @@ def made(
     if loose or not data.get("independent"):
         provisional = replace(robot, platform=None, independent_joints=())
         selection = selected(provisional, np.array(robot.q_reference), redundant=loose)
-        robot = replace(robot, model=selection.robot.model, closures=selection.robot.closures)
+        kept = selection.robot
+        robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
         if selection.held:
             notes.append(
                 f"The spin of {', '.join(selection.held)} about the line between two balls, which moves nothing else, "
                 "is held: the second ball is a universal joint."
             )
         if selection.left_out:
-            rows = ", ".join(selection.left_out)
-            notes.append(f"Redundant closure rows left out, the loops stay closed in them: {rows}.")
+            rows, opened = ", ".join(selection.left_out), selection.opened
+            rounded = f" to {opened:.1g} (m or rad) nearby, as the file's numbers are rounded" if opened > 1e-8 else ""
+            notes.append(f"Redundant closure rows left out, the loops stay closed in them{rounded}: {rows}.")
         if not data.get("independent"):
             robot = replace(robot, independent_joints=selection.independent)
             notes.append(f"Independent joints, chosen: {', '.join(selection.independent)}.")

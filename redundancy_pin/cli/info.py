@@ -79,6 +79,10 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
             {"frame_a": closure.frame_a, "frame_b": closure.frame_b, "axes": list(closure.axes)}
             for closure in robot.closures
         ],
+        "couplings": [
+            {"joint": each.joint, "of": each.of or None, "polynomial": list(each.polynomial)}
+            for each in robot.couplings
+        ],
         "parameters": {
             name: {"value": value, "default": defaults.get(name)} for name, value in robot.parameters.items()
         },
@@ -195,6 +199,12 @@ def _tables(facts: dict[str, Any]) -> Iterator[Table]:
     yield table_of("joints of the tree", ("joint", "type", "role", "limits", "reference"), joints)
     closures = [(each["frame_a"], each["frame_b"], ", ".join(each["axes"])) for each in facts["closures"]]
     yield table_of("closures", ("frame a", "frame b", "axes"), closures)
+    couplings = [
+        (each["joint"], each["of"] or "held", " ".join(f"{c:g}" for c in each["polynomial"]))
+        for each in facts["couplings"]
+    ]
+    if couplings:
+        yield table_of("couplings, q = c0 + c1 p + ...", ("joint q", "of p", "polynomial"), couplings)
     values = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
     if values:
         headings: tuple[str, ...] = ("parameter", "value", "default")

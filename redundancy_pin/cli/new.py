@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +37,8 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
 
     Nothing is asked. It looks at the tree: frames of two bodies that coincide when all joints are at zero, or the two
     that carry nothing and weigh nothing, are where a loop was cut; joints with transmissions are driven, else as many
-    as there are freedoms; the reference is a closed configuration. What is written loads; read it, and correct it.
+    as there are freedoms; joints that mimic others are coupled to them; the reference is a closed configuration. What
+    is written loads; read it, and correct it.
 
     \b
     Example:
@@ -63,9 +65,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     pairs, how = _proposed_closures(tree, model)
     transmissions = _transmissions(urdf, tree)
-    driven = transmissions or [
-        joint.name for joint in tree.joints if joint.kind in ("revolute", "continuous", "prismatic")
-    ]
+    driven = transmissions or [joint.name for joint in tree.joints if joint.kind in _SINGLE and not joint.mimic]
     if not driven:
         raise InputError(f"{source.name} has no joint of one freedom to drive.", remedy="Add one.")
     data = {
@@ -75,7 +75,8 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
         "actuated": driven,
         "reference": {},
     }
-    robot = made(data, model, pin.neutral(model), loose=True, drive_independent=not transmissions)
+    start, couplings = pin.neutral(model), tree.couplings
+    robot = made(data, model, start, loose=True, drive_independent=not transmissions, couplings=couplings)
     beside = target.resolve().parent == source.resolve().parent
     write_text(target, _text(robot, source.name if beside else str(source.resolve()), how, bool(transmissions)))
     loaded = load_robot(target, trust=trust)
@@ -84,6 +85,7 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
             {
                 "out": str(target),
                 "closures": [{"frames": [c.frame_a, c.frame_b], "axes": list(c.axes)} for c in loaded.closures],
+                "couplings": [asdict(coupling) for coupling in loaded.couplings],
                 "actuated": list(loaded.actuated),
                 "independent": list(loaded.independent_joints),
             }
@@ -134,6 +136,21 @@ def _transmissions(urdf: str, tree: Tree) -> list[str]:
     return [name for name in dict.fromkeys(named) if name in moving]
 
 
+def _coupling_lines(robot: Robot) -> list[str]:
+    import json
+
+    if not robot.couplings:
+        return []
+    lines = [
+        "# Joints that mimic others in the URDF: position = c0 + c1 p + c2 p^2 + ... of the other's p.",
+        "couplings:",
+    ]
+    for each in robot.couplings:
+        values = {"joint": each.joint, "of": each.of, "polynomial": list(each.polynomial)}
+        lines.append(f"  - {{{', '.join(f'{key}: {json.dumps(value)}' for key, value in values.items())}}}")
+    return [*lines, ""]
+
+
 def _text(robot: Robot, urdf: str, how: str, transmissions: bool) -> str:
     """Return the declaration, with a comment on each thing that was guessed."""
     import json
@@ -160,6 +177,7 @@ def _text(robot: Robot, urdf: str, how: str, transmissions: bool) -> str:
         "closures:" if robot.closures else "closures: []",
         *(f"  - {{frames: {quoted([c.frame_a, c.frame_b])}, axes: {quoted(list(c.axes))}}}" for c in robot.closures),
         "",
+        *_coupling_lines(robot),
         f"# What is driven: {driven}",
         f"actuated: {quoted(list(robot.actuated))}",
         "carriers: []                # masses that slide on links, if there are any",

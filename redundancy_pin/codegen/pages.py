@@ -104,7 +104,7 @@ def _facts(robot: Robot, prefix: str, recorded: Recorded) -> dict[str, Any]:
     lengths = [name for name, turns in zip(names, turning, strict=True) if not turns or not platform]
     frame = f"of frame {_plain(platform.frame)} in the base frame" if platform else "of the independent joints"
     rates = _units(names, turning, "m/s", "rad/s")
-    closures = [f"{_plain(closure.name)} {axis}" for closure in robot.closures for axis in closure.axes]
+    closures = [_plain(name) for name in robot.constraint_names]
     jacobian = recorded.closure
     return {
         "version": redundancy_pin.__version__,

@@ -377,9 +377,10 @@ class JointReactions(Frozen):
         joints: names of the tree's joints, J of them.
         joint_wrench: (N, J, 6) force and moment that the parent body exerts on the child through each joint, world
             axes, at the joint's origin, N and N·m; actuator efforts included.
-        closures: name of each closure row, ``"x of tip_2 = corner_2"``, r of them.
+        closures: name of each closure row, ``"x of tip_2 = corner_2"``, then of each coupling, r of them.
         closure_force: (N, r) force (or moment) along each closure row: what frame a exerts on frame b, in the axes of
-            frame a, N or N·m.
+            frame a, N or N·m; of a coupling q = p(q_of) the effort that it exerts in its joint, −p' times that in the
+            other.
         residual: (N,) largest generalised force left unbalanced by the given efforts, N or N·m. Rounding when the
             efforts produce the motion; large when they do not, and then the reactions mean nothing.
     """
@@ -435,7 +436,7 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     return JointReactions(
         joints=tuple(str(name) for name in robot.model.names)[1:],
         joint_wrench=read_only(wrench),
-        closures=tuple(f"{axis} of {closure.name}" for closure in robot.closures for axis in closure.axes),
+        closures=robot.constraint_names,
         closure_force=read_only(multipliers),
         residual=read_only(np.abs(left).max(axis=1, initial=0.0)),
     )

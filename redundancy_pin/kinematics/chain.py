@@ -69,7 +69,7 @@ class ClosedChain:
         pin.computeJointJacobiansTimeVariation(self.model, self.data, q, v)
         self._update_frames()
         self.q, self.v = q, v
-        self.closures = self.system.closures.place(self.vectors)
+        self.closures = self.system.closures.place(self.vectors, q)
         self._platform: PlacedRows | None = None  # closures alone are what most calls need
 
     def _update_frames(self) -> None:
@@ -83,7 +83,7 @@ class ClosedChain:
 
     def jacobian(self) -> Array:
         """Return J_c (r, nv)."""
-        return self.system.closures.times(self.closures.wrench, self.J)
+        return self.closures.jacobian(self.J)
 
     def bias(self) -> Array:
         """Return J̇_c v (r,)."""
@@ -116,14 +116,14 @@ class ClosedChain:
     def platform_rows(self) -> PlacedRows:
         """Return the rows of the platform's twist, at the state."""
         if self._platform is None:
-            self._platform = self.system.platform.place(self.vectors)
+            self._platform = self.system.platform.place(self.vectors, self.q)
         return self._platform
 
     def platform_jacobian(self) -> Array:
         """Return J_x (n, nv): rows of the platform twist, world-aligned at its origin, or unit rows of joints."""
         if self._platform_pose is None:
             return self.system.independent
-        return self.system.platform.times(self.platform_rows().wrench, self.J)
+        return self.platform_rows().jacobian(self.J)
 
     def platform_jacobian_rate(self) -> Array:
         """Return J̇_x (n, nv)."""

@@ -22,6 +22,9 @@ closed or not, and no row is redundant where the mask has none too many. Two or 
 (a hinge turned over), which ``ConstraintSystem.misalignment`` tells apart; a single one fixes its angle up to half a
 turn.
 
+Couplings of joints are rows too (``kinematics.coupling``), behind those of the closures: among the rows between frames
+an empty one, which nothing moves, stands in the place of each.
+
 Arrays of rows are component-major: vectors (3, R) at one state, (3, R, N) at N of them. ``kinematics.chain`` has the
 joint Jacobian at one state from Pinocchio, ``ConstraintSystem`` at many from ``kinematics.tree``.
 """
@@ -38,6 +41,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.kinematics.coupling import CouplingRows
 from redundancy_pin.kinematics.tree import AFTER, NEXT, TreeKinematics, TreePose, cross
 from redundancy_pin.robot import AXES, Closure, Robot
 
@@ -71,10 +75,14 @@ class RowSet:
         rows: the rows.
         support: (F, nv) 1 where a velocity moves a frame.
         ids: (F,) Pinocchio's index of each frame.
+        couplings: what stands in the place of the empty rows among them.
     """
 
-    def __init__(self, rows: Sequence[Row], support: Array, ids: IntArray) -> None:
+    def __init__(
+        self, rows: Sequence[Row], support: Array, ids: IntArray, couplings: CouplingRows | None = None
+    ) -> None:
         self.size = size = len(rows)
+        self.couplings = couplings
         # axes of all rows, then their partners
         pairs = np.array([[row.axis for row in rows], [row.partner for row in rows]], dtype=np.intp).reshape(2, size, 2)
         frames, columns = pairs[:, :, 0], pairs[:, :, 1]
@@ -107,11 +115,12 @@ class RowSet:
             for column in np.flatnonzero(self.mask[part.start]).tolist()
         ]
 
-    def place(self, vectors: Array) -> PlacedRows:
+    def place(self, vectors: Array, q: Array) -> PlacedRows:
         """Return the rows at one configuration.
 
         Args:
             vectors: (12 F',) three axes and the origin of each of Pinocchio's frames, world axes.
+            q: (nq,) the configuration.
         """
         taken = vectors.take(self._taken)
         if self._signs is not None:
@@ -121,10 +130,13 @@ class RowSet:
         wrench = np.empty((6, self.size))
         np.multiply(pairs[:, 0], self._moving[1], out=wrench[:3])
         np.subtract(products[:3], products[3:], out=wrench[3:])
-        return PlacedRows(self, pairs, taken[18:], self._moving, wrench)
+        return PlacedRows(self, pairs, taken[18:], self._moving, wrench, q)
 
-    def place_many(self, vectors: list[Array]) -> PlacedRows:
-        """Return the rows at N configurations, from 4 F vectors (3, N); ``origins`` are left out: they take memory."""
+    def place_many(self, vectors: list[Array], q: Array) -> PlacedRows:
+        """Return the rows at N configurations q (nq, N), from 4 F vectors (3, N).
+
+        ``origins`` are left out: they take memory.
+        """
         shape = (3, 2, self.size, vectors[0].shape[-1])
         pairs, wrench = np.empty(shape), np.empty((6, *shape[2:]))
         for side, which in enumerate(self._vectors.tolist()):
@@ -135,7 +147,7 @@ class RowSet:
         axis, partner = pairs[:, 0], pairs[:, 1]
         np.multiply(axis, self._moving[1, :, None], out=wrench[:3])
         cross(partner, axis, wrench[3:])
-        return PlacedRows(self, pairs, vectors[0][:, :0], self._moving[:, :, None], wrench)
+        return PlacedRows(self, pairs, vectors[0][:, :0], self._moving[:, :, None], wrench, q)
 
     def residuals(self, placed: PlacedRows, vectors: list[Array]) -> Array:
         """Return (R, N) Φ at N configurations; the rows are the first of the placed ones."""
@@ -146,10 +158,12 @@ class RowSet:
                 origin = vectors[4 * first + _ORIGIN][:, None]
                 offset = offset - (origin if moving.all() else origin * moving)
             np.einsum("krn,krn->rn", axis, offset, out=phi[part])
+        if self.couplings is not None:
+            phi[self.couplings.at] = self.couplings.residual(placed.q)
         return phi
 
     def times(self, wrench: Array, J: Array, out: Array | None = None) -> Array:
-        """Return mask ∘ (w · J), (R, nv) or (R, nv, N), for joint columns J (6, nv) or (6, nv, N)."""
+        """Return mask ∘ (w · J), (R, nv) or (R, nv, N), for joint columns J (6, nv) or (6, nv, N); no couplings."""
         if J.ndim == 2:
             rows: Array = self.mask * wrench.T.dot(J)
             return rows
@@ -173,6 +187,8 @@ class RowSet:
         products = (parts[:, :2] * parts[:, 2:]).reshape(6, self.size)
         rest = placed.wrench * dJ.dot(moved[:, 2 * self.size : 3 * self.size])
         bias: Array = np.add.reduce(products + rest)
+        if self.couplings is not None:
+            bias[self.couplings.at] = self.couplings.bias(placed.q, v)
         return bias
 
     def twists(self, J: Array, v: Array) -> Array:
@@ -196,6 +212,7 @@ class PlacedRows(NamedTuple):
         origins: (3, R) p_A, at one configuration.
         moving: (2, R) or (2, R, 1) 1 for an origin, 0 for an axis; of the partners it is σ.
         wrench: (6, R) or (6, R, N) w.
+        q: (nq,) or (nq, N) the configurations.
     """
 
     rows: RowSet
@@ -203,12 +220,24 @@ class PlacedRows(NamedTuple):
     origins: Array
     moving: Array
     wrench: Array
+    q: Array
+
+    def jacobian(self, J: Array, out: Array | None = None) -> Array:
+        """Return the rows, (R, nv) or (R, nv, N), for joint columns J (6, nv) or (6, nv, N)."""
+        rows = self.rows.times(self.wrench, J, out)
+        couplings = self.rows.couplings
+        if couplings is not None:
+            rows[couplings.at] = couplings.jacobian(self.q)
+        return rows
 
     def residual(self) -> Array:
         """Return (R,) Φ at one configuration, m; for rotation rows the sine of the angle that is off."""
         axis, partner = self.pairs[:, 0], self.pairs[:, 1]
         origins = self.origins if self.rows.sliding else self.origins * self.moving[1]
         phi: Array = np.add.reduce(axis * (partner - origins))
+        couplings = self.rows.couplings
+        if couplings is not None:
+            phi[couplings.at] = couplings.residual(self.q)
         return phi
 
     def rates(self, twists: Array) -> tuple[Array, Array]:
@@ -222,7 +251,7 @@ class PlacedRows(NamedTuple):
         return first, rate
 
     def bias(self, twists: Array, relative: Array, rest: Array) -> Array:
-        """Return J̇ v, (R,) or (R, N).
+        """Return J̇ v, (R,) or (R, N), of rows between frames.
 
         Args:
             twists: (6, 2, R) or (6, 2, 1, N) V of the bodies that carry each axis, and each partner.
@@ -236,6 +265,8 @@ class PlacedRows(NamedTuple):
         """Return (R, nv) the rate of the rows at one state."""
         rows = self.rows
         rate: Array = rows.mask * (self.rates(rows.twists(J, v))[1].T.dot(J) + self.wrench.T.dot(dJ))
+        if rows.couplings is not None:
+            rate[rows.couplings.at] = rows.couplings.jacobian_rate(self.q, v)
         return rate
 
     def time_derivatives(self, J: Array, dJ: Array, ddJ: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
@@ -248,11 +279,12 @@ class PlacedRows(NamedTuple):
         (axis, partner), (da, dc), (dda, ddc) = (np.swapaxes(part, 0, 1) for part in (self.pairs, first, second))
         curve = cross(ddc, axis) + 2.0 * cross(dc, da) + cross(partner, dda)
         bend = np.concatenate((dda * self.moving[1], curve))
-        return (
-            rows.times(self.wrench, J),
-            rows.times(rate, J) + rows.times(self.wrench, dJ),
-            rows.times(bend, J) + 2.0 * rows.times(rate, dJ) + rows.times(self.wrench, ddJ),
-        )
+        first_rate = rows.times(rate, J) + rows.times(self.wrench, dJ)
+        second_rate = rows.times(bend, J) + 2.0 * rows.times(rate, dJ) + rows.times(self.wrench, ddJ)
+        if rows.couplings is not None:
+            first_rate[rows.couplings.at] = rows.couplings.jacobian_rate(self.q, v)
+            second_rate[rows.couplings.at] = rows.couplings.jacobian_second_rate(self.q, v, a)
+        return self.jacobian(J), first_rate, second_rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +331,8 @@ class ConstraintSystem:
         robot: the robot.
 
     Attributes:
-        rows: the r closure rows.
+        rows: the r rows of the constraints: of the closures, then an empty one for each coupling.
+        couplings: what the empty rows stand for, if there are any.
         closures, platform, all_rows: closure rows; rows of the platform's twist (none where the independent velocities
             are those of joints); both.
         aligned: pairs of frames and the number of an axis that points the same way in both when closed.
@@ -321,10 +354,15 @@ class ConstraintSystem:
         for name, columns in self.tree.support.items():
             support[at[name], list(columns)] = 1.0
             ids[at[name]] = robot.model.getFrameId(name, pin.FrameType.BODY)
-        self.rows = tuple(_row(closure, axis, at) for closure in robot.closures for axis in closure.axes)
+        closures = [_row(closure, axis, at) for closure in robot.closures for axis in closure.axes]
+        world = len(at)
+        empty = Row((world, 0), (world, 1), world, world, 1.0)
+        self.couplings = CouplingRows(robot, len(closures)) if robot.couplings else None
+        self.rows = (*closures, *(empty for _ in robot.couplings))
         platform = _platform_rows(robot, at)
-        sets = self.rows, platform, (*self.rows, *platform)
-        self.closures, self.platform, self.all_rows = (RowSet(rows, support, ids) for rows in sets)
+        self.closures = RowSet(self.rows, support, ids, self.couplings)
+        self.platform = RowSet(platform, support, ids)
+        self.all_rows = RowSet((*self.rows, *platform), support, ids, self.couplings)
         self.aligned = [(c.frame_a, c.frame_b, k) for c in robot.closures for k in _aligned(c)]
         self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity)
         self.selection = np.zeros((robot.m, nv))
@@ -332,7 +370,8 @@ class ConstraintSystem:
         self.independent = np.zeros((robot.n, nv))
         if robot.platform is None:
             self.independent[np.arange(robot.n), independent_velocity(robot)] = 1.0
-        self.closure_scale = np.where([row.rotation for row in self.rows], robot.characteristic_length, 1.0)
+        turning = [row.rotation for row in closures] + ([] if self.couplings is None else self.couplings.turning)
+        self.closure_scale = np.where(turning, robot.characteristic_length, 1.0)
 
     def evaluate(self, q: Array) -> ConstraintState:
         """Evaluate residuals and Jacobians at (N, nq) configurations, closed or not."""
@@ -341,9 +380,9 @@ class ConstraintSystem:
         for name, origin in (*pose.frame_origin.items(), ("", world[:, 0])):  # nobody asks for the world's origin
             axes = pose.frame_rotation.get(name, world)
             vectors += [axes[:, 0], axes[:, 1], axes[:, 2], origin]
-        rows = self.all_rows.place_many(vectors)
+        rows = self.all_rows.place_many(vectors, q.T)
         jacobian = np.zeros((r + self.robot.n, self.robot.model.nv, pose.samples))
-        self.all_rows.times(rows.wrench, pose.jacobian, jacobian)
+        rows.jacobian(pose.jacobian, jacobian)
         if self.robot.platform is None:
             jacobian[r:] = self.independent[:, :, None]
         return ConstraintState(q, pose, rows, self.closures.residuals(rows, vectors).T, jacobian, self.pose_columns)
@@ -363,6 +402,8 @@ class ConstraintSystem:
                 pairs=placed.pairs[:, :, rows], moving=placed.moving[:, rows], wrench=placed.wrench[:, rows]
             )
             result[rows] = part.bias(twists, relative, rest)
+        if self.couplings is not None:
+            result[self.couplings.at] = self.couplings.bias(state.q.T, v.T)
         return result[:r].T, result[r:].T
 
     def misalignment(self, state: ConstraintState) -> Array:

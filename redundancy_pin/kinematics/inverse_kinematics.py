@@ -134,8 +134,9 @@ def _independent_parts(robot: Robot) -> list[IntArray]:
     else:
         of_platform = {model.getJointId(name) for name in robot.independent_joints}
     parts: list[set[int]] = [of_platform]
-    for closure in robot.closures:
-        tied = (ancestors(closure.frame_a) | ancestors(closure.frame_b)) - of_platform
+    loops = [ancestors(closure.frame_a) | ancestors(closure.frame_b) for closure in robot.closures]
+    pairs = [{model.getJointId(name) for name in (each.joint, each.of) if name} for each in robot.couplings]
+    for tied in (each - of_platform for each in (*loops, *pairs)):
         parts = [part for part in parts if not part & tied] + [tied.union(*(part for part in parts if part & tied))]
     spans = [[range(model.joints[j].idx_q, model.joints[j].idx_q + model.joints[j].nq) for j in part] for part in parts]
     return [np.array(sorted(c for span in part for c in span), dtype=np.intp) for part in spans if part]
@@ -170,6 +171,8 @@ def _wrapped(robot: Robot, q: Array) -> Array:
 
 
 def _bounded_angles(robot: Robot) -> list[int]:
-    """Return the indices in q of bounded revolute joints."""
-    joints = list(robot.model.joints)[1:]
-    return [int(j.idx_q) for j in joints if j.nq == 1 and not str(j.shortname()).startswith("JointModelP")]
+    """Return the indices in q of bounded revolute joints; of coupled ones the turns count."""
+    coupled = {name for each in robot.couplings for name in (each.joint, each.of)}
+    joints = zip(list(robot.model.names)[1:], list(robot.model.joints)[1:], strict=True)
+    bounded = (j for name, j in joints if j.nq == 1 and str(name) not in coupled)
+    return [int(j.idx_q) for j in bounded if not str(j.shortname()).startswith("JointModelP")]

@@ -35,6 +35,10 @@ _RESTARTS = 30
 _STAYS_CLOSED = 1e-8
 """m, or rad: how far the rows that are left out may open. Newton leaves 1e-11; the false ones open by 1e-3 and more."""
 
+_ROUNDED = 2e-5
+"""m, or rad: how far they may open where the file's numbers are rounded, which is said: axes that are parallel but for
+five digits of π/2 (1.5708) open by 5e-6."""
+
 _REDUNDANT = 1e-6
 """Scaled singular values, relative to the largest, of rows that are redundant."""
 
@@ -49,6 +53,7 @@ class Selection(NamedTuple):
     Attributes:
         robot: the robot with the closures that are left, or the ones it had.
         left_out: names of the rows left out, such as ``"z of 'left = right'"``.
+        opened: how far those open around the reference, m or rad: rounding, of Newton or of the file's numbers.
         held: joints whose spin about the line between two balls is held by a row that was added.
         independent: names of the independent joints.
         q: (nq,) a closed configuration.
@@ -56,6 +61,7 @@ class Selection(NamedTuple):
 
     robot: Robot
     left_out: tuple[str, ...]
+    opened: float
     held: tuple[str, ...]
     independent: tuple[str, ...]
     q: Array
@@ -129,8 +135,9 @@ def selected(robot: Robot, q: Array, *, redundant: bool) -> Selection:
     """
     q = closed_near(robot, q)
     left_out: tuple[str, ...] = ()
-    if redundant and robot.closures:
-        robot, left_out = _without_redundant_rows(robot, q)
+    opened = 0.0
+    if redundant and (robot.closures or robot.couplings):
+        robot, left_out, opened = _without_redundant_rows(robot, q)
     independent, loose = _independent(robot, q)
     held = tuple(name for name in loose if redundant and _spins(robot, name, q) is not None)
     for name in held:
@@ -146,7 +153,7 @@ def selected(robot: Robot, q: Array, *, redundant: bool) -> Selection:
             joints=loose,
             **({"balls": balls} if balls == loose else {}),
         )
-    return Selection(robot, left_out, held, independent, q)
+    return Selection(robot, left_out, opened, held, independent, q)
 
 
 def _spins(robot: Robot, joint: str, q: Array) -> tuple[int, Array, Array] | None:
@@ -192,8 +199,14 @@ def _with_spin_held(robot: Robot, joint: str, q: Array) -> Robot:
     return replace(robot, model=model, closures=closures)
 
 
-def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, ...]]:
-    """Return the robot with the rows that count, and the names of the others."""
+def row_names(robot: Robot) -> list[str]:
+    """Return the names of the constraint rows as messages have them."""
+    closures = (f"{axis} of {closure.name!r}" for closure in robot.closures for axis in closure.axes)
+    return [*closures, *(f"the coupling {coupling.name!r}" for coupling in robot.couplings)]
+
+
+def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, ...], float]:
+    """Return the robot with the rows that count, the names of the others, and how far these open."""
     system = ConstraintSystem(robot)
     rows = [_rows(system, each) for each in _neighbours(system, q)]
     ranks = [_rank(each) for each in rows]
@@ -202,14 +215,14 @@ def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, .
     keep = np.zeros(len(system.rows), dtype=bool)
     keep[_pivots(rows[best].T, ranks[best])] = True
     if keep.all():
-        return robot, ()
+        return robot, (), 0.0
     fewer, left_out = _with_rows(robot, keep)
     # with these rows alone, do the others stay closed?
     again = _neighbours(ConstraintSystem(fewer), q)
     opened = np.abs(system.evaluate(again).phi).max(axis=0)
-    if opened.max() <= _STAYS_CLOSED:
-        return fewer, left_out
-    wide = [name for name, gap in zip(_row_names(robot), opened, strict=True) if gap > _STAYS_CLOSED]
+    if opened.max() <= _ROUNDED:
+        return fewer, left_out, float(opened.max())
+    wide = [name for name, gap in zip(row_names(robot), opened, strict=True) if gap > _STAYS_CLOSED]
     raise DeclarationError(
         f"{robot.name} is over-constrained: {len(system.rows)} closure rows have rank {ranks[best]}, but where "
         f"{', '.join(left_out)} are left out the loops open, by {opened.max():.3g} in {', '.join(wide)}.",
@@ -266,14 +279,10 @@ def _with_rows(robot: Robot, keep: BoolArray) -> tuple[Robot, tuple[str, ...]]:
         row += len(closure.axes)
         if axes:
             closures.append(replace(closure, axes=axes))
-    names = _row_names(robot)
-    return replace(robot, closures=tuple(closures)), tuple(
-        name for name, kept in zip(names, keep, strict=True) if not kept
+    couplings = tuple(each for each, kept in zip(robot.couplings, keep[row:], strict=True) if kept)
+    return replace(robot, closures=tuple(closures), couplings=couplings), tuple(
+        name for name, kept in zip(row_names(robot), keep, strict=True) if not kept
     )
-
-
-def _row_names(robot: Robot) -> list[str]:
-    return [f"{axis} of {closure.name!r}" for closure in robot.closures for axis in closure.axes]
 
 
 def _independent(robot: Robot, q: Array) -> tuple[tuple[str, ...], tuple[str, ...]]:

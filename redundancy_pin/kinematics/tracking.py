@@ -106,8 +106,8 @@ class Tracker:
         step, rest, size = np.zeros(self._model.nv), np.zeros(len(columns)), math.inf
         for _ in range(_MOST_ITERATIONS):
             chain.place(q)
-            placed = self._rows.place(chain.vectors)
-            K = self._rows.times(placed.wrench, chain.J).take(columns, 1)
+            placed = self._rows.place(chain.vectors, q)
+            K = placed.jacobian(chain.J).take(columns, 1)
             if self._fixed is not None:
                 K = np.concatenate([K, self._fixed])
             rest[:r] = placed.residual()[:r]

@@ -2,12 +2,13 @@
 
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
 from redundancy_pin.robot.named import RobotLike, as_robot
-from redundancy_pin.robot.types import AXES, CarrierLimits, Closure, Platform, Robot, WorkingModes
+from redundancy_pin.robot.types import AXES, CarrierLimits, Closure, Coupling, Platform, Robot, WorkingModes
 
 __all__ = [
     "AXES",
     "CarrierLimits",
     "Closure",
+    "Coupling",
     "JointForces",
     "Load",
     "Payload",

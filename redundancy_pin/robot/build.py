@@ -20,7 +20,7 @@ from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORMS, CarrierEntry, Declaration
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.types import CarrierLimits, Robot
+from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.urdf import Argument, source_of
 from redundancy_pin.robot.urdf_tree import Tree, read_tree, require_same
 
@@ -57,6 +57,7 @@ def build(
         source=source_of(path),
         mode=working_mode,
         of="URDF",
+        couplings=tree.couplings,
     )
     frictions, notes = _frictions(declaration, tree)
     return replace(robot.loaded(*frictions), notes=notes) if frictions or notes else robot
@@ -88,15 +89,21 @@ def put_together(
     source: str = "",
     mode: Sequence[int] | None = None,
     of: str = "model",
+    couplings: Sequence[Coupling] = (),
 ) -> Robot:
     """Return the robot that a declaration makes of a Pinocchio tree, its names and roles checked.
+
+    Of the ``couplings`` of the model those count of whose joints the declaration says nothing else.
 
     Raises:
         DeclarationError, InputError: as ``build``.
     """
     entries = tuple(entry for entry in declaration.carriers if entry.when)
     carriers = tuple(entry.joint for entry in entries)
+    said = {each.joint for each in declaration.coupled}
+    coupled = (*declaration.coupled, *(each for each in couplings if each.joint not in said))
     _check_roles(declaration, carriers, model, of)
+    _check_couplings(coupled, declaration, carriers, model, of)
     guess = _guess(model, declaration.reference.guess)
     robot = Robot(
         name=name,
@@ -104,6 +111,7 @@ def put_together(
         urdf=urdf,
         model=model,
         closures=declaration.loops,
+        couplings=coupled,
         platform=declaration.platform,
         independent_joints=declaration.independent.joints,
         actuated=declaration.actuated,
@@ -242,6 +250,28 @@ def _check_roles(declaration: Declaration, carriers: Sequence[str], model: pin.M
         if name in guess:
             what = f"`reference.guess` sets the carrier {name!r}."
             raise _refused(name, what, "Leave it out: the reference has the carriers at zero.")
+
+
+def _check_couplings(
+    couplings: Sequence[Coupling], declaration: Declaration, carriers: Sequence[str], model: pin.Model, of: str
+) -> None:
+    joints = tuple(str(name) for name in model.names)[1:]
+    for coupling in couplings:
+        for name in filter(None, (coupling.joint, coupling.of)):
+            _require_name(name, joints, "moving joint", of)
+            joint = _joint(model, name)
+            if (joint.nq, joint.nv) != (1, 1):
+                kind = "continuous: its turns are not counted" if joint.nv == 1 else "of several freedoms"
+                remedy = "Couple revolute joints with (wide) limits, or prismatic ones."
+                raise _refused(name, f"The coupled joint {name!r} is {kind}.", remedy)
+            if name in carriers:
+                what = f"The carrier {name!r} is coupled to another joint."
+                raise _refused(name, what, "A carrier moves nothing else; declare it as actuated instead.")
+        if coupling.joint == coupling.of:
+            raise _refused(coupling.joint, f"The joint {coupling.joint!r} is coupled to itself.", "Name another.")
+    if couplings and declaration.closed_form:
+        what = f"`closed_form: {declaration.closed_form}` knows no couplings, as {couplings[0].name!r} is."
+        raise _refused(couplings[0].joint, what, "Leave `closed_form` out: RneaDynamics covers every robot.")
 
 
 def _refused(name: str, what: str, remedy: str) -> DeclarationError:

@@ -16,7 +16,7 @@ from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, vali
 from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
 from redundancy_pin.robot.expressions import MATHEMATICS, Budget, evaluate
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
-from redundancy_pin.robot.types import AXES, Closure, Platform, WorkingModes
+from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform, WorkingModes
 from redundancy_pin.robot.urdf import Argument
 from redundancy_pin.robot.xml_files import FORMATS, format_of
 
@@ -106,6 +106,24 @@ class ClosureEntry(Schema):
     name: str | None = None
     frames: Annotated[Names, Field(min_length=2, max_length=2, description="two different frames")]
     axes: Axes
+
+
+class CouplingEntry(Schema):
+    """A coupling of two joints; see ``types.Coupling``."""
+
+    name: str | None = None
+    joint: str = Field(description="the name of a joint")
+    of: str = Field("", description="the name of the joint that it follows, or left out where it is held")
+    polynomial: Annotated[tuple[Number, ...], Field(min_length=1, max_length=9)] = Field(
+        description="a list of 1 to 9 numbers, the constant first"
+    )
+
+    @field_validator("polynomial")
+    @classmethod
+    def _held(cls, polynomial: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        if len(polynomial) > 1 and not info.data.get("of", "?"):
+            raise ValueError("one number, where the joint is held; `of` names a joint to follow")
+        return polynomial
 
 
 class CarrierEntry(Schema):
@@ -247,6 +265,7 @@ class Declaration(Schema):
     closed_form: Literal["2rpr", "3rrr"] | None = Field(None, description="one of 2rpr, 3rrr, or left out")
     gravity: Triple = (0.0, 0.0, 0.0)
     closures: Annotated[tuple[ClosureEntry, ...], Field(description="a list of mappings")] = ()
+    couplings: Annotated[tuple[CouplingEntry, ...], Field(description="a list of mappings")] = ()
     actuated: Names
     carriers: Annotated[tuple[CarrierEntry, ...], Field(description="a list of mappings")] = ()
     independent: Independent
@@ -270,6 +289,14 @@ class Declaration(Schema):
     def loops(self) -> tuple[Closure, ...]:
         """The closures, each with a name."""
         return tuple(Closure(c.name or " = ".join(c.frames), c.frames[0], c.frames[1], c.axes) for c in self.closures)
+
+    @property
+    def coupled(self) -> tuple[Coupling, ...]:
+        """The couplings, each with a name."""
+        return tuple(
+            Coupling(c.name or " of ".join(filter(None, (c.joint, c.of))), c.joint, c.of, c.polynomial)
+            for c in self.couplings
+        )
 
     @property
     def platform(self) -> Platform | None:

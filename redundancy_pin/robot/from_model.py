@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import pinocchio as pin
 
 from redundancy_pin.errors import InputError, shown
-from redundancy_pin.robot.types import AXES, Closure, Platform
+from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform
 
 
-def declared(
-    model: pin.Model, closures: Sequence[Any], actuated: Sequence[str], carriers: Sequence[Any], independent: Any
-) -> dict[str, Any]:
+def declared(model: pin.Model, said: Mapping[str, Any]) -> dict[str, Any]:
     """Return the part of a declaration that says what closes the loops and which role each joint has.
 
     Frames that are named and are no links become links, and the frames of Pinocchio's constraint models are added to
@@ -29,19 +27,34 @@ def declared(
             raise InputError(
                 f"The joint {name!r} mimics another.", remedy="Build the model without (mimic=False).", joint=str(name)
             )
-    loops = [_closure(model, each, number) for number, each in enumerate(_several(closures, "closures"))]
-    roles = _independent(independent)
+    loops, couplings, actuated, carriers = (
+        _several(said[what], what) for what in ("closures", "couplings", "actuated", "carriers")
+    )
+    loops = [_closure(model, each, number) for number, each in enumerate(loops)]
+    roles = _independent(said["independent"])
     for frame in (*(name for loop in loops for name in loop["frames"]), roles.get("platform")):
         _make_link(model, frame)
     return {
         "closures": loops,
-        "actuated": list(_several(actuated, "actuated")),
-        "carriers": [{"joint": each} if isinstance(each, str) else each for each in _several(carriers, "carriers")],
+        "couplings": [_coupling(each, number) for number, each in enumerate(couplings)],
+        "actuated": actuated,
+        "carriers": [{"joint": each} if isinstance(each, str) else each for each in carriers],
         "independent": roles,
     }
 
 
-def _several(values: Any, what: str) -> Sequence[Any]:
+def _coupling(given: Any, number: int) -> dict[str, Any]:
+    if isinstance(given, Mapping):
+        return dict(given)
+    if isinstance(given, Coupling):
+        return {"name": given.name, "joint": given.joint, "of": given.of, "polynomial": list(given.polynomial)}
+    if not isinstance(given, (tuple, list)) or len(given) != 3:
+        remedy = "Pass a Coupling, (joint, of, polynomial), or a mapping with these."
+        raise InputError(f"couplings[{number}] is {shown(given)}.", remedy=remedy)
+    return {"joint": given[0], "of": given[1], "polynomial": list(_several(given[2], f"couplings[{number}]"))}
+
+
+def _several(values: Any, what: str) -> list[Any]:
     if isinstance(values, (str, Mapping)) or not hasattr(values, "__iter__"):
         raise InputError(f"{what} is {shown(values)}.", remedy="Pass a list.")
     return list(values)

@@ -13,7 +13,7 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.types import AXES, Closure
+from redundancy_pin.robot.types import AXES, Closure, Coupling
 from redundancy_pin.robot.urdf_tree import MOST_FREEDOMS, MOST_LINKS, JointEntry, LinkEntry
 
 _ALIGNED = {
@@ -38,6 +38,7 @@ class Mechanism:
         links: the bodies and frames by name, the first of them the world.
         joints: each after those that carry it.
         closures: what closes the loops.
+        couplings: joints that follow others.
         actuated: names of the joints that are driven.
         gravity: (3,) m/s².
         start: positions of joints at the file's own configuration, rad or m; (4,) of a ball, x, y, z, w.
@@ -60,6 +61,7 @@ class Mechanism:
     notes: tuple[str, ...] = ()
     shapes: str = ""
     driven_is_said: bool = True
+    couplings: tuple[Coupling, ...] = ()
 
     def model(self, path: str) -> pin.Model:
         """Return Pinocchio's model; every link is a frame of it.

@@ -37,7 +37,7 @@ from redundancy_pin.robot.mjcf_file import (
     from_quaternion,
     from_z,
 )
-from redundancy_pin.robot.types import AXES, Closure
+from redundancy_pin.robot.types import AXES, Closure, Coupling
 from redundancy_pin.robot.urdf_tree import JointEntry, LinkEntry
 from redundancy_pin.robot.xml_files import Element
 
@@ -91,6 +91,13 @@ _FORCES = {
     "springdamper": {"spring", "damper"},
 }
 """Attributes of joints, and the flags that disable what they give."""
+
+_EQUALITIES = {
+    "connect": ("body1", "body2", "site1", "site2", "anchor"),
+    "weld": ("body1", "body2", "site1", "site2", "anchor", "relpose", "torquescale"),
+    "joint": ("joint1", "joint2", "polycoef"),
+}
+"""Kinds of equalities, and the attributes that each has."""
 
 _FLAGS = (
     *("constraint", "equality", "frictionloss", "limit", "contact", "spring", "damper", "gravity", "clampctrl"),
@@ -239,7 +246,7 @@ class _Reader:
         if len(self.bodies) == 1:
             self.files.refuse(self.files.root, "the model has no bodies")
         start = self._start()
-        closures = tuple(self._closures())
+        closures, couplings = self._equalities()
         actuated = self._actuators()
         self._say_what_is_not_in_force()
         return Mechanism(
@@ -254,6 +261,7 @@ class _Reader:
             tuple(self.loads),
             tuple(self.notes),
             drawn(self.shapes),
+            couplings=couplings,
         )
 
     def _contents(self, part: Part, body: str, link: str, frame: Array, inherited: str) -> None:
@@ -490,20 +498,41 @@ class _Reader:
 
     # --- what closes loops, what drives, where it starts --------------------------------------------------------------
 
-    def _closures(self) -> Iterator[Closure]:
+    def _equalities(self) -> tuple[tuple[Closure, ...], tuple[Coupling, ...]]:
+        closures, couplings = [], []
         for number, part in enumerate(self._elements("equality")):
             name = part.name or f"{part.tag}_{number + 1}"
-            if part.tag not in ("connect", "weld"):
-                part.refuse(f"{part} is an equality of another kind than connect and weld, which is not covered")
-            known = ("active", "body1", "body2", "site1", "site2", "anchor", "solref", "solimp")
-            part.require_known((*known, "relpose", "torquescale") if part.tag == "weld" else known)
+            if part.tag not in _EQUALITIES:
+                kinds = ", ".join(_EQUALITIES)
+                part.refuse(f"{part} is an equality of another kind than {kinds}, which is not covered")
+            part.require_known(("active", "solref", "solimp", *_EQUALITIES[part.tag]))
             if part.choice("active", ("true", "false"), "true") == "false":
                 self.notes.append(f"The equality {name!r} is not active, and left out.")
+                continue
+            if part.tag == "joint":
+                couplings.append(self._coupling(part, name))
                 continue
             first, second = self._ends(part, name)
             if self._carrier(first) == self._carrier(second):
                 part.refuse(f"{part} joins two frames of one rigid body", "Take it out.")
-            yield Closure(name, first, second, AXES[:3] if part.tag == "connect" else AXES)
+            closures.append(Closure(name, first, second, AXES[:3] if part.tag == "connect" else AXES))
+        return tuple(closures), tuple(couplings)
+
+    def _coupling(self, part: Part, name: str) -> Coupling:
+        """Return q₁ − r₁ = Σ a_k (q₂ − r₂)^k in powers of q₂; r are positions at the initial configuration."""
+        joints = {joint.name for joint in self.joints if joint.kind in ("revolute", "prismatic")}
+        ends = []
+        for key in ("joint1", "joint2")[: 1 + part.has("joint2")]:
+            if (end := part.text(key)) not in joints:
+                remedy = did_you_mean(end, joints).strip()
+                part.refuse(f"{part} names {key}={shown(end)}, which is no joint of one freedom", remedy)
+            ends.append(end)
+        given = part.numbers("polycoef", 1, 5, default="0 1 0 0 0")
+        held, *rest = (float(self.initial[end]) for end in ends)
+        polynomial = np.polynomial.Polynomial(given if rest else given[:1])
+        powers = (polynomial(np.polynomial.Polynomial([-rest[0], 1.0])) if rest else polynomial).coef
+        powers[0] += held
+        return Coupling(name, ends[0], ends[1] if rest else "", tuple(np.trim_zeros(powers, "b").tolist() or [0.0]))
 
     def _ends(self, part: Part, name: str) -> tuple[str, str]:
         """Return the two links that an equality makes coincide."""

@@ -1,8 +1,8 @@
 """Read SDF, the models of Gazebo: links in the frame of the model, and joints between them, loops included.
 
 A tree is taken out of the joints, each link by its first parent; a link that has no parent left is carried the other
-way round. Every other joint closes a loop, by the rows of its own type. A subset of the format, from version 1.5 on;
-what else changes the mechanics is refused by name, file and line.
+way round. Every other joint closes a loop, by the rows of its own type; a gearbox couples two joints. A subset of the
+format, from version 1.5 on; what else changes the mechanics is refused by name, file and line.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.mechanism import NOT_IN_FORCE, UNLIMITED, Mechanism, placed, six_joints
-from redundancy_pin.robot.types import Closure
+from redundancy_pin.robot.types import Closure, Coupling
 from redundancy_pin.robot.urdf_tree import JointEntry, LinkEntry
 from redundancy_pin.robot.xml_files import Element, parsed
 
 _LARGEST = 1e100
+_SAME_DIRECTION = 1e-6
 _UNLIMITED = 1e15
 """SDF writes 1e16 where there is no limit, and −1 for speeds and efforts."""
 
@@ -35,12 +36,15 @@ _PARTS = {
         *("velocity_decay", "light", "must_be_base_link", "audio_sink", "audio_source", "projector"),
     ),
     "inertial": ("pose", "mass", "inertia"),
-    "joint": ("pose", "parent", "child", "axis", "axis2", "physics", "sensor"),
+    "joint": (
+        *("pose", "parent", "child", "axis", "axis2", "physics", "sensor"),
+        *("gearbox_ratio", "gearbox_reference_body"),
+    ),
     "axis": ("xyz", "limit", "dynamics", "use_parent_model_frame", "initial_position"),
     "limit": ("lower", "upper", "effort", "velocity", "stiffness", "dissipation"),
     "dynamics": ("damping", "friction", "spring_reference", "spring_stiffness"),
 }
-_KINDS = ("revolute", "continuous", "prismatic", "ball", "fixed", "universal")
+_KINDS = ("revolute", "continuous", "prismatic", "ball", "fixed", "universal", "gearbox")
 _ROWS = {
     "revolute": ("x", "y", "z", "rx", "ry"),
     "continuous": ("x", "y", "z", "rx", "ry"),
@@ -261,7 +265,7 @@ class _Reader:
         if ends[0] == ends[1]:
             self.refuse(element, f"the joint {name!r} has one link at both ends")
         frame, axes, limits = self._place(name, ("joint",)), [], []
-        wanted = {"revolute": 1, "continuous": 1, "prismatic": 1, "universal": 2}.get(kind, 0)
+        wanted = {"revolute": 1, "continuous": 1, "prismatic": 1, "universal": 2, "gearbox": 2}.get(kind, 0)
         for number, tag in enumerate(("axis", "axis2")):
             axis = self._one(element, tag)
             if axis is None and number < wanted:
@@ -338,7 +342,8 @@ class _Reader:
         """Return what the file describes."""
         links = {name: self._link(name) for name in self.elements["link"]}
         joints = [self._joint(name) for name in self.elements["joint"]]
-        tree, loops = self._spanning(joints)
+        gears = [joint for joint in joints if joint.kind == "gearbox"]
+        tree, loops = self._spanning([joint for joint in joints if joint not in gears])
         self.links = {"world": LinkEntry("world", 0.0, np.zeros(3), np.zeros((3, 3)))}
         self.entries: list[JointEntry] = []
         start: dict[str, float | Array] = {}
@@ -374,7 +379,31 @@ class _Reader:
             forces=loads,
             notes=tuple(self.notes),
             driven_is_said=bool(driven),
+            couplings=tuple(self._gears(gear, [joint for joint, *_ in tree if joint]) for gear in gears),
         )
+
+    def _gears(self, gear: _Joint, joints: list[_Joint]) -> Coupling:
+        """Return θ₂ = −ratio θ₁: angles from the reference body to parent (θ₁, about axis) and child (about axis2)."""
+        reference, ratio = (
+            self._text(gear.element, "gearbox_reference_body"),
+            self._number(gear.element, "gearbox_ratio"),
+        )
+        ends = []
+        for link, axis in zip((gear.parent, gear.child), gear.axes, strict=True):
+            between = [joint for joint in joints if {joint.parent, joint.child} == {reference, link}]
+            along = (
+                float(between[0].axes[0] @ axis) if between and between[0].kind in ("revolute", "continuous") else 0.0
+            )
+            if abs(abs(along) - 1.0) > _SAME_DIRECTION:
+                what = (
+                    f"the gearbox {gear.name!r} needs a hinge of the tree about its axis from {reference!r} to {link!r}"
+                )
+                self.refuse(gear.element, what, "Add it, or correct the gearbox.")
+            ends.append(
+                (between[0].name, math.copysign(1.0, along) * (1.0 if between[0].parent == reference else -1.0))
+            )
+        (of, first), (name, second) = ends
+        return Coupling(gear.name, name, of, (0.0, -ratio * first * second))
 
     def _spanning(self, joints: list[_Joint]) -> tuple[list[tuple[_Joint | None, bool, str, str]], list[_Joint]]:
         """Return the tree, each joint with whether it is turned round, its carrier and what it carries; and the rest.

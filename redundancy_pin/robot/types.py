@@ -35,6 +35,23 @@ class Closure:
 
 
 @dataclass(frozen=True)
+class Coupling:
+    """A coupling of two joints, such as a pair of gears: the position of one is a polynomial of that of the other.
+
+    Attributes:
+        name: what to call it in messages.
+        joint: the joint whose position q follows; of one freedom, revolute or prismatic.
+        of: the joint whose position p is followed; empty for a joint that is held at a place.
+        polynomial: (c₀, c₁, …) in q = c₀ + c₁ p + c₂ p² + …, rad and m; of one number where ``of`` is empty.
+    """
+
+    name: str
+    joint: str
+    of: str
+    polynomial: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class CarrierLimits:
     """Limits of one carrier; infinite where nothing is declared.
 
@@ -96,6 +113,7 @@ class Robot(Frozen):
         urdf: the rendered URDF.
         model: the Pinocchio tree; treat it as read-only.
         closures: the loop closures.
+        couplings: the joints whose positions follow those of others; each is one constraint more.
         platform: the platform, or None where the independent velocities are named joints.
         independent_joints: names of the independent joints (empty when there is a platform).
         actuated: names of the main actuators.
@@ -141,6 +159,7 @@ class Robot(Frozen):
     own_meshes_only: bool = False
     notes: tuple[str, ...] = ()
     loads: tuple[Load, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
 
     @classmethod
     def from_model(
@@ -153,6 +172,7 @@ class Robot(Frozen):
         independent: Any = None,
         reference: Any = None,
         name: str = "",
+        couplings: Sequence[Any] = (),
         **more: Any,
     ) -> Robot:
         """Return a closed-chain robot made of a Pinocchio tree, with the checks that a file goes through.
@@ -170,6 +190,8 @@ class Robot(Frozen):
                 {...}}`` or ``{"joints": {...}, "guess": {...}}`` as in a ``robot.yaml``; left out: near the neutral
                 configuration of Pinocchio.
             name: what to call it; the model's own name when left out.
+            couplings: joints that follow others, each a ``Coupling``, a mapping ``{"joint": ..., "of": ...,
+                "polynomial": [...]}``, or a tuple of the three.
             **more: ``working_modes``, ``characteristic_length`` as in a ``robot.yaml``; ``working_mode``, ±1 a leg;
                 ``urdf``, text of the URDF that its shapes are drawn from, and ``urdf_folder`` of its mesh files.
 
@@ -179,17 +201,10 @@ class Robot(Frozen):
                 reference that does not close.
             UnsupportedRobotError: a joint of a type that closed chains do not cover.
         """
+        said = {"actuated": actuated, "closures": closures, "carriers": carriers, "couplings": couplings}
+        said |= {"independent": independent, "reference": reference, "name": name}
         # a closed reference needs kinematics, which is above this room: looked up when it is called
-        made: Robot = importlib.import_module("redundancy_pin.loading").robot_from_model(
-            model,
-            actuated=actuated,
-            closures=closures,
-            carriers=carriers,
-            independent=independent,
-            reference=reference,
-            name=name,
-            **more,
-        )
+        made: Robot = importlib.import_module("redundancy_pin.loading").robot_from_model(model, said, **more)
         return made
 
     def with_parameters(
@@ -281,6 +296,12 @@ class Robot(Frozen):
     def k(self) -> int:
         """Number of carriers."""
         return len(self.carriers)
+
+    @property
+    def constraint_names(self) -> tuple[str, ...]:
+        """Names of the rows of the constraints, ``"x of tip_2 = corner_2"``: closures, then couplings."""
+        rows = (f"{axis} of {closure.name}" for closure in self.closures for axis in closure.axes)
+        return (*rows, *(f"coupling {coupling.name}" for coupling in self.couplings))
 
     @property
     def gravity(self) -> Array:

@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError, did_you_mean
+from redundancy_pin.robot.types import Coupling
 from redundancy_pin.robot.xml_files import FORMATS, Element, parsed_text
 
 MOST_LINKS = 2000
@@ -54,6 +55,7 @@ _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "child": ("link",),
     "dynamics": _FRICTION,
     "limit": ("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
+    "mimic": ("joint", "multiplier", "offset"),
 }
 
 _TRIANGLE_TOLERANCE = 1e-6
@@ -87,7 +89,8 @@ class LinkEntry:
 class JointEntry:
     """A joint of a file: its (4, 4) placement in the frame of the parent link, its axis of length 1, its limits.
 
-    ``dynamics``: its damping, N·s/m or N·m·s, and friction, N or N·m, where the file gives them.
+    ``dynamics``: its damping, N·s/m or N·m·s, and friction, N or N·m, where the file gives them. ``mimic``: what it
+    follows.
     """
 
     name: str
@@ -98,6 +101,7 @@ class JointEntry:
     axis: Array
     limits: Mapping[str, float]
     dynamics: Mapping[str, float] = field(default_factory=dict)
+    mimic: Coupling | None = None
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,11 @@ class Tree:
     links: Mapping[str, LinkEntry]
     joints: tuple[JointEntry, ...]
     lines: Mapping[tuple[str, str], int]
+
+    @property
+    def couplings(self) -> tuple[Coupling, ...]:
+        """What the joints that mimic others follow."""
+        return tuple(joint.mimic for joint in self.joints if joint.mimic)
 
 
 def read_tree(urdf: str, path: Path) -> Tree:
@@ -120,7 +129,7 @@ def read_tree(urdf: str, path: Path) -> Tree:
     Raises:
         ModelFileError: naming the file, the line, and the link or joint: numbers that are none, elements that are
             missing, there twice or misspelt; names that are; masses and inertias that no body has; links that make no
-            tree; a joint that mimics another; more links or freedoms than a model may have.
+            tree; a joint that mimics none; more links or freedoms than a model may have.
     """
     robot = _Part(parsed_text(urdf, str(path)), path, "The robot")
     if robot.element.tag != "robot":
@@ -132,6 +141,11 @@ def read_tree(urdf: str, path: Path) -> Tree:
     parts = {kind: robot.named(kind) for kind in ("link", "joint")}
     links = {name: _link(name, part) for name, part in parts["link"].items()}
     joints = {name: _joint(name, part, links) for name, part in parts["joint"].items()}
+    for name, joint in joints.items():
+        followed = joint.mimic and joint.mimic.of
+        if followed and (followed == name or followed not in joints or not _FREEDOMS[joints[followed].kind]):
+            remedy = did_you_mean(followed, joints).strip() or "Name another joint, which moves."
+            parts["joint"][name].refuse(f"{parts['joint'][name].owner} mimics {followed!r}, which it cannot", remedy)
     freedoms = sum(_FREEDOMS[joint.kind] for joint in joints.values())
     if freedoms > MOST_FREEDOMS:
         robot.refuse(f"The joints have {freedoms} freedoms, more than the {MOST_FREEDOMS} of a model")
@@ -266,9 +280,6 @@ def _joint(name: str, part: _Part, links: Mapping[str, LinkEntry]) -> JointEntry
         remedy = f"{did_you_mean(kind, _FREEDOMS)}There are: {', '.join(_FREEDOMS)}."
         part.refuse(f"{part.owner} has the type {_short(kind)!r}", remedy)
     part.require_known_parts()
-    if part.element.find("mimic") is not None:
-        remedy = "Build the coupling as a loop, or make the joint free or fixed."
-        part.refuse(f"{part.owner} mimics another, which closed chains do not cover", remedy)
     ends = []
     for role in ("parent", "child"):
         end = part.one(role)
@@ -288,7 +299,21 @@ def _joint(name: str, part: _Part, links: Mapping[str, LinkEntry]) -> JointEntry
         axis = axis / length
     if kind == "planar" and axis[2] != 1.0:
         part.refuse(f"{part.owner} is planar about another axis than z, which Pinocchio does not know")
-    return JointEntry(name, kind, ends[0], ends[1], part.placement(), axis, _limits(part, kind), _dynamics(part))
+    placement, limits, dynamics = part.placement(), _limits(part, kind), _dynamics(part)
+    return JointEntry(name, kind, ends[0], ends[1], placement, axis, limits, dynamics, _mimic(name, kind, part))
+
+
+def _mimic(name: str, kind: str, part: _Part) -> Coupling | None:
+    given = part.one("mimic")
+    if given is None or not _FREEDOMS[kind]:  # a joint that is fixed follows nothing, whatever it says
+        return None
+    if not (of := given.element.get("joint", "")):
+        given.refuse(f"{part.owner} has a mimic without the name of a joint")
+    multiplier, offset = (
+        given.number(key, f"{key} of its mimic") if key in given.element.attrib else default
+        for key, default in (("multiplier", 1.0), ("offset", 0.0))
+    )
+    return Coupling(f"{name} of {of}", name, of, (offset, multiplier))
 
 
 def _dynamics(part: _Part) -> Mapping[str, float]:

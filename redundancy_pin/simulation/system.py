@@ -32,7 +32,7 @@ MOST_ITERATIONS = 30
 
 def has_point_closures(robot: Robot) -> bool:
     """Return whether all closures are points in a plane or in space, which is what ``ConstraintDynamics`` covers."""
-    return not _other_closures(robot)
+    return not _other_closures(robot) and not robot.couplings
 
 
 def _other_closures(robot: Robot) -> list[Closure]:
@@ -57,6 +57,12 @@ class ConstraintDynamics:
                 f"Pinocchio's constraintDynamics cannot take closure {other.name!r} along {', '.join(other.axes)}.",
                 remedy="Use the projected equations, which take every closure.",
                 closure=other.name,
+            )
+        for coupling in robot.couplings:
+            raise UnsupportedRobotError(
+                f"Pinocchio's constraintDynamics cannot take the coupling {coupling.name!r}.",
+                remedy="Use the projected equations, which take every constraint.",
+                coupling=coupling.name,
             )
         self._model = model = robot.model
         self._constraints = pin.StdVec_RigidConstraintModel()

@@ -265,8 +265,8 @@ def test_rows_times_columns_are_the_masked_products(nv: int, samples: int) -> No
     rows = RowSet(chosen, support, np.array([1, 2, 0]))
     vectors = rng.normal(size=(12, 3, samples))
     J = rng.normal(size=(6, nv, samples))
-    placed = rows.place_many(list(vectors))
-    got = rows.times(placed.wrench, J)
+    placed = rows.place_many(list(vectors), np.zeros((nv, samples)))
+    got = placed.jacobian(J)
     for i, row in enumerate(chosen):
         axis, partner = vectors[row.axis[1]] * row.sign, vectors[4 + row.partner[1]]
         wrench = np.concatenate([axis * (not row.rotation), np.cross(partner, axis, axis=0)])
@@ -274,5 +274,5 @@ def test_rows_times_columns_are_the_masked_products(nv: int, samples: int) -> No
         np.testing.assert_allclose(got[i], expected, rtol=1e-13, atol=1e-13)
         for n in range(samples):
             flat = np.concatenate([np.zeros(12), vectors[:8, :, n].ravel()])  # the world is Pinocchio's first frame
-            one = rows.place(flat)
-            np.testing.assert_allclose(rows.times(one.wrench, J[:, :, n])[i], expected[:, n], rtol=1e-13, atol=1e-13)
+            one = rows.place(flat, np.zeros(nv))
+            np.testing.assert_allclose(one.jacobian(J[:, :, n])[i], expected[:, n], rtol=1e-13, atol=1e-13)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from mjcf_models import FOUR_BAR, FREE, SPATIAL, WELD, Engine, write
+from mjcf_models import FOUR_BAR, FREE, GEARED, SPATIAL, WELD, Engine, write
 from zoo import home_of
 
 import redundancy_pin as rp
@@ -17,6 +17,7 @@ mujoco = pytest.importorskip("mujoco")
 
 MODELS = {
     "four_bar": FOUR_BAR,
+    "geared": GEARED,
     "spatial": SPATIAL,
     "weld": WELD.format(weld=""),
     "weld_anchor": WELD.format(weld='anchor="-0.05 0 0.02"'),
@@ -93,13 +94,15 @@ def test_efforts_of_the_closed_chain_are_those_of_mujoco(name, tmp_path):
     assert robot.n == robot.m
     system = rp.kinematics.closure.ConstraintSystem(robot)
     # a rod between two balls: its spin is held here and nowhere in the file
-    own = [axis == "rz" and "ball" in robot.model.names for closure in robot.closures for axis in closure.axes]
+    own = ["ball" in robot.model.names and row.startswith("rz") for row in robot.constraint_names]
     assert sum(own) == (name == "spatial")
     rows = system.evaluate(lifted.q).Jc[:, own]
     for i in range(4):
         engine.set(robot, lifted.q[i], lifted.v[i])
         equality = engine.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        assert equality.sum() == {"connect": 3, "weld": 6}["weld" if "weld" in name else "connect"]
+        assert equality.sum() == {"connect": 3, "weld": 6}["weld" if "weld" in name else "connect"] + len(
+            robot.couplings
+        )
         np.testing.assert_allclose(engine.data.efc_pos[equality], 0.0, atol=1e-9)
         J = engine.data.efc_J.reshape(-1, engine.model.nv)[equality][:, engine.columns(robot)]
         np.testing.assert_allclose(J @ lifted.v[i], 0.0, atol=1e-9)
@@ -196,6 +199,7 @@ REFUSED = {
     "unknown section": ("<actuator>", "<actuators/><actuator>", "<actuators> is not covered"),
     "unknown attribute": ('name="rocker"/>', 'name="rocker" axes="0 0 1"/>', "line 22: the joint 'rocker' .*'axes'"),
     "tendon equality": ("<connect", "<tendon", "another kind"),
+    "coupled site": ("<connect", '<joint joint1="tip"/><connect', "joint1='tip', which is no joint of one freedom"),
     "tendon motor": ('joint="crank" gear', 'tendon="crank" gear', "tendon='crank'"),
     "mesh": ('fromto="0 0 0 0.45 0 0"', 'type="mesh" mesh="m"', "a mesh whose mass"),
     "composite": ("<light", "<composite", "<composite> is not covered"),

@@ -149,7 +149,15 @@ FAULTS: dict[str, tuple[Callable[[str], str], str]] = {
     "limit that is text": (once('upper="9"', 'upper="nine"'), r"'a1' of bar\.urdf has the upper limit 'nine'"),
     "kind of joint": (once('"revolute"', '"revolut"'), r"'a1' .* type 'revolut' .*Did you mean 'revolute'"),
     "no kind of joint": (once(' type="revolute"', ""), r"'a1' of bar\.urdf has the type ''"),
-    "mimic": (once("<axis", '<mimic joint="b1"/><axis'), r"The joint 'a1' of bar\.urdf mimics another"),
+    "mimic of itself": (
+        once("<axis", '<mimic joint="a1"/><axis'),
+        r"The joint 'a1' of bar\.urdf mimics 'a1', which it",
+    ),
+    "mimic of none": (once("<axis", '<mimic multiplier="2"/><axis'), r"'a1' of bar\.urdf has a mimic without the name"),
+    "mimic times text": (
+        once("<axis", '<mimic joint="b1" multiplier="two"/><axis'),
+        r"the multiplier of its mimic 'two'",
+    ),
     "planar about x": (
         appended('<link name="p"/><joint name="z" type="planar"><parent link="l1"/><child link="p"/></joint>'),
         r"The joint 'z' of bar\.urdf is planar about another axis than z",

@@ -40,6 +40,13 @@ FOUR_BAR = """<mujoco model="four_bar">
 """
 """Not closed at its initial configuration."""
 
+_ROTORS = """<body name="rotor" pos="0 0.3 0"><joint name="rotor" ref="0.3"/><geom type="sphere" size="0.1"/></body>
+<body name="cam" pos="0 0.5 0"><joint name="cam" type="slide" axis="1 2 0" ref="-0.1"/>
+<geom type="sphere" size="0.1"/></body>"""
+_GEARS = """<joint name="gears" joint1="rotor" joint2="rocker" polycoef="0.2 -12"/>
+<joint name="cam" joint1="cam" joint2="rotor" polycoef="0 0.01 0.002 -0.0005 0.0001"/>"""
+GEARED = FOUR_BAR.replace("</worldbody>", f"{_ROTORS}</worldbody>").replace("</equality>", f"{_GEARS}</equality>")
+
 SPATIAL = """<mujoco model="spatial">
   <include file="settings.xml"/>
   <worldbody>

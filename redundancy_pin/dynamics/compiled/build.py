@@ -184,6 +184,7 @@ def key(robot: Robot, compiler: str, files: Sequence[str] = _WRITTEN, flags: Seq
     model = robot.model
     roles = [
         robot.closures,
+        robot.couplings,
         robot.platform,
         robot.independent_joints,
         robot.actuated,

@@ -78,7 +78,7 @@ def source(robot: Robot) -> str:
     mass = ca.jacobian(efforts, chain.a)
     definitions: dict[str, tuple[list[Any], list[Any]]] = {
         "equations": (motion, [ca.vec(chain.K), chain.bias, ca.vec(mass), at_rest]),
-        "closures": (pose, [chain.closure_rows if robot.closures else ca.SX(0, 1), ca.vec(chain.K)]),
+        "closures": (pose, [chain.closure_rows, ca.vec(chain.K)]),
         "rates": ([chain.q, chain.v], [chain.configuration_rate]),
         "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
         "moved": ([chain.q, chain.step], [chain.moved]),

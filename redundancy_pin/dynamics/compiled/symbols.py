@@ -223,7 +223,13 @@ class SymbolicChain:
             self.row_scale = self.velocity_scale[self.independent]
             self.angles = [i for i, joint in enumerate(joints) if joint.nq == 2]
         rows = [axis.startswith("r") for closure in robot.closures for axis in closure.axes]
-        self.closure_scale = np.where(rows, length, 1.0) if rows else np.ones(0)
+        ends = [(self._joint_at(each.joint), self._joint_at(each.of or each.joint)) for each in robot.couplings]
+        self._coupled = [(joint.idx_q, of.idx_q) for joint, of in ends]
+        scales = [*np.where(rows, length, 1.0), *(self.velocity_scale[joint.idx_v] for joint, _ in ends)]
+        self.closure_scale = np.array(scales, dtype=float)
+
+    def _joint_at(self, name: str) -> pin.JointModel:
+        return self.model.joints[self.model.getJointId(name)]
 
     def _place(self) -> None:
         """Place the frames of closures and platform in the world, and give them their velocities."""
@@ -273,11 +279,12 @@ class SymbolicChain:
 
     @cached_property
     def closure_rows(self) -> SX:
-        """(r) closure residuals, m; of rotation rows the sine of the angle that is off."""
-        ca = casadi()
-        return ca.vertcat(
-            *(self._closure_row(closure, axis) for closure in self.robot.closures for axis in closure.axes)
-        )
+        """(r) closure residuals, m; of rotation rows the sine of the angle that is off; then those of couplings."""
+        ca, robot = casadi(), self.robot
+        rows = [self._closure_row(closure, axis) for closure in robot.closures for axis in closure.axes]
+        for each, (joint, of) in zip(robot.couplings, self._coupled, strict=True):
+            rows.append(self.q[joint] - sum(c * self.q[of] ** power for power, c in enumerate(each.polynomial)))
+        return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
     def _closure_row(self, closure: Closure, axis: str) -> SX:
         ca = casadi()
@@ -371,7 +378,7 @@ class SymbolicChain:
     def row_rates(self) -> SX:
         """(p) rates of the closure rows, then the independent velocities: K v, linear in v."""
         ca, platform = casadi(), self.robot.platform
-        closures = self.rate_of(self.closure_rows) if self.robot.closures else ca.SX(0, 1)
+        closures = self.rate_of(self.closure_rows) if len(self.closure_scale) else ca.SX(0, 1)
         if platform is None:
             return ca.vertcat(closures, *(self.v[column] for column in self.independent))
         *_, spin, speed = self.frame(platform.frame)
