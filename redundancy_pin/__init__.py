@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics
     from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
     from redundancy_pin.dynamics.virtual_work import VirtualWork
+    from redundancy_pin.kinematics.forward_kinematics import assembly_modes, forward_kinematics
     from redundancy_pin.kinematics.lift import lift
     from redundancy_pin.loading import load_robot
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -49,11 +50,13 @@ _PLACES = {
     "Spring": "robot.loads",
     "VirtualWork": "dynamics.virtual_work",
     "Wrench": "robot.loads",
+    "assembly_modes": "kinematics.forward_kinematics",
     "check_plan": "planners.check",
     "classify": "singularities.classify",
     "classify_motion": "singularities.classify",
     "distribute": "dynamics.distribution",
     "find_crossings": "singularities.crossings",
+    "forward_kinematics": "kinematics.forward_kinematics",
     "inverse_dynamics": "dynamics.inverse_dynamics",
     "joint_reactions": "dynamics.rnea",
     "lift": "kinematics.lift",
@@ -86,11 +89,13 @@ __all__ = [
     "Spring",
     "VirtualWork",
     "Wrench",
+    "assembly_modes",
     "check_plan",
     "classify",
     "classify_motion",
     "distribute",
     "find_crossings",
+    "forward_kinematics",
     "inverse_dynamics",
     "joint_reactions",
     "lift",

@@ -46,6 +46,8 @@ ROBOTS: dict[str, Callable[[Any], Any]] = {
     "CompiledDynamics": lambda robot: compiled(robot).reduce(MOTION).f,
     "symbolic": lambda robot: str(symbolic(robot).W),
     "lift": lambda robot: rp.lift(robot, MOTION).q,
+    "forward_kinematics": lambda robot: rp.forward_kinematics(robot, [0.4, 0.5]).x,
+    "assembly_modes": lambda robot: rp.assembly_modes(robot, [0.4, 0.5]).x,
     "classify": lambda robot: rp.classify(robot, rp.load_robot("2rpr").q_reference).parallel_margin,
     "find_crossings": lambda robot: [crossing.t for crossing in rp.find_crossings(robot, CIRCLE)],
     "singular_locus": lambda robot: rp.singular_locus(robot, resolution=8).points,

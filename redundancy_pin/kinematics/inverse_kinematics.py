@@ -51,7 +51,7 @@ def multistart(system: ConstraintSystem, guess: Array, x: Array) -> PoseSolution
     best = PoseSolution(guess, float("inf"), False)
     for starts in _STARTS:
         solution = _assemble_around(system, guess, x, starts, rng)
-        q = _wrapped(system.robot, solution.q)
+        q = wrapped(system.robot, solution.q)
         usable = solution.closed & in_working_mode(system.robot, q)
         if usable.any():
             nearest = int(np.argmin(np.where(usable, np.abs(q - guess).sum(axis=1), np.inf)))
@@ -76,7 +76,7 @@ def multistart_nearest(system: ConstraintSystem, guess: Array, x: Array, listed:
     rng = np.random.default_rng(_SEED)
     solutions = [_assemble_around(system, guess, x, 1, rng)]
     solutions += [_assemble_around(system, guess, x, _NEAR_STARTS, rng, kept) for kept in (listed, listed[:0])]
-    q = _wrapped(system.robot, np.concatenate([solution.q for solution in solutions]))
+    q = wrapped(system.robot, np.concatenate([solution.q for solution in solutions]))
     closed = np.concatenate([solution.closed for solution in solutions])
     usable = closed & in_working_mode(system.robot, q)
     if not usable.any():
@@ -116,7 +116,7 @@ def _from_mixed_legs(system: ConstraintSystem, q: Array, guess: Array, x: Array)
     if candidate is None:
         return None
     solution = assemble(system, candidate[None], x[None], shortest_step=_SHORTEST_STEP)
-    settled = _wrapped(system.robot, solution.q)
+    settled = wrapped(system.robot, solution.q)
     if not (solution.closed[0] and in_working_mode(system.robot, settled)[0]):
         return None
     return PoseSolution(settled[0], float(solution.gap[0]), True)
@@ -161,7 +161,7 @@ def _assemble_around(
     return assemble(system, around, np.repeat(x[None], starts, axis=0), shortest_step=_SHORTEST_STEP)
 
 
-def _wrapped(robot: Robot, q: Array) -> Array:
+def wrapped(robot: Robot, q: Array) -> Array:
     """Return q with the angles of bounded revolute joints in (−π, π], but for those that the pose prescribes."""
     result: Array = q.copy()
     prescribed = {robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.independent_joints}

@@ -1,0 +1,353 @@
+"""Forward kinematics: from the positions of the main actuators to the platform, along one branch, and all branches.
+
+Motors are independent coordinates like any others: the same tree and closures with the actuated joints in the place of
+the platform are a robot whose ``lift`` is the forward kinematics. Its K is T = [J_c; S], so that its type I poses are
+the type II poses of the robot: there the motors do not determine the platform, and two assembly modes meet. With
+rates u̇ of the motors and v = Γ' u̇
+
+    ẋ = J_x Γ' u̇,      ẍ = J_x a + J̇_x v.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, checked, read_only
+from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
+from redundancy_pin.kinematics.assembly import assemble, integrate, project
+from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
+from redundancy_pin.kinematics.continuation import Point
+from redundancy_pin.kinematics.coordinates import (
+    angle_columns,
+    coordinates,
+    is_pose,
+    joint_position,
+    turning_velocities,
+    velocity_scale,
+)
+from redundancy_pin.kinematics.inverse_kinematics import wrapped
+from redundancy_pin.kinematics.joint_limits import ROUNDING, range_excess
+from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import Robot, RobotLike, as_robot
+
+_AGREE = 1e-8
+"""Distance, rad or m, by which positions of redundant motors may contradict each other: rounding."""
+
+_STARTS, _MOST_STARTS, _IN_VAIN = 128, 2048, 512
+"""Random starts of a round, of all rounds, and of all where none closes."""
+_SEEN, _OFTEN = 1e-3, 6
+"""Random starts go on until one more has a chance below the first of finding a mode that none has found, and each mode
+was found as often as the second on average."""
+
+_SHORTEST_STEP = 2.0**-5
+_SAME_MODE = 1e-6
+"""Configurations whose frames are nearer than this, in characteristic lengths, are the same mode."""
+
+_SEED = 20141
+
+
+class ForwardStatus(IntEnum):
+    """What the positions of the motors say of the platform."""
+
+    CONVERGED = 0
+    """The chains are closed on the branch of the start."""
+    OUT_OF_RANGE = 1
+    """As converged, but a joint, maybe a passive one, is beyond its limits: see ``excess``."""
+    SINGULAR = 2
+    """Type II: the motors do not determine the motion of the platform. The pose is known, rates are NaN."""
+    OUT_OF_REACH = 3
+    """The chains cannot be closed, or redundant motors contradict each other; see ``gap``."""
+    BRANCH_LOST = 4
+    """The chains can be closed, but the way there passes samples that are singular or out of reach: on which side of
+    the singularity the machine would come back, kinematics cannot say."""
+
+    @property
+    def label(self) -> str:
+        """The name in lower case: ``out_of_reach``."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, eq=False)
+class ForwardKinematics(Frozen):
+    """Where the platform is; made by ``forward_kinematics``. NaN where the status says that nothing is known.
+
+    Attributes:
+        robot: the robot.
+        x: (N, n) coordinates of the platform or (N, 4, 4) poses, base frame, m and rad; angles go on beyond ±π.
+        xd: (N, n) their rate.
+        xdd: (N, n) its rate.
+        q: (N, nq) configurations, carriers at zero; pass one as ``start`` to go on from there.
+        jacobian: (N, n, m) ẋ per rate of each main actuator; of redundant ones those that were followed have columns,
+            the others zeros.
+        status: (N,) a ``ForwardStatus`` each.
+        gap: (N,) closure gap, m or rad; of redundant motors also what they contradict each other by.
+        margin: (N,) lower bound of the scaled distance to type II, as ``TreeMotion.serial_margin_bound``.
+        excess: (N, joints) how far each joint of the model is beyond its range, m or rad, not positive inside.
+    """
+
+    robot: Robot
+    x: Array
+    xd: Array
+    xdd: Array
+    q: Array
+    jacobian: Array
+    status: IntArray
+    gap: Array
+    margin: Array
+    excess: Array
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.status)
+
+    @property
+    def known(self) -> BoolArray:
+        """(N,) whether pose and rates are known, in range or not."""
+        return read_only(self.status <= ForwardStatus.OUT_OF_RANGE)
+
+    @property
+    def status_labels(self) -> NDArray[np.str_]:
+        """(N,) the statuses as text, such as ``"converged"``."""
+        return read_only(np.array([status.label for status in ForwardStatus])[self.status])
+
+
+def forward_kinematics(
+    robot: RobotLike,
+    actuated: ArrayLike,
+    *,
+    rates: ArrayLike | None = None,
+    accelerations: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+) -> ForwardKinematics:
+    """Return where the platform is for positions of the motors, on the branch of a start.
+
+    The motors go in a straight line from their positions at the start to the first sample, and from sample to sample;
+    the branch is followed continuously all the way. It ends at the first sample that is singular or out of reach. For
+    all poses that positions of the motors allow, see ``assembly_modes``.
+
+    Args:
+        robot: the robot, or its name or path.
+        actuated: (N, m) positions of the main actuators, or (m,) of one sample, m and rad; full turns count.
+        rates: same shape, their rates; at rest when left out.
+        accelerations: same shape, their accelerations; zero when left out.
+        start: (nq,) a closed configuration; ``robot.q_reference`` when left out.
+
+    Raises:
+        InputError: wrong shapes, a start that is not closed.
+        UnsupportedRobotError: fewer motors than freedoms.
+        SingularPoseError: the start is a type II singularity, where branches meet.
+    """
+    robot = as_robot(robot)
+    u = checked(np.atleast_2d(np.asarray(actuated)), "actuated", ("N", robot.m))
+    ud, udd = (
+        np.zeros(u.shape) if given is None else checked(np.atleast_2d(np.asarray(given)), name, u.shape)
+        for given, name in ((rates, "rates"), (accelerations, "accelerations"))
+    )
+    system = constraint_system(robot)
+    q0 = np.array(robot.q_reference if start is None else checked(start, "start", (robot.model.nq,)))
+    followed = _followed(system, q0)
+    driven = _driven(robot, tuple(robot.actuated[j] for j in followed))
+    motors = constraint_system(driven)
+    home = assemble(motors, q0[None], max_iterations=0)
+    if not home.closed[0]:
+        raise InputError(
+            f"start does not close the chains of {robot.name}: they stay open by {home.gap[0]:.3g}.",
+            remedy="Pass a configuration of lift, assembly_modes or forward_kinematics.",
+        )
+    if home.projection.margin[0] == 0.0:
+        raise SingularPoseError(
+            f"The start is a type II singularity of {robot.name}: branches meet there, and the motors do not say which "
+            "one is meant.",
+            remedy="Start beside it.",
+        )
+    u0 = coordinates(driven, home.state)
+    before = u0, np.zeros(u0.shape), np.zeros(u0.shape)  # the motors come from the start
+    path = [np.concatenate([first, part[:, followed]]) for first, part in zip(before, (u, ud, udd), strict=True)]
+    motion = PlatformMotion(np.arange(len(path[0])), *path, check_rates=False)
+    tree = lift(driven, motion, mark_unreachable=True, start=Point(u0[0], q0, home.gamma[0]))
+    q, v, a, gamma, gap, margin = (
+        part[1:].copy() for part in (tree.q, tree.v, tree.a, tree.gamma, tree.gap, tree.serial_margin_bound)
+    )
+    good = tree.reachable[1:]
+    end = len(good) if good.all() else int(np.argmin(good))
+    status: IntArray = np.full(len(u), int(ForwardStatus.CONVERGED))
+    if end < len(u):  # what lift takes up again behind a gap is on any branch
+        q[end:], v[end:], a[end:], gamma[end:] = np.nan, np.nan, np.nan, np.nan
+        _judge_rest(motors, motion.x[1 + end :], tree.q[end], (q[end:], status[end:], gap[end:], margin[end:]))
+    x, xd, xdd = _of_platform(system, q, v, a)
+    J = np.full((len(u), robot.n, robot.m), np.nan)
+    J[:end] = 0.0
+    J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
+    gap = np.fmax(gap, _contradiction(system, followed, u, q))
+    status[(status == ForwardStatus.CONVERGED) & (gap > _AGREE)] = ForwardStatus.OUT_OF_REACH
+    excess = range_excess(robot, q)
+    status[(status == ForwardStatus.CONVERGED) & (excess > ROUNDING).any(axis=1)] = ForwardStatus.OUT_OF_RANGE
+    parts = x, xd, xdd, q, J, status, gap, margin, excess
+    return ForwardKinematics(robot, *(read_only(part) for part in parts))
+
+
+@lru_cache(maxsize=64)
+def _driven(robot: Robot, joints: tuple[str, ...]) -> Robot:
+    """Return the robot with joints in the place of its platform."""
+    return replace(robot, platform=None, independent_joints=joints, working_modes=None, working_mode=())
+
+
+def _followed(system: ConstraintSystem, q: Array) -> IntArray:
+    """Return which n of the m motors are followed: those that determine the platform best at a configuration (nq,)."""
+    robot = system.robot
+    if robot.m < robot.n:
+        raise UnsupportedRobotError(
+            f"{robot.name} has {robot.m} main actuators and {robot.n} freedoms: they do not say where its platform is.",
+            remedy="Declare more joints as actuated, or use lift from platform to joints.",
+        )
+    if robot.m == robot.n:
+        return np.arange(robot.m)
+    from scipy.linalg import qr
+
+    columns = system.pose_columns
+    unit = velocity_scale(robot)[columns]
+    free = np.linalg.svd(system.evaluate(q[None]).Jc[0][:, columns] / unit)[2][-robot.n :]
+    chosen = qr(free[:, np.searchsorted(columns, robot.actuated_velocity)], mode="r", pivoting=True)[1][: robot.n]
+    return np.sort(chosen)
+
+
+def _contradiction(system: ConstraintSystem, followed: IntArray, u: Array, q: Array) -> Array:
+    """Return (N,) how far the motors that are not followed are from their positions u (N, m) at configurations q."""
+    robot = system.robot
+    off = [u[:, j] - joint_position(robot, robot.actuated[j], q) for j in range(robot.m) if j not in followed]
+    worst: Array = np.abs(np.reshape(off, (len(off), len(u)))).max(axis=0, initial=0.0)
+    return worst
+
+
+def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Array, IntArray, Array, Array]) -> None:
+    """Write q, status, gap and margin of the samples behind the end of the branch, which ``last`` (nq,) is."""
+    solved = assemble(motors, np.repeat(last[None], len(u), axis=0), u)
+    singular = solved.closed & (solved.projection.margin == 0.0)
+    passed = int(np.argmin(np.append(singular, False)))  # only until another sample is met the branch is known
+    q, status, gap, margin = rest
+    status[:] = np.where(solved.closed, ForwardStatus.BRANCH_LOST, ForwardStatus.OUT_OF_REACH)
+    status[:passed] = ForwardStatus.SINGULAR
+    q[:passed], gap[:], margin[:] = solved.q[:passed], solved.gap, np.where(singular, 0.0, np.nan)
+
+
+def _of_platform(system: ConstraintSystem, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+    robot, known = system.robot, np.isfinite(q).all(axis=1)
+    state = system.evaluate(q[known])
+    x = np.full((len(q), 4, 4) if is_pose(robot) else (len(q), robot.n), np.nan)
+    xd, xdd = np.full((2, len(q), robot.n), np.nan)
+    x[known] = coordinates(robot, state)
+    if not is_pose(robot) and known.any():
+        for column in angle_columns(robot):
+            x[known, column] = np.unwrap(x[known, column])
+    xd[known] = np.einsum("ijv,iv->ij", state.Jx, v[known])
+    xdd[known] = np.einsum("ijv,iv->ij", state.Jx, a[known]) + system.bias(state, v[known])[1]
+    return x, xd, xdd
+
+
+@dataclass(frozen=True, eq=False)
+class AssemblyModes(Frozen):
+    """All that positions of the motors allow, as far as it was found; made by ``assembly_modes``.
+
+    Attributes:
+        robot: the robot.
+        q: (M, nq) a configuration of each mode, angles in (−π, π]; that nearest to the reference first.
+        x: (M, n) coordinates or (M, 4, 4) poses of the platform.
+        margin: (M,) lower bound of the scaled distance to type II, where modes meet.
+        in_range: (M,) whether all joints are within their limits.
+        found: (M,) how many random starts led to each.
+        unseen: estimated chance that one more start finds another mode (Good and Turing: the share of modes that were
+            found once among all successful starts).
+    """
+
+    robot: Robot
+    q: Array
+    x: Array
+    margin: Array
+    in_range: BoolArray
+    found: IntArray
+    unseen: float
+
+    def __len__(self) -> int:
+        """Return the number of modes."""
+        return len(self.q)
+
+
+def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = _MOST_STARTS) -> AssemblyModes:
+    """Return the configurations that positions of the motors allow: two of a five-bar, up to forty of a Gough platform.
+
+    Newton from random starts, the same ones every time, until another start would hardly find a new mode. Modes are
+    alike where joints, platform and closures are at the same places: a universal joint turned over is no other mode.
+
+    Args:
+        robot: the robot, or its name or path.
+        actuated: (m,) positions of the main actuators, m and rad.
+        most_starts: bound on the number of starts.
+
+    Raises:
+        InputError: wrong shape.
+        UnsupportedRobotError: fewer motors than freedoms.
+        UnreachablePoseError: no start closes the chains.
+    """
+    robot = as_robot(robot)
+    u = np.array(checked(actuated, "actuated", (robot.m,)))
+    reference, system = np.array(robot.q_reference), constraint_system(robot)
+    followed = _followed(system, reference)
+    motors = constraint_system(_driven(robot, tuple(robot.actuated[j] for j in followed)))
+    model, columns, rng = robot.model, motors.pose_columns, np.random.default_rng(_SEED)
+    spread = np.where(turning_velocities(robot)[columns], np.pi, robot.characteristic_length)
+    q, keys, found = np.zeros((0, model.nq)), np.zeros((0, 0)), np.zeros(0, dtype=np.intp)
+    gap, starts = np.inf, 0
+    while starts < (most_starts if len(q) else min(most_starts, _IN_VAIN)):
+        steps = np.zeros((_STARTS, model.nv))
+        steps[:, columns] = rng.uniform(-1.0, 1.0, (_STARTS, len(columns))) * spread
+        steps[0] *= starts > 0  # the reference itself comes first
+        guess = integrate(model, np.repeat(reference[None], _STARTS, axis=0), steps)
+        solved = assemble(motors, guess, np.repeat(u[None, followed], _STARTS, axis=0), shortest_step=_SHORTEST_STEP)
+        off = np.fmax(solved.gap, _contradiction(system, followed, np.repeat(u[None], _STARTS, axis=0), solved.q))
+        starts, gap = starts + _STARTS, min(gap, float(np.nanmin(off)))
+        for one in solved.q[solved.closed & (off < _AGREE)]:
+            key = _frames(robot, one)[None]
+            keys = keys.reshape(len(q), key.shape[1])
+            same = np.flatnonzero(np.abs(keys - key).max(axis=1) < _SAME_MODE * robot.characteristic_length)
+            if len(same):
+                found[same[0]] += 1
+            else:
+                q, keys, found = np.concatenate([q, one[None]]), np.concatenate([keys, key]), np.append(found, 1)
+        if (found == 1).sum() < _SEEN * found.sum() and found.mean() >= _OFTEN:
+            break
+    if not len(q):
+        raise UnreachablePoseError(
+            f"No configuration of {robot.name} has its motors at {np.round(u, 6).tolist()}: the chains stay open by "
+            f"{gap:.3g} m in {starts} attempts.",
+            remedy="Move the motors back towards the reference.",
+            gap=gap,
+        )
+    q = wrapped(motors.robot, q)
+    order = np.argsort(np.abs(keys - _frames(robot, reference)).max(axis=1), kind="stable")
+    q = q[order]
+    margin = project(motors, motors.evaluate(q)).margin
+    excess = range_excess(robot, q, motion=False).max(axis=1)
+    unseen = float((found == 1).sum() / found.sum())
+    x = coordinates(robot, system.evaluate(q))
+    shown = read_only(q), read_only(x), margin, read_only(excess <= ROUNDING), read_only(found[order])
+    return AssemblyModes(robot, *shown, unseen)
+
+
+def _frames(robot: Robot, q: Array) -> Array:
+    """Return the origins of joints and of frames of closures and platform, and the platform's axes, m, at one state."""
+    model = robot.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    pose = constraint_system(robot).evaluate(q[None]).pose
+    parts = [*(data.oMi[k].translation for k in range(1, model.njoints))]
+    parts += [origin[:, 0] for origin in pose.frame_origin.values()]
+    if robot.platform is not None:
+        parts.append(robot.characteristic_length * pose.frame_rotation[robot.platform.frame][:, :, 0].ravel())
+    return np.concatenate(parts)

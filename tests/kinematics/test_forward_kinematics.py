@@ -1,0 +1,265 @@
+"""Forward kinematics against closed forms: two circles (five-bar), three circles (3-RRR), leg lengths (Gough)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
+from redundancy_pin.kinematics.forward_kinematics import ForwardStatus
+
+BASE, LINK = 0.5, 0.5  # of the shipped five-bar, m
+TOLERANCE = 1e-11  # closure tolerance, times the gain of a well-conditioned pose
+LIKE_RATES = 1e-6  # central differences at 1e-4 s
+
+
+def motors(robot: rp.Robot, q: Array) -> Array:
+    return np.array(q)[..., robot.actuated_velocity]
+
+
+def two_circles(u: Array, side: float = 1.0) -> Array:
+    """Return (N, 2) the point of a five-bar with motor angles (N, 2): the upper intersection of two circles, or NaN."""
+    a = LINK * np.stack([np.cos(u[:, 0]), np.sin(u[:, 0])], axis=1)
+    b = LINK * np.stack([np.cos(u[:, 1]), np.sin(u[:, 1])], axis=1) + [BASE, 0.0]
+    d = b - a
+    half = 0.5 * np.linalg.norm(d, axis=1)
+    with np.errstate(invalid="ignore"):
+        height = np.sqrt(LINK**2 - half**2)
+    normal = np.stack([-d[:, 1], d[:, 0]], axis=1) / (2.0 * half[:, None])
+    return 0.5 * (a + b) + side * height[:, None] * normal
+
+
+@pytest.fixture(scope="module")
+def five_bar() -> rp.Robot:
+    return zoo.robot_of("five_bar")
+
+
+def turning(t: Array) -> tuple[Array, Array, Array]:
+    """Return (N, 2) motor angles of a motion of the five-bar from the reference, their rates and accelerations."""
+    home = motors(zoo.robot_of("five_bar"), zoo.robot_of("five_bar").q_reference)
+    size = np.array([0.3, -0.2])
+    return (
+        home + size * np.sin(t)[:, None] + [0.0, 0.1] * t[:, None],
+        size * np.cos(t)[:, None] + [0.0, 0.1],
+        -size * np.sin(t)[:, None],
+    )
+
+
+def test_five_bar_is_the_intersection_of_two_circles(five_bar: rp.Robot) -> None:
+    t = np.linspace(0.0, 3.0, 31)
+    u, ud, udd = turning(t)
+    found = rp.forward_kinematics(five_bar, u, rates=ud, accelerations=udd)
+    assert set(found.status_labels) == {"converged"}
+    assert np.abs(found.x - two_circles(u)).max() < TOLERANCE
+    h = 1e-4
+    before, here, after = (two_circles(turning(t + step)[0]) for step in (-h, 0.0, h))
+    assert np.abs(found.xd - (after - before) / (2 * h)).max() < LIKE_RATES
+    assert np.abs(found.xdd - (after - 2 * here + before) / h**2).max() < 1e-5
+    assert np.abs(np.einsum("nij,nj->ni", found.jacobian, ud) - found.xd).max() < TOLERANCE
+
+
+def test_start_chooses_the_branch(five_bar: rp.Robot) -> None:
+    u = turning(np.linspace(0.0, 3.0, 7))[0]
+    modes = rp.assembly_modes(five_bar, u[0])
+    assert len(modes) == 2
+    other = rp.forward_kinematics(five_bar, u, start=modes.q[1])
+    assert np.abs(other.x - two_circles(u, -1.0)).max() < TOLERANCE
+
+
+def test_motors_out_of_reach_end_the_branch(five_bar: rp.Robot) -> None:
+    home = motors(five_bar, five_bar.q_reference)
+    out = np.concatenate([np.linspace(0.0, 1.0, 11), np.linspace(0.9, 0.0, 10)])
+    u = home + out[:, None] * [1.0, -1.0]  # the elbows part until the distal links cannot meet, and come back
+    found = rp.forward_kinematics(five_bar, u)
+    possible = np.isfinite(two_circles(u)).all(axis=1)
+    first = int(np.argmin(possible))
+    assert 0 < first < 10
+    assert (found.status[:first] == ForwardStatus.CONVERGED).all()
+    assert (found.status[~possible] == ForwardStatus.OUT_OF_REACH).all()
+    assert (found.gap[~possible] > 1e-6).all()
+    # back within reach: above or below, nobody knows
+    again = possible & (np.arange(len(u)) > first)
+    assert again.any()
+    assert (found.status[again] == ForwardStatus.BRANCH_LOST).all()
+    assert np.isnan(found.x[first:]).all()
+    assert not found.known[first:].any()
+
+
+def test_stretched_distal_links_are_singular(five_bar: rp.Robot) -> None:
+    # elbows a metre apart on a level line: cos u = −0.5 and 0.5
+    u = np.array([[1.9, np.pi - 1.9], [2 * np.pi / 3, np.pi / 3]])
+    found = rp.forward_kinematics(five_bar, u, rates=np.ones((2, 2)))
+    assert found.status.tolist() == [ForwardStatus.CONVERGED, ForwardStatus.SINGULAR]
+    assert found.margin[1] == 0.0
+    assert np.abs(found.x[1] - [0.25, LINK * np.sqrt(0.75)]).max() < 1e-5  # a square root of the closure tolerance
+    assert np.isnan(found.xd[1]).all()
+    with pytest.raises(SingularPoseError, match="start is a type II"):
+        rp.forward_kinematics(five_bar, u, start=found.q[1])
+
+
+def test_joint_range_of_a_passive_joint(five_bar: rp.Robot) -> None:
+    t = np.linspace(0.0, 3.0, 31)
+    u = turning(t)[0]
+    free = rp.forward_kinematics(five_bar, u)
+    joint = five_bar.model.getJointId("elbow_2")
+    elbow = free.q[:, five_bar.model.joints[joint].idx_q]
+    limit = float(np.median(elbow))
+    held = rp.forward_kinematics(five_bar.with_limits({"elbow_2": {"upper": limit}}), u)
+    assert ((held.status == ForwardStatus.OUT_OF_RANGE) == (elbow > limit + 1e-9)).all()
+    assert held.known.all()
+    assert (held.x == free.x).all()
+    assert np.abs(held.excess[:, joint - 1] - (elbow - limit)).max() < TOLERANCE
+
+
+def three_circles(robot: rp.Robot, u: Array) -> Array:
+    """Return (M, 3) all x, y, α of a 3-RRR with motor angles (3,): a scan over α, roots refined.
+
+    The platform's corners lie on circles of radius 1 m about the elbows. Differences of the three equations are linear
+    in x, y; put into the first they leave a function of α.
+    """
+    model, data = robot.model, robot.model.createData()
+    import pinocchio as pin
+
+    pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
+    hinges = np.array([data.oMi[model.getJointId(f"base_{i}")].translation[:2] for i in (1, 2, 3)])
+    middle = data.oMf[model.getFrameId("platform")]
+    corners = np.array([middle.actInv(data.oMf[model.getFrameId(f"corner_{i}")]).translation[:2] for i in (2, 3)])
+    corners = np.concatenate([-corners.sum(axis=0)[None], corners])  # an equilateral triangle about its middle
+    elbows = hinges + np.stack([np.cos(u), np.sin(u)], axis=1)
+
+    def position(alpha: Array) -> tuple[Array, Array]:
+        c, s = np.cos(alpha), np.sin(alpha)
+        turned = np.stack(
+            [
+                c[:, None] * corners[:, 0] - s[:, None] * corners[:, 1],
+                s[:, None] * corners[:, 0] + c[:, None] * corners[:, 1],
+            ],
+            axis=2,
+        )
+        k = turned - elbows  # |x + k_i| = 1
+        A = 2.0 * (k[:, 1:] - k[:, :1])
+        b = (k[:, :1] ** 2).sum(axis=2) - (k[:, 1:] ** 2).sum(axis=2)
+        x = np.linalg.solve(A, b[:, :, None])[:, :, 0]
+        return x, ((x + k[:, 0]) ** 2).sum(axis=1) - 1.0
+
+    grid = np.linspace(-np.pi, np.pi, 20_001) + 1e-7
+    value = position(grid)[1]
+    roots = []
+    for i in np.flatnonzero(np.sign(value[1:]) != np.sign(value[:-1])):
+        low, high = grid[i], grid[i + 1]
+        for _ in range(60):
+            mid = 0.5 * (low + high)
+            same = np.sign(position(np.array([mid]))[1][0]) == np.sign(value[i])
+            low, high = (mid, high) if same else (low, mid)
+        x, rest = position(np.array([low]))
+        if abs(rest[0]) < 1e-6:  # not a pole
+            roots.append([*x[0], low])
+    return np.array(roots)
+
+
+def test_all_assembly_modes_of_the_3rrr() -> None:
+    robot = zoo.robot_of("3rrr", platform_radius=0.9)
+    home, counts = motors(robot, robot.q_reference), set()
+    for turn in ([0.3, -0.5, -0.9], [-0.5, 0.8, -0.9], [-0.8, 0.3, 0.9]):
+        u = home + np.array(turn)
+        oracle = three_circles(robot, u)
+        counts.add(len(oracle))
+        if not len(oracle):
+            with pytest.raises(UnreachablePoseError, match="stay open"):
+                rp.assembly_modes(robot, u, most_starts=128)
+            continue
+        found = rp.assembly_modes(robot, u)
+        assert len(found) == len(oracle)
+        x = np.array(found.x)
+        x[:, 2] = (x[:, 2] + np.pi) % (2 * np.pi) - np.pi
+        assert np.abs(x[np.argsort(x[:, 2])] - oracle[np.argsort(oracle[:, 2])]).max() < 1e-9
+        assert found.unseen < 0.01
+    assert counts == {0, 4, 6}
+
+
+def test_both_modes_of_a_four_bar_whose_crank_says_nothing_of_its_rocker() -> None:
+    robot = zoo.robot_of("four_bar")
+    found = rp.assembly_modes(robot, [1.0])
+    assert len(found) == 2
+    coupler = found.q[:, robot.model.joints[robot.model.getJointId("coupler")].idx_q]
+    assert sorted(np.sign(np.sin(coupler))) == [-1.0, 1.0]
+
+
+def leg_lengths(robot: rp.Robot, pose: Array) -> Array:
+    """Return (6,) distances between the joints on base and platform of a Gough at a pose (4, 4)."""
+    import pinocchio as pin
+
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
+    middle = data.oMf[model.getFrameId("platform")]
+    lengths = []
+    for i in range(1, 7):
+        base = data.oMi[model.getJointId(f"swing_{i}")].translation
+        tip = data.oMf[model.getFrameId(f"corner_{i}")] if i > 1 else data.oMi[model.getJointId("ball_1_x")]
+        lengths.append(np.linalg.norm(pose[:3, :3] @ middle.actInv(tip).translation + pose[:3, 3] - base))
+    return np.array(lengths)
+
+
+@pytest.mark.long
+def test_gough_modes_have_their_leg_lengths_and_come_in_mirror_images() -> None:
+    robot = zoo.robot_of("gough")
+    u = motors(robot, robot.q_reference) + np.linspace(0.0, 0.15, 6)
+    found = rp.assembly_modes(robot, u)
+    assert 2 <= len(found) <= 40
+    assert max(np.abs(leg_lengths(robot, pose) - u).max() for pose in found.x) < TOLERANCE
+    # base and platform are flat: with p also diag(1, 1, −1) p, R diag(1, 1, −1) R diag(1, 1, −1)
+    mirror = np.diag([1.0, 1.0, -1.0])
+    for pose in found.x:
+        image = np.eye(4)
+        image[:3, 3], image[:3, :3] = mirror @ pose[:3, 3], mirror @ pose[:3, :3] @ mirror
+        assert np.abs(found.x - image).max(axis=(1, 2)).min() < 1e-9
+
+
+def test_gough_forwards_is_its_inverse_backwards() -> None:
+    robot = zoo.robot_of("gough")
+    motion = zoo.smooth_motion(robot, 3).at(np.linspace(0.0, 1.0, 9))
+    tree = rp.lift(robot, motion)
+    u, ud, udd = (part[:, robot.actuated_velocity] for part in (tree.q, tree.v, tree.a))
+    found = rp.forward_kinematics(robot, u, rates=ud, accelerations=udd)
+    assert max(np.abs(leg_lengths(robot, pose) - legs).max() for pose, legs in zip(found.x, u, strict=True)) < TOLERANCE
+    assert np.abs(found.x - motion.x).max() < TOLERANCE
+    assert np.abs(found.xd - motion.xd).max() < 1e-9
+    assert np.abs(found.xdd - motion.xdd).max() < 1e-8
+    assert np.abs(np.einsum("nij,nkj->nik", found.jacobian, tree.W) - np.eye(6)).max() < 1e-9  # W = J⁻ᵀ
+
+
+def redundant(five_bar: rp.Robot) -> rp.Robot:
+    model, closures = five_bar.model, five_bar.closures
+    return rp.Robot.from_model(
+        model, closures=closures, actuated=[*five_bar.actuated, "elbow_1"], carriers=five_bar.carriers,
+        independent=five_bar.platform, reference=np.array(five_bar.q_reference),
+    )  # fmt: skip
+
+
+def test_redundant_motors_must_agree(five_bar: rp.Robot) -> None:
+    robot = redundant(five_bar)
+    plain = rp.forward_kinematics(five_bar, turning(np.linspace(0.0, 1.0, 5))[0])
+    u = np.array(plain.q[:, robot.actuated_velocity])
+    found = rp.forward_kinematics(robot, u)
+    assert found.known.all()
+    assert np.abs(found.x - plain.x).max() < TOLERANCE
+    u[2, 2] += 1e-3
+    found = rp.forward_kinematics(robot, u)
+    assert found.status.tolist() == [0, 0, ForwardStatus.OUT_OF_REACH, 0, 0]
+    assert found.gap[2] > 1e-4
+
+
+def test_refusals(five_bar: rp.Robot) -> None:
+    home = motors(five_bar, five_bar.q_reference)
+    with pytest.raises(InputError, match="start does not close"):
+        rp.forward_kinematics(five_bar, home, start=np.array(five_bar.q_reference) + 0.1)
+    with pytest.raises(InputError, match="actuated has shape"):
+        rp.forward_kinematics(five_bar, [home[:1]])
+    from dataclasses import replace
+
+    weak = replace(five_bar, actuated=five_bar.actuated[:1], actuated_velocity=five_bar.actuated_velocity[:1])
+    with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 freedoms"):
+        rp.forward_kinematics(weak, home[:1])
