@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from redundancy_pin.singularities.classify import classify, classify_motion
     from redundancy_pin.singularities.crossings import find_crossings
     from redundancy_pin.singularities.locus import singular_locus
+    from redundancy_pin.singularities.performance import performance, platform_play, platform_stiffness
     from redundancy_pin.view import show
     from redundancy_pin.visualisation.figures import plots as plot
 
@@ -63,9 +64,12 @@ _PLACES = {
     "load_plan": "planners.plan",
     "load_robot": "loading",
     "load_robot_of": "planners.plan",
+    "performance": "singularities.performance",
     "plan_stepwise": "planners.stepwise.planner",
     "plan_switch_off": "planners.switch_off.planner",
     "plan_whole_trajectory": "planners.whole_trajectory.planner",
+    "platform_play": "singularities.performance",
+    "platform_stiffness": "singularities.performance",
     "show": "view",
     "simulate": "simulation",
     "singular_locus": "singularities.locus",
@@ -102,9 +106,12 @@ __all__ = [
     "load_plan",
     "load_robot",
     "load_robot_of",
+    "performance",
     "plan_stepwise",
     "plan_switch_off",
     "plan_whole_trajectory",
+    "platform_play",
+    "platform_stiffness",
     "plot",
     "show",
     "simulate",

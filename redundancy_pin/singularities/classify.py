@@ -43,7 +43,7 @@ from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem,
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion
 from redundancy_pin.kinematics.spectrum import oriented, spectrum_of
-from redundancy_pin.robot import RobotLike, as_robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 
 
 def serial_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:
@@ -207,6 +207,16 @@ def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANC
     if not 0.0 < tolerance < 1.0:
         raise InputError(f"tolerance is {tolerance}.", remedy="Pass a fraction between 0 and 1, for example 1e-9.")
     robot = as_robot(robot)
+    system, state = closed_state(robot, q)
+    return _classified(system, state, tolerance)
+
+
+def closed_state(robot: Robot, q: ArrayLike) -> tuple[ConstraintSystem, ConstraintState]:
+    """Return closures and Jacobians at configurations (N, nq) or (nq,) that somebody passed.
+
+    Raises:
+        InputError: wrong shape, values that are not finite, or a configuration that is not closed.
+    """
     given = checked(q, "q", ("nq",)) if np.ndim(q) == 1 else q
     configurations = checked(np.atleast_2d(given), "q", ("N", robot.model.nq))
     system = constraint_system(robot)
@@ -222,7 +232,7 @@ def classify(robot: RobotLike, q: ArrayLike, *, tolerance: float = RANK_TOLERANC
             sample=k,
             gap=float(gap[k]),
         )
-    return _classified(system, state, tolerance)
+    return system, state
 
 
 def classify_motion(motion: TreeMotion, *, tolerance: float = RANK_TOLERANCE) -> Singularities:

@@ -94,7 +94,8 @@ def _draw_triad(axes: Axes) -> None:
     axes.annotate(f"axes: {length:g} m", xy=(0.01, 0.005), xycoords="axes fraction", fontsize=7.5, color="#444444")
 
 
-def _draw_mechanism(axes: Axes, lines: Sequence[Array], hinges: Array | None) -> None:
+def draw_mechanism(axes: Axes, lines: Sequence[Array], hinges: Array | None) -> None:
+    """Draw lines (2, 2) and base hinges (h, 2), m, in grey."""
     for line in lines:
         axes.plot(*line.T, "-o", color="#8C8C8C", linewidth=2.2, markersize=3.5, zorder=1.8)
     if hinges is not None:
@@ -144,7 +145,7 @@ def plot_path(
         *panels, last = drawn.subplots(1, len(ratios), width_ratios=ratios)
         views = ("3d", "xy") if spatial else ("xy", "xy")
         seen = [projection(view)[:, : point.shape[1]].T for view in views]
-        _draw_mechanism(panels[0], [line @ seen[0] for line in mechanism], hinges @ seen[0])
+        draw_mechanism(panels[0], [line @ seen[0] for line in mechanism], hinges @ seen[0])
         for axes, title, view, matrix in zip(panels, ("mechanism at the start", "path"), views, seen, strict=False):
             _draw_path(axes, point @ matrix, STROKES[0], "path", "start")
             _draw_singular(axes, [np.asarray(place) @ matrix for place in singular_points], STROKES[1].color)
@@ -171,7 +172,7 @@ def plot_plane_paths(
     """Draw paths (N, 2), m, by their label, with start, direction, mechanism and hinges, and singular points."""
     with figure(6.0, 5.2) as drawn:
         axes = drawn.add_subplot(title=title)
-        _draw_mechanism(axes, mechanism, hinges)
+        draw_mechanism(axes, mechanism, hinges)
         for stroke, (label, point) in zip(STROKES, paths.items(), strict=False):
             _draw_path(axes, point, stroke, label)
         _draw_singular(axes, singular, "#000000")

@@ -12,6 +12,7 @@ curves apart in print without colour, singular instants dotted, near-singular st
     snapshots   the mechanism at several instants             of a plan's, a simulation's or a robot's ``View``
     video       the moving picture as .gif or .mp4            of a plan's, a simulation's or a robot's ``View``
     locus       singular curves over the workspace            of ``singular_locus``
+    ellipsoids  velocities and forces the motors reach        of ``performance``
     comparison  the efforts of several plans                  of plans, simulations or ``curves``
 
 All raise ``RedundancyPinError`` where matplotlib is not installed. A new figure over time is a function here that lists
@@ -41,6 +42,7 @@ from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.simulation.result import Simulation, SimulationStatus
 from redundancy_pin.singularities.classify import classify, classify_motion
 from redundancy_pin.singularities.crossings import Crossing
+from redundancy_pin.visualisation.figures.ellipsoids import draw_ellipsoids as ellipsoids
 from redundancy_pin.visualisation.figures.paths import draw_locus as locus
 from redundancy_pin.visualisation.figures.paths import draw_snapshots as snapshots
 from redundancy_pin.visualisation.figures.paths import plot_path
@@ -68,6 +70,7 @@ __all__ = [
     "condition",
     "curves",
     "efforts",
+    "ellipsoids",
     "locus",
     "path",
     "plan",
