@@ -57,8 +57,8 @@ def test_rates_are_the_differences_of_positions(mode):
 
 def test_a_leg_of_no_length_has_no_direction_and_no_warning():
     legs = inverse_displacement(THESIS, [[0.0, 0.0]])
-    assert np.isnan(legs.ux[0, 0])
-    assert legs.ux[1, 0] == -1.0
+    assert np.isnan(legs.u[0, 0])
+    assert legs.u[1, 0] == -1.0
     np.testing.assert_array_equal(legs.gap, 0.0)  # any direction closes a leg of no length
 
 
@@ -80,5 +80,5 @@ def test_bad_input_is_refused(call):
 
 def test_results_are_read_only():
     legs = inverse_displacement(THESIS, [[0.1, 0.2]])
-    for array in (legs.d, legs.ux, legs.theta, legs.jacobian):
+    for array in (legs.d, legs.u, legs.theta, legs.jacobian):
         assert not array.flags.writeable

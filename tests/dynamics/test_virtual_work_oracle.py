@@ -9,7 +9,6 @@ import pytest
 from point_mass_oracle import PointMasses, derivative, three_rrr_masses, two_rpr_masses
 
 from redundancy_pin.dynamics.virtual_work import Mechanism
-from redundancy_pin.dynamics.virtual_work.mechanism import base_wrench, energy
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprMechanism
 
@@ -110,13 +109,13 @@ def test_efforts_obey_lagrange(case):
 
 
 def test_energy_is_that_of_the_point_masses(case):
-    got = energy(case.along.bodies(*case.carriers), case.gravity)
+    got = case.along.energy(*case.carriers)
     want = [case.oracle.energy(q, qd, case.gravity) for q, qd, _ in case.states()]
     assert_close(got, np.array(want), 1e-12)  # both exact but for rounding
 
 
 def test_base_wrench_is_weight_less_rate_of_momentum(case):
-    got = base_wrench(case.along.bodies(*case.carriers), case.gravity)
+    got = case.along.base_wrench(*case.carriers)
     for k, state in enumerate(case.states()):
         assert_close(got[k], case.oracle.base_wrench(*state, case.gravity))
 
@@ -130,7 +129,7 @@ def test_power_is_the_rate_of_energy(case):
             case.mechanism, case.oracle, case.gravity, case.n,
             case.q + case.qd * t + 0.5 * case.qdd * t**2, case.qd + case.qdd * t, case.qdd,
         )  # fmt: skip
-        return energy(moved.along.bodies(*moved.carriers), case.gravity)
+        return moved.along.energy(*moved.carriers)
 
     assert_close(power, derivative(energy_at))
 

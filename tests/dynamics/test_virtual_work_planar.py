@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from point_mass_oracle import derivative
 
-from redundancy_pin.dynamics.virtual_work.mechanism import LinkFrames, PlanarBodies, base_wrench, energy
+from redundancy_pin.dynamics.virtual_work.mechanism import Body, LinkFrames, PlanarFrame
 
 ORIGIN, TURN = np.array([[0.3, -0.2], [0.7, 1.1], [-0.4, 0.9]]), np.array([0.5, 1.3, -0.8])
 ALONG, ACROSS = np.array([0.6, -0.9, 1.7]), np.array([-0.4, 0.8, 0.5])
@@ -26,23 +26,26 @@ def position(t):
 def test_a_point_carried_by_a_moving_link_moves_as_its_positions_say():
     origin = (np.array([[complex(*value)]]) for value in ORIGIN)
     frame = LinkFrames(*origin, np.exp([[1j * TURN[0]]]), np.array([[TURN[1]]]), np.array([[TURN[2]]]))
-    body = frame.bodies(2.0, 0.3, *(ALONG + 1j * ACROSS))
+    point = frame.frame(0, *(ALONG + 1j * ACROSS))
     velocity = derivative(position)
     acceleration = derivative(lambda h: derivative(lambda k: position(h + k)))
-    assert body.place[0, 0] == pytest.approx(complex(*position(0.0)), abs=1e-14)
-    assert body.velocity[0, 0] == pytest.approx(complex(*velocity), abs=1e-11)  # rounding over the step
-    assert body.acceleration[0, 0] == pytest.approx(complex(*acceleration), abs=1e-8)  # and over its square
+    assert point.place[0] == pytest.approx(complex(*position(0.0)), abs=1e-14)
+    assert point.velocity[0] == pytest.approx(complex(*velocity), abs=1e-11)  # rounding over the step
+    assert point.acceleration[0] == pytest.approx(complex(*acceleration), abs=1e-8)  # and over its square
 
 
 def one_body(x, y, vx, vy, ax, ay, spin, spin_rate):
-    values = (complex(x, y), complex(vx, vy), complex(ax, ay), spin, spin_rate)
-    return PlanarBodies(2.0, 0.5, *(np.array([[value]]) for value in values))
+    values = (complex(x, y), complex(vx, vy), complex(ax, ay), 1.0 + 0.0j, spin, spin_rate)
+    return PlanarFrame(*(np.array([value]) for value in values))
+
+
+BODY = Body("link", 2.0, 0.0, 0.5)
 
 
 def test_a_body_in_free_fall_puts_nothing_on_the_base():
     gravity = np.array([1.0, -9.0, 0.0])
     falling = one_body(0.4, 0.7, 3.0, 1.0, 1.0, -9.0, 5.0, 0.0)
-    np.testing.assert_allclose(base_wrench([falling], gravity), np.zeros((1, 6)), atol=1e-14)
+    np.testing.assert_allclose(BODY.on_ground(falling, gravity), np.zeros((1, 6)), atol=1e-14)
 
 
 def test_a_body_at_rest_puts_its_weight_on_the_base():
@@ -50,11 +53,11 @@ def test_a_body_at_rest_puts_its_weight_on_the_base():
     resting = one_body(0.4, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     weight = 2.0 * gravity
     expected = np.concatenate([weight, np.cross([0.4, 0.7, 0.0], weight)])
-    np.testing.assert_allclose(base_wrench([resting], gravity), expected[None], atol=1e-14)
-    np.testing.assert_allclose(energy([resting], gravity), -weight @ [0.4, 0.7, 0.0])
+    np.testing.assert_allclose(BODY.on_ground(resting, gravity), expected[None], atol=1e-14)
+    np.testing.assert_allclose(BODY.energy(resting, gravity), -weight @ [0.4, 0.7, 0.0])
 
 
 def test_a_body_that_spins_up_turns_the_base_the_other_way():
     spinning = one_body(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0, 7.0)
-    np.testing.assert_allclose(base_wrench([spinning], np.zeros(3)), [[0, 0, 0, 0, 0, -3.5]])
-    np.testing.assert_allclose(energy([spinning], np.zeros(3)), 0.5 * 0.5 * 3.0**2)
+    np.testing.assert_allclose(BODY.on_ground(spinning, np.zeros(3)), [[0, 0, 0, 0, 0, -3.5]])
+    np.testing.assert_allclose(BODY.energy(spinning, np.zeros(3)), 0.5 * 0.5 * 3.0**2)

@@ -92,8 +92,8 @@ def test_three_rrr_is_type_ii_where_its_distal_lines_meet_in_a_point(mode, orien
 
 def line_determinant(robot: Robot, x: Array) -> Array:
     legs = legs_of(robot, x)
-    corner_x, corner_y = x[:, 0] + legs.arm_x, x[:, 1] + legs.arm_y
-    rows = np.stack([legs.ex, legs.ey, corner_x * legs.ey - corner_y * legs.ex], axis=-1)
+    corner = x[:, 0] + 1j * x[:, 1] + legs.arm
+    rows = np.stack([legs.e.real, legs.e.imag, (np.conj(corner) * legs.e).imag], axis=-1)
     return np.linalg.det(rows.transpose(1, 0, 2))
 
 
@@ -102,7 +102,7 @@ def test_three_rrr_is_type_i_where_a_leg_is_stretched() -> None:
     x, _ = points_of(locus, SingularityKind.TYPE_I)
     legs = legs_of(locus.robot, x)
     base = ThreeRrrGeometry.from_parameters(locus.robot.parameters).base_points
-    reach = np.hypot(x[:, 0] + legs.arm_x - base[:, :1], x[:, 1] + legs.arm_y - base[:, 1:])
+    reach = np.abs(x[:, 0] + 1j * x[:, 1] + legs.arm - base[:, :1] - 1j * base[:, 1:])
     np.testing.assert_allclose(reach.max(axis=0), 2.0, atol=1e-11)  # l1 + l2, for the longest of the three legs
     (curve,) = locus.of_kind(SingularityKind.TYPE_I)
     np.testing.assert_array_equal(curve.points[0], curve.points[-1])

@@ -17,7 +17,6 @@ from redundancy_pin.dynamics.base import (
     require_matching_carriers,
 )
 from redundancy_pin.dynamics.virtual_work.loads import LoadEfforts, load_derivatives, load_efforts, require_known
-from redundancy_pin.dynamics.virtual_work.mechanism import base_wrench, energy
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
@@ -172,13 +171,13 @@ class VirtualWorkAlongMotion(Frozen):
         and here alone.
         """
         moved = self._leg_major(carriers)
-        wrench = base_wrench(self._dynamics.bodies(*moved), self._robot.gravity)
+        wrench = self._dynamics.base_wrench(*moved)
         return self._result(wrench + self._loads(moved).ground if self._robot.loads else wrench)
 
     def energy(self, carriers: CarrierMotion | None = None) -> Array:
         """Return (N,) kinetic plus potential energy, J (zero height at the world origin)."""
         moved = self._leg_major(carriers)
-        total = energy(self._dynamics.bodies(*moved), self._robot.gravity)
+        total = self._dynamics.energy(*moved)
         return self._result(total + self._loads(moved).energy if self._robot.loads else total)
 
     def closure_margin(self) -> Array:

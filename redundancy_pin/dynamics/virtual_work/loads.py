@@ -12,12 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.virtual_work.mechanism import ComplexArray, PlanarFrame, PlanarJoint
+from redundancy_pin.dynamics.virtual_work.mechanism import (
+    Body,
+    ComplexArray,
+    PlanarDynamics,
+    wrench_on_ground,
+)
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.robot import JointForces, Load, Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.loads import of_kind
@@ -60,8 +64,8 @@ def _frames_of(load: Load) -> tuple[str, ...]:
 def load_efforts(
     robot: Robot,
     wrenches: Sequence[Array],
-    now: Any,
-    units: Sequence[Any],
+    now: PlanarDynamics,
+    units: Sequence[PlanarDynamics],
     carriers: tuple[Array, Array, Array],
     *,
     resistance: bool = True,
@@ -84,39 +88,30 @@ def load_efforts(
     def resist(frame: str, offset: complex, push: ComplexArray, moment: Array | float) -> None:
         """Add a force on a point of a frame, and a moment on it: what acts on the link."""
         for row, unit in zip(f, units, strict=True):
-            moved: PlanarFrame = unit.frame(frame, *parked)
+            moved = unit.frame(frame, *parked)
             row -= (np.conj(push) * moved.point(offset)[1]).real + moment * moved.spin
-        here: PlanarFrame = now.frame(frame, *parked)
+        here = now.frame(frame, *parked)
         if here.carrier is not None:
             force[here.carrier] -= (np.conj(push) * here.track).real
 
     for wrench, value in zip(of_kind(robot.loads, Wrench), wrenches, strict=True):
-        here: PlanarFrame = now.frame(wrench.frame, s, sd, sdd)
+        here = now.frame(wrench.frame, s, sd, sdd)
         flat = wrench.reference == "local"
         push = (value[:, 0] + 1j * value[:, 1]) * (here.axis if flat else 1.0)
         tilt = (value[:, 3] + 1j * value[:, 4]) * (here.axis if flat else 1.0)
         offset, height = complex(wrench.point[0], wrench.point[1]), float(wrench.point[2])
         resist(wrench.frame, offset, push, value[:, 5])
         if here.moves:
-            place = here.point(offset)[0]
-            parts = (push.real, push.imag, value[:, 2])
-            turning = (
-                tilt.real + place.imag * value[:, 2] - height * push.imag,
-                tilt.imag - place.real * value[:, 2] + height * push.real,
-                value[:, 5] + (np.conj(place) * push).imag,
-            )
-            ground += np.stack([*parts, *turning], axis=1)
+            ground += wrench_on_ground(here.point(offset)[0], height, push, value[:, 2], tilt, value[:, 5])
 
-    gravity = complex(robot.gravity[0], robot.gravity[1])
     for load in of_kind(robot.loads, Payload):
+        (x, y, z), inertia = load.centre, load.inertia
+        body = Body(load.frame, load.mass, complex(x, y), inertia[2, 2], z, complex(inertia[0, 2], inertia[1, 2]))
         here = now.frame(load.frame, s, sd, sdd)
-        place, velocity, acceleration = here.point(complex(load.centre[0], load.centre[1]))
-        push, inertia = load.mass * (gravity - acceleration), float(load.inertia[2, 2])
-        resist(load.frame, complex(load.centre[0], load.centre[1]), push, -inertia * here.spin_rate)
+        resist(load.frame, body.centre, *body.load(here, robot.gravity)[1:])
         if here.moves:
-            ground += _payload_on_ground(load, here, place, push, float(robot.gravity[2]))
-            energy += 0.5 * load.mass * np.abs(velocity) ** 2 + 0.5 * inertia * here.spin**2
-            energy -= load.mass * (np.conj(gravity) * place).real + load.mass * robot.gravity[2] * load.centre[2]
+            ground += body.on_ground(here, robot.gravity)
+            energy += body.energy(here, robot.gravity)
 
     for spring in of_kind(robot.loads, Spring):
         offsets = complex(spring.point_a[0], spring.point_a[1]), complex(spring.point_b[0], spring.point_b[1])
@@ -124,22 +119,22 @@ def load_efforts(
         a, b = here_a.point(offsets[0]), here_b.point(offsets[1])
         line, rise = b[0] - a[0], float(spring.point_b[2] - spring.point_a[2])
         length = np.hypot(np.abs(line), rise)
-        unit = np.divide(line, length, out=np.zeros_like(line), where=length > 0.0)
-        rate = (np.conj(unit) * (b[1] - a[1])).real
-        pull = (spring.stiffness * (length - spring.length) + spring.damping * rate) * unit
+        along: ComplexArray = np.divide(line, length, out=np.zeros_like(line), where=length > 0.0)
+        rate = (np.conj(along) * (b[1] - a[1])).real
+        pull = (spring.stiffness * (length - spring.length) + spring.damping * rate) * along
         resist(spring.frame_a, offsets[0], pull, 0.0)
         resist(spring.frame_b, offsets[1], -pull, 0.0)
         energy += 0.5 * spring.stiffness * (length - spring.length) ** 2
 
     for forces in of_kind(robot.loads, JointForces):
-        joint: PlanarJoint = now.joint(forces.joint, s, sd, sdd)
+        joint = now.joint(forces.joint, s, sd, sdd)
         rotor, gear = forces.rotor_inertia, forces.gear
         revolute = joint.axis is None
         position = _counted(joint.position, _reference(robot, forces.joint)) if revolute else joint.position
         effort = forces.resistance(position, joint.rate) if resistance else np.zeros(samples)
         effort = effort + rotor * gear * (gear * joint.acceleration + (joint.link_spin_rate if revolute else 0.0))
         for row, unit in zip(f, units, strict=True):
-            per_rate: PlanarJoint = unit.joint(forces.joint, *parked)
+            per_rate = unit.joint(forces.joint, *parked)
             row += effort * per_rate.rate
             if revolute:
                 row += rotor * gear * joint.acceleration * per_rate.link_spin
@@ -170,7 +165,11 @@ def _counted(angle: Array, reference: float) -> Array:
 
 
 def load_derivatives(
-    robot: Robot, wrenches: Sequence[Array], now: Any, units: Sequence[Any], carriers: tuple[Array, Array, Array]
+    robot: Robot,
+    wrenches: Sequence[Array],
+    now: PlanarDynamics,
+    units: Sequence[PlanarDynamics],
+    carriers: tuple[Array, Array, Array],
 ) -> list[tuple[Array, Array]]:
     """Return the derivatives of f (N, n, k) and of the carriers' forces (N, k, k) by s, by ṡ and by s̈.
 
@@ -190,7 +189,7 @@ def load_derivatives(
                 by_f[:, :, i] += weight * (there.f / step).T
                 by_force[:, :, i] += weight * (there.force[: robot.k] / step).T
         for forces in of_kind(robot.loads, JointForces):
-            joint: PlanarJoint = now.joint(forces.joint, *carriers)
+            joint = now.joint(forces.joint, *carriers)
             if joint.carrier is not None and order < 2:
                 own = np.full(samples, forces.stiffness) if order == 0 else forces.resistance_rate(joint.rate)
                 by_force[:, joint.carrier, joint.carrier] += own
@@ -206,7 +205,7 @@ _DIFFERENCES = tuple(
 """Distances, in steps, and weights of central differences of order eight (Fornberg 1988)."""
 
 
-def _shortest(robot: Robot, now: Any, carriers: tuple[Array, Array, Array]) -> Array:
+def _shortest(robot: Robot, now: PlanarDynamics, carriers: tuple[Array, Array, Array]) -> Array:
     """Return (N,) the length of the shortest spring, m: how fast forces bend with places."""
     lengths = np.full((1, carriers[0].shape[1]), np.inf)
     for spring in of_kind(robot.loads, Spring):
@@ -215,23 +214,3 @@ def _shortest(robot: Robot, now: Any, carriers: tuple[Array, Array, Array]) -> A
         lengths = np.append(lengths, np.abs(b - a)[None], axis=0)
     shortest: Array = lengths.min(axis=0)
     return shortest
-
-
-def _payload_on_ground(load: Payload, here: PlanarFrame, place: ComplexArray, push: ComplexArray, g_z: float) -> Array:
-    """Return (N, 6) weight less rate of momentum of a payload, about the world origin.
-
-    Its centre stays at one height, and its inertia is turned about z: of the products with z the rates are moments
-    about x and y, d/dt (I_xz + i I_yz) e^{iφ} ω.
-    """
-    weight, height = np.full(len(place), load.mass * g_z), float(load.centre[2])
-    product = complex(load.inertia[0, 2], load.inertia[1, 2]) * here.axis
-    tilt = product * (here.spin_rate + 1j * here.spin**2)
-    parts = (
-        push.real,
-        push.imag,
-        weight,
-        place.imag * weight - height * push.imag - tilt.real,
-        -place.real * weight + height * push.real - tilt.imag,
-        (np.conj(place) * push).imag - load.inertia[2, 2] * here.spin_rate,
-    )
-    return np.stack(parts, axis=1)

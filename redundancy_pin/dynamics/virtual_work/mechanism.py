@@ -5,9 +5,10 @@ Arrays are leg-major, (legs, N): one row a leg (or a platform coordinate), one c
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,29 +61,14 @@ def signs(mode: Sequence[int], legs: int) -> Array:
     return np.array(mode, dtype=float)[:, None]
 
 
-def planar(x: Array, y: Array) -> ComplexArray:
-    """Return vectors of the plane as x + iy."""
-    return np.asarray(x + 1j * y, dtype=np.complex128)
+def planar(vectors: Array) -> ComplexArray:
+    """Return (N,) vectors of the plane as x + iy, from the first two columns of (N, n) coordinates."""
+    return np.asarray(vectors[:, 0] + 1j * vectors[:, 1], dtype=np.complex128)
 
 
-@dataclass(frozen=True, eq=False)
-class PlanarBodies:
-    """Alike bodies (one a leg) that move in the plane; vectors are complex, x + iy in the base frame, (legs, N) each.
-
-    Attributes:
-        mass: of each body, kg.
-        inertia: of each about its centre of mass, kg·m².
-        place, velocity, acceleration: of the centre of mass, m, m/s, m/s².
-        spin, spin_rate: angular velocity and acceleration, rad/s and rad/s².
-    """
-
-    mass: float
-    inertia: float
-    place: ComplexArray
-    velocity: ComplexArray
-    acceleration: ComplexArray
-    spin: Array
-    spin_rate: Array
+def components(vectors: ComplexArray, *others: Array) -> Array:
+    """Return (N, legs, 2 or more) x and y of vectors (legs, N), and other components of the same shape."""
+    return np.stack([vectors.real.T, vectors.imag.T, *(other.T for other in others)], axis=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,32 +134,24 @@ class LinkFrames:
     spin: Array
     spin_rate: Array
 
-    def bodies(
-        self, mass: float, inertia: float, zeta: Complex, rate: Complex = 0.0, second_rate: Complex = 0.0
-    ) -> PlanarBodies:
-        """Return bodies that turn with the links, their centre of mass at ζ = (along) + i (across) the link.
-
-        With u̇ = iω u: z = z_O + ζ u, v = v_O + (ζ̇ + iω ζ) u, a = a_O + (ζ̈ + 2iω ζ̇ + (iω̇ - ω²) ζ) u.
-        """
-        turn, u = 1j * self.spin, self.u
-        curl = 1j * self.spin_rate - self.spin**2
-        return PlanarBodies(
-            mass=mass,
-            inertia=inertia,
-            place=self.origin + zeta * u,
-            velocity=self.velocity + (rate + turn * zeta) * u,
-            acceleration=self.acceleration + (second_rate + 2.0 * turn * rate + curl * zeta) * u,
-            spin=self.spin,
-            spin_rate=self.spin_rate,
-        )
-
     def frame(
         self, leg: int, zeta: Complex = 0.0, rate: Complex = 0.0, second_rate: Complex = 0.0, **carried: Any
     ) -> PlanarFrame:
-        """Return a frame on the link of one leg, turned like it, its origin at ζ as in ``bodies``."""
-        parts = (self.origin, self.velocity, self.acceleration, self.u, self.spin, self.spin_rate)
-        one = LinkFrames(*(part[leg] for part in parts)).bodies(0.0, 0.0, zeta, rate, second_rate)
-        return PlanarFrame(one.place, one.velocity, one.acceleration, self.u[leg], one.spin, one.spin_rate, **carried)
+        """Return a frame on the link of one leg, turned like it, its origin at ζ = (along) + i (across) the link.
+
+        With u̇ = iω u: z = z_O + ζ u, v = v_O + (ζ̇ + iω ζ) u, a = a_O + (ζ̈ + 2iω ζ̇ + (iω̇ - ω²) ζ) u.
+        """
+        u, spin, spin_rate = self.u[leg], self.spin[leg], self.spin_rate[leg]
+        turn, curl = 1j * spin, 1j * spin_rate - spin**2
+        return PlanarFrame(
+            self.origin[leg] + zeta * u,
+            self.velocity[leg] + (rate + turn * zeta) * u,
+            self.acceleration[leg] + (second_rate + 2.0 * turn * rate + curl * zeta) * u,
+            u,
+            spin,
+            spin_rate,
+            **carried,
+        )
 
 
 def fixed_frame(samples: int) -> PlanarFrame:
@@ -182,26 +160,77 @@ def fixed_frame(samples: int) -> PlanarFrame:
     return PlanarFrame(still, still, still, still + 1.0, still.real, still.real, moves=False)
 
 
-def base_wrench(bodies: Iterable[PlanarBodies], gravity: Array) -> Array:
-    """Return (N, 6) force and moment of the bodies on the base: their weight less the rate of their momentum.
+def wrench_on_ground(
+    place: ComplexArray, height: float, push: ComplexArray, lift: Array, tilt: ComplexArray, moment: Array
+) -> Array:
+    """Return (N, 6) the wrench about the world origin of a force (push, lift), N, at a place, and moments, N·m."""
+    about_x, about_y = tilt.real + place.imag * lift, tilt.imag - place.real * lift
+    turning = about_x - height * push.imag, about_y + height * push.real, moment + (np.conj(place) * push).imag
+    return np.stack([push.real, push.imag, lift, *turning], axis=1)
 
-    The bodies stay in z = 0, so gravity along z enters the force along z and the moments about x and y only.
+
+class Body(NamedTuple):
+    """A rigid body on a link, its centre of mass in a plane that is parallel to that of the motion.
+
+    ``frame``: of the link; ``mass``, kg; ``centre`` in the axes of the frame, x + iy, m; ``inertia`` about the centre
+    and the z axis, kg·m²; ``height`` of the centre, m; ``products`` of inertia about it, xz + i yz, kg·m².
     """
-    rows: Array | float = 0.0
-    for body in bodies:
-        force = body.mass * (complex(gravity[0], gravity[1]) - body.acceleration)
-        weight_z = np.full(body.place.shape, body.mass * gravity[2])
-        moment = (np.conj(body.place) * force).imag - body.inertia * body.spin_rate
-        parts = (force.real, force.imag, weight_z, body.place.imag * weight_z, -body.place.real * weight_z, moment)
-        rows = rows + np.stack([part.sum(axis=0) for part in parts], axis=1)
-    return np.asarray(rows)
+
+    frame: str
+    mass: float
+    centre: complex
+    inertia: float
+    height: float = 0.0
+    products: complex = 0.0
+
+    def load(self, here: PlanarFrame, gravity: Sequence[float] | Array) -> tuple[ComplexArray, ComplexArray, Array]:
+        """Return (N,) place of the centre, m, weight less mass times acceleration there, N, and moment, N·m."""
+        place, _, acceleration = here.point(self.centre)
+        return place, self.mass * (complex(gravity[0], gravity[1]) - acceleration), -self.inertia * here.spin_rate
+
+    def on_ground(self, here: PlanarFrame, gravity: Sequence[float] | Array) -> Array:
+        """Return (N, 6) force and moment on the base about the world origin: weight less rate of momentum.
+
+        The centre stays at one height, and the inertia is turned about z: of the products with z the rates are moments
+        about x and y, d/dt (I_xz + i I_yz) e^{iφ} ω.
+        """
+        place, push, moment = self.load(here, gravity)
+        tilt = -self.products * here.axis * (here.spin_rate + 1j * here.spin**2)
+        weight = np.full(len(push), self.mass * gravity[2])
+        return wrench_on_ground(place, self.height, push, weight, tilt, moment)
+
+    def energy(self, here: PlanarFrame, gravity: Sequence[float] | Array) -> Array:
+        """Return (N,) kinetic plus potential energy, J; the potential energy -m g·r is zero at the world origin."""
+        place, velocity, _ = here.point(self.centre)
+        kinetic = 0.5 * self.mass * np.abs(velocity) ** 2 + 0.5 * self.inertia * here.spin**2
+        lifted = (complex(gravity[0], -gravity[1]) * place).real + gravity[2] * self.height
+        energy: Array = kinetic - self.mass * lifted
+        return energy
 
 
-def energy(bodies: Iterable[PlanarBodies], gravity: Array) -> Array:
-    """Return (N,) kinetic plus potential energy, J; the potential energy -m g·r is zero at the world origin."""
-    total: Array | float = 0.0
-    for body in bodies:
-        kinetic = 0.5 * body.mass * np.abs(body.velocity) ** 2 + 0.5 * body.inertia * body.spin**2
-        potential = -body.mass * (complex(gravity[0], -gravity[1]) * body.place).real
-        total = total + (kinetic + potential).sum(axis=0)
-    return np.asarray(total)
+class PlanarDynamics(ABC):
+    """Dynamics of a mechanism along one motion: what loads and sums over bodies need of it.
+
+    ``bodies``: of all links; ``gravity`` (3,) m/s².
+    """
+
+    bodies: Sequence[Body]
+    gravity: Sequence[float] | Array
+
+    @abstractmethod
+    def frame(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarFrame:
+        """Return a link's frame; carriers (legs, N)."""
+
+    @abstractmethod
+    def joint(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarJoint:
+        """Return a joint's motion; carriers (legs, N)."""
+
+    def base_wrench(self, *carriers: Array) -> Array:
+        """Return (N, 6) force and moment of the links on the base: their weight less the rate of their momentum."""
+        wrenches = [body.on_ground(self.frame(body.frame, *carriers), self.gravity) for body in self.bodies]
+        return np.asarray(np.sum(wrenches, axis=0))
+
+    def energy(self, *carriers: Array) -> Array:
+        """Return (N,) kinetic plus potential energy of the links, J."""
+        energies = [body.energy(self.frame(body.frame, *carriers), self.gravity) for body in self.bodies]
+        return np.asarray(np.sum(energies, axis=0))

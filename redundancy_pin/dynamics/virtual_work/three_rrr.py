@@ -3,8 +3,8 @@
 Leg i runs from the base hinge G over the elbow B = G + l1 u(θ) to the platform corner A = B + l2 u(β), with
 A = P - l3 u(φ) and φ = α + 30°, α + 150°, α - 90°; u(θ) = (cos θ, sin θ), and v⊥ = (-v_y, v_x) is v turned by +90°.
 The working mode of a leg is the sign in θ = γ ± ψ, γ the direction of A from G and ψ the angle at G in the triangle
-G B A. The links are kept as vectors b = l1 u(θ) and e = l2 u(β), found by rotating A - G within its triangle, so that
-the cosine and sine of α are the only trigonometric functions.
+G B A. The links are kept as vectors b = l1 u(θ) and e = l2 u(β), x + iy, found by rotating A - G within its triangle,
+so that the cosine and sine of α are the only trigonometric functions.
 
 With ω = θ̇, Ω = β̇, the sums m = m2 + m_s, S = m2 r_a + m_s s (first moment about the elbow B) and
 I = I2 + m2 r_a² + m_s s², an acceleration a_B of the elbow less gravity, and u, n along and across the distal link, leg
@@ -36,13 +36,16 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, checked, read_only
 from redundancy_pin.dynamics.virtual_work.mechanism import (
+    Body,
+    ComplexArray,
     Lengths,
     LinkFrames,
     Parameters,
     Partials,
-    PlanarBodies,
+    PlanarDynamics,
     PlanarFrame,
     PlanarJoint,
+    components,
     fixed_frame,
     planar,
     signs,
@@ -82,17 +85,22 @@ class ThreeRrrGeometry(Lengths):
         triangle = np.array([[0.0, 0.0], [np.sqrt(3.0), 0.0], [np.sqrt(3.0) / 2.0, 1.5]])
         return read_only(self.base_radius * triangle)
 
+    @property
+    def hinges(self) -> ComplexArray:
+        """(3, 1) the same, complex."""
+        return planar(self.base_points)[:, None]
+
 
 @dataclass(frozen=True, eq=False)
 class ThreeRrrLegs(Frozen):
-    """The legs of the 3-RRR at sampled platform poses, in one working mode; each array is (3, N).
+    """The legs of the 3-RRR at sampled platform poses, in one working mode; each array is (3, N), vectors x + iy.
 
     Attributes:
         geometry: the lengths.
         mode: sign of each leg in θ = γ ± ψ.
-        arm_x, arm_y: from the platform's centre to its corner, A - P = -l3 u(φ), m.
-        bx, by: proximal link b = B - G, m; NaN out of reach.
-        ex, ey: distal link e = A - B, m; NaN out of reach.
+        arm: from the platform's centre to its corner, A - P = -l3 u(φ), m.
+        b: proximal link B - G, m; NaN out of reach.
+        e: distal link A - B, m; NaN out of reach.
         c: (A - G) x b, m²: minus l1 l2 times the sine of the elbow angle β - θ, zero at a type I
             singularity (Parsa 2014, eq. 2.37); its sign is the mode. NaN out of reach.
         gap: how far the corner is out of the leg's reach, m; where it is within, what the closure
@@ -101,12 +109,9 @@ class ThreeRrrLegs(Frozen):
 
     geometry: ThreeRrrGeometry
     mode: tuple[int, int, int]
-    arm_x: Array
-    arm_y: Array
-    bx: Array
-    by: Array
-    ex: Array
-    ey: Array
+    arm: ComplexArray
+    b: ComplexArray
+    e: ComplexArray
     c: Array
     gap: Array
 
@@ -118,12 +123,12 @@ class ThreeRrrLegs(Frozen):
     @property
     def theta(self) -> Array:
         """(3, N) angle of the proximal link, rad, in (-π, π]."""
-        return read_only(np.arctan2(self.by, self.bx))
+        return read_only(np.angle(self.b))
 
     @property
     def beta(self) -> Array:
         """(3, N) angle of the distal link, rad, in (-π, π]."""
-        return read_only(np.arctan2(self.ey, self.ex))
+        return read_only(np.angle(self.e))
 
     @property
     def margin(self) -> Array:
@@ -133,22 +138,14 @@ class ThreeRrrLegs(Frozen):
     @property
     def jacobian(self) -> Array:
         """(N, 3, 3) J with θ̇ = J ẋ: row i is -(a, b, d)/c (Parsa 2014, eq. 2.34-2.38)."""
-        J = np.empty((self.c.shape[1], 3, 3))
         with np.errstate(divide="ignore", invalid="ignore"):
-            x, y = -self.ex / self.c, -self.ey / self.c
-            J[:, :, 0] = x.T
-            J[:, :, 1] = y.T
-            J[:, :, 2] = (self.arm_x * y - self.arm_y * x).T
-        return read_only(J)
+            rows = -self.e / self.c
+        return read_only(components(rows, (np.conj(self.arm) * rows).imag))
 
     @property
     def platform_matrix(self) -> Array:
         """(N, 3, 3) matrix of rows (a, b, d), m, m and m²; singular at a type II singularity (eq. 2.38)."""
-        D = np.empty((self.c.shape[1], 3, 3))
-        D[:, :, 0] = self.ex.T
-        D[:, :, 1] = self.ey.T
-        D[:, :, 2] = (self.arm_x * self.ey - self.arm_y * self.ex).T
-        return read_only(D)
+        return read_only(components(self.e, (np.conj(self.arm) * self.e).imag))
 
 
 class ThreeRrrRates(NamedTuple):
@@ -182,11 +179,10 @@ def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequ
             f"pose has shape {x.shape}, expected (N, 3).", remedy="Rows are samples, columns are x, y and α."
         )
     l1, l2 = geometry.proximal_length, geometry.distal_length
-    arm_x, arm_y = _arms(geometry, x[:, 2])
-    G = geometry.base_points
-    px = x[:, 0] + arm_x - G[:, :1]
-    py = x[:, 1] + arm_y - G[:, 1:]
-    rho_squared = px * px + py * py
+    corners = -geometry.platform_radius * np.exp(1j * np.array(CORNER_ANGLES))
+    arm = corners[:, None] * np.exp(1j * x[:, 2])
+    span = planar(x) + arm - geometry.hinges
+    rho_squared = span.real**2 + span.imag**2
     rho = np.sqrt(rho_squared)
     shortage = np.maximum(rho - (l1 + l2), abs(l1 - l2) - rho)
     sixteen_area_squared = (rho + (l1 + l2)) * ((l1 + l2) - rho) * (rho - (l1 - l2)) * (rho + (l1 - l2))
@@ -196,16 +192,12 @@ def inverse_displacement(geometry: ThreeRrrGeometry, pose: ArrayLike, mode: Sequ
         c[out_of_reach] = np.nan
     q = 0.5 * (rho_squared + (l1 - l2) * (l1 + l2))
     with np.errstate(divide="ignore", invalid="ignore"):  # ρ = 0: every direction closes the leg, and c = 0 says so
-        q /= rho_squared
-        turn = c / rho_squared
-        bx = q * px - turn * py
-        by = q * py + turn * px
-    ex, ey = px - bx, py - by
-    gap = np.fmax(np.abs(np.sqrt(ex * ex + ey * ey) - l2), shortage)  # fmax: the shortage where there is no e
-    for array in (arm_x, arm_y, bx, by, ex, ey, c, gap):
-        read_only(array)
+        b = (q / rho_squared + 1j * (c / rho_squared)) * span
+    e = span - b
+    # fmax: the shortage where there is no e
+    gap = np.fmax(np.abs(np.sqrt(e.real**2 + e.imag**2) - l2), shortage)
     label = (int(sign[0, 0]), int(sign[1, 0]), int(sign[2, 0]))
-    return ThreeRrrLegs(geometry, label, arm_x, arm_y, bx, by, ex, ey, c, gap)
+    return ThreeRrrLegs(geometry, label, *map(read_only, (arm, b, e, c, gap)))
 
 
 def leg_rates(legs: ThreeRrrLegs, velocity: ArrayLike, acceleration: ArrayLike) -> ThreeRrrRates:
@@ -221,37 +213,21 @@ def leg_rates(legs: ThreeRrrLegs, velocity: ArrayLike, acceleration: ArrayLike) 
         InputError: wrong shapes.
     """
     samples = legs.c.shape[1]
-    vx, vy, va = np.ascontiguousarray(checked(velocity, "velocity", (samples, 3)).T)
-    ax, ay, aa = np.ascontiguousarray(checked(acceleration, "acceleration", (samples, 3)).T)
-    bx, by, ex, ey, c = legs.bx, legs.by, legs.ex, legs.ey, legs.c
-    arm_x, arm_y = legs.arm_x, legs.arm_y
-    over_length = 1.0 / legs.geometry.distal_length**2
-    va_squared = va * va
-    corner_vx = vx - va * arm_y
-    corner_vy = vy + va * arm_x
-    corner_ax = ax - aa * arm_y - va_squared * arm_x
-    corner_ay = ay + aa * arm_x - va_squared * arm_y
+    v = checked(velocity, "velocity", (samples, 3))
+    a = checked(acceleration, "acceleration", (samples, 3))
+    b, across, over_length = legs.b, np.conj(legs.e), 1.0 / legs.geometry.distal_length**2
+    corner_v = planar(v) + 1j * v[:, 2] * legs.arm
+    corner_a = planar(a) + (1j * a[:, 2] - v[:, 2] ** 2) * legs.arm
+    # along e and across it: the real and the imaginary part of ē z
     with np.errstate(divide="ignore", invalid="ignore"):
-        over_c = -1.0 / c
-        theta_rate = (ex * corner_vx + ey * corner_vy) * over_c
-        theta_rate_squared = theta_rate * theta_rate
-        across_v = ex * (corner_vy - theta_rate * bx) - ey * (corner_vx + theta_rate * by)
+        over_c = -1.0 / legs.c
+        theta_rate = (across * corner_v).real * over_c
+        across_v = (across * (corner_v - 1j * theta_rate * b)).imag
         beta_rate = across_v * over_length
-        pull_x = corner_ax + theta_rate_squared * bx
-        pull_y = corner_ay + theta_rate_squared * by
-        theta_acceleration = (ex * pull_x + ey * pull_y + across_v * beta_rate) * over_c
-        pull_x += theta_acceleration * by
-        pull_y -= theta_acceleration * bx
-        beta_acceleration = (ex * pull_y - ey * pull_x) * over_length
+        pull = corner_a + theta_rate**2 * b
+        theta_acceleration = ((across * pull).real + across_v * beta_rate) * over_c
+        beta_acceleration = (across * (pull - 1j * theta_acceleration * b)).imag * over_length
     return ThreeRrrRates(*map(read_only, (theta_rate, theta_acceleration, beta_rate, beta_acceleration)))
-
-
-def _arms(geometry: ThreeRrrGeometry, alpha: Array) -> tuple[Array, Array]:
-    offset = np.array(CORNER_ANGLES)[:, None]
-    cos_offset = -geometry.platform_radius * np.cos(offset)
-    sin_offset = -geometry.platform_radius * np.sin(offset)
-    cos_alpha, sin_alpha = np.cos(alpha), np.sin(alpha)
-    return cos_offset * cos_alpha - sin_offset * sin_alpha, sin_offset * cos_alpha + cos_offset * sin_alpha
 
 
 class ThreeRrrMechanism:
@@ -290,6 +266,14 @@ class ThreeRrrMechanism:
         disc = 0.5 * self.platform_mass * geometry.platform_radius**2
         self.platform_inertia = disc if given == "auto" else float(given)
         self.carrier_mass = float(parameters["carrier_mass"]) if carriers else 0.0
+        length = geometry.proximal_length
+        of_legs = (
+            ("proximal", self.proximal_mass, 0.5 * length, self.proximal_mass * length**2 / 12.0),
+            ("distal", self.distal_mass, self.distal_centre, self.distal_inertia),
+            ("mass", self.carrier_mass, 0.0, 0.0),
+        )
+        self.bodies = tuple(Body(f"{kind}_{leg}", *values) for kind, *values in of_legs for leg in (1, 2, 3))
+        self.bodies += (Body("platform", self.platform_mass, 0.0, self.platform_inertia),)
 
     def legs(self, x: Array) -> ThreeRrrLegs:
         """Solve the inverse displacement at (N, 3) platform poses (x, y, α), m and rad."""
@@ -300,28 +284,27 @@ class ThreeRrrMechanism:
         return ThreeRrrAlongMotion(self, legs, x, xd, xdd)
 
 
-class ThreeRrrAlongMotion:
+class ThreeRrrAlongMotion(PlanarDynamics):
     """Dynamics of the 3-RRR along one motion; what does not depend on the carriers is computed once."""
 
     def __init__(
         self, mechanism: ThreeRrrMechanism, legs: ThreeRrrLegs, pose: Array, velocity: Array, acceleration: Array
     ) -> None:
         self._p = p = mechanism
+        self.bodies, self.gravity = p.bodies, p.gravity
         self._legs = legs
         self._motion = pose, velocity, acceleration
         self._rates = rates = leg_rates(legs, velocity, acceleration)
-        gx, gy, _ = p.gravity
+        g = complex(p.gravity[0], p.gravity[1])
         l1, l2 = p.geometry.proximal_length, p.geometry.distal_length
-        bx, by, ex, ey, c = legs.bx, legs.by, legs.ex, legs.ey, legs.c
+        b, e, c = legs.b, legs.e, legs.c
         w_squared, wd = rates.theta_rate * rates.theta_rate, rates.theta_acceleration
         W, Wd = rates.beta_rate, rates.beta_acceleration
-        # acceleration of the elbow less gravity, θ̈ b⊥ - θ̇² b - g
-        aB_x = -wd * by - w_squared * bx - gx
-        aB_y = wd * bx - w_squared * by - gy
-        self._a_along = (ex * aB_x + ey * aB_y) / l2
-        self._a_across = (ex * aB_y - ey * aB_x) / l2
+        # acceleration of the elbow less gravity, θ̈ b⊥ - θ̇² b - g, along and across the distal link
+        elbow = np.conj(e) * ((1j * wd - w_squared) * b - g) / l2
+        self._a_along, self._a_across = elbow.real, elbow.imag
         # b⊥ along and across the distal link: b⊥·e = -c, b⊥·e⊥ = b·e
-        b_dot_e = bx * ex + by * ey
+        b_dot_e = (np.conj(b) * e).real
         self._along, self._across = c * (-1.0 / l2), b_dot_e * (1.0 / l2)
         self._W, self._Wd, self._W_squared = W, Wd, W * W
         # b⊥·(β̈ n - Ω² u), per unit of first moment
@@ -329,11 +312,10 @@ class ThreeRrrAlongMotion:
         m = p.distal_mass + p.carrier_mass
         # b⊥·a_B = l1² θ̈ - g·b⊥, so the moment of the proximal rod's own weight is folded in here
         self._T_theta_fixed = (l1 * l1 * (p.proximal_mass / 3.0 + m)) * wd
-        self._T_theta_fixed += (0.5 * p.proximal_mass + m) * (gx * by - gy * bx)
+        self._T_theta_fixed += (0.5 * p.proximal_mass + m) * (np.conj(g) * b).imag
         # R = -(T_θ - κ T_β) e/c + T_β e⊥/l2²
         self._kappa = b_dot_e * (1.0 / l2**2)
-        self._pull_x, self._pull_y = -ex / c, -ey / c
-        self._turn_x, self._turn_y = ey * (-1.0 / l2**2), ex * (1.0 / l2**2)
+        self._pull, self._turn = e * (-1.0 / c), e * (1j / l2**2)
 
     def efforts(self, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
         """Return f, (3, N), N and N·m, and the carrier forces, (3, N), N.
@@ -349,16 +331,9 @@ class ThreeRrrAlongMotion:
         T_theta += (ms * sdd) * self._along + coriolis * self._across
         T_beta = inertia * self._Wd + first_moment * self._a_across + s * coriolis
         force = ms * (sdd - s * self._W_squared + self._a_along)
-        Rx, Ry = self._corner_force(T_theta, T_beta)
-        f = np.empty_like(s)
-        np.sum(Rx, axis=0, out=f[0])
-        np.sum(Ry, axis=0, out=f[1])
-        np.sum(self._legs.arm_x * Ry - self._legs.arm_y * Rx, axis=0, out=f[2])
-        gx, gy, _ = p.gravity
-        a = self._motion[2]
-        f[0] += p.platform_mass * (a[:, 0] - gx)
-        f[1] += p.platform_mass * (a[:, 1] - gy)
-        f[2] += p.platform_inertia * a[:, 2]
+        f = self._of_each_leg(T_theta, T_beta).sum(axis=1)
+        f[:2] += p.platform_mass * (self._motion[2][:, :2] - p.gravity[:2]).T
+        f[2] += p.platform_inertia * self._motion[2][:, 2]
         return f, force
 
     def effort_derivatives(self, s: Array, sd: Array, sdd: Array) -> tuple[Partials, Partials]:
@@ -369,19 +344,6 @@ class ThreeRrrAlongMotion:
         by_sd = self._of_each_leg(rate * self._across, rate * s)
         by_sdd = self._of_each_leg(ms * self._along, np.zeros_like(s))
         return (by_s, by_sd, by_sdd), (-ms * self._W_squared, np.zeros_like(s), np.full_like(s, ms))
-
-    def bodies(self, s: Array, sd: Array, sdd: Array) -> tuple[PlanarBodies, ...]:
-        """Return proximal links, distal links, carriers and the platform."""
-        p, length = self._p, self._p.geometry.proximal_length
-        proximal, distal = self._links
-        x, v, a = (planar(part[None, :, 0], part[None, :, 1]) for part in self._motion)
-        spin, spin_rate = (part[None, :, 2] for part in self._motion[1:])
-        return (
-            proximal.bodies(p.proximal_mass, p.proximal_mass * length**2 / 12.0, 0.5 * length),
-            distal.bodies(p.distal_mass, p.distal_inertia, p.distal_centre),
-            distal.bodies(p.carrier_mass, 0.0, s, sd, sdd),
-            PlanarBodies(p.platform_mass, p.platform_inertia, x, v, a, spin, spin_rate),
-        )
 
     def frame(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarFrame:
         """Return a link's frame; carriers (3, N)."""
@@ -396,8 +358,7 @@ class ThreeRrrAlongMotion:
             ahead = self._p.geometry.distal_length if kind == "tip" else 0.0
             return (proximal if kind == "proximal" else distal).frame(leg, ahead)
         x, v, a = self._motion
-        place, velocity, acceleration = (planar(part[:, 0], part[:, 1]) for part in (x, v, a))
-        centre = PlanarFrame(place, velocity, acceleration, np.exp(1j * x[:, 2]), v[:, 2], a[:, 2])
+        centre = PlanarFrame(planar(x), planar(v), planar(a), np.exp(1j * x[:, 2]), v[:, 2], a[:, 2])
         if name == "platform":
             return centre
         corner = {"platform_arm": 0, "corner_2": 1, "corner_3": 2}[name]
@@ -422,26 +383,16 @@ class ThreeRrrAlongMotion:
         angle, rate, acceleration = (after - before for before, after in zip(beta, alpha, strict=True))
         return PlanarJoint(angle, rate, acceleration, *beta[1:])
 
-    def _corner_force(self, T_theta: Array, T_beta: Array) -> tuple[Array, Array]:
-        """Return R, (3, N) each component, N: the force on the corner of each leg that balances T_θ and T_β."""
-        pull = T_theta - self._kappa * T_beta
-        return pull * self._pull_x + T_beta * self._turn_x, pull * self._pull_y + T_beta * self._turn_y
-
     def _of_each_leg(self, T_theta: Array, T_beta: Array) -> Array:
-        """Return (3, legs, N) what the moments of each leg contribute to f."""
-        Rx, Ry = self._corner_force(T_theta, T_beta)
-        return np.stack([Rx, Ry, self._legs.arm_x * Ry - self._legs.arm_y * Rx])
+        """Return (3, legs, N) what the moments of each leg contribute to f, by R, the force that balances them."""
+        R = (T_theta - self._kappa * T_beta) * self._pull + T_beta * self._turn
+        return np.stack([R.real, R.imag, (np.conj(self._legs.arm) * R).imag])
 
     @cached_property
     def _links(self) -> tuple[LinkFrames, LinkFrames]:
         """The proximal links, their origins at the base hinges, and the distal links, theirs at the elbows."""
-        legs, rates, geometry = self._legs, self._rates, self._p.geometry
-        l1, l2 = geometry.proximal_length, geometry.distal_length
+        legs, (w, wd, W, Wd), geometry = self._legs, self._rates, self._p.geometry
         still = np.zeros(legs.c.shape, dtype=np.complex128)
-        hinge = planar(geometry.base_points[:, :1], geometry.base_points[:, 1:]) + still
-        u, e = planar(legs.bx / l1, legs.by / l1), planar(legs.ex / l2, legs.ey / l2)
-        proximal = LinkFrames(hinge, still, still, u, rates.theta_rate, rates.theta_acceleration)
-        elbow = proximal.bodies(0.0, 0.0, l1)
-        return proximal, LinkFrames(
-            elbow.place, elbow.velocity, elbow.acceleration, e, rates.beta_rate, rates.beta_acceleration
-        )
+        proximal = LinkFrames(geometry.hinges + still, still, still, legs.b / geometry.proximal_length, w, wd)
+        elbow = geometry.hinges + legs.b, 1j * w * legs.b, (1j * wd - w**2) * legs.b
+        return proximal, LinkFrames(*elbow, legs.e / geometry.distal_length, W, Wd)

@@ -1,7 +1,8 @@
 """Virtual work on the 2-RPR: a carrier across each leg (Parsa 2014, section 2.1), and the masses the thesis left out.
 
 Leg i hangs on the base hinge A1 = (0, 0), A2 = (base distance, 0) and spans B - A_i = d_i u_i, with u = (cos θ, sin θ)
-and n = (-sin θ, cos θ). Its working mode is the sign of d. No trigonometric function is needed: u is kept as a vector.
+and n = (-sin θ, cos θ). Its working mode is the sign of d. No trigonometric function is needed: u is kept as a
+vector, x + iy, and n is iu.
 
 Leg i turns about A_i by θ̇ = n·ẋ/d and stretches by ḋ = u·ẋ, so a leg with moment T_θ about its hinge and force
 T_d along itself resists the end-effector with n T_θ/d + u T_d. Bodies of a leg, in its own axes (u, n) from A:
@@ -23,13 +24,16 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, Frozen, checked, read_only
 from redundancy_pin.dynamics.virtual_work.mechanism import (
+    Body,
+    ComplexArray,
     Lengths,
     LinkFrames,
     Parameters,
     Partials,
-    PlanarBodies,
+    PlanarDynamics,
     PlanarFrame,
     PlanarJoint,
+    components,
     fixed_frame,
     planar,
     signs,
@@ -63,14 +67,13 @@ class TwoRprLegs(Frozen):
     Attributes:
         mode: sign of d of each leg.
         d: (2, N) signed leg length, m.
-        ux, uy: (2, N) direction of the leg in the base frame; NaN where d = 0.
+        u: (2, N) direction of the leg in the base frame, complex; NaN where d = 0.
         gap: (2, N) what the closure A + d u = B leaves, m; a few roundings, and 0 where d = 0.
     """
 
     mode: tuple[int, int]
     d: Array
-    ux: Array
-    uy: Array
+    u: ComplexArray
     gap: Array
 
     @property
@@ -81,15 +84,12 @@ class TwoRprLegs(Frozen):
     @property
     def theta(self) -> Array:
         """(2, N) angle of u against the base line, rad, in (-π, π]."""
-        return read_only(np.arctan2(self.uy, self.ux))
+        return read_only(np.angle(self.u))
 
     @property
     def jacobian(self) -> Array:
         """(N, 2, 2) J with ḋ = J ẋ; row i is u_i (Parsa 2014, eq. 2.2)."""
-        J = np.empty((self.d.shape[1], 2, 2))
-        J[:, :, 0] = self.ux.T
-        J[:, :, 1] = self.uy.T
-        return read_only(J)
+        return read_only(components(self.u))
 
 
 class TwoRprRates(NamedTuple):
@@ -118,16 +118,13 @@ def inverse_displacement(geometry: TwoRprGeometry, point: ArrayLike, mode: Seque
         raise InputError(
             f"point has shape {B.shape}, expected (N, 2).", remedy="Rows are samples, columns are x and y."
         )
-    x = B[:, 0] - geometry.base_x
-    y = np.broadcast_to(B[:, 1], x.shape)
-    d = np.hypot(x, y) * sign
+    span = planar(B) - geometry.base_x
+    d = np.abs(span) * sign
     with np.errstate(divide="ignore", invalid="ignore"):  # d = 0 has no direction: NaN says so
-        ux, uy = x / d, y / d
-    gap = np.hypot(d * ux - x, d * uy - y)
+        u = span / d
+    gap = np.abs(d * u - span)
     gap[d == 0.0] = 0.0  # whatever its direction
-    for array in (d, ux, uy, gap):
-        read_only(array)
-    return TwoRprLegs((int(sign[0, 0]), int(sign[1, 0])), d, ux, uy, gap)
+    return TwoRprLegs((int(sign[0, 0]), int(sign[1, 0])), *map(read_only, (d, u, gap)))
 
 
 def leg_rates(legs: TwoRprLegs, velocity: ArrayLike, acceleration: ArrayLike) -> TwoRprRates:
@@ -141,16 +138,14 @@ def leg_rates(legs: TwoRprLegs, velocity: ArrayLike, acceleration: ArrayLike) ->
         InputError: wrong shapes.
     """
     samples = legs.d.shape[1]
-    v = checked(velocity, "velocity", (samples, 2))
-    a = checked(acceleration, "acceleration", (samples, 2))
-    vx, vy, ax, ay = v[:, 0], v[:, 1], a[:, 0], a[:, 1]
-    ux, uy, d = legs.ux, legs.uy, legs.d
+    # along u and across it: the real and the imaginary part
+    v = np.conj(legs.u) * planar(checked(velocity, "velocity", (samples, 2)))
+    a = np.conj(legs.u) * planar(checked(acceleration, "acceleration", (samples, 2)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        d_rate = ux * vx + uy * vy
-        theta_rate = (ux * vy - uy * vx) / d
-        d_acceleration = ux * ax + uy * ay + d * theta_rate**2
-        theta_acceleration = (ux * ay - uy * ax - 2.0 * d_rate * theta_rate) / d
-    return TwoRprRates(*map(read_only, (d_rate, d_acceleration, theta_rate, theta_acceleration)))
+        theta_rate = v.imag / legs.d
+        d_acceleration = a.real + legs.d * theta_rate**2
+        theta_acceleration = (a.imag - 2.0 * v.real * theta_rate) / legs.d
+    return TwoRprRates(*map(read_only, (v.real, d_acceleration, theta_rate, theta_acceleration)))
 
 
 class TwoRprMechanism:
@@ -184,6 +179,14 @@ class TwoRprMechanism:
             float(parameters["cylinder_length"]),
         )
         self.piston_mass, self.piston_length = float(parameters["piston_mass"]), float(parameters["piston_length"])
+        cylinder, piston = self.cylinder_length, self.piston_length
+        of_legs = (
+            ("cylinder", self.cylinder_mass, 0.5 * cylinder, self.cylinder_mass * cylinder**2 / 12.0),
+            ("piston", self.piston_mass, -0.5 * piston, self.piston_mass * piston**2 / 12.0),
+            ("mass", self.carrier_mass, 0.0, 0.0),
+        )
+        self.bodies = tuple(Body(f"{kind}_{leg}", *values) for kind, *values in of_legs for leg in (1, 2))
+        self.bodies += (Body("end_effector", self.end_effector_mass, 0.0, 0.0),)
 
     def legs(self, x: Array) -> TwoRprLegs:
         """Solve the inverse displacement at (N, 2) end-effector positions, m."""
@@ -194,20 +197,20 @@ class TwoRprMechanism:
         return TwoRprAlongMotion(self, legs, x, xd, xdd)
 
 
-class TwoRprAlongMotion:
+class TwoRprAlongMotion(PlanarDynamics):
     """Dynamics of the 2-RPR along one motion; what does not depend on the carriers is computed once."""
 
     def __init__(
         self, mechanism: TwoRprMechanism, legs: TwoRprLegs, point: Array, velocity: Array, acceleration: Array
     ) -> None:
         self._p = p = mechanism
+        self.bodies, self.gravity = p.bodies, p.gravity
         self._legs = legs
-        self._motion = point, velocity, acceleration
         self._rates = rates = leg_rates(legs, velocity, acceleration)
-        gx, gy, _ = p.gravity
-        ux, uy, d = legs.ux, legs.uy, legs.d
+        g, u, d = complex(p.gravity[0], p.gravity[1]), legs.u, legs.d
         w, wd = rates.theta_rate, rates.theta_acceleration
-        self._g_along, self._g_across = gx * ux + gy * uy, gy * ux - gx * uy
+        g_of_leg = np.conj(u) * g
+        self._g_along, self._g_across = g_of_leg.real, g_of_leg.imag
         # Rods and the carrier's fixed offset L: moment about A_i = rate of angular momentum less moment of the weight.
         piston_arm = d - 0.5 * p.piston_length
         inertia = p.piston_mass * (p.piston_length**2 / 12.0 + piston_arm**2) + (
@@ -218,12 +221,10 @@ class TwoRprAlongMotion:
         )
         moment = inertia * wd + 2.0 * p.piston_mass * piston_arm * rates.d_rate * w - first_moment * self._g_across
         thrust = p.piston_mass * (rates.d_acceleration - piston_arm * w * w - self._g_along)
-        self._nx_over_d, self._ny_over_d = -uy / d, ux / d
-        self._f_fixed = np.empty((2, d.shape[1]))
-        self._f_fixed[0] = (self._nx_over_d * moment + ux * thrust).sum(axis=0)
-        self._f_fixed[1] = (self._ny_over_d * moment + uy * thrust).sum(axis=0)
-        self._f_fixed[0] += p.end_effector_mass * (acceleration[:, 0] - gx)
-        self._f_fixed[1] += p.end_effector_mass * (acceleration[:, 1] - gy)
+        over_d = 1.0 / d
+        self._n_over_d = np.stack([-u.imag * over_d, u.real * over_d])
+        self._f_fixed = (self._n_over_d * moment + np.stack([u.real, u.imag]) * thrust).sum(axis=1)
+        self._f_fixed += p.end_effector_mass * (acceleration - p.gravity[:2]).T
 
     def efforts(self, s: Array, sd: Array, sdd: Array) -> tuple[Array, Array]:
         """Return f, (2, N), N, and the carrier forces, (2, N), N (Parsa 2014, eq. 2.13-2.17, with gravity).
@@ -234,7 +235,7 @@ class TwoRprAlongMotion:
         m, L = self._p.carrier_mass, self._p.track_offset
         w, wd = self._rates.theta_rate, self._rates.theta_acceleration
         moment = m * (s * (s * wd + 2.0 * w * sd + SIDE * self._g_along) + (SIDE * L) * sdd)
-        f = self._f_fixed + np.stack([(self._nx_over_d * moment).sum(axis=0), (self._ny_over_d * moment).sum(axis=0)])
+        f = self._f_fixed + (self._n_over_d * moment).sum(axis=1)
         force = m * (sdd - s * w * w + SIDE * (L * wd - self._g_across))
         return f, force
 
@@ -242,29 +243,9 @@ class TwoRprAlongMotion:
         """Return the derivatives of ``efforts``: f is quadratic in (s, ṡ) and affine in s̈."""
         m, L = self._p.carrier_mass, self._p.track_offset
         w, wd = self._rates.theta_rate, self._rates.theta_acceleration
-        along_f = np.stack([self._nx_over_d, self._ny_over_d])
-        by_s = along_f * (m * (2.0 * s * wd + 2.0 * w * sd + SIDE * self._g_along))
-        by_sd, by_sdd = along_f * (2.0 * m * s * w), along_f * (SIDE * (m * L))
+        by_s = self._n_over_d * (m * (2.0 * s * wd + 2.0 * w * sd + SIDE * self._g_along))
+        by_sd, by_sdd = self._n_over_d * (2.0 * m * s * w), self._n_over_d * (SIDE * (m * L))
         return (by_s, by_sd, by_sdd), (-m * w * w, np.zeros_like(w), np.full_like(w, m))
-
-    def bodies(self, s: Array, sd: Array, sdd: Array) -> tuple[PlanarBodies, ...]:
-        """Return cylinders, pistons, carriers and the end-effector."""
-        p, links, rates = self._p, self._links, self._rates
-        piston = self._legs.d - 0.5 * p.piston_length
-        x, v, a = (planar(part[None, :, 0], part[None, :, 1]) for part in self._motion)
-        still = np.zeros(x.shape)
-        return (
-            links.bodies(p.cylinder_mass, p.cylinder_mass * p.cylinder_length**2 / 12.0, 0.5 * p.cylinder_length),
-            links.bodies(
-                p.piston_mass,
-                p.piston_mass * p.piston_length**2 / 12.0,
-                piston,
-                rates.d_rate,
-                rates.d_acceleration,
-            ),
-            links.bodies(p.carrier_mass, 0.0, p.track_offset + 1j * SIDE * s, 1j * SIDE * sd, 1j * SIDE * sdd),
-            PlanarBodies(p.end_effector_mass, 0.0, x, v, a, still, still),
-        )
 
     def frame(self, name: str, s: Array, sd: Array, sdd: Array) -> PlanarFrame:
         """Return a link's frame; carriers (2, N)."""
@@ -296,6 +277,6 @@ class TwoRprAlongMotion:
     @cached_property
     def _links(self) -> LinkFrames:
         """The legs, their origins at the base hinges."""
-        u, still = planar(self._legs.ux, self._legs.uy), np.zeros(self._legs.d.shape, dtype=np.complex128)
-        base = planar(self._p.geometry.base_x, np.zeros((2, 1))) + still
-        return LinkFrames(base, still, still, u, self._rates.theta_rate, self._rates.theta_acceleration)
+        still = np.zeros(self._legs.d.shape, dtype=np.complex128)
+        base = self._p.geometry.base_x + still
+        return LinkFrames(base, still, still, self._legs.u, self._rates.theta_rate, self._rates.theta_acceleration)
