@@ -46,9 +46,11 @@ reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: resu
 validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random states
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin validate --samples $(SAMPLES) --jobs $(JOBS)
 
-long: $(STAMP) ## long lists of random cases, and every property on ten times as many examples
-	rm -f build/promises.json
-	EXAMPLES=10 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "long or property"
+long: $(STAMP) ## long lists of random cases, ten times as many examples, counts into docs/trust.md (RESUME=1: go on)
+	$(if $(RESUME),,rm -f build/promises.jsonl)
+	@status=0; EXAMPLES=10 RESUME="$(RESUME)" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+	  $(BIN)/python -m pytest -n auto -m "long or property" || status=$$?; \
+	$(BIN)/python tests/support/promises.py; exit $$status
 
 study: $(STAMP) ## DRAWS imperfect machines through singularities, into study/ (goes on where it was interrupted)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin study --draws $(DRAWS) --out study

@@ -28,7 +28,10 @@ def shipped(request: pytest.FixtureRequest) -> Robot:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what ``make long`` runs: property tests, with more examples, and cases that ``long_for`` names."""
+    """Mark what ``make long`` runs: property tests, with more examples, and cases that ``long_for`` names.
+
+    With ``RESUME`` in the environment, what an earlier run has counted is left out.
+    """
     unknown: dict[str, set[str]] = {}
     for item in items:
         if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
@@ -43,12 +46,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     # a single case named on the command line leaves no others to find
     if misnamed and not any("::" in argument for argument in items[0].config.args):
         raise pytest.UsageError(f"long_for names cases that are not there: {misnamed}")
+    if os.environ.get("RESUME"):
+        items[:] = [item for item in items if not promises.done(item)]
 
 
 keep = promises.keep
 
 
 FEW_FAILED = pytest.StashKey[bool]()
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Note down what a test counted: in the process that prints, which all reports come to."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        promises.note_down(report)
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

@@ -8,23 +8,31 @@ import time
 
 import malformed
 import pytest
-from examples import FACTOR
+from examples import SHARE
 from promises import Keep
 
 from redundancy_pin.cli import main
 
 SAMPLE = 20
 
+COMMANDS, PARTS = 3000, 30
+"""Of ``make long``."""
+
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks, and reads /proc")
 
 
-@pytest.mark.parametrize("count", [SAMPLE, pytest.param(300 * FACTOR, marks=pytest.mark.long, id="many")])
-def test_malformed_invocations_are_refused(count: int, capsys: pytest.CaptureFixture[str], keep: Keep) -> None:
-    counts = malformed.tally(count, 0, main)
-    faults = {name: times for name, times in counts.items() if not name.startswith("ended with")}
-    if count > SAMPLE:  # make long shows them
-        wrong, refused = sum(faults.values()), counts["ended with 2"]
-        keep("malformed", "commands", {"right": count - refused - wrong, "refused": refused, "wrong": wrong}, faults)
+def test_malformed_invocations_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    _, faults = malformed.tally(range(SAMPLE), main)
+    assert not faults, capsys.readouterr().out
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("part", range(PARTS))
+def test_many_malformed_invocations_are_refused(part: int, capsys: pytest.CaptureFixture[str], keep: Keep) -> None:
+    size = max(1, int(SHARE * COMMANDS / PARTS))
+    ends, faults = malformed.tally(range(part * size, (part + 1) * size), main)
+    refused, wrong = ends["ended with 2"], ends["wrong"]
+    keep("malformed", "commands", {"right": size - refused - wrong, "refused": refused, "wrong": wrong}, faults)
     assert not faults, capsys.readouterr().out
 
 

@@ -25,7 +25,7 @@ def test_plans_keep_their_promises(part: int, keep: Keep) -> None:
         outcome = try_problem(number)
         counts[outcome.verdict] += 1
         if outcome.verdict == forked.WRONG:
-            classes[outcome.reason] += 1
+            classes[f"{outcome.reason} ({number})"] += 1
             broken.append(f"{number}: {outcome.text}")
     keep("plans", "random planning problems", counts, classes)
     assert not broken

@@ -33,7 +33,10 @@ MEGABYTES = 500.0
 """Beyond those of the process that forks, for what is refused."""
 
 HANGS = 20
-"""Seconds on the clock after which an input is ended; ten times as much for computations that may be long."""
+"""Seconds of the processor after which an input is ended: a busy machine is no fault of it."""
+
+ASLEEP = 30
+"""Times as many seconds on the clock after which it is ended too: it waits for something."""
 
 MEMORY = 4 * 2**30
 """Bytes of address space beyond those of the process that forks."""
@@ -88,8 +91,9 @@ def run(action: Action, files: Mapping[str, bytes], patience: int = HANGS, secon
     # the resident memory of a forked child starts with that of its parent
     megabytes = max(usage.ru_maxrss - resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, 0) / 1024.0
     code = os.waitstatus_to_exitcode(status)
-    if code == -signal.SIGALRM:
-        return Outcome(WRONG, f"hangs for {patience} s", heard[-200:], taken, megabytes)
+    if code in (-signal.SIGALRM, -signal.SIGXCPU):
+        hangs = f"hangs for {patience} s of the processor" if code == -signal.SIGXCPU else "waits, and does nothing"
+        return Outcome(WRONG, hangs, heard[-200:], taken, megabytes)
     if code != 0 or not said:
         return Outcome(
             WRONG, f"crash: {signal.Signals(-code).name if code < 0 else code}", heard[-200:], taken, megabytes
@@ -116,7 +120,9 @@ def _in_child(action: Action, folder: Path, complaints: int, answer: int, patien
         os.chdir(folder)
         os.dup2(complaints, 2)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(patience)
+        signal.signal(signal.SIGXCPU, signal.SIG_DFL)
+        signal.alarm(ASLEEP * patience)
+        resource.setrlimit(resource.RLIMIT_CPU, (patience, resource.RLIM_INFINITY))
         held = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
         resource.setrlimit(resource.RLIMIT_AS, (held + MEMORY, resource.RLIM_INFINITY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -186,7 +186,7 @@ KINDS = {
 
 @dataclass
 class Tally:
-    """Counts of verdicts, and one example of each class that is wrong: (number, text)."""
+    """Counts of verdicts, the classes of what is wrong with their numbers, an example of each: (number, text)."""
 
     counts: Counter[str] = field(default_factory=Counter)
     classes: Counter[str] = field(default_factory=Counter)
@@ -216,7 +216,7 @@ def tally(name: str, numbers: range, report: Callable[[str], None] | None = None
         outcome = outcome_of(name, number)
         result.counts[outcome.verdict] += 1
         if outcome.verdict == forked.WRONG:
-            result.classes[outcome.reason] += 1
+            result.classes[f"{outcome.reason} ({number})"] += 1
             result.examples.setdefault(outcome.reason, (number, outcome.text))
             if report is not None:
                 used = f"{outcome.seconds:.1f} s {outcome.megabytes:.0f} MB"
@@ -232,8 +232,8 @@ def main() -> None:
         if name.startswith(start):
             result = tally(name, range(first, first + count), forked.show)
             forked.show(f"{name} {dict(result.counts)}")
-            for reason, times in result.classes.most_common():
-                forked.show(f"  {times:5} {reason}: {result.examples[reason]!r}")
+            for reason, example in result.examples.items():
+                forked.show(f"  {reason}: {example!r}")
 
 
 if __name__ == "__main__":

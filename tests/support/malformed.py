@@ -1,11 +1,11 @@
 """Malformed invocations of the command line, made from a seed and run each in a process of its own.
 
 A refused command prints one line on stderr, ends with code 2, leaves no file behind, and takes little time and memory.
-``invocations`` makes commands that are almost right: one of their values, or one of their files, is not. ``run`` forks
+``invocation`` makes commands that are almost right: one of their values, or one of their files, is not. ``run`` forks
 this process, which has imported the package already: a case takes milliseconds, and one that crashes, hangs or fills
 the memory is a result and not the end of the test.
 
-As a program it prints what went wrong, by class: ``python tests/support/malformed.py [count] [seed]``.
+As a program it prints what went wrong, by class: ``python tests/support/malformed.py [count] [first]``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import tempfile
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -396,34 +396,34 @@ def invocation(dice: random.Random) -> Invocation:
     return Invocation(tuple(arguments), files)
 
 
-def invocations(count: int, seed: int = 0) -> Iterator[Invocation]:
-    """Give malformed invocations, the same for the same seed."""
-    for k in range(count):
-        yield invocation(random.Random(f"{seed}/{k}"))
+def tally(numbers: range, program: Callable[[Sequence[str]], object]) -> tuple[Counter[str], Counter[str]]:
+    """Run the malformed invocations of these numbers and print those that went wrong.
 
-
-def tally(count: int, seed: int, program: Callable[[Sequence[str]], object]) -> Counter[str]:
-    """Run malformed invocations, print those that went wrong, and count how all of them ended."""
+    Returns how they ended, a case that went wrong counted once: by exit code, and by class of what went wrong.
+    """
     import_all()
-    counts: Counter[str] = Counter()
-    for k, each in enumerate(invocations(count, seed)):
+    ends: Counter[str] = Counter()
+    faults: Counter[str] = Counter()
+    for number in numbers:
+        each = invocation(random.Random(f"0/{number}"))
         outcome = run(each, program)
-        counts[f"ended with {outcome.code}"] += 1
+        ends["wrong" if outcome.faults else f"ended with {outcome.code}"] += 1
         for fault in outcome.faults:
-            counts[fault] += 1
+            faults[f"{fault} ({number})"] += 1
             words = [word if len(word) < 60 else f"{word[:40]}…({len(word)})" for word in each.arguments]
             tail = " | ".join(outcome.stderr.strip().splitlines()[-3:])[-400:]
-            text = f"{k}: {fault}: {words}\n    {outcome.seconds:.1f} s, {outcome.megabytes:.0f} MB {tail}"
+            text = f"{number}: {fault}: {words}\n    {outcome.seconds:.1f} s, {outcome.megabytes:.0f} MB {tail}"
             click.echo(text.encode("ascii", "backslashreplace"))
-    return counts
+    return ends, faults
 
 
 def main() -> None:
-    """Run as many as the first argument says, from the seed that is the second, and print what went wrong."""
+    """Run as many as the first argument says, from the number that is the second, and print what went wrong."""
     from redundancy_pin.cli import main as program
 
-    count, seed = (int(text) for text in (*sys.argv[1:], *("300", "0")[len(sys.argv) - 1 :]))
-    click.echo(dict(tally(count, seed, program).most_common()))
+    count, first = (int(text) for text in (*sys.argv[1:], *("300", "0")[len(sys.argv) - 1 :]))
+    for counts in tally(range(first, first + count), program):
+        click.echo(dict(counts.most_common()))
 
 
 if __name__ == "__main__":

@@ -1,24 +1,25 @@
 """What is promised, how often it was tried, and how often it failed: counted by tests, printed at the end of a run.
 
-``build/promises.json`` keeps the counts of each test, of its last run only: the long lists may be run in pieces, and a
-piece again. ``python tests/support/promises.py`` prints their sums and writes them into the table of ``docs/trust.md``,
+``build/promises.jsonl`` keeps the counts of each test, a line when it ends, of which the last one counts: the long lists
+may be run in pieces, at once or in turn, and a piece again. ``python tests/support/promises.py`` prints their sums and writes them into the table of ``docs/trust.md``,
 whose rows name them in comments: ``count: files`` and ``failed: files``.
 """
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-COUNTS = ROOT / "build" / "promises.json"
+COUNTS = ROOT / "build" / "promises.jsonl"
 PAGE = ROOT / "docs" / "trust.md"
 
 KEY = "promise"
@@ -34,6 +35,8 @@ Keep = Callable[[str, str, Mapping[str, int], Mapping[str, int]], None]
 Kept = dict[str, list[dict[str, Any]]]
 """What tests have noted down: promise, counts and classes, by the names of the tests."""
 
+THIS_RUN: Kept = {}
+
 
 @pytest.fixture
 def keep(request: pytest.FixtureRequest) -> Keep:
@@ -46,14 +49,20 @@ def keep(request: pytest.FixtureRequest) -> Keep:
     return note
 
 
-def collected(reports: Iterable[Any]) -> Kept:
-    """Return what each test has noted down, by its name."""
-    found: Kept = {}
-    for report in reports:
-        entries = [entry for key, entry in getattr(report, "user_properties", ()) if key == KEY]
-        if entries and report.when == "call":
-            found[report.nodeid] = entries
-    return found
+def note_down(report: Any) -> None:
+    """Add a line with what a test has noted down to the file: at once, so that a run can be interrupted."""
+    entries = [entry for key, entry in report.user_properties if key == KEY]
+    if entries and report.when == "call":
+        THIS_RUN[report.nodeid] = entries
+        COUNTS.parent.mkdir(exist_ok=True)
+        with COUNTS.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps({report.nodeid: entries}) + "\n")
+
+
+def done(item: pytest.Item) -> bool:
+    """Return whether an earlier run has noted down that a test has failed in no case."""
+    entries = before().get(item.nodeid, [])
+    return bool(entries) and not any(entry["counts"].get("wrong") for entry in entries)
 
 
 def summed(kept: Kept) -> dict[str, dict[str, Counter[str]]]:
@@ -77,9 +86,14 @@ def too_many(found: Mapping[str, Mapping[str, Counter[str]]]) -> list[str]:
     ]
 
 
+@functools.cache
 def before() -> Kept:
-    """Return what earlier runs have noted down."""
-    return json.loads(COUNTS.read_text(encoding="utf-8")) if COUNTS.exists() else {}
+    """Return what is noted down in the file: first asked for by the end of a run, or to go on with an earlier one."""
+    kept: Kept = {}
+    if COUNTS.exists():
+        for line in COUNTS.read_text(encoding="utf-8").splitlines():
+            kept.update(json.loads(line))
+    return kept
 
 
 def lines(found: Mapping[str, Mapping[str, Counter[str]]]) -> list[str]:
@@ -96,18 +110,12 @@ def lines(found: Mapping[str, Mapping[str, Counter[str]]]) -> list[str]:
 
 
 def summarise(terminal: Any) -> bool:
-    """Print the table and the classes of failures of this run, and add its counts to the file; true if few failed."""
-    kept = collected(report for reports in terminal.stats.values() for report in reports)
-    if not kept:
+    """Print the table and the classes of failures of this run; true if few of all that are noted down failed."""
+    if not THIS_RUN:
         return True
     terminal.section("promises")
-    for line in lines(summed(kept)):
-        terminal.write_line(line)
-    COUNTS.parent.mkdir(exist_ok=True)
-    kept = {**before(), **kept}
-    COUNTS.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-    failures = too_many(summed(kept))
-    for line in failures:
+    failures = too_many(summed({**before(), **THIS_RUN}))
+    for line in (*lines(summed(THIS_RUN)), *failures):
         terminal.write_line(line)
     return not failures
 

@@ -29,7 +29,7 @@ ROBOTS = ("2rpr", "3rrr", "five_bar")
 """Those with carriers."""
 
 PATIENCE = 90
-"""s on the clock after which a problem is given up."""
+"""s of the processor after which a problem is given up."""
 
 FINER = 20
 """Samples in each step of a plan."""
