@@ -41,7 +41,7 @@ from redundancy_pin.planners.limits import (
     motion_broken,
     require_dynamics,
 )
-from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.plan import Plan, PlanStatus, reconstruction_error
 from redundancy_pin.planners.robot_record import record_difference, robot_record
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.singularities.roots import zeros
@@ -56,10 +56,6 @@ SAME = 1e-6
 
 SAME_PEAK = 1e-3
 """Relative deviation of a peak between the samples: beside a singularity W⁻¹ magnifies the rounding of the plan."""
-
-RECONSTRUCTED = 1e-3
-"""Relative excess over limits of speed and acceleration that quintics through the samples of a file of 0.1.0 may show:
-between samples 10 ms apart on a shortest return they are off by 2e-4."""
 
 RANK_LOST = 1e-6
 """Smallest over largest singular value of the closures at which their rank counts as lost: known to 1e-8 there."""
@@ -84,7 +80,7 @@ def finish_plan(
     dynamics: Dynamics | None = None,
     between: Between | None = None,
     singular: IntArray | None = None,
-    reconstructed: float = 0.0,
+    reconstructed: Array | None = None,
 ) -> Plan:
     """Evaluate the backend once more along the planned motion and collect everything a plan carries.
 
@@ -95,8 +91,8 @@ def finish_plan(
     ``carrier_limits``: limits to judge the plan by in place of the robot's own, one for each carrier; ``functions``:
     what the planner made, between the samples too; ``position``: the carriers alone, where there are no functions;
     ``dynamics``: the backend, to look between the samples; ``between``: what was seen there already; ``singular``:
-    samples at which the efforts are the limits from both sides; ``reconstructed``: how far, relatively, functions that
-    were put together from samples may exceed limits.
+    samples at which the efforts are the limits from both sides; ``reconstructed``: the ``reconstruction_error`` of
+    functions that were put together from samples.
     """
     robot, t = along.robot, along.motion.t
     judged = robot if carrier_limits is None else replace(robot, carrier_limits=carrier_limits)
@@ -327,7 +323,7 @@ def check_plan(plan: Plan, dynamics: Dynamics) -> PlanCheck:
         functions=plan.functions_of_time,
         dynamics=dynamics,
         singular=np.flatnonzero(plan.sample_status == SampleStatus.SINGULAR_CONSISTENT),
-        reconstructed=RECONSTRUCTED if plan.functions is None else 0.0,
+        reconstructed=reconstruction_error(plan) if plan.functions is None else None,
     )
     return PlanCheck(
         status=again.status,

@@ -305,11 +305,11 @@ def check_limits(robot: Robot, t: Array, carriers: CarrierMotion, carrier_force:
     return LimitReport(tuple(violated), tuple(binding), robot.carrier_limits)
 
 
-def motion_broken(robot: Robot, position: PiecewisePolynomial, allowed: float = 0.0) -> tuple[LimitEvent, ...]:
+def motion_broken(robot: Robot, position: PiecewisePolynomial, error: Array | None = None) -> tuple[LimitEvent, ...]:
     """Return where carriers whose positions (k,), m, are a function of time leave track, speed or acceleration.
 
-    Of an acceleration that jumps the value after the jump is looked at. ``allowed``: excess of a speed or an
-    acceleration, relative to the limit, that is none where the positions are only reconstructed.
+    Of an acceleration that jumps the value after the jump is looked at. ``error`` (2, P, k): by how much speed and
+    acceleration of each of the P pieces are uncertain, where the positions are only reconstructed.
     """
     inside = np.linspace(0.0, 1.0, 5)[:-1]  # that an event has a start and an end; the extremes decide
     even = position.edges[:-1, None] + np.diff(position.edges)[:, None] * inside
@@ -317,7 +317,17 @@ def motion_broken(robot: Robot, position: PiecewisePolynomial, allowed: float = 
     times = np.unique(np.concatenate([even.ravel(), position.edges[-1:], *extremes]))
     carriers = carriers_at(position, times)
     violated = check_limits(robot, times, carriers, np.zeros_like(carriers.s)).violated
-    return tuple(one for one in violated if one.quantity == "track" or one.amount > allowed * abs(one.limit))
+    if error is None:
+        return violated
+
+    def certain(event: LimitEvent) -> bool:
+        if event.quantity == "track":
+            return True
+        piece = np.clip(np.searchsorted(position.edges, event.worst, side="right") - 1, 0, error.shape[1] - 1)
+        order, carrier = QUANTITIES.index(event.quantity) - 1, robot.carriers.index(event.carrier)
+        return bool(event.amount > error[order, piece, carrier])
+
+    return tuple(event for event in violated if certain(event))
 
 
 def _events(

@@ -348,6 +348,33 @@ def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) ->
     return PlanFunctions(platform or continuous_motion(plan.motion), carriers.made_continuous(), prescribed)
 
 
+def reconstruction_error(plan: Plan) -> Array:
+    """Return (2, P, k) by how much ṡ, m/s, and s̈, m/s², of quintics through the samples may be off in each of P steps.
+
+    It is what a quintic over two steps misses at the sample between them, of the two that a step is part of that which
+    misses less: a sixteenth of it where the motion is smooth; all of it where one phase ends and another begins. Zero
+    where the plan's own steps are known to be of lower degree, and where no neighbour tells.
+    """
+    t = plan.t
+    left = np.flatnonzero(np.diff(t) > 0.0)
+    right = left + 1
+    series = [np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd)]
+    missed = np.full((2, len(left), series[0].shape[1]), np.inf)
+    for first in (0, 1) if plan.planner != "whole_trajectory" else ():
+        starts, between, ends = left[first:-1:2], right[first:-1:2], right[first + 1 :: 2]
+        if not len(ends):
+            continue
+        double = PiecewisePolynomial.hermite(
+            np.append(t[starts], t[ends[-1]]), *(tuple(part[at] for part in series) for at in (starts, ends))
+        )
+        for order in (1, 2):
+            apart = np.abs(double.derivative(order)(t[between]) - series[order][between])
+            for step in (0, 1):
+                there = missed[order - 1, first + step : first + 2 * len(ends) : 2]
+                np.minimum(there, apart, out=there)
+    return np.where(np.isfinite(missed), missed, 0.0)
+
+
 def _absolute_integral(power: Array, t: Array) -> float:
     return float(np.trapezoid(np.abs(np.where(np.isfinite(power), power, 0.0)).sum(axis=1), t))
 

@@ -1,8 +1,9 @@
 """What is promised, how often it was tried, and how often it failed: counted by tests, printed at the end of a run.
 
-``build/promises.jsonl`` keeps the counts of each test, a line when it ends, of which the last one counts: the long lists
-may be run in pieces, at once or in turn, and a piece again. ``python tests/support/promises.py`` prints their sums and writes them into the table of ``docs/trust.md``,
-whose rows name them in comments: ``count: files`` and ``failed: files``.
+``build/promises.jsonl`` keeps the counts of each test, a line when it ends, of which the last one counts: the long
+lists may be run in pieces, at once or in turn, and a piece again. ``python tests/support/promises.py`` prints their
+sums and writes them into the table of ``docs/trust.md``, whose rows name them in comments: ``count: files`` and
+``failed: files``.
 """
 
 from __future__ import annotations
