@@ -31,6 +31,7 @@ from redundancy_pin.simulation import (
     linearise,
     motion_reference,
 )
+from redundancy_pin.simulation.controllers import NoisyAmplifier
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque, ReducedModel
 from redundancy_pin.simulation.controllers.lqr import linear_model
 from redundancy_pin.simulation.derivatives import linearise_along
@@ -245,6 +246,20 @@ def test_plans_are_played_back_by_their_polynomials_and_saturate() -> None:
             return 0.5 * tau, force
 
     require_same(*both(robot, Half(reference), duration=0.1, **options), 1e-5)
+
+
+@pytest.mark.parametrize("sampling", [Sampling(0.02), None])
+def test_noise_of_amplifiers_reaches_machine_code(sampling: Sampling | None) -> None:
+    """Behind them, efforts that are polynomials of time are none any more: noise that is always one is a bias."""
+    robot = moving.massive("2rpr")
+    tau, force = np.array([0.3, -0.2]), np.array([0.2, 0.1])
+    ones: Any = SimpleNamespace(standard_normal=np.ones)
+    options = {"start": closed_state(robot, [0.15, 0.2], s=0.05), "duration": 0.1, "sampling": sampling}
+    noisy, biased = (
+        rp.simulate(robot, controller, dynamics=compiled(robot), **options)
+        for controller in (NoisyAmplifier(Constant(tau, force), ones, 0.1), Constant(tau + 0.1, force + 0.1))
+    )
+    require_same(noisy, biased)
 
 
 def test_efforts_that_jump_act_up_to_the_jump_and_from_it_on() -> None:
