@@ -77,7 +77,9 @@ def require_suffix(flag: str, path: str, suffix: str) -> None:
     """Check that a file to write is named as what it will be: other programs, and people, go by the name."""
     named = Path(path)
     if named.suffix.lower() != suffix:
-        fitting = named.with_name(f"{named.stem or 'result'}{suffix}")
+        # "." and "/" have no name, ".." is none
+        stem = named.parent / named.stem if named.stem.strip(".") else named / "result"
+        fitting = f"{stem}{suffix}"
         raise OutputError(
             f"{flag} {path} does not end in {suffix}.", remedy=f"Write {flag} {fitting}.", path=path, suffix=suffix
         )

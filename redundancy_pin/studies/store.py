@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import os
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
@@ -77,7 +78,9 @@ class Store(Generic[R]):
         place = ":memory:" if path is None else str(_writable(expanded(path)))
         identity = json.loads(json.dumps({**identity, "package": redundancy_pin.__version__}))
         try:
-            connection = sqlite3.connect(place, timeout=0.0, isolation_level=None)
+            # where SQLite was built to read names as addresses, "file:x" is the name of another file
+            at = place if path is None else os.path.abspath(place)
+            connection = sqlite3.connect(at, timeout=0.0, isolation_level=None)
         except sqlite3.Error as error:
             raise _unusable(place, kind, error) from error
         with closing(connection):

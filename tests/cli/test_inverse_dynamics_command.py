@@ -142,6 +142,9 @@ BAD = {
     "unknown backend": (["--backend", "lagrange"], "lagrange"),
     "unknown option": (["--bakend", "rnea"], "--bakend"),
     "no such folder": (["--out", "nowhere/out.csv"], "nowhere"),
+    "efforts into this folder": (["--out", "."], "--out . does not end in .csv. Write --out result.csv."),
+    "efforts into the root": (["--out", "/"], "--out / does not end in .csv. Write --out /result.csv."),
+    "efforts into the folder above": (["--out", ".."], "--out .. does not end in .csv. Write --out ../result.csv."),
     "efforts of another kind": (["--out", "out.txt"], "--out out.txt does not end in .csv. Write --out out.csv."),
 }
 

@@ -76,6 +76,16 @@ def test_what_is_put_is_there(place: str, tmp_path: Path) -> None:
         assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("name", ["file:store", "file:store?mode=memory", ":memory:", "a?b#c%20d"])
+def test_a_name_that_sqlite_could_take_for_an_address_is_a_name(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    filled(Path(name))
+    filled(Path(f"{name} 2") / "store")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [name, f"{name} 2"]
+
+
 WRITER = """
 import sys
 sys.path.insert(0, {here!r})
