@@ -11,15 +11,13 @@ from scipy.optimize import brentq
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray
 from redundancy_pin.crosscheck.cases import Case
-from redundancy_pin.crosscheck.load_power import load_energy, load_power
+from redundancy_pin.crosscheck.load_power import load_efforts, load_energy, load_power
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
-from redundancy_pin.dynamics.tree_loads import TreeLoads, TreeState
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot.loads import wrench_values
 from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
 
 Deviation = tuple[str, Array, float]
@@ -152,12 +150,6 @@ def check_power(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviatio
     yield f"power balance ({label})", deviation[keep], POWER
 
 
-def _loads(case: Case, motion: PlatformMotion, q: Array, v: Array, a: Array) -> Array:
-    """Return (nv, N) what the robot's loads ask of its joints, N or N·m: how they enter is judged."""
-    wrenches = wrench_values(case.robot.loads, motion.t, motion.x, motion.xd)
-    return TreeLoads(case.robot).efforts(TreeState(q.T, v.T, a.T, wrenches))
-
-
 def check_leg_momentum(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
     """Massless 2-RPR: f = Σ nᵢ Ḣᵢ / dᵢ, Hᵢ the angular momentum of carrier i about Aᵢ (Parsa 2014, eq. 2.17).
 
@@ -212,7 +204,7 @@ def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Dev
     effort[robot.actuated_velocity] = tau.T
     effort[robot.carrier_velocity] = reduced.carrier_force.T
     if robot.loads:  # Pinocchio's solver knows none
-        effort -= _loads(case, motion, q, v, a)
+        effort -= load_efforts(robot, motion, q, v, a)
     solve = ConstraintDynamics(case.robot)
     forward = np.array([solve(q[:, k], v[:, k], effort[:, k]) for k in keep]).reshape(len(keep), len(v))
     yield f"inverse -> forward ({label})", relative(forward, a.T[keep]), ROUND_TRIP

@@ -1,4 +1,7 @@
-"""Power and energy of loads by their own definitions: places, lengths and turns as Pinocchio has them, no Jacobian."""
+"""Power, energy and efforts of loads by their own definitions: places, turns and Jacobians as Pinocchio has them.
+
+Nothing here comes from ``dynamics.tree_loads``, which it judges; power and energy need no Jacobian either.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +31,8 @@ def load_energy(robot: Robot, q: Array, v: Array) -> Array:
             energy += 0.5 * load.stiffness * (q[joint.idx_q] - load.rest) ** 2
         for k in range(q.shape[1] if load.rotor_inertia else 0):
             pin.forwardKinematics(model, data, q[:, k], v[:, k])
-            relative = joint.createData()
-            joint.calc(relative, q[:, k])
-            subspace = np.asarray(relative.S).reshape(6)
-            axis = subspace[3:] if subspace[3:].any() else subspace[:3]
-            carried = axis @ data.liMi[index].rotation.T @ data.v[model.parents[index]].angular
+            parent = model.parents[index]
+            carried = _axis(robot, data, index, q[:, k]) @ data.oMi[parent].rotation @ data.v[parent].angular
             spin = carried + load.gear * v[joint.idx_v, k]
             energy[k] += 0.5 * load.rotor_inertia * (spin**2 - carried**2)
     return energy
@@ -67,6 +67,69 @@ def load_power(robot: Robot, motion: PlatformMotion, q: Array, v: Array, wide: A
         force, moment = ((axes @ part[:, :, None])[:, :, 0] for part in (value[:, :3], value[:, 3:]))
         power -= (force * velocity + moment * omega).sum(axis=1)
     return power
+
+
+def load_efforts(robot: Robot, motion: PlatformMotion, q: Array, v: Array, a: Array) -> Array:
+    """Return (nv, N) what the loads ask of the joints, N or N·m, at states (nq, N), (nv, N), (nv, N) of N samples.
+
+    Forces act through the Jacobians of their points. A rotor has, beyond what turns with the link that carries it, the
+    angular momentum I gear v z along the axis z of its joint: its rate acts on that link, and its share along z, with
+    that of the turning axis, on the joint.
+    """
+    model, efforts = robot.model, np.zeros(v.shape)
+    data = model.createData()
+    joints = [(load, int(model.getJointId(load.joint))) for load in of_kind(robot.loads, JointForces)]
+    for load, index in joints:
+        position, speed = q[model.joints[index].idx_q], v[model.joints[index].idx_v]
+        drag = load.damping * speed + load.friction * np.tanh(speed / load.friction_speed)
+        efforts[model.joints[index].idx_v] += drag + load.stiffness * (position - load.rest)
+    wrenches = of_kind(robot.loads, Wrench)
+    values = wrench_values(robot.loads, motion.t, motion.x, motion.xd)
+
+    def at_point(frame: str, point: Array) -> tuple[Array, Array, Array, Array]:
+        """Return place (3,), axes (3, 3), and Jacobians (3, nv) of a point and of the turn of its link."""
+        identifier = model.getFrameId(frame, pin.FrameType.BODY)
+        placed = pin.updateFramePlacement(model, data, identifier)
+        jacobian = pin.getFrameJacobian(model, data, identifier, pin.LOCAL_WORLD_ALIGNED)
+        arm = placed.rotation @ point
+        return placed.translation + arm, placed.rotation, jacobian[:3] - pin.skew(arm) @ jacobian[3:], jacobian[3:]
+
+    for k in range(q.shape[1]):
+        pin.forwardKinematics(model, data, q[:, k], v[:, k], a[:, k])
+        pin.computeJointJacobians(model, data)
+        for wrench, value in zip(wrenches, values, strict=True):
+            _, axes, moves, turns = at_point(wrench.frame, wrench.point)
+            axes = axes if wrench.reference == "local" else np.eye(3)
+            efforts[:, k] -= moves.T @ axes @ value[k, :3] + turns.T @ axes @ value[k, 3:]
+        for spring in of_kind(robot.loads, Spring):
+            (start, _, first, _), (end, _, second, _) = (
+                at_point(*one) for one in ((spring.frame_a, spring.point_a), (spring.frame_b, spring.point_b))
+            )
+            length = float(np.linalg.norm(end - start))
+            rates = (end - start) @ (second - first) / (length or 1.0)  # (nv,) of the length by the joints
+            pull = spring.stiffness * (length - spring.length) + spring.damping * (rates @ v[:, k])
+            efforts[:, k] += pull * rates
+        for load, index in joints:
+            if load.rotor_inertia:
+                parent, column = model.parents[index], model.joints[index].idx_v
+                z, carrier, size = _axis(robot, data, index, q[:, k]), data.oMi[parent].rotation, load.rotor_inertia
+                omega, alpha = (carrier @ part[parent].angular for part in (data.v, data.a))
+                rate = load.gear * size * (a[column, k] * z + v[column, k] * np.cross(omega, z))
+                if parent:
+                    turns = pin.getJointJacobian(model, data, parent, pin.LOCAL_WORLD_ALIGNED)[3:]
+                    efforts[:, k] += turns.T @ rate
+                efforts[column, k] += load.gear * (size * (z @ alpha) + z @ rate)
+    return efforts
+
+
+def _axis(robot: Robot, data: pin.Data, index: int, q: Array) -> Array:
+    """Return (3,) the axis about which a joint turns, or along which it slides, in the world."""
+    joint = robot.model.joints[index]
+    relative = joint.createData()
+    joint.calc(relative, q)
+    subspace = np.asarray(relative.S).reshape(6)
+    axis: Array = data.oMi[index].rotation @ (subspace[3:] if subspace[3:].any() else subspace[:3])
+    return axis
 
 
 def _length(robot: Robot, spring: Spring, q: Array) -> Array:

@@ -99,21 +99,23 @@ LOADS = {
 @pytest.mark.parametrize(
     ("load", "robot"), [*((load, "five_bar") for load in LOADS), ("rotor", "gough"), ("local wrench", "gough")]
 )
-def test_the_power_balance_judges_what_loads_ask_of_joints(monkeypatch, load, robot):
-    """It does not take their efforts from the function that it is to judge."""
+def test_power_and_round_trip_judge_what_loads_ask_of_joints(monkeypatch, load, robot):
+    """They do not take their efforts from the function that they are to judge."""
     case = random_case(robot, 2, 0, masses=Masses.ALL)
     model = case.robot.model
     links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
     case = replace(case, robot=case.robot.loaded(LOADS[load](links, model.names[2])))
     efforts = TreeLoads.efforts
 
-    def balance():
-        ((_, deviation, tolerance),) = physics.check_power(case, RneaDynamics(case.robot), "rnea")
-        return deviation.max() / tolerance
+    checks = physics.check_power, physics.check_round_trip
 
-    assert balance() < 1.0
+    def deviations():
+        found = [tuple(check(case, RneaDynamics(case.robot), "rnea")) for check in checks]
+        return np.array([deviation.max() / tolerance for ((_, deviation, tolerance),) in found])
+
+    assert (deviations() < 1.0).all()
     monkeypatch.setattr(TreeLoads, "efforts", lambda *a, **k: 1.001 * efforts(*a, **k))
-    assert balance() > 1.0
+    assert (deviations() > 1.0).all()
 
 
 class Tampered:

@@ -23,10 +23,12 @@ from redundancy_pin import (
     Wrench,
 )
 from redundancy_pin.arrays import Array
+from redundancy_pin.crosscheck.load_power import load_efforts
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.robot import Load, Robot
+from redundancy_pin.robot.loads import wrench_values
 
 PARITY = 1e-12
 """Of the largest entry: roundings of some hundred operations."""
@@ -69,6 +71,19 @@ def all_loads(name: str, samples: int, seed: int = 0) -> tuple[Load, ...]:
         ends = 0.3 * rng.normal(size=(2, 3))
         loads += [Spring(FRAMES[name][a], FRAMES[name][b], 20.0, 3.0, 0.1, *ends)]
     return tuple(loads)
+
+
+@pytest.mark.parametrize("name", ["3rrr", "2rpr"])
+def test_what_loads_ask_of_the_tree_is_what_pinocchios_jacobians_say(name: str) -> None:
+    """Off the closures too: each joint moves on its own."""
+    rng = np.random.default_rng(5)
+    motion = moving(machine(name))[0]
+    robot = machine(name).loaded(*all_loads(name, len(motion)))
+    q, v, a = rng.normal(size=(3, len(motion), robot.model.nv))
+    state = TreeState(q, v, a, wrench_values(robot.loads, motion.t, motion.x, motion.xd))
+    own = tree_loads(robot)
+    assert own is not None
+    assert_alike(own.efforts(state), load_efforts(robot, motion, q.T, v.T, a.T))
 
 
 def assert_alike(one: Array, other: Array, tolerance: float = PARITY) -> None:
