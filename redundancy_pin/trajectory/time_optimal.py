@@ -26,7 +26,19 @@ from redundancy_pin.trajectory.paths import Path
 from redundancy_pin.trajectory.piecewise_law import PiecewiseLaw
 
 STEPS = 1000
-"""Of the grid: with twice as many durations change by less than 1e-4."""
+"""Of the grid, where the path is not sharply bent: with twice as many durations change by less than 1e-4."""
+
+_TURN = 0.1
+"""rad; in a step of the grid the path turns by no more. A spline that turns back nearly as it came does so within a
+millimetre: limits that are looked at beside it only are exceeded by a third there."""
+
+_UNEVEN = 0.02
+"""Relative; in a step of the grid the curvature is linear but for so much."""
+
+_HALVINGS = 14
+"""Of a step, for both: a corner of a ten thousandth of the path has a hundred steps then."""
+
+_MOST_STEPS = 20_000
 
 BLEND = 0.02
 """Window in which accelerations change, as a fraction of the least duration."""
@@ -36,6 +48,9 @@ _PIECES = 4
 
 _DENSE = 40
 """Samples in each piece at which limits are looked at."""
+
+_PARTS = 4
+"""Of each step of the grid, at whose ends they are looked at as well."""
 
 _SPARE = 1e-4
 """By which the law runs slower than these samples allow: what is between them stays within the limits too."""
@@ -68,7 +83,10 @@ def fastest_law(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -
     groups = _groups(path, max_speed, max_acceleration)
     p, w, u = _optimum(path, groups)
     law = _averaged(p, w, u)
-    times = np.linspace(0.0, law.duration, _DENSE * (len(law.curve.x) - 1) + 1)
+    even = np.linspace(0.0, law.duration, _DENSE * (len(law.curve.x) - 1) + 1)
+    reached = np.maximum.accumulate(law.evaluate(even).p)
+    places = (p[:-1, None] + np.diff(p)[:, None] * np.arange(_PARTS) / _PARTS).ravel()
+    times = np.union1d(even, np.interp(places, reached, even))
     return law.scaled((1.0 - _SPARE) / _use(path, groups, law, times))
 
 
@@ -111,10 +129,7 @@ def _groups(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> li
 
 def _optimum(path: Path, groups: list[_Group]) -> tuple[Array, Array, Array]:
     """Return arc lengths (N + 1,), squares of the speed there, and the (N,) accelerations between them."""
-    inner = np.concatenate([np.asarray(path.breaks), np.linspace(0.0, path.length, STEPS + 1)])
-    p = np.unique(np.clip(inner, 0.0, path.length))
-    p = p[np.append(True, np.diff(p) > 1e-9 * path.length)]
-    p[-1] = path.length
+    p = _grid(path)
     d = np.diff(p)
     starts, ends = path.evaluate(p[:-1], "right"), path.evaluate(p[1:], "left")
     A0, B0, c, most0 = _rows(starts.tangent, starts.curvature, groups)
@@ -135,6 +150,26 @@ def _optimum(path: Path, groups: list[_Group]) -> tuple[Array, Array, Array]:
         w[i + 1] = min(max(w[i] + 2.0 * d[i] * u[i], 0.0), high[i + 1])
         u[i] = (w[i + 1] - w[i]) / (2.0 * d[i])
     return p, w, u
+
+
+def _grid(path: Path) -> Array:
+    """Return (N + 1,) arc lengths, breaks among them, between which tangent and curvature hardly change."""
+    inner = np.concatenate([np.asarray(path.breaks), np.linspace(0.0, path.length, STEPS + 1)])
+    p = np.unique(np.clip(inner, 0.0, path.length))
+    p = p[np.append(True, np.diff(p) > 1e-9 * path.length)]
+    p[-1] = path.length
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (p[:-1] + p[1:])
+        start, between, end = (
+            path.evaluate(at, side).curvature for at, side in ((p[:-1], "right"), (middle, "right"), (p[1:], "left"))
+        )
+        size = np.linalg.norm([start, between, end], axis=2).max(axis=0)
+        uneven = np.linalg.norm(between - 0.5 * (start + end), axis=1) > _UNEVEN * size + _TURN / path.length
+        halved = middle[uneven | (size * np.diff(p) > _TURN)]
+        if not len(halved) or len(p) + len(halved) > _MOST_STEPS:
+            break
+        p = np.union1d(p, halved)
+    return p
 
 
 def _rows(tangent: Array, curvature: Array, groups: list[_Group]) -> tuple[Array, Array, Array, Array]:

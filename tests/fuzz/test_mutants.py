@@ -14,7 +14,7 @@ from promises import Keep
 
 PROGRAM = Path(__file__).resolve().parents[1] / "support" / "mutants.py"
 
-MUTANTS, BATCHES = 60, 12
+MUTANTS, BATCHES = 60, 60
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")]
 

@@ -155,6 +155,19 @@ def test_the_fastest_law_brakes_for_a_corner() -> None:
     assert np.linalg.norm(dense.xd, axis=1).max() > 2.0 * np.sqrt(2.0 * 0.05)
 
 
+def test_the_fastest_law_keeps_limits_where_a_spline_turns_back_within_a_millimetre() -> None:
+    path = through_points([[-0.6, 0.4], [0.9, -0.35], [-0.55, 0.26], [0.1, -0.9]])
+    p = np.linspace(0.0, path.length, 20_001)
+    assert np.linalg.norm(path.evaluate(p).curvature, axis=1).max() > 1e3
+    law = fastest_law(path, 2.0, 5.0)
+    reached = law.evaluate(even := np.linspace(0.0, law.duration, 20_001)).p
+    t = np.concatenate([even, np.interp(p, np.maximum.accumulate(reached), even)])
+    at = law.evaluate(t)
+    point, pd = path.evaluate(at.p), at.pd[:, None]
+    assert np.linalg.norm(point.tangent * pd, axis=1).max() <= 2.0
+    assert 4.0 < np.linalg.norm(point.tangent * at.pdd[:, None] + point.curvature * pd**2, axis=1).max() <= 5.0
+
+
 def test_speeds_of_uniform_acceleration_give_just_that() -> None:
     """Between the first and the last two points, where nothing starts or stops: v² grows with p, v with t."""
     lengths = np.linspace(0.0, 2.0, 9)
