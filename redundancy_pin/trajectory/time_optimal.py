@@ -160,9 +160,8 @@ def _grid(path: Path) -> Array:
     p[-1] = path.length
     for _ in range(_HALVINGS):
         middle = 0.5 * (p[:-1] + p[1:])
-        start, between, end = (
-            path.evaluate(at, side).curvature for at, side in ((p[:-1], "right"), (middle, "right"), (p[1:], "left"))
-        )
+        start, end = path.evaluate(p[:-1], "right").curvature, path.evaluate(p[1:], "left").curvature
+        between = path.evaluate(middle).curvature
         size = np.linalg.norm([start, between, end], axis=2).max(axis=0)
         uneven = np.linalg.norm(between - 0.5 * (start + end), axis=1) > _UNEVEN * size + _TURN / path.length
         halved = middle[uneven | (size * np.diff(p) > _TURN)]
