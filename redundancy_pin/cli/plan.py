@@ -44,10 +44,10 @@ from redundancy_pin.cli.plan_problem import (
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import replacing_file
-from redundancy_pin.kinematics.joint_limits import beyond_limits
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.limits import LimitEvent
 from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.robot.joint_ranges import beyond_limits
 from redundancy_pin.studies.case import COMPILED, RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.measures import SWING, reversals, reversals_beside_singularities
 from redundancy_pin.visualisation.figures.plots import plan as plot_plan

@@ -49,6 +49,7 @@ class ReducedDynamics(Frozen):
         row_scale: (n,) the characteristic length for rotations, 1 for translations: dividing row i of W and f by it
             turns moments into forces.
         column_scale: (m,) the characteristic length for revolute actuators, 1 for prismatic ones.
+        out_of_range: (N,) whether some joint is beyond its range, passive ones too; None where nobody looked.
     """
 
     t: Array
@@ -59,6 +60,7 @@ class ReducedDynamics(Frozen):
     gap: Array
     row_scale: Array
     column_scale: Array
+    out_of_range: BoolArray | None = None
 
     def __repr__(self) -> str:
         """Return shapes and peaks, not the arrays."""

@@ -28,7 +28,7 @@ from redundancy_pin.kinematics.spectrum import null_directions, scaled, spectrum
 
 
 class SampleStatus(IntEnum):
-    """Whether and how W τ = f has a solution at one sample. Up to ``SINGULAR_CONSISTENT`` it has one."""
+    """Whether and how W τ = f has a solution at one sample: see ``solved``."""
 
     REGULAR = 0
     """W has full rank and a margin; the efforts balance f."""
@@ -45,11 +45,25 @@ class SampleStatus(IntEnum):
     """Efforts exist, but none within the bounds."""
     UNREACHABLE = 6
     """No configuration closes the chains, so there is no W and no f."""
+    OUT_OF_RANGE = 7
+    """W τ = f has the solution that is returned, but a joint is beyond its range: nobody can be there. It stands in
+    for the three statuses with a solution, whose margin and rank are still given; those without one come first."""
+
+    @property
+    def solved(self) -> bool:
+        """Whether W τ = f has a solution, which is returned."""
+        return bool(solved_status(np.array(self)))
 
     @property
     def label(self) -> str:
         """The name in lower case, as tables and files show it: ``near_singular``."""
         return self.name.lower()
+
+
+def solved_status(status: IntArray) -> BoolArray:
+    """Return of statuses, any shape, whether W τ = f has a solution."""
+    result: BoolArray = (status <= SampleStatus.SINGULAR_CONSISTENT) | (status == SampleStatus.OUT_OF_RANGE)
+    return result
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,7 +118,7 @@ class Distribution(Frozen):
     @property
     def solved(self) -> BoolArray:
         """(N,) true where tau solves W τ = f."""
-        return read_only(self.status <= SampleStatus.SINGULAR_CONSISTENT)
+        return read_only(solved_status(self.status))
 
     @property
     def status_labels(self) -> NDArray[np.str_]:
@@ -215,6 +229,8 @@ def distribute(
         SampleStatus.SINGULAR_INCONSISTENT,
     ).astype(np.intp)
     free_direction, uncontrolled = _directions(problem, rank, status)
+    if reduced.out_of_range is not None:
+        status[solved_status(status) & reduced.out_of_range] = SampleStatus.OUT_OF_RANGE
     return Distribution(
         tau=read_only((u if start is None else u + start) * reduced.column_scale),
         status=read_only(status),

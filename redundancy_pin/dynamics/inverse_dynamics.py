@@ -13,11 +13,11 @@ from redundancy_pin.dynamics.base import Dynamics, OnUnreachable, ReducedDynamic
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.coordinates import difference, row_scale
-from redundancy_pin.kinematics.joint_limits import JointExcess, beyond_limits
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
 from redundancy_pin.robot.loads import Load, Wrench
 from redundancy_pin.singularities.classify import SingularityKind, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
@@ -71,7 +71,7 @@ class SingularInstant:
     @property
     def unbounded(self) -> bool:
         """Whether no finite efforts exist there, so that they grow without bound towards it."""
-        return self.status > SampleStatus.SINGULAR_CONSISTENT
+        return not self.status.solved
 
 
 @dataclass(frozen=True, eq=False, repr=False)

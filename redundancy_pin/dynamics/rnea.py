@@ -229,6 +229,7 @@ class RneaAlongMotion(Frozen):
             gap=self.tree.gap,
             row_scale=self._rows,
             column_scale=self._columns,
+            out_of_range=self.tree.out_of_range,
         )
 
     def tree_motion(self, carriers: CarrierMotion | None = None) -> tuple[Array, Array, Array]:

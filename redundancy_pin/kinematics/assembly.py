@@ -24,6 +24,7 @@ from redundancy_pin.kinematics.coordinates import (
     row_scale,
     velocity_scale,
 )
+from redundancy_pin.robot.joint_ranges import out_of_range
 
 SETTLED_STEP = 1e-8
 """A Newton step this small (rad, m) leaves an error of its square: below rounding."""
@@ -104,6 +105,11 @@ class Assembly:
     def in_mode(self) -> BoolArray:
         """(N,) in the robot's own working mode, closed or not."""
         return in_working_mode(self.system.robot, self.q)
+
+    @cached_property
+    def in_range(self) -> BoolArray:
+        """(N,) all joints within their ranges, each configuration by itself, closed or not."""
+        return read_only(~out_of_range(self.system.robot, self.q, motion=False))
 
     @property
     def usable(self) -> BoolArray:

@@ -32,10 +32,10 @@ from redundancy_pin.kinematics.coordinates import (
     velocity_scale,
 )
 from redundancy_pin.kinematics.inverse_kinematics import wrapped
-from redundancy_pin.kinematics.joint_limits import ROUNDING, range_excess
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, range_excess
 
 _AGREE = 1e-8
 """Distance, rad or m, by which positions of redundant motors may contradict each other: rounding."""
@@ -333,10 +333,15 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
     order = np.argsort(np.abs(keys - _frames(robot, reference)).max(axis=1), kind="stable")
     q = q[order]
     margin = project(motors, motors.evaluate(q)).margin
-    excess = range_excess(robot, q, motion=False).max(axis=1)
     unseen = float((found == 1).sum() / found.sum())
     x = coordinates(robot, system.evaluate(q))
-    shown = read_only(q), read_only(x), margin, read_only(excess <= ROUNDING), read_only(found[order])
+    shown = (
+        read_only(q),
+        read_only(x),
+        margin,
+        read_only(~out_of_range(robot, q, motion=False)),
+        read_only(found[order]),
+    )
     return AssemblyModes(robot, *shown, unseen)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -48,6 +49,7 @@ from redundancy_pin.motion import (
     require_sampled,
 )
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.joint_ranges import out_of_range
 
 _FAR_STARTS = 5
 """Samples of a motion that no Newton from the reference closes anywhere at which multistart is tried before it is
@@ -96,6 +98,11 @@ class TreeMotion(Frozen):
     gap: Array
     reachable: BoolArray
     serial_margin_bound: Array
+
+    @cached_property
+    def out_of_range(self) -> BoolArray:
+        """(N,) whether some joint, passive ones too, is beyond its range; see ``robot.joint_ranges``."""
+        return out_of_range(self.robot, self.q)
 
 
 def lift(

@@ -20,7 +20,7 @@ from redundancy_pin.arrays import (
     require_type,
 )
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
-from redundancy_pin.dynamics.distribution import SampleStatus, distribute
+from redundancy_pin.dynamics.distribution import SampleStatus, distribute, solved_status
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.functions import (
@@ -105,7 +105,8 @@ def finish_plan(
         left, size = imbalance(reduced, tau)
         residual[given] = left[given]
         balanced = left[given] <= BALANCE_TOLERANCE * size
-        status[given] = np.where(balanced, SampleStatus.REGULAR, SampleStatus.SINGULAR_INCONSISTENT)
+        fine = np.where(status[given] == SampleStatus.OUT_OF_RANGE, SampleStatus.OUT_OF_RANGE, SampleStatus.REGULAR)
+        status[given] = np.where(balanced, fine, SampleStatus.SINGULAR_INCONSISTENT)
     if singular is not None:  # however well W τ = f looks at one instant
         regular = singular[status[singular] == SampleStatus.REGULAR]
         status[regular] = SampleStatus.SINGULAR_CONSISTENT
@@ -129,7 +130,7 @@ def finish_plan(
         overall = overall if check.passed else PlanStatus.UNRESOLVED
     if violated:
         overall = PlanStatus.VIOLATES_LIMITS
-    lost = not np.isfinite(tau).all() or bool((status > SampleStatus.SINGULAR_CONSISTENT).any())
+    lost = not np.isfinite(tau).all() or not solved_status(status).all()
     if lost or (check is not None and not np.isfinite(check.peak).all()):
         overall = PlanStatus.UNBOUNDED_EFFORT
     return Plan(
@@ -353,7 +354,7 @@ def _wider_limits(plan: Plan, dynamics: Dynamics) -> tuple[str, ...]:
 
 
 def _effort_deviations(plan: Plan, unbalanced: Array, balanced: BoolArray) -> list[Deviation]:
-    wrong = ~balanced & (plan.sample_status <= SampleStatus.SINGULAR_CONSISTENT)
+    wrong = ~balanced & solved_status(plan.sample_status)
     if not wrong.any():
         return []
     worst = int(np.where(wrong, np.nan_to_num(unbalanced, nan=np.inf), -1.0).argmax())

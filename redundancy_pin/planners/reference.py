@@ -60,6 +60,7 @@ def inverse_dynamics(
         gap=tree.gap,
         row_scale=row_scale(robot),
         column_scale=column_scale(robot),
+        out_of_range=tree.out_of_range,
     )
     return replace(tree, q=read_only(q), v=read_only(v), a=read_only(a)), reduced
 

@@ -181,7 +181,7 @@ def test_a_passive_joint_that_leaves_its_limit_is_named_with_time_value_and_limi
 
 def test_limits_may_be_counted_from_another_turn(limited) -> None:
     """A crank a whole turn on is the same machine, its rocker included."""
-    from redundancy_pin.kinematics.joint_limits import beyond_limits
+    from redundancy_pin.robot.joint_ranges import beyond_limits
 
     motion = crank(1.0, 1.1)
     q = np.array(rp.lift(limited, motion).q)

@@ -52,6 +52,7 @@ from redundancy_pin.errors import (
 )
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Load, Robot, RobotLike, Wrench, as_robot
+from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
@@ -360,7 +361,12 @@ class CompiledAlongMotion(Frozen):
             gap=self._lifted.gap,
             row_scale=rows,
             column_scale=columns,
+            out_of_range=self._out_of_range,
         )
+
+    @cached_property
+    def _out_of_range(self) -> BoolArray:
+        return out_of_range(self.robot, self._lifted.q)
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
         """Return the exact derivatives of f and carrier forces by s, ṡ, s̈ (casadi's, of the symbols)."""

@@ -22,6 +22,7 @@ from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMecha
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Load, Robot, RobotLike, as_robot
+from redundancy_pin.robot.joint_ranges import ROUNDING, joint_ranges
 from redundancy_pin.robot.loads import wrench_values
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
@@ -149,7 +150,18 @@ class VirtualWorkAlongMotion(Frozen):
             gap=self._gap,
             row_scale=self._row_scale,
             column_scale=self._column_scale,
+            out_of_range=self._out_of_range,
         )
+
+    @cached_property
+    def _out_of_range(self) -> BoolArray:
+        still = np.zeros((self._robot.k, len(self._motion)))
+        beyond = np.zeros(len(self._motion), dtype=bool)
+        for joint in joint_ranges(self._robot):
+            value = self._dynamics.joint(joint.name, still, still, still).position[self._reachable]
+            value = np.unwrap(value) if joint.turns else value  # a closed form has angles in (−π, π]
+            beyond[self._reachable] |= joint.excess(value, True) > ROUNDING
+        return read_only(beyond)
 
     def carrier_derivatives(self, carriers: CarrierMotion | None = None) -> CarrierDerivatives:
         """Return the exact derivatives of f and carrier forces by s, ṡ, s̈."""

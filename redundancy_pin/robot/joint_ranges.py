@@ -1,0 +1,131 @@
+"""Ranges of joints, passive ones too: which configurations are beyond them, and where a motion leaves them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, BoolArray, read_only
+from redundancy_pin.robot.types import Robot
+
+ROUNDING = 1e-9
+"""rad or m beyond a limit that count as being at it."""
+
+
+_A_TURN = 2.0 * np.pi + 0.01
+"""rad; limits farther apart count turns."""
+
+
+@dataclass(frozen=True)
+class JointExcess:
+    """A joint beyond a limit.
+
+    Attributes:
+        joint: its name.
+        t: first time beyond, s.
+        worst: time at which it is farthest beyond, s.
+        value: its position there, rad or m.
+        limit: the limit that it leaves, rad or m.
+        unit: "rad" or "m".
+    """
+
+    joint: str
+    t: float
+    worst: float
+    value: float
+    limit: float
+    unit: str
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        end = "upper" if self.value > self.limit else "lower"
+        farthest = f", and is at {self.value:.6g} {self.unit} at t = {self.worst:.6g} s"
+        return (
+            f"joint {self.joint!r} leaves its {end} limit {self.limit:.6g} {self.unit} at t = {self.t:.6g} s{farthest}"
+        )
+
+
+class JointRange(NamedTuple):
+    """The range of a joint of one freedom: its place among the joints and in q, whether it turns, and its ends."""
+
+    column: int
+    name: str
+    at: int
+    turns: bool
+    lower: float
+    upper: float
+
+    def excess(self, value: Array, motion: bool) -> Array:
+        """Return (N,) how far positions are beyond, rad or m; see ``range_excess``."""
+        counted = self.counted(value, motion)
+        return np.maximum(self.lower - counted, counted - self.upper)
+
+    def counted(self, value: Array, motion: bool) -> Array:
+        """Return (N,) positions, whole turns taken off where that brings them into a range within a turn."""
+        if not self.turns or self.upper - self.lower > _A_TURN or not len(value):
+            return value
+        middle = 0.5 * ((value.max() + value.min() if motion else 2.0 * value) - self.lower - self.upper)
+        return value - 2.0 * np.pi * np.round(middle / (2.0 * np.pi))
+
+
+@lru_cache(maxsize=64)
+def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
+    """Return the ranges of all joints that have one, actuated or passive.
+
+    Carriers have tracks, which ``reduce`` and planners hold against their motion. A URDF gives equal ends where it
+    knows no limits; joints of several freedoms have none here.
+    """
+    model, found = robot.model, []
+    for column, (name, joint) in enumerate(zip(list(model.names)[1:], list(model.joints)[1:], strict=True)):
+        if joint.nq != 1 or name in robot.carriers:
+            continue
+        lower, upper = (float(ends[joint.idx_q]) for ends in (model.lowerPositionLimit, model.upperPositionLimit))
+        if lower < upper:
+            turns = not str(joint.shortname()).startswith("JointModelP")
+            found.append(JointRange(column, str(name), int(joint.idx_q), turns, lower, upper))
+    return tuple(found)
+
+
+def range_excess(robot: Robot, q: Array, *, motion: bool = True) -> Array:
+    """Return (N, joints) how far each joint of the model is beyond its range, m or rad; negative inside.
+
+    A joint without limits, or of several freedoms, is −inf, and so is a configuration of NaN. A revolute joint whose
+    limits are within a turn may be counted from another turn than they are: the same whole number of turns is taken
+    from all samples of a ``motion`` where that helps, from each by itself where configurations (N, nq) are none.
+    """
+    excess = np.full((len(q), robot.model.njoints - 1), -np.inf)
+    known = np.isfinite(q).all(axis=1)
+    for joint in joint_ranges(robot):
+        excess[known, joint.column] = joint.excess(q[known, joint.at], motion)
+    return excess
+
+
+def out_of_range(robot: Robot, q: Array, *, motion: bool = True) -> BoolArray:
+    """Return (N,) whether some joint is beyond its range by more than rounding, as ``range_excess`` counts."""
+    return read_only(range_excess(robot, q, motion=motion).max(axis=1, initial=-np.inf) > ROUNDING)
+
+
+def beyond_limits(robot: Robot, q: Array, t: Array) -> tuple[JointExcess, ...]:
+    """Return the joints that are somewhere beyond a limit of position, turns counted as in ``range_excess``.
+
+    Args:
+        robot: the robot.
+        q: (N, nq) configurations, NaN where there is none.
+        t: (N,) their times, s.
+    """
+    found = []
+    known = np.isfinite(q).all(axis=1)
+    if not known.any():
+        return ()
+    t = t[known]
+    for joint in joint_ranges(robot):
+        value = joint.counted(q[known, joint.at], True)
+        for limit, excess in ((joint.lower, joint.lower - value), (joint.upper, value - joint.upper)):
+            if excess.max() > ROUNDING:
+                first, worst = int(np.argmax(excess > ROUNDING)), int(np.argmax(excess))
+                when = float(t[first]), float(t[worst]), float(value[worst])
+                found.append(JointExcess(joint.name, *when, limit, "rad" if joint.turns else "m"))
+    return tuple(found)

@@ -1,0 +1,101 @@
+"""A joint beyond its range is a status: where the closed form of the joint says so, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.distribution import SampleStatus
+from redundancy_pin.kinematics.assembly import assemble
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.trajectory import reference
+
+LINE = reference.line().sample(0.05)
+RANGE = {"lower": -0.5, "upper": 1.1}  # rad; the first swivel of the 2-RPR, passive, goes from 1.2 to −1.2 on the line
+
+
+def beyond(motion: rp.PlatformMotion) -> Array:
+    """Return (N,) whether the first leg of the shipped 2-RPR is turned too far: its hinge is the origin."""
+    angle = np.arctan2(motion.x[:, 1], motion.x[:, 0])
+    return (angle > RANGE["upper"]) | (angle < RANGE["lower"])
+
+
+@pytest.fixture(scope="module")
+def robot() -> rp.Robot:
+    return zoo.robot_of("2rpr").with_limits({"swivel_1": RANGE})
+
+
+@pytest.mark.parametrize("backend", ["RneaDynamics", "VirtualWork", "CompiledDynamics"])
+def test_passive_joints_beyond_their_range_are_a_status_in_every_backend(robot: rp.Robot, backend: str) -> None:
+    more: dict[str, Any] = {}
+    if backend == "CompiledDynamics":
+        pytest.importorskip("casadi")
+        more = {"interpret": True}
+    make = getattr(rp, backend)
+    plain = rp.distribute(make(zoo.robot_of("2rpr"), **more).reduce(LINE))
+    found = rp.distribute(make(robot, **more).reduce(LINE))
+    out = beyond(LINE) & plain.solved
+    assert out.any()
+    assert (~beyond(LINE)).any()
+    assert (found.status == np.where(out, SampleStatus.OUT_OF_RANGE, plain.status)).all()
+    assert (found.solved == plain.solved).all()
+    np.testing.assert_array_equal(found.tau, plain.tau)
+
+
+def test_statuses_without_a_solution_come_first(robot: rp.Robot) -> None:
+    reduced = rp.RneaDynamics(robot).reduce(LINE)
+    out = np.ones(len(LINE), dtype=bool)
+    W, reachable = np.array(reduced.W), np.array(reduced.reachable)
+    W[0], reachable[1] = 0.0, False
+    given = replace(reduced, W=W, reachable=reachable, f=reduced.f + 1.0, out_of_range=out)
+    found = rp.distribute(given, lower=np.where(np.arange(len(LINE)) == 2, 1e6, -np.inf)[:, None].repeat(2, 1))
+    assert found.status[:3].tolist() == [
+        SampleStatus.SINGULAR_INCONSISTENT,
+        SampleStatus.UNREACHABLE,
+        SampleStatus.BOUND_INFEASIBLE,
+    ]
+    assert (found.status[3:] == SampleStatus.OUT_OF_RANGE).all()
+    assert SampleStatus.OUT_OF_RANGE.solved
+    assert not SampleStatus.UNREACHABLE.solved
+
+
+def test_lift_and_assembly_know_ranges(robot: rp.Robot) -> None:
+    tree = rp.lift(robot, LINE)
+    assert (tree.out_of_range == beyond(LINE)).all()
+    assert tree.reachable.all()
+    system = ConstraintSystem(robot)
+    assert (assemble(system, tree.q, LINE.x).in_range == ~beyond(LINE)).all()
+
+
+@pytest.mark.parametrize("ends", [(0.0, 0.0), (1.0, -1.0)])
+def test_limits_that_are_none_are_none(ends: tuple[float, float]) -> None:
+    free = zoo.robot_of("2rpr")
+    model = free.model.copy()
+    at = model.joints[model.getJointId("swivel_1")].idx_q
+    model.lowerPositionLimit[at], model.upperPositionLimit[at] = ends
+    assert not rp.lift(replace(free, model=model), LINE).out_of_range.any()
+
+
+def test_plans_keep_their_own_status_and_say_it_of_samples(robot: rp.Robot) -> None:
+    both = zoo.robot_of("2rpr"), robot
+    plans = [rp.plan_switch_off(rp.VirtualWork(one), reference.line(), threshold=4.0, dt=0.05) for one in both]
+    plain, found = plans
+    assert found.status is plain.status
+    np.testing.assert_array_equal(found.tau, plain.tau)
+    out = found.sample_status == SampleStatus.OUT_OF_RANGE
+    assert (out == (beyond(plain.motion) & (plain.sample_status <= SampleStatus.SINGULAR_CONSISTENT))).all()
+    assert rp.check_plan(found, rp.VirtualWork(robot)).deviations == ()
+
+
+def test_singular_instants_out_of_range_are_not_unbounded_for_that(robot: rp.Robot) -> None:
+    plain = rp.inverse_dynamics(rp.VirtualWork(zoo.robot_of("2rpr")), LINE)
+    found = rp.inverse_dynamics(rp.VirtualWork(robot), LINE)
+    assert found.status is plain.status
+    assert [one.unbounded for one in found.instants] == [one.unbounded for one in plain.instants]
+    assert [one.limit for one in found.joint_limits] == [RANGE["lower"], RANGE["upper"]]
