@@ -17,7 +17,10 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.trajectory import reference
 
 LINE = reference.line().sample(0.05)
-RANGE = {"lower": 0.05, "upper": 1.1}  # rad; the first swivel of the 2-RPR goes from 1.2 to −1.2 on the line, at 0 singular
+RANGE = {
+    "lower": 0.05,
+    "upper": 1.1,
+}  # rad; the first swivel of the 2-RPR goes from 1.2 to −1.2 on the line
 
 
 def beyond(motion: rp.PlatformMotion) -> Array:
