@@ -5,6 +5,9 @@ its velocity per unit of ẋ is J₀ + s J_u. With J_uᵀ u = 0 its share of f i
 quadratic in (s, ṡ), affine in s̈, and carriers do not mix. The same holds for its own force. The coefficients, which
 depend on time alone, are read off a backend in a fixed number of evaluations, so they are exact for whatever backend it
 is; as functions of time they are interpolated to rounding, so that root finding and integration need no further call.
+
+A carrier that turns stands at r₀ + a cos s + b sin s, and its axes likewise: place and rates are products of at most two
+of these, so its share is a combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with ṡ, with ṡ² and with s̈.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, TypeGuard, cast, get_args
+from typing import Any, Literal, TypeGuard, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +24,7 @@ from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
@@ -155,7 +159,8 @@ _MODEL_TOLERANCE = 1e-8
 class CarrierModel:
     """Coefficients of f and of the carrier forces at N instants.
 
-    N samples, n independent coordinates, m main actuators, k carriers; last axis: s, s², ṡ, s ṡ, s̈.
+    N samples, n independent coordinates, m main actuators, k carriers; last axis: s, s², ṡ, s ṡ, s̈, or as many of
+    ``terms`` as there are.
 
     ``t`` (N,) time, s; ``W`` (N, n, m) actuation matrix; ``f0`` (N, n) f with the carriers at rest at s = 0, N and N·m;
     ``f_terms`` (N, n, k, 5) coefficients of f, by carrier and term; ``force0`` (N, k) carrier forces with the carriers
@@ -176,18 +181,29 @@ class CarrierModel:
 
     def f(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return f (N, n) for a carrier motion, each (N, k)."""
-        value: Array = self.f0 + np.einsum("nikj,nkj->ni", self.f_terms, terms(s, sd, sdd))
+        value: Array = self.f0 + np.einsum("nikj,nkj->ni", self.f_terms, self._terms(s, sd, sdd))
         return value
 
     def carrier_force(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return the carrier forces (N, k) for a carrier motion, each (N, k)."""
-        value: Array = self.force0 + np.einsum("nkj,nkj->nk", self.force_terms, terms(s, sd, sdd))
+        value: Array = self.force0 + np.einsum("nkj,nkj->nk", self.force_terms, self._terms(s, sd, sdd))
         return value
 
+    def _terms(self, *motion: Array) -> Array:
+        return np.stack(terms(*motion, self.f_terms.shape[3], np), axis=-1)
 
-def terms(s: Array, sd: Array, sdd: Array) -> Array:
-    """Return the five terms (..., k, 5) of a carrier motion."""
-    return np.stack([s, s * s, sd, s * sd, sdd], axis=-1)
+
+def terms(s: Any, sd: Any, sdd: Any, count: int, library: Any) -> list[Any]:
+    """Return the first terms of a carrier motion, arrays of numpy or expressions of another ``library``.
+
+    Five on straight tracks, seven of a fit to second order, and those of carriers that turn: cos s − 1, sin s,
+    cos 2s − 1 and sin 2s, the same with ṡ, with ṡ² and with s̈.
+    """
+    first = [s, s * s, sd, s * sd, sdd, sd * sd, s * sdd]
+    if count <= len(first):
+        return first[:count]
+    waves = [wave for i in (1.0, 2.0) for wave in (library.cos(i * s) - 1.0, library.sin(i * s))]
+    return [*first, *waves, *(rate * wave for rate in (sd, sd * sd, sdd) for wave in waves)]
 
 
 MASSLESS = 1e-12
@@ -236,6 +252,40 @@ def carrier_model(along: DynamicsAlongMotion) -> CarrierModel:
         both, push = added(unit, unit, zero), added(zero, zero, unit)
         split = np.stack([0.5 * (plus - minus), 0.5 * (plus + minus), rate, both - plus - rate, push], axis=-1)
         f_terms[:, :, i], force_terms[:, i] = split[:, :n], split[:, n + i]
+    parts = (parked.f, f_terms, parked.carrier_force, force_terms)
+    model = CarrierModel(along.motion.t, parked.W, *(read_only(np.asarray(part)) for part in parts))
+    _require_polynomial(along, model)
+    return model
+
+
+_SLIDING, _TURNING = [0, 1, 2, 3, 4], [0, 2, 4, 5, *range(7, 23)]
+"""The terms (``terms``) of a carrier, by how it moves."""
+
+
+def turning_model(along: DynamicsAlongMotion) -> CarrierModel:
+    """Read the coefficients off a backend where some carriers turn, from its exact derivatives at ten motions.
+
+    Raises:
+        UnsupportedRobotError: f has other terms too, as where a carrier carries another; carries ``deviation``.
+    """
+    robot, samples, count = along.robot, len(along.motion), _TURNING[-1] + 1
+    parked = along.reduce(CarrierMotion.parked(samples, robot.k))
+    # five angles tell the waves apart, and two rates the terms with ṡ from those with ṡ²
+    at = np.stack([np.tile(0.4 * np.pi * np.arange(5), 2), np.repeat([0.0, 1.0], 5), np.zeros(10)])
+    read = [along.carrier_derivatives(CarrierMotion(*(np.full((samples, robot.k), x) for x in one))) for one in at.T]
+    by_f, by_force = (
+        np.concatenate([[getattr(one, f"{name}_{rate}") for one in read] for rate in ("s", "sd", "sdd")])
+        for name in ("f", "force")
+    )
+    # derivatives of the terms themselves by s, ṡ and s̈: complex steps, which are exact
+    steps = (at + 1e-20j * unit[:, None] for unit in np.eye(3))
+    slopes = np.concatenate([np.imag(terms(*step, count, np)).T / 1e-20 for step in steps])
+    f_terms, force_terms = np.zeros((samples, robot.n, robot.k, count)), np.zeros((samples, robot.k, count))
+    for i, turning in enumerate(turning_velocities(robot)[robot.carrier_velocity]):
+        places = _TURNING if turning else _SLIDING
+        inverse = np.linalg.pinv(slopes[:, places])
+        f_terms[:, :, i, places] = np.einsum("jr,rni->nij", inverse, by_f[..., i])
+        force_terms[:, i, places] = np.einsum("jr,rn->nj", inverse, by_force[..., i, i])
     parts = (parked.f, f_terms, parked.carrier_force, force_terms)
     model = CarrierModel(along.motion.t, parked.W, *(read_only(np.asarray(part)) for part in parts))
     _require_polynomial(along, model)

@@ -206,12 +206,14 @@ def plan_whole_trajectory(
 
 def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:
     """Solve on a mesh from all first guesses, the first of which is a motion that is known."""
-    try:
-        problem = read_coefficients(task, nodes)
-    except UnsupportedRobotError as error:
-        if "deviation" not in error.details:
-            raise
-        # f is not the polynomial that it is for carriers on straight tracks
+    for turning in (False, True):
+        try:
+            problem = read_coefficients(task, nodes, turning=turning)
+            break
+        except UnsupportedRobotError as error:
+            if "deviation" not in error.details:
+                raise
+    else:  # f has more terms than those of carriers that slide or turn, each on a link of its own
         at = np.tile(task.settings.start, (len(nodes.t), 1))
         parked = CarrierMotion(at, 0.0 * at, 0.0 * at)
         exact = has_expressions(task.dynamics.along(task.source.sample_at(nodes.t[:1])))

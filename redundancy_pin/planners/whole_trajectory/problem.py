@@ -17,8 +17,9 @@ Where the motion crosses the singularity at a rate, (W; uᵀ Ẇ) has full rank,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -28,7 +29,7 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ExactAlo
 from redundancy_pin.errors import InfeasiblePlanError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion
-from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort
+from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort, turning_model
 from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
@@ -144,6 +145,10 @@ largest, from which the singularity is crossed. A touch leaves what rounding mak
 2-RPR it is 4."""
 
 
+Reader = Callable[[DynamicsAlongMotion], CarrierModel]
+"""Reads the coefficients off a backend along a platform motion."""
+
+
 @dataclass(frozen=True, eq=False)
 class Task:
     """A planning task: what does not depend on the nodes."""
@@ -204,21 +209,29 @@ class Problem:
         return {name: getattr(carriers, name) / getattr(self.scales, name) for name in ("s", "sd", "sdd")}
 
 
-def read_coefficients(task: Task, grid: Grid, around: CarrierMotion | None = None, *, exact: bool = False) -> Problem:
+def read_coefficients(
+    task: Task, grid: Grid, around: CarrierMotion | None = None, *, exact: bool = False, turning: bool = False
+) -> Problem:
     """Read the coefficients at all nodes off the backend.
 
     ``task``: robot, motion and settings; ``around``: for carriers on curved tracks, the motion at the nodes around
-    which f is fitted; ``exact``: take f as the backend's expressions have it, and sizes alone from the fit.
+    which f is fitted; ``exact``: take f as the backend's expressions have it, and sizes alone from the fit;
+    ``turning``: read f as that of carriers some of which turn.
     """
     settings, motion = task.settings, task.source.sample_at(grid.t)
     along = task.dynamics.along(motion)
-    model = carrier_model(along) if around is None else second_order_fit(along, around)
+    read: Reader = turning_model if turning else carrier_model
+    model = read(along) if around is None else second_order_fit(along, around)
+
+    def reader(i: int) -> Reader:
+        return read if around is None else partial(_first_order_fit, carriers=around[i : i + 1])
+
     singular = tuple(
         singular_node(
             task,
             int(i),
             float(grid.t[i]),
-            None if around is None else around[int(i) : int(i) + 1],
+            reader(int(i)),
             # of a jump, which has two nodes, the first one
             "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right",
             exact=exact,
@@ -250,20 +263,19 @@ def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration:
 
 
 def singular_node(
-    task: Task, index: int, t: float, around: CarrierMotion | None = None, side: Side = "right", *, exact: bool = False
+    task: Task, index: int, t: float, read: Reader = carrier_model, side: Side = "right", *, exact: bool = False
 ) -> SingularNode:
     """Read the derivatives of the model at a singular instant off the backend.
 
-    ``task``: robot, motion and settings; ``t``: the instant, s; ``around``: for carriers on curved tracks, the motion
-    (one sample) around which the model is fitted; ``side``: from which the derivatives are taken; "left" for the node
+    ``task``: robot, motion and settings; ``t``: the instant, s; ``read``: what reads the model off; ``side``: from which the derivatives are taken; "left" for the node
     before a jump of the reference acceleration; ``exact``: as in ``read_coefficients``.
     """
     dynamics, source, dt = task.dynamics, task.source, task.settings.mesh.dt
-    if around is None:
+    if read is carrier_model:
         model = TimedModel.of(dynamics, source, max(source.start, t - dt), min(source.end, t + dt))
         rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)
     else:
-        rate = _rate_of_fit(dynamics, source, t, around, side)
+        rate = _rate_of_model(dynamics, source, t, read, side)
     here = dynamics.along(source.sample_at(np.array([t])))
     reduced = here.reduce()
     u, values, v = np.linalg.svd(scaled(reduced.W, reduced.row_scale, reduced.column_scale)[0])
@@ -343,6 +355,10 @@ def second_order_fit(along: DynamicsAlongMotion, carriers: CarrierMotion) -> Car
 
 
 def _first_order_fit(along: DynamicsAlongMotion, carriers: CarrierMotion) -> CarrierModel:
+    """Fit f to first order around a motion of the carriers, or around one sample of it at all times."""
+    carriers = CarrierMotion(
+        *(np.resize(getattr(carriers, name), (len(along.motion), along.robot.k)) for name in ("s", "sd", "sdd"))
+    )
     reduced, slopes = along.reduce(carriers), along.carrier_derivatives(carriers)
     zero = np.zeros_like(slopes.f_s)
     f_terms = np.stack([slopes.f_s, zero, slopes.f_sd, zero, slopes.f_sdd], axis=-1)
@@ -362,13 +378,10 @@ DEGREE = 5
 """Of the polynomials in time whose derivatives they are."""
 
 
-def _rate_of_fit(
-    dynamics: Dynamics, source: ContinuousMotion, t: float, carriers: CarrierMotion, side: Side
-) -> CarrierModel:
-    """Return derivatives by time of the first-order coefficients, fitted around one sample of a motion throughout."""
+def _rate_of_model(dynamics: Dynamics, source: ContinuousMotion, t: float, read: Reader, side: Side) -> CarrierModel:
+    """Return derivatives by time of the coefficients that are read off at times around an instant."""
     edges, times = _beside(source, t, side)
-    fixed = CarrierMotion(*(np.repeat(part, len(times), axis=0) for part in (carriers.s, carriers.sd, carriers.sdd)))
-    model = _first_order_fit(dynamics.along(source.sample_at(times)), fixed)
+    model = read(dynamics.along(source.sample_at(times)))
 
     def rate(values: Array) -> Array:
         polynomial = PiecewisePolynomial.from_values(edges, values.reshape(1, len(times), -1))

@@ -15,6 +15,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.dynamics.base import ExactAlongMotion
+from redundancy_pin.planners.carrier_model import terms
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Quantities, casadi
 from redundancy_pin.planners.whole_trajectory.problem import Problem, SingularNode
 
@@ -165,12 +166,16 @@ class Transcription(Quantities):
     @cached_property
     def force(self) -> Any:
         """The forces of the carriers' actuators, which become variables once something needs them."""
-        model, terms = self._problem.model, _terms(self.s, self.sd, self.sdd)
+        model = self._problem.model
         force = self._variable("force", model.k, self.scales.force)
         if self._problem.exact is not None:
             self.equal(force - self._exact[1], np.zeros_like(model.force0), self.scales.force)
             return force
-        own = sum(model.force_terms[..., j] * terms[j] for j in range(model.force_terms.shape[2]))
+        own = sum(
+            model.force_terms[..., j] * term
+            for j, term in enumerate(terms(self.s, self.sd, self.sdd, model.force_terms.shape[2], casadi()))
+            if model.force_terms[..., j].any()
+        )
         self.equal(force - own, model.force0, self.scales.force)
         return force
 
@@ -372,16 +377,12 @@ def _loads(along: ExactAlongMotion | None, s: Any, sd: Any, sdd: Any) -> tuple[A
     return f.T, force.T
 
 
-def _terms(s: Any, sd: Any, sdd: Any) -> list[Any]:
-    """Return the terms of f, (M, k) each: those of a ``CarrierModel``, and two more that curved tracks need."""
-    return [s, s * s, sd, s * sd, sdd, sd * sd, s * sdd]
-
-
 def _polynomial(coefficients: Array, s: Any, sd: Any, sdd: Any) -> Any:
-    """Return (M, n) sums over carriers and terms, from (M, n, k, 5 or 7) coefficients."""
-    terms = _terms(s, sd, sdd)[: coefficients.shape[3]]
-    by_column = coefficients.swapaxes(2, 3).reshape(*coefficients.shape[:2], -1)
-    return _product(by_column, casadi().horzcat(*terms))
+    """Return (M, n) sums over carriers and terms, from (M, n, k, terms) coefficients."""
+    used = np.flatnonzero(coefficients.any(axis=(0, 1, 2)))
+    every = terms(s, sd, sdd, coefficients.shape[3], casadi())
+    by_column = coefficients[..., used].swapaxes(2, 3).reshape(*coefficients.shape[:2], -1)
+    return _product(by_column, casadi().horzcat(*(every[j] for j in used)))
 
 
 def _product(coefficients: Array, values: Any) -> Any:
