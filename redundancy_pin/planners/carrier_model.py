@@ -6,8 +6,8 @@ quadratic in (s, ṡ), affine in s̈, and carriers do not mix. The same holds fo
 depend on time alone, are read off a backend in a fixed number of evaluations, so they are exact for whatever backend it
 is; as functions of time they are interpolated to rounding, so that root finding and integration need no further call.
 
-A carrier that turns stands at r₀ + a cos s + b sin s, and its axes likewise: place and rates are products of at most two
-of these, so its share is a combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with ṡ, with ṡ² and with s̈.
+A carrier that turns stands at r₀ + a cos s + b sin s, and its axes likewise. Of these f has products of two at most: a
+combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with ṡ, with ṡ² and with s̈.
 """
 
 from __future__ import annotations
@@ -181,16 +181,17 @@ class CarrierModel:
 
     def f(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return f (N, n) for a carrier motion, each (N, k)."""
-        value: Array = self.f0 + np.einsum("nikj,nkj->ni", self.f_terms, self._terms(s, sd, sdd))
+        value: Array = self.f0 + np.einsum("nikj,nkj->ni", self.f_terms, self._terms(self.f_terms, s, sd, sdd))
         return value
 
     def carrier_force(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return the carrier forces (N, k) for a carrier motion, each (N, k)."""
-        value: Array = self.force0 + np.einsum("nkj,nkj->nk", self.force_terms, self._terms(s, sd, sdd))
+        value: Array = self.force0 + np.einsum("nkj,nkj->nk", self.force_terms, self._terms(self.force_terms, s, sd, sdd))
         return value
 
-    def _terms(self, *motion: Array) -> Array:
-        return np.stack(terms(*motion, self.f_terms.shape[3], np), axis=-1)
+    @staticmethod
+    def _terms(coefficients: Array, s: Array, sd: Array, sdd: Array) -> Array:
+        return np.stack(terms(s, sd, sdd, coefficients.shape[-1], np), axis=-1)
 
 
 def terms(s: Any, sd: Any, sdd: Any, count: int, library: Any) -> list[Any]:
@@ -279,7 +280,7 @@ def turning_model(along: DynamicsAlongMotion) -> CarrierModel:
     )
     # derivatives of the terms themselves by s, ṡ and s̈: complex steps, which are exact
     steps = (at + 1e-20j * unit[:, None] for unit in np.eye(3))
-    slopes = np.concatenate([np.imag(terms(*step, count, np)).T / 1e-20 for step in steps])
+    slopes = np.concatenate([np.imag(terms(s, sd, sdd, count, np)).T / 1e-20 for s, sd, sdd in steps])
     f_terms, force_terms = np.zeros((samples, robot.n, robot.k, count)), np.zeros((samples, robot.k, count))
     for i, turning in enumerate(turning_velocities(robot)[robot.carrier_velocity]):
         places = _TURNING if turning else _SLIDING

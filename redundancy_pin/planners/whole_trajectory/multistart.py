@@ -1,8 +1,9 @@
 """The problem solved from several first guesses; what is known about the best optimum, or why there is none.
 
-For carriers on curved tracks f is no polynomial of their motion, so it is fitted anew around each solution. Around a
-course s̄(t) the backend gives f and its exact derivatives by s, ṡ and s̈; differences of those give the second ones. That
-is a polynomial like that of straight tracks with two more terms, and everything else works on it as it does for those.
+Where carriers carry one another, say, f is no sum of known terms (``carrier_model``). Unless it is an expression it is
+fitted anew around each solution. Around a course s̄(t) the backend gives f and its exact derivatives by s, ṡ and s̈;
+differences of those give the second ones. That is a polynomial like that of straight tracks with two more terms, and
+everything else works on it as it does for those.
 The programme is solved, its course is the next to fit around, and so on until the true f balances W τ; near the end the
 error squares from fit to fit. Where a step makes the balance worse, the new course is taken only in part: the other
 conditions on a course are linear, so that what lies between two that keep them does as well.
@@ -42,8 +43,8 @@ SAME_MOTION = 0.01
 class Outcome:
     """What one first guess led to.
 
-    ``problem``: the numbers that were solved with; ``solution``: the solution; ``fits``: how often f was fitted, for
-    carriers on curved tracks.
+    ``problem``: the numbers that were solved with; ``solution``: the solution; ``fits``: how often f was fitted,
+    if it was.
     """
 
     problem: Problem

@@ -88,7 +88,8 @@ def plan_whole_trajectory(
     Track and speed limits hold between the nodes as well, by their Bézier hulls where they are met. For carriers on
     straight tracks f is quadratic in (s, ṡ) and affine in s̈ with coefficients that depend on time alone
     (``carrier_model``): they are read off the backend in a fixed number of calls, and the solver (IPOPT) works on them.
-    For carriers on curved tracks f is fitted around each course in turn (``whole_trajectory.multistart``).
+    Carriers that turn add waves of their angles. Where f has yet other terms, as with carriers on carriers, it is the
+    backend's own expression (``CompiledDynamics``) or fitted around each course in turn (``multistart``).
 
     The plan is then judged by the backend on a grid 20 times finer than the nodes, right beside the singularities
     included. Where efforts between the nodes exceed the peak at the nodes, or efforts or carrier forces their limits,

@@ -3,11 +3,12 @@
 Nodes lie exactly on jumps, kinks and singular instants, denser beside the latter. At each of them W, f and the carrier
 forces are known by coefficients.
 
-On straight tracks f is exactly a sum over the carriers of s, s², ṡ, s ṡ and s̈ (``carrier_model``); on curved ones it is
-fitted to second order around a motion, which adds ṡ² and s s̈. The actuation matrix loses rank at a type II singularity,
-and the efforts there need the rates of these coefficients as well. At a singular instant there are directions u with
-uᵀ W = 0. Then W τ = f requires uᵀ f = 0, whatever τ is (compatibility), and leaves the part of τ in the null space of W
-open. Differentiating W τ = f in time and projecting on u determines it, since uᵀ W τ̇ = 0:
+f is exactly a sum of terms over carriers that slide or turn, each on a link of its own (``carrier_model``); with others
+it is an expression, or fitted to second order around a motion in s, s², ṡ, s ṡ, s̈, ṡ² and s s̈. The actuation matrix
+loses rank at a type II singularity, and the efforts there need the rates of these coefficients as well. At a singular
+instant there are directions u with uᵀ W = 0. Then W τ = f requires uᵀ f = 0, whatever τ is (compatibility), and leaves
+the part of τ in the null space of W open. Differentiating W τ = f in time and projecting on u determines it, since
+uᵀ W τ̇ = 0:
 
     uᵀ Ẇ τ = uᵀ ḟ,    ḟ = ∂f/∂t + ∂f/∂s ṡ + ∂f/∂ṡ s̈ + ∂f/∂s̈ s⃛.
 
@@ -177,10 +178,10 @@ class SingularNode:
 class Problem:
     """The numbers of the programme; M nodes, n coordinates, m main actuators, k carriers.
 
-    ``grid``: the nodes; ``model``: coefficients of W, f and the carrier forces at the nodes; on curved tracks
+    ``grid``: the nodes; ``model``: coefficients of W, f and the carrier forces at the nodes; fitted,
     ``f_terms`` has two more terms, ṡ² and s s̈, in the end; ``singular``: the nodes on type II singularities;
     ``actuated_rate`` (M, m) rates of the main actuators; ``target`` (M, m) efforts that the objective "tracking" aims
-    at; ``settings``: limits, ends and objective; ``scales``: sizes; ``exact``: for carriers on curved tracks, dynamics
+    at; ``settings``: limits, ends and objective; ``scales``: sizes; ``exact``: where f has other terms, dynamics
     whose expressions for f and the carrier forces stand in place of the polynomials of ``model``.
     """
 
@@ -214,7 +215,7 @@ def read_coefficients(
 ) -> Problem:
     """Read the coefficients at all nodes off the backend.
 
-    ``task``: robot, motion and settings; ``around``: for carriers on curved tracks, the motion at the nodes around
+    ``task``: robot, motion and settings; ``around``: where f has other terms, the motion at the nodes around
     which f is fitted; ``exact``: take f as the backend's expressions have it, and sizes alone from the fit;
     ``turning``: read f as that of carriers some of which turn.
     """
@@ -267,8 +268,9 @@ def singular_node(
 ) -> SingularNode:
     """Read the derivatives of the model at a singular instant off the backend.
 
-    ``task``: robot, motion and settings; ``t``: the instant, s; ``read``: what reads the model off; ``side``: from which the derivatives are taken; "left" for the node
-    before a jump of the reference acceleration; ``exact``: as in ``read_coefficients``.
+    ``task``: robot, motion and settings; ``t``: the instant, s; ``read``: what reads the model off; ``side``: from
+    which the derivatives are taken; "left" for the node before a jump of the reference acceleration; ``exact``: as in
+    ``read_coefficients``.
     """
     dynamics, source, dt = task.dynamics, task.source, task.settings.mesh.dt
     if read is carrier_model:

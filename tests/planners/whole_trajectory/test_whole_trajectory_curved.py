@@ -1,5 +1,10 @@
-"""Carriers on curved tracks: the 2-RPR with a mass on a turning arm on each leg, and what its plan must satisfy."""
+"""Carriers on curved tracks: the 2-RPR with a mass on a turning arm on each leg, and what its plan must satisfy.
 
+f is known by its terms there. For carriers that carry others it is not, and the planner takes the backend's expressions
+or fits f: both are tried on the same robot, without the terms.
+"""
+
+import contextlib
 import functools
 from pathlib import Path
 
@@ -11,7 +16,10 @@ import yaml
 
 import redundancy_pin.planners.whole_trajectory.multistart as curved
 import redundancy_pin.planners.whole_trajectory.planner as planner
+import redundancy_pin.planners.whole_trajectory.problem as problem
+import redundancy_pin.planners.whole_trajectory.transcription as transcription
 from redundancy_pin import (
+    CarrierMotion,
     CompiledDynamics,
     RneaDynamics,
     VirtualWork,
@@ -19,7 +27,8 @@ from redundancy_pin import (
     load_robot,
     plan_whole_trajectory,
 )
-from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
+from redundancy_pin.planners.carrier_model import turning_model
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory.multistart import BALANCED
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
@@ -36,11 +45,15 @@ SAME = 1e-3
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
     """The shipped 2-RPR, its carrier joints made revolute and the masses put on arms."""
+    return load_robot(declared(tmp_path_factory.mktemp("arms"), "revolute", '"0 0 ${side}"'), **MASSES)
+
+
+def declared(folder, joint, axis):
     shipped = Path(__file__).parents[3] / "models" / "2rpr"
     urdf = (shipped / "2rpr.urdf.xacro").read_text()
     for old, new in (
-        ('<joint name="carrier_${i}" type="prismatic">', '<joint name="carrier_${i}" type="revolute">'),
-        ('<axis xyz="0 ${side} 0"/>', '<axis xyz="0 0 ${side}"/>'),
+        ('<joint name="carrier_${i}" type="prismatic">', f'<joint name="carrier_${{i}}" type="{joint}">'),
+        ('<axis xyz="0 ${side} 0"/>', f"<axis xyz={axis}/>"),
         (
             '<limit lower="${-track_half_length}" upper="${track_half_length}" velocity="2.5" effort="1000"/>',
             f'<limit lower="-{REACH}" upper="{REACH}" velocity="{LIMITS["speed"]}" effort="1000"/>',
@@ -52,7 +65,6 @@ def robot(tmp_path_factory):
     ):
         assert urdf.count(old) == 1, old
         urdf = urdf.replace(old, new)
-    folder = tmp_path_factory.mktemp("arms")
     (folder / "arms.urdf.xacro").write_text(urdf)
     declaration = yaml.safe_load((shipped / "robot.yaml").read_text())
     declaration.pop("closed_form")
@@ -60,11 +72,60 @@ def robot(tmp_path_factory):
     for carrier in declaration["carriers"]:
         carrier["acceleration"] = LIMITS["acceleration"]
     (folder / "robot.yaml").write_text(yaml.safe_dump(declaration))
-    return load_robot(folder / "robot.yaml", **MASSES)
+    return folder / "robot.yaml"
+
+
+@contextlib.contextmanager
+def unknown_terms():
+    """Take the terms of turning carriers from the planner."""
+
+    def unknown(along):
+        raise UnsupportedRobotError("f has other terms.", deviation=1.0)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(problem, "turning_model", unknown)
+        yield
 
 
 def plan_of(robot, name, objective, **settings):
-    return plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.03, **settings)
+    """Plan by fits."""
+    with unknown_terms():
+        return plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.03, **settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "objective"),
+    [("line", "peak"), *(pytest.param("circle", what, marks=pytest.mark.long) for what in ("effort", "peak"))],
+)
+def test_turning_carriers_are_planned_in_one_solution_by_any_backend(robot, name, objective, monkeypatch):
+    monkeypatch.setattr(planner, "fit_and_solve", never)
+    monkeypatch.setattr(transcription, "_loads", never)
+    plan = plan_whole_trajectory(RneaDynamics(robot), TRAJECTORIES[name], objective=objective, dt=0.03, refinements=0)
+    require_balanced(robot, plan)
+    assert plan.diagnostics["fits"] == []
+    machine = symbolic_mechanisms.two_rpr(arm=ARM, **MASSES)
+    theirs, _ = symbolic_plans.solve(machine, TRAJECTORIES[name], plan, objective, LIMITS)
+    np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)
+
+
+def test_terms_of_carriers_that_slide_and_turn_are_exact(tmp_path):
+    """One of each, with gravity, far from the motions that the terms are read from."""
+    mixed = declared(tmp_path, "${'revolute' if i == 1 else 'prismatic'}", '"0 ${side*(i-1)} ${side*(2-i)}"')
+    mixed.write_text(yaml.safe_dump(yaml.safe_load(mixed.read_text()) | {"gravity": [1.0, -9.0, 0.5]}))
+    robot = load_robot(mixed, **MASSES)
+    rng = np.random.default_rng(1)
+    motion = TRAJECTORIES["circle"].sample(0.2)
+    s, sd, sdd = rng.normal(size=(3, len(motion), 2)) * np.array([3.0, 10.0, 100.0])[:, None, None]
+    for dynamics in (RneaDynamics(robot), CompiledDynamics(robot, interpret=True)):
+        along = dynamics.along(motion)
+        model, true = turning_model(along), along.reduce(CarrierMotion(s, sd, sdd))
+        np.testing.assert_allclose(model.f(s, sd, sdd), true.f, atol=1e-11 * np.abs(true.f).max())
+        force = np.abs(true.carrier_force).max()
+        np.testing.assert_allclose(model.carrier_force(s, sd, sdd), true.carrier_force, atol=1e-11 * force)
+
+
+def never(*arguments, **settings):
+    raise AssertionError("f was fitted, or taken as an expression, where its terms are known")
 
 
 @pytest.fixture(scope="module")
@@ -155,11 +216,15 @@ def _integrated(t, sdd):
 def exact(robot):
     """Plans of a backend that has f as an expression, each made once."""
     dynamics = CompiledDynamics(robot, interpret=True)  # to plan takes less time than to compile
-    return functools.cache(
-        lambda name, objective, **settings: plan_whole_trajectory(
-            dynamics, TRAJECTORIES[name], objective=objective, dt=0.03, refinements=0, **settings
-        )
-    )
+
+    @functools.cache
+    def plan(name, objective, **settings):
+        with unknown_terms():
+            return plan_whole_trajectory(
+                dynamics, TRAJECTORIES[name], objective=objective, dt=0.03, refinements=0, **settings
+            )
+
+    return plan
 
 
 def require_balanced(robot, plan):
@@ -171,12 +236,9 @@ def require_balanced(robot, plan):
 
 @pytest.mark.parametrize(
     ("name", "objective"),
-    [("line", "peak"), ("circle", "effort"), pytest.param("circle", "peak", marks=pytest.mark.long)],
+    [("line", "peak"), *(pytest.param("circle", what, marks=pytest.mark.long) for what in ("effort", "peak"))],
 )
 def test_with_expressions_one_solution_finds_the_optimum_of_the_full_model(robot, exact, name, objective, monkeypatch):
-    def never(*arguments, **settings):
-        raise AssertionError("f was fitted where it is an expression")
-
     monkeypatch.setattr(planner, "fit_and_solve", never)
     plan = exact(name, objective)
     require_balanced(robot, plan)
@@ -188,6 +250,7 @@ def test_with_expressions_one_solution_finds_the_optimum_of_the_full_model(robot
     np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)
 
 
+@pytest.mark.long
 def test_forces_of_carriers_on_curved_tracks_are_limited_and_minimised_by_their_expressions(robot, exact):
     free = exact("line", "effort")
     largest = np.abs(RneaDynamics(robot).reduce(free.motion, free.carriers).carrier_force).max()
@@ -236,9 +299,6 @@ def test_a_plan_that_did_not_settle_says_so(robot, monkeypatch, name, status):
 
 
 def test_straight_tracks_are_not_fitted(monkeypatch):
-    def never(*arguments, **settings):
-        raise AssertionError("carriers on straight tracks were fitted")
-
     monkeypatch.setattr(planner, "fit_and_solve", never)
     dynamics = VirtualWork(load_robot("2rpr"))
     assert plan_whole_trajectory(dynamics, reference.circle(), dt=0.05, refinements=0).diagnostics["optimal"]
