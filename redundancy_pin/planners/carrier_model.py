@@ -181,17 +181,18 @@ class CarrierModel:
 
     def f(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return f (N, n) for a carrier motion, each (N, k)."""
-        value: Array = self.f0 + np.einsum("nikj,nkj->ni", self.f_terms, self._terms(self.f_terms, s, sd, sdd))
-        return value
+        return self._sum("nikj,nkj->ni", self.f0, self.f_terms, s, sd, sdd)
 
     def carrier_force(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return the carrier forces (N, k) for a carrier motion, each (N, k)."""
-        value: Array = self.force0 + np.einsum("nkj,nkj->nk", self.force_terms, self._terms(self.force_terms, s, sd, sdd))
-        return value
+        return self._sum("nkj,nkj->nk", self.force0, self.force_terms, s, sd, sdd)
 
     @staticmethod
-    def _terms(coefficients: Array, s: Array, sd: Array, sdd: Array) -> Array:
-        return np.stack(terms(s, sd, sdd, coefficients.shape[-1], np), axis=-1)
+    def _sum(over: str, first: Array, coefficients: Array, *motion: Array) -> Array:
+        s, sd, sdd = motion
+        by_term = np.stack(terms(s, sd, sdd, coefficients.shape[-1], np), axis=-1)
+        value: Array = first + np.einsum(over, coefficients, by_term)
+        return value
 
 
 def terms(s: Any, sd: Any, sdd: Any, count: int, library: Any) -> list[Any]:
