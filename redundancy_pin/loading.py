@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -36,7 +36,7 @@ from redundancy_pin.robot.from_model import declared
 from redundancy_pin.robot.loads import JointForces, Load
 from redundancy_pin.robot.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
-from redundancy_pin.robot.urdf import Argument, declaration_path, known_values, render, source_of
+from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, render, source_of
 
 _LOG = logging.getLogger(__name__)
 
@@ -100,9 +100,40 @@ def load_with(
     path = declaration_path(source)
     if is_model_file(path):
         return _load_model(path, {}, gravity, working_mode, arguments)
+    if trust or not is_shipped(path):
+        return _declared(path, arguments, gravity, working_mode, trust)
+    robot = _shipped(
+        _Request(path, repr((sorted(arguments.items()), gravity, working_mode)), arguments, gravity, working_mode)
+    )
+    return replace(robot, model=robot.model.copy())  # of what is shared, all that can be changed
+
+
+def _declared(
+    path: Path,
+    arguments: Mapping[str, object],
+    gravity: Sequence[float] | None,
+    working_mode: Sequence[int] | None,
+    trust: bool,
+) -> Robot:
     file = read_declaration(path)
     with file.naming():
         return _load(path, file.data, gravity, working_mode, arguments, trust)
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What is asked of a shipped robot; compared as it is written, for 1, 1.0 and True are three arguments of xacro."""
+
+    path: Path
+    written: str
+    arguments: Mapping[str, object] = field(compare=False)
+    gravity: Sequence[float] | None = field(compare=False)
+    working_mode: Sequence[int] | None = field(compare=False)
+
+
+@lru_cache(maxsize=64)  # their files do not change, and sweeps, commands and tests load the same ones time and again
+def _shipped(request: _Request) -> Robot:
+    return _declared(request.path, request.arguments, request.gravity, request.working_mode, trust=False)
 
 
 def robot_with(

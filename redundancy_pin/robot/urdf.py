@@ -165,8 +165,12 @@ def declaration_path(source: str | Path) -> Path:
 def source_of(path: Path) -> str:
     """Return what finds a declaration again from any folder: the name of a shipped robot, or an absolute path."""
     absolute = path.resolve()
-    shipped = absolute.name == "robot.yaml" and absolute.parent.parent == models_root().resolve()
-    return absolute.parent.name if shipped else str(absolute)
+    return absolute.parent.name if absolute.name == "robot.yaml" and is_shipped(path) else str(absolute)
+
+
+def is_shipped(path: Path) -> bool:
+    """Return whether a file is one of a shipped robot, which does not change while a process runs."""
+    return path.resolve().parent.parent == models_root().resolve()
 
 
 def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) -> tuple[str, dict[str, Argument]]:
@@ -190,8 +194,9 @@ def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) 
         texts = {
             name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in arguments.items()
         }
-        shipped = not trust and path.resolve().parent.parent == models_root().resolve()
-        urdf, resolved = (_expanded if shipped else _expanded.__wrapped__)(path, tuple(texts.items()), trust)
+        urdf, resolved = (_expanded if is_shipped(path) and not trust else _expanded.__wrapped__)(
+            path, tuple(texts.items()), trust
+        )
         parameters = {name: from_text(value) for name, value in resolved}
     else:
         urdf, parameters = read_model(path), {}

@@ -60,7 +60,7 @@ def saved(plan: Plan, tmp_path: Path) -> Path:
 # ---------------------------------------------------------------------------------------------- nothing is lost
 
 
-@EXAMPLES
+@examples(5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(plan=plans())
 def test_a_plan_comes_back_bit_by_bit(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.npz"

@@ -5,10 +5,9 @@ import sys
 import numpy as np
 import pytest
 import zoo
-from scipy.signal import find_peaks
 
 import redundancy_pin.planners.whole_trajectory.solver as solver
-from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, load_plan, plan_whole_trajectory
+from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InfeasiblePlanError, InputError, RedundancyPinError, UnsupportedRobotError
 from redundancy_pin.planners.plan import PlanStatus
@@ -70,6 +69,7 @@ def require_sound(dynamics, trajectory, plan):
 
 
 # the bounds are those that issue 4 asks for, where it states any
+@pytest.mark.long_for("effort-0.75-arguments2-0.5")
 @pytest.mark.parametrize(
     ("objective", "speed", "arguments", "most"),
     [
@@ -87,6 +87,7 @@ def test_circle(objective, speed, arguments, most):
     assert plan.peak_effort.max() <= most
 
 
+@pytest.mark.long_for("0.025-2.27")
 @pytest.mark.parametrize(("radius", "most"), [(0.025, 2.27), (0.013, 7.2)])
 def test_corner(radius, most):
     dynamics, trajectory = VirtualWork(zoo.robot_of("3rrr")), reference.corner(radius)
@@ -96,6 +97,7 @@ def test_corner(radius, most):
     assert plan.peak_effort.max() <= most
 
 
+@pytest.mark.long_for("effort")
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_five_bar_crosses_a_singularity(objective):
     dynamics, trajectory = RneaDynamics(zoo.robot_of("five_bar")), five_bar_crossing()
@@ -104,6 +106,7 @@ def test_five_bar_crosses_a_singularity(objective):
     assert len(plan.diagnostics["singular_instants"]) == 1
 
 
+@pytest.mark.long_for("five_bar")
 @pytest.mark.parametrize("case", ["circle", "five_bar"])
 def test_efforts_at_singular_instants_are_the_limits_from_both_sides(case):
     dynamics = two_rpr(end_effector_mass=0.5, cylinder_mass=0.3) if case == "circle" else None
@@ -127,6 +130,7 @@ def test_efforts_at_singular_instants_are_the_limits_from_both_sides(case):
             np.testing.assert_allclose(beside, plan.tau[i], atol=1e-3 * max(1.0, np.abs(plan.tau).max()))
 
 
+@pytest.mark.long_for("circle-effort")
 @pytest.mark.parametrize(
     ("case", "objective"),
     [("circle", "effort"), ("corner", "peak"), pytest.param("heavy", "peak", marks=pytest.mark.long)],
@@ -217,6 +221,8 @@ def test_weights_trade_one_objective_for_another():
 
 def reversals(tau):
     """How often each effort turns round and moves back by more than a twentieth of the peak."""
+    from scipy.signal import find_peaks  # half a second to import
+
     least = 0.05 * np.abs(tau).max()
     return np.array([sum(len(find_peaks(sign * series, prominence=least)[0]) for sign in (1, -1)) for series in tau.T])
 
@@ -333,15 +339,6 @@ def test_a_plan_that_is_not_optimal_says_so(monkeypatch):
     plan = plan_whole_trajectory(two_rpr(), circle(), dt=0.03)
     assert plan.status is PlanStatus.STOPPED_EARLY
     assert not plan.diagnostics["optimal"]
-
-
-def test_save_and_load(tmp_path):
-    plan = plan_whole_trajectory(two_rpr(), circle(), dt=0.03)
-    plan.save(tmp_path / "plan.npz")
-    again = load_plan(tmp_path / "plan.npz")
-    np.testing.assert_array_equal(again.tau, plan.tau)
-    assert again.status is plan.status
-    assert again.planner == "whole_trajectory"
 
 
 def test_sampled_motion_gives_the_plan_of_its_trajectory():
