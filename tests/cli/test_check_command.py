@@ -26,6 +26,7 @@ def plans() -> dict[int, Plan]:
     }
 
 
+@pytest.mark.long_for("3")
 @pytest.mark.parametrize("code", [0, 3, 4])
 def test_a_plan_that_is_what_it_says_has_the_code_it_was_planned_with(code: int, plans, tmp_path: Path) -> None:
     path = tmp_path / "plan.npz"

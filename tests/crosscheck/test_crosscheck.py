@@ -24,7 +24,7 @@ def failed(report):
 
 @pytest.fixture(scope="module")
 def report():
-    return crosscheck.run(samples=80 * FACTOR, seed=3)
+    return crosscheck.run(samples=25 * FACTOR, seed=3)
 
 
 @pytest.mark.property
@@ -96,6 +96,7 @@ LOADS = {
 }
 
 
+@pytest.mark.long_for("local wrench-gough", "spring-five_bar")
 @pytest.mark.parametrize(
     ("load", "robot"), [*((load, "five_bar") for load in LOADS), ("rotor", "gough"), ("local wrench", "gough")]
 )
@@ -160,7 +161,7 @@ def test_a_fault_in_one_backend_is_found(monkeypatch, name):
     fault, expected = FAULTS[name]
     along = virtual_work.VirtualWork.along
     monkeypatch.setattr(virtual_work.VirtualWork, "along", lambda self, *a, **k: Tampered(along(self, *a, **k), fault))
-    report = crosscheck.run(["2rpr"], samples=60, seed=1)
+    report = crosscheck.run(["2rpr"], samples=25, seed=1)
     assert not report.passed
     assert expected <= failed(report)
     assert not any("rnea" in check for check in failed(report))
@@ -215,7 +216,7 @@ def test_pose_motion_of_the_gough_platform_is_consistent():
 
 
 def test_cases_vary_parameters_modes_and_gravity():
-    cases = [random_case("3rrr", 3, seed, index) for seed in range(2) for index in range(4)]
+    cases = [random_case("3rrr", 3, seed, index) for seed in range(2) for index in range(2)]
     assert len({case.robot.working_mode for case in cases}) > 1
     assert len({case.robot.parameters["distal_length"] for case in cases}) == len(cases)
     assert all(np.linalg.norm(case.robot.gravity) > 0 for case in cases)

@@ -98,7 +98,7 @@ def assert_same_dynamics(compiled: CompiledDynamics, motion: PlatformMotion, car
 # --- the same as RNEA on the tree, written by others ----------------------------------------------------------------
 
 
-@pytest.mark.long_for("gough")
+@pytest.mark.long_for("gough", "hinge", "five_bar")
 @pytest.mark.parametrize("name", [*MASSIVE, *spatial_chains.CHAINS])
 def test_every_robot_moves_as_with_rnea(name: str) -> None:
     robot = robot_of(name)
@@ -109,7 +109,7 @@ def test_every_robot_moves_as_with_rnea(name: str) -> None:
         assert_same_dynamics(compiled, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
 
 
-@examples(8)
+@examples(3)
 @given(mode=st.tuples(*[st.sampled_from((1, -1))] * 3), seed=st.integers(0, 2**16))
 def test_random_machines_and_modes(mode: tuple[int, int, int], seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -220,7 +220,7 @@ def test_every_type_of_joint_is_pinocchios() -> None:
 # --- Lagrange's equations, for point masses -------------------------------------------------------------------------
 
 
-@pytest.mark.long_for("0-3rrr")
+@pytest.mark.long_for("0-3rrr", "0-2rpr", "2-2rpr", "2-3rrr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 @pytest.mark.parametrize("seed", range(3))
 def test_efforts_obey_lagrange(name: str, seed: int) -> None:
@@ -261,6 +261,7 @@ def test_the_layout_of_a_motion_in_memory_does_not_matter() -> None:
 # --- one sample -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long_for("gough")
 @pytest.mark.parametrize("name", ["3rrr", "gough", "four_bar"])
 def test_one_sample_is_a_row_of_many(name: str) -> None:
     robot = robot_of(name)

@@ -201,6 +201,7 @@ def test_a_plan_whose_robot_is_gone_has_no_reference() -> None:
     assert plan_reference(lost, robot=zoo.robot_of("3rrr")).effort_deviation < 1e-3
 
 
+@pytest.mark.long_for("off_plan", "stepwise_plan")
 @pytest.mark.parametrize("plan", [stepwise_plan, whole_plan, off_plan])
 def test_a_plan_from_a_file_is_the_same_motion(plan, tmp_path) -> None:
     plan = plan()

@@ -69,7 +69,7 @@ def require_as_good_between(seed):
     assert plan.diagnostics["dense_check"]["passed"]
 
 
-@pytest.mark.long_for("3")
+@pytest.mark.long_for("3", "0", "2")
 @pytest.mark.parametrize("seed", range(4))
 def test_random_plans_are_as_good_between_the_nodes(seed):
     require_as_good_between(seed)

@@ -32,6 +32,7 @@ def efforts_at(dynamics, trajectory, plan, times):
     return distribute(dynamics.reduce(trajectory.sample_at(times), carriers, check_track=False)).tau
 
 
+@pytest.mark.long_for("speed", "datum")
 @pytest.mark.parametrize(
     ("settings", "near"),
     [

@@ -39,6 +39,7 @@ def compare(dynamics, machine, trajectory, objective, limits, dt, **settings):
 long = pytest.mark.long
 
 
+@pytest.mark.long_for("peak-with masses")
 @pytest.mark.parametrize(
     ("objective", "masses"),
     [
@@ -154,7 +155,7 @@ def random_case(seed, steps):
     pytest.fail("infeasible however wide the limits")
 
 
-@pytest.mark.long_for("1")
+@pytest.mark.long_for("1", "2")
 @pytest.mark.parametrize("seed", [pytest.param(seed, marks=() if seed in (1, 2, 3) else long) for seed in range(9)])
 def test_random_machines(seed):
     random_case(seed, 20)

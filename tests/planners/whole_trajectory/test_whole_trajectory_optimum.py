@@ -30,6 +30,7 @@ def test_circle_through_both_singularities(objective):
     np.testing.assert_allclose(objective_of(plan, objective), theirs, rtol=SAME)
 
 
+@pytest.mark.long_for("1", "3")
 @pytest.mark.parametrize("seed", range(4))
 def test_random_lines_with_random_limits(seed):
     rng = np.random.default_rng(seed)
@@ -57,6 +58,7 @@ def test_random_lines_with_random_limits(seed):
     np.testing.assert_allclose(objective_of(plan, objective), theirs, rtol=SAME)
 
 
+@pytest.mark.long_for("peak")
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_corner_against_a_solver_that_asks_the_backend(objective):
     dynamics = RneaDynamics(zoo.robot_of("3rrr"))

@@ -57,6 +57,7 @@ def test_following_a_singularity_is_a_clear_error():
         plan_of(straight((0.1, 0.0), (0.4, 0.0)))
 
 
+@pytest.mark.long_for("0.0001")
 @pytest.mark.parametrize("depth", [1e-7, pytest.param(1e-6, marks=pytest.mark.long), 1e-4])
 def test_two_crossings_in_a_moment_are_both_on_nodes(depth):
     """The circle dips under the line by ``depth`` between two crossings at x = X ± √(2 R depth)."""

@@ -98,6 +98,7 @@ COARSE = {"dt": 0.04, "refinements": 0}
 """Steps so long that plans overshoot their limits between the nodes unless that is prevented."""
 
 
+@pytest.mark.long_for("speed-0.55-stopped early")
 @pytest.mark.parametrize("tolerance", [1e-9, 1e-40], ids=["optimal", "stopped early"])
 @pytest.mark.parametrize(("quantity", "limit"), [("speed", 0.55), ("track", 0.05)])
 def test_limits_hold_between_the_nodes_where_they_are_met(quantity, limit, tolerance, monkeypatch):
@@ -172,6 +173,7 @@ def test_long_plans_are_the_same_from_both_backends():
     np.testing.assert_allclose(ours.carriers.sdd, theirs.carriers.sdd, atol=BOTH_BACKENDS * size)
 
 
+@pytest.mark.long_for("peak")
 @pytest.mark.parametrize("objective", ["effort", "peak"])
 def test_where_the_first_strategy_gives_up_the_next_finds_the_same_optimum(monkeypatch, objective):
     dynamics, trajectory = VirtualWork(zoo.robot_of("2rpr")), reference.circle()
