@@ -279,7 +279,7 @@ def _cassie():
     return place / "share/example-robot-data/robots/cassie_description/robots"
 
 
-@pytest.mark.long_for("reduced-11", "simple-11", "v2-12")
+@pytest.mark.long_for("_reduced-11", "_simple-11", "_v2-12")
 @pytest.mark.skipif(not _cassie().is_dir(), reason="example-robot-data is not installed")
 @pytest.mark.parametrize(
     ("name", "freedoms"),
