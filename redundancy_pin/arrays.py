@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
@@ -220,6 +220,45 @@ def positive(value: float, name: str, unit: str) -> float:
             f"{name} is {f'{number:g} {unit}'.rstrip()}, expected a positive number.", name=name, value=number
         )
     return number
+
+
+def each(
+    values: ArrayLike, name: str, shape: tuple[int, ...], *, above_zero: bool = False, finite: bool = False
+) -> Array:
+    """Return numbers of a shape, given as such or as one for all.
+
+    Args:
+        values: one number, or as many as the shape has.
+        name: what to call them in an error.
+        shape: (k,) of numbers for each of k carriers or actuators, (k, 2) of two ends for each.
+        above_zero: whether they have to be positive.
+        finite: whether they have to be finite.
+
+    Raises:
+        InputError: no numbers, another number of them, NaN, or one that is not positive or not finite.
+    """
+    text = shown(values.tolist() if isinstance(values, np.ndarray) else values)  # as a user typed it
+    wanted = f"two ends, or two for each of {shape[0]}" if len(shape) == 2 else f"one number or {shape[0]}"
+    try:
+        numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is {text}, expected {wanted}.", name=name, value=values) from error
+    if np.isnan(numbers).any() or (above_zero and (numbers <= 0.0).any()) or (finite and np.isinf(numbers).any()):
+        kind = " and ".join(word for word, wish in (("positive", above_zero), ("finite", finite)) if wish)
+        remedy = "" if finite else "Pass inf where there is no limit."
+        raise InputError(f"{name} is {text}, expected {wanted}, {kind or 'not NaN'}.", remedy=remedy, name=name)
+    return numbers
+
+
+def one_of(value: object, name: str, allowed: Iterable[object]) -> None:
+    """Check that an option is one of its choices.
+
+    Raises:
+        InputError: it is none of them.
+    """
+    if not any(type(value) is type(choice) and value == choice for choice in allowed):
+        choices = ", ".join(map(str, allowed))
+        raise InputError(f"{name} is {shown(value)}.", remedy=f"Use one of {choices}.", name=name, value=value)
 
 
 def inside(values: ArrayLike, lower: float, upper: float, name: str, unit: str) -> Array:

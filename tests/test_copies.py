@@ -22,7 +22,6 @@ from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry
 from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.switch_off.carrier_equation import RampDown
 from redundancy_pin.planners.switch_off.crossing import LostDirection
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
@@ -88,12 +87,12 @@ def objects() -> dict[str, Any]:
         "limits": Limits(),
         "resolved": Limits().resolved(robot),
         "spline": rp.trajectory.SplinePath(np.array([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]])),
+        "polynomial": rp.trajectory.rest_to_rest_345(0.0, 1.0, three, 0.0 * three),
         "poses": rp.trajectory.PoseTrajectory(poses[0], poses[1], rp.trajectory.RestToRest(0.1, 1.0)),
         "sampled poses": continuous_motion(rp.trajectory.reference.pose(poses[0], poses[1]).sample(0.1)),
         "timed spline": rp.trajectory.from_points([[0.0, 0.0], [0.1, 0.2], [0.3, 0.1]], [0.0, 1.0, 2.0]),
         "pose spline": rp.trajectory.from_points(poses, speed=[0.0, 0.1]),
         "table": rp.plan_stepwise(dynamics, trajectory.sample(dt=0.1), lam=0.0).table(robot=robot),
-        "ramp down": RampDown(rp.trajectory.rest_to_rest_345(0.0, 1.0, three, 0.0 * three), np.zeros(3)),
         "lost direction": LostDirection(0.0, three, 0.0, 0.0, False),
         "carrier state": CarrierState(0.0, *np.zeros((3, 3))),
         "crossing plan": rp.plan_switch_off(rp.VirtualWork(small), circle, threshold=5.0),

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -254,48 +253,22 @@ def mode_indicator(robot: Robot, q: Array) -> Array:
         robot: the robot; without declared modes the result has no columns.
         q: (N, nq) configurations.
     """
-    return _indicator(robot)(q)
+    columns, sines, signs = mode_indicators(robot)
+    value = q.take(columns, 1)
+    signed: Array = signs * np.where(sines, np.sin(value), value)
+    return signed
 
 
-class Indicator(NamedTuple):
-    """What tells the mode of one leg: a number of q, or its sine, times a sign."""
-
-    column: int
-    sine: bool
-    sign: float
-
-
-def mode_indicators(robot: Robot) -> list[Indicator]:
-    """Return the indicators of a robot's legs; none where it declares no modes."""
+@lru_cache(maxsize=64)
+def mode_indicators(robot: Robot) -> tuple[IntArray, BoolArray, Array]:
+    """Return what tells the mode of each leg, (legs,) each: a number of q, whether its sine counts, and the sign."""
     modes, legs = robot.working_modes, []
     for name, sign in zip(modes.joints, modes.signs, strict=True) if modes else ():
         joint = robot.model.joints[robot.model.getJointId(name)]
         # of a continuous joint the second number is the sine
-        legs.append(Indicator(joint.idx_q + (joint.nq == 2), joint.nq == 1 and is_revolute(robot, name), sign))
-    return legs
-
-
-class ModeIndicator:
-    """``mode_indicator`` of one robot, the joints looked up once.
-
-    Args:
-        robot: the robot.
-    """
-
-    def __init__(self, robot: Robot) -> None:
-        legs = mode_indicators(robot)
-        self._columns = np.array([leg.column for leg in legs], dtype=np.intp)
-        self._sine = np.array([leg.sine for leg in legs], dtype=bool)
-        self._signs = np.array([leg.sign for leg in legs], dtype=np.float64)
-
-    def __call__(self, q: Array) -> Array:
-        """Return (N, legs) the indicator at (N, nq) configurations."""
-        value = q.take(self._columns, 1)
-        signed: Array = self._signs * np.where(self._sine, np.sin(value), value)
-        return signed
-
-
-_indicator = lru_cache(maxsize=64)(ModeIndicator)
+        legs.append((joint.idx_q + (joint.nq == 2), joint.nq == 1 and is_revolute(robot, name), sign))
+    columns, sines, signs = zip(*legs, strict=True) if legs else ((), (), ())
+    return np.array(columns, dtype=np.intp), np.array(sines, dtype=bool), np.array(signs, dtype=np.float64)
 
 
 def working_modes(robot: Robot, q: Array) -> IntArray:

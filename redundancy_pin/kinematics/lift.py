@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -44,10 +44,7 @@ from redundancy_pin.kinematics.coordinates import (
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart
 from redundancy_pin.kinematics.tracking import tracker
-from redundancy_pin.motion import (
-    PlatformMotion,
-    require_sampled,
-)
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 
@@ -103,6 +100,14 @@ class TreeMotion(Frozen):
     def out_of_range(self) -> BoolArray:
         """(N,) whether some joint, passive ones too, is beyond its range; see ``robot.joint_ranges``."""
         return out_of_range(self.robot, self.q)
+
+    def with_carriers(self, carriers: CarrierMotion) -> TreeMotion:
+        """Return the motion with that of the carriers (N samples) in it."""
+        q, v, a = np.array(self.q), np.array(self.v), np.array(self.a)
+        q[:, self.robot.carrier_position] = carriers.s
+        v[:, self.robot.carrier_velocity] = carriers.sd
+        a[:, self.robot.carrier_velocity] = carriers.sdd
+        return replace(self, q=read_only(q), v=read_only(v), a=read_only(a))
 
 
 def lift(
@@ -238,7 +243,7 @@ def _carry(motion: PlatformMotion, solved: _Lifted, start: Point | None) -> None
             points = [_point(motion, solved, k) for k in neighbours]
             if first == 0:
                 with contextlib.suppress(UnreachablePoseError, SingularPoseError, WorkingModeError):
-                    points.append(start or _point_on_branch(system, motion.x[0]))
+                    points.append(start or point_on_branch(system, motion.x[0]))
             for point in points:
                 result = carry(system, point, motion.x[part], motion.xd[part], motion.xdd[part])
                 if result is not None:
@@ -247,25 +252,6 @@ def _carry(motion: PlatformMotion, solved: _Lifted, start: Point | None) -> None
                     carried[part] = True
                     break
             first = last
-
-
-def find_on_branch(system: ConstraintSystem, x: Array, *, sample: int = 0) -> Array:
-    """Return (nq,) a configuration at a pose, in the robot's working mode.
-
-    First the straight line from the reference configuration is followed; where that leaves the workspace, multistart
-    takes the solution nearest to the reference in the right working mode.
-
-    Args:
-        system: closures and platform rows; the robot's ``q_reference`` must be closed.
-        x: (n,) coordinates or a pose (4, 4), base frame.
-        sample: index to name in the error.
-
-    Raises:
-        UnreachablePoseError: no start leads to a closed configuration; carries the smallest gap.
-        SingularPoseError: the pose is a type I singularity.
-        WorkingModeError: there are closed configurations, but none in the working mode.
-    """
-    return _point_on_branch(system, x, sample).q
 
 
 def _point_from(system: ConstraintSystem, motion: PlatformMotion, start: Point) -> Point:
@@ -284,7 +270,22 @@ def _point_from(system: ConstraintSystem, motion: PlatformMotion, start: Point) 
     )
 
 
-def _point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Point:
+def point_on_branch(system: ConstraintSystem, x: Array, sample: int = 0) -> Point:
+    """Return a pose in the robot's working mode, with its configuration.
+
+    First the straight line from the reference configuration is followed; where that leaves the workspace, multistart
+    takes the solution nearest to the reference in the right working mode.
+
+    Args:
+        system: closures and platform rows; the robot's ``q_reference`` must be closed.
+        x: (n,) coordinates or a pose (4, 4), base frame.
+        sample: index to name in the error.
+
+    Raises:
+        UnreachablePoseError: no start leads to a closed configuration; carries the smallest gap.
+        SingularPoseError: the pose is a type I singularity.
+        WorkingModeError: there are closed configurations, but none in the working mode.
+    """
     robot, home = system.robot, tracker(system.robot).home
     reference, direct = home.q, tracker(robot).towards(home, x)
     if direct is not None:
@@ -348,7 +349,7 @@ def _first_on_branch(
 ) -> tuple[int, Point] | None:
     """Return the first sample that is solved on the branch, and its solution."""
     try:
-        return 0, _point_on_branch(system, motion.x[0]) if start is None else _point_from(system, motion, start)
+        return 0, point_on_branch(system, motion.x[0]) if start is None else _point_from(system, motion, start)
     except (UnreachablePoseError, SingularPoseError, WorkingModeError):
         if not mark:
             raise
@@ -357,7 +358,7 @@ def _first_on_branch(
         return near
     for sample in np.linspace(0, len(motion) - 1, _FAR_STARTS).round().astype(int)[1:]:
         with contextlib.suppress(UnreachablePoseError, SingularPoseError, WorkingModeError):
-            return int(sample), _point_on_branch(system, motion.x[sample], int(sample))
+            return int(sample), point_on_branch(system, motion.x[sample], int(sample))
     return None
 
 

@@ -62,7 +62,7 @@ class Tracker:
         self._fixed = chain.system.independent[:, self._columns] if robot.platform is None else None
         self._is_pose, self._turns = is_pose(robot), angle_columns(robot)
         self._pose_rows = pose_rows(robot)
-        self._legs = [(leg.column, leg.sine) for leg in mode_indicators(robot)]
+        self._legs = list(zip(*(part.tolist() for part in mode_indicators(robot)[:2]), strict=True))
         ids = {name: 12 * robot.model.getFrameId(name, pin.FrameType.BODY) for name in chain.system.tree.support}
         self._aligned = [(ids[a] + 3 * k, ids[b] + 3 * k) for a, b, k in chain.system.aligned]
         reference = np.array(robot.q_reference)

@@ -13,7 +13,7 @@ combination of 1, cos s, sin s, cos 2s and sin 2s, of the same with ṡ, with �
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal, TypeGuard, cast, get_args
 
@@ -179,9 +179,19 @@ class CarrierModel:
         """Number of carriers."""
         return int(self.f_terms.shape[2])
 
+    def __getitem__(self, index: slice) -> CarrierModel:
+        """Return the model at a slice of the instants."""
+        return CarrierModel(*(getattr(self, field.name)[index] for field in fields(self)))
+
     def f(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return f (N, n) for a carrier motion, each (N, k)."""
         return self._sum("nikj,nkj->ni", self.f0, self.f_terms, s, sd, sdd)
+
+    def slopes(self, s: Array, sd: Array) -> tuple[Array, Array, Array]:
+        """Return the derivatives (N, n, k) of f by s, ṡ and s̈ at carriers (N, k)."""
+        by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(self.f_terms, -1, 0)
+        s, sd = s[:, None], sd[:, None]
+        return by_s + 2.0 * by_s2 * s + by_ssd * sd, by_sd + by_ssd * s, by_sdd
 
     def carrier_force(self, s: Array, sd: Array, sdd: Array) -> Array:
         """Return the carrier forces (N, k) for a carrier motion, each (N, k)."""

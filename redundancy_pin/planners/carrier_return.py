@@ -55,8 +55,7 @@ def return_polynomial(state: CarrierState, duration: float, datum: Array) -> Pie
     """
     zero = np.zeros_like(datum)
     start = [state.s, state.sd, state.sdd, zero]
-    polynomial = boundary_polynomial(state.t, state.t + duration, start, [datum, zero, zero, zero])
-    return PiecewisePolynomial.from_bernstein(polynomial.control[:, None], [polynomial.t0, polynomial.t1])
+    return boundary_polynomial(state.t, state.t + duration, start, [datum, zero, zero, zero]).piecewise()
 
 
 def limit_uses(robot: Robot, s: Array, sd: Array, sdd: Array, force: Array) -> Array:

@@ -21,6 +21,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only
 from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
 from redundancy_pin.io.files import refusing, replacing_file, write_text
+from redundancy_pin.kinematics.coordinates import is_revolute, joint_position
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.functions import ROUNDED, apart
 from redundancy_pin.planners.reference import plan_reference
@@ -156,12 +157,8 @@ def table_of_states(
 
 def _at_samples(plan: Plan, robot: Robot) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Return t, x, q, v, a and efforts of the samples of a plan."""
-    tree = lift(robot, plan.motion)
-    q, v, a = np.array(tree.q), np.array(tree.v), np.array(tree.a)
-    q[:, robot.carrier_position] = plan.carriers.s
-    v[:, robot.carrier_velocity] = plan.carriers.sd
-    a[:, robot.carrier_velocity] = plan.carriers.sdd
-    return plan.t, plan.motion.x, q, v, a, np.concatenate([plan.tau, plan.carrier_force], axis=1)
+    tree, efforts = lift(robot, plan.motion).with_carriers(plan.carriers), [plan.tau, plan.carrier_force]
+    return plan.t, plan.motion.x, tree.q, tree.v, tree.a, np.concatenate(efforts, axis=1)
 
 
 def _at_rate(plan: Plan, robot: Robot, rate: float, two_sided: bool) -> tuple[Array, Array, Array, Array, Array, Array]:
@@ -198,18 +195,15 @@ def _before(times: Array) -> BoolArray:
 
 def _position(robot: Robot, name: str, q: Array) -> Array:
     """Return (N,) the position of a joint of one freedom, m or rad."""
-    joint = robot.model.joints[robot.model.getJointId(name)]
-    if joint.nq == 1:
-        return q[:, joint.idx_q]
-    angle: Array = np.unwrap(np.arctan2(q[:, joint.idx_q + 1], q[:, joint.idx_q]))  # continuous: cosine and sine
-    return angle
+    position = joint_position(robot, name, q)
+    continuous = robot.model.joints[robot.model.getJointId(name)].nq == 2
+    return np.unwrap(position) if continuous else position
 
 
 def _coordinates(robot: Robot, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], Array]:
     """Return names, units and values of the independent coordinates."""
     if robot.platform is None:
-        kinds = [str(robot.model.joints[robot.model.getJointId(name)].shortname()) for name in robot.independent_joints]
-        units = tuple("m" if kind.startswith("JointModelP") else "rad" for kind in kinds)
+        units = tuple("rad" if is_revolute(robot, name) else "m" for name in robot.independent_joints)
         return tuple(f"independent.{name}" for name in robot.independent_joints), units, x
     if not robot.platform.is_pose:
         names = tuple(f"platform.{axis}" for axis in robot.platform.axes)

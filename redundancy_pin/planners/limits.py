@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, frozen, positive, runs
+from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, positive, runs
 from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 from redundancy_pin.robot import CarrierLimits, Robot
@@ -55,10 +55,10 @@ class Limits(Frozen):
         own, k = robot.carrier_limits, robot.k
         track = np.array([(limit.lower, limit.upper) for limit in own]).reshape(k, 2)
         if self.track is not None:
-            track = np.array(broadcast_to(self.track, "track", (k, 2)))
+            track = np.array(each(self.track, "track", (k, 2)))
             if not (track[:, 0] < track[:, 1]).all():
                 raise InputError(
-                    f"track is {as_text(self.track)}, but the ends of a track must increase.",
+                    f"track is {shown(track.tolist())}, but the ends of a track must increase.",
                     remedy="Give the lower end first.",
                     value=self.track,
                 )
@@ -69,7 +69,10 @@ class Limits(Frozen):
             "jerk": [np.inf] * k,
             "effort": [np.inf] * robot.m,
         }
-        arrays = {name: frozen(_positive(getattr(self, name), name, given)) for name, given in bounds.items()}
+        for name, given in ((name, getattr(self, name)) for name in bounds):
+            if given is not None:
+                bounds[name] = each(given, name, (len(bounds[name]),), above_zero=True).tolist()
+        arrays = {name: frozen(values) for name, values in bounds.items()}
         return ResolvedLimits(robot.carriers, frozen(track), **arrays)
 
 
@@ -105,9 +108,7 @@ class ResolvedLimits(Frozen):
 
     def on_track(self, values: ArrayLike, name: str) -> Array:
         """Return (k,) positions after checking that they are on the tracks, m."""
-        places = frozen(broadcast_to(values, name, (len(self.names),)))
-        if not np.isfinite(places).all():
-            raise InputError(f"{name} is {as_text(values)}.", remedy="Pass finite places on the tracks.", name=name)
+        places = frozen(each(values, name, (len(self.names),), finite=True))
         for carrier, (lower, upper), place in zip(self.names, self.track, places, strict=True):
             beyond = max(place - upper, lower - place)
             if not beyond <= 0.0:
@@ -139,45 +140,6 @@ def require_motion(motion: object, *methods: str) -> None:
         raise InputError(
             f"The planner was given {type(motion).__name__} for the motion.",
             remedy="Pass a trajectory, such as trajectory.reference.circle(), or a PlatformMotion.",
-        )
-
-
-def as_text(values: ArrayLike) -> object:
-    """Return numbers as a user typed them, for messages: the command line hands over arrays."""
-    return values.tolist() if isinstance(values, np.ndarray) else values
-
-
-def _positive(values: ArrayLike | None, name: str, own: list[float]) -> Array:
-    if values is None:
-        return np.array(own)
-    bounds = broadcast_to(values, name, (len(own),))
-    if not (bounds > 0.0).all():
-        raise InputError(
-            f"{name} is {as_text(values)}, but limits must be positive.",
-            remedy="Pass inf for no limit.",
-            name=name,
-            value=values,
-        )
-    return bounds
-
-
-def broadcast_to(given: ArrayLike, name: str, shape: tuple[int, ...]) -> Array:
-    """Return one number, or numbers for each carrier, as an array of a shape."""
-    try:
-        values = np.broadcast_to(np.asarray(given, dtype=float), shape)
-    except (TypeError, ValueError) as error:
-        rows = f"two ends, or two for each of {shape[0]} carriers" if len(shape) == 2 else f"{shape[0]} numbers or one"
-        raise InputError(f"{name} is {as_text(given)!r}, expected {rows}.", name=name) from error
-    if np.isnan(values).any():
-        raise InputError(f"{name} contains NaN.", name=name)
-    return values
-
-
-def one_of(value: object, name: str, allowed: tuple[object, ...]) -> None:
-    """Check that an option is one of its choices."""
-    if not any(type(value) is type(choice) and value == choice for choice in allowed):
-        raise InputError(
-            f"{name} is {shown(value)}.", remedy=f"Use one of {', '.join(map(str, allowed))}.", name=name, value=value
         )
 
 

@@ -329,7 +329,7 @@ def _functions_of_0_1_0(plan: Plan, platform: ContinuousMotion | None = None) ->
     right = left + 1
     s, sd, sdd = (np.asarray(part) for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd))
     if plan.planner == "whole_trajectory":
-        carriers = PiecewisePolynomial.linear_acceleration(t, s, sd, sdd)
+        carriers = PiecewisePolynomial.linear(t, s, sd, sdd)
     else:
         edges = np.append(t[left], t[-1])
         smooth = PiecewisePolynomial.hermite(edges, *((s[i], sd[i], sdd[i]) for i in (left, right)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,16 +41,12 @@ def inverse_dynamics(
 
     It forms f without a backend on purpose: the simulation judges the plans that a backend made.
     """
-    tree = lift(robot, motion)
-    q, v, a = np.array(tree.q), np.array(tree.v), np.array(tree.a)
-    q[:, robot.carrier_position] = carriers.s
-    v[:, robot.carrier_velocity] = carriers.sd
-    a[:, robot.carrier_velocity] = carriers.sdd
-    model, data = robot.model, robot.model.createData()
-    effort = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)]).reshape(len(q), model.nv)
+    tree = lift(robot, motion).with_carriers(carriers)
+    model, data, states = robot.model, robot.model.createData(), (tree.q, tree.v, tree.a)
+    effort = np.array([pin.rnea(model, data, *row) for row in zip(*states, strict=True)]).reshape(-1, model.nv)
     loads = tree_loads(robot)
     if loads is not None:
-        effort += loads.efforts(TreeState(q, v, a, wrench_values(robot.loads, motion.t, motion.x, motion.xd))).T
+        effort += loads.efforts(TreeState(*states, wrench_values(robot.loads, motion.t, motion.x, motion.xd))).T
     reduced = ReducedDynamics(
         t=motion.t,
         f=read_only(np.einsum("nvi,nv->ni", tree.gamma, effort)),
@@ -62,7 +58,7 @@ def inverse_dynamics(
         column_scale=column_scale(robot),
         out_of_range=tree.out_of_range,
     )
-    return replace(tree, q=read_only(q), v=read_only(v), a=read_only(a)), reduced
+    return tree, reduced
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field
 
 from redundancy_pin.errors import ModelFileError, PlanFileError, RedundancyPinError, shown
 from redundancy_pin.io.schema import Schema, typed, validated
+from redundancy_pin.kinematics.coordinates import is_revolute
 from redundancy_pin.loading import load_with
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.declaration import read_declaration
@@ -112,7 +113,7 @@ def robot_record(robot: Robot) -> RobotRecord:
         working_mode=robot.working_mode,
         actuated=robot.actuated,
         carriers=robot.carriers,
-        rotating=tuple(name for name in (*robot.actuated, *robot.carriers) if _rotates(robot, name)),
+        rotating=tuple(name for name in (*robot.actuated, *robot.carriers) if is_revolute(robot, name)),
         carrier_limits=robot.carrier_limits,
         bodies=tuple(tuple(float(v) for v in body.toDynamicParameters()) for body in list(robot.model.inertias)[1:]),
         q_reference=tuple(float(q) for q in robot.q_reference),
@@ -150,14 +151,10 @@ def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
         KeyError: a field is missing.
         DeclarationError: naming the first field that is wrong, and what is allowed.
     """
-    values = dict(validated(_Record, _fields_of(record), of="robot"))
+    own = {"loads": (), **{name: record[name] for name in _Record.model_fields if name != "loads" or name in record}}
+    values = dict(validated(_Record, own, of="robot"))  # files of before have no loads
     values["carrier_limits"] = tuple(typed(CarrierLimits, entry) for entry in values["carrier_limits"])
     return RobotRecord(**values, folder=str(_folder_of(file)))
-
-
-def _fields_of(record: Mapping[str, Any]) -> dict[str, Any]:
-    older = {"loads": ()}  # of files without it
-    return {name: record[name] if name in record else older[name] for name in _Record.model_fields}
 
 
 def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trust: bool = False) -> Robot:
@@ -225,10 +222,6 @@ def _real(*parts: str) -> Path:
         return Path(os.path.realpath(os.path.join(*parts)))
     except (OSError, ValueError):
         return Path(os.sep, "\N{REPLACEMENT CHARACTER}")
-
-
-def _rotates(robot: Robot, name: str) -> bool:
-    return not str(robot.model.joints[robot.model.getJointId(name)].shortname()).startswith("JointModelP")
 
 
 def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError:

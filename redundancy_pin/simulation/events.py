@@ -19,7 +19,7 @@ from scipy.optimize import brentq, minimize_scalar
 from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import ModeIndicator, velocity_scale
+from redundancy_pin.kinematics.coordinates import mode_indicator, velocity_scale
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.rank_loss import LOST, NEAR, Sheet, rank_ratio
 
@@ -90,7 +90,6 @@ class EventFunctions:
         self._position, self._rate, self._side, self._bound = indices[0], self.nq + indices[1], stops[2], stops[3]
         legs = 0 if robot.working_modes is None else len(robot.working_modes.joints)
         self._by_legs = legs > 0
-        self._indicator = ModeIndicator(robot)
         self._square = robot.m == robot.n
         labels += [("type_I", f"leg {i + 1}") for i in range(legs)] or [("type_I", "type_I")]
         labels += [("type_II", "type_II")] if self._square else []
@@ -119,7 +118,8 @@ class EventFunctions:
                 by_platform[i, :r], by_platform[i, r:] = closures, chain.platform_jacobian()[:, columns]
             rows[i] = closures
         parts = [self._side * (self._bound - q.take(self._position, 1))]
-        parts.append(self._indicator(q) if self._by_legs else np.linalg.det(by_platform * self._scale)[:, None])
+        type_i = mode_indicator(chain.robot, q) if self._by_legs else np.linalg.det(by_platform * self._scale)[:, None]
+        parts.append(type_i)
         if self._square:
             parts.append(np.linalg.det(by_actuators * self._scale)[:, None])
         # a ratio of singular values has no sign: it touches zero where rank is lost, at roots of any multiplicity

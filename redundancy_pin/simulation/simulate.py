@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, frozen, read_only
+from redundancy_pin.arrays import Array, frozen, one_of, positive, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
@@ -32,8 +32,6 @@ from redundancy_pin.simulation.controllers.base import (
     as_controller,
     kernel_of,
     load_limits,
-    one_of,
-    positive,
 )
 from redundancy_pin.simulation.events import EventFunctions
 from redundancy_pin.simulation.integrator import INTEGRATORS, Problem, Progress, Record, integrate
@@ -129,12 +127,13 @@ def simulate(
         warnings.warn("simulate(way=...) is now simulate(method=...).", DeprecationWarning, stacklevel=2)
         method = way
     controller = _controller(robot, drive, sampling)
-    if integrator not in INTEGRATORS:
-        raise InputError(f"integrator is {integrator!r}.", remedy=f"Pass one of {', '.join(INTEGRATORS)}.")
+    one_of(integrator, "integrator", INTEGRATORS)
     for name, value, fits in (("max_step", max_step, max_step > 0.0), ("max_steps", max_steps, max_steps >= 1)):
         if not fits:
             raise InputError(f"{name} is {value}.", remedy="Pass a positive number.")
-    tolerances = {"rtol": positive("rtol", rtol, LEAST_RTOL), "atol": positive("atol", atol)}
+    tolerances = {"rtol": positive(rtol, "rtol", ""), "atol": positive(atol, "atol", "")}
+    if rtol < LEAST_RTOL:
+        raise InputError(f"rtol is {rtol}.", remedy=f"Pass at least {LEAST_RTOL}: below it is rounding.", name="rtol")
     settings = {"max_step": float(max_step), **tolerances}
     state = _start(robot, controller, start)
     grid, breaks = _times(controller, state.t, duration, dt, restart_at)
@@ -221,7 +220,7 @@ def _times(
     controller: Controller, start: float, duration: float | None, dt: float, restart_at: str
 ) -> tuple[Array, Array]:
     """Return the times to record and the times at which the integration starts anew."""
-    one_of("restart_at", restart_at, "breaks", "jumps")
+    one_of(restart_at, "restart_at", ("breaks", "jumps"))
     if duration is None and controller.end is None:
         raise InputError("Nothing says how long to simulate.", remedy="Pass duration=, in seconds.")
     last = float(controller.end) if duration is None and controller.end is not None else start + float(duration or 0.0)
@@ -229,14 +228,14 @@ def _times(
         raise InputError(
             f"The simulation would last from {start} to {last} s.", remedy="Pass a positive, finite duration."
         )
-    steps = int(np.ceil((last - start) / positive("dt", dt) - 1e-9))
+    steps = int(np.ceil((last - start) / positive(dt, "dt", "s") - 1e-9))
     given = controller.breaks if restart_at == "breaks" or controller.jumps is None else controller.jumps
     breaks = np.unique(np.asarray(given, dtype=float))
     return np.append(start + dt * np.arange(steps), last), breaks[(breaks > start) & (breaks < last)]
 
 
 def _carrier_law(robot: Robot, controller: Controller, carriers: str) -> CarrierLaw | None:
-    one_of("carriers", carriers, "force", "motion")
+    one_of(carriers, "carriers", ("force", "motion"))
     if robot.k == 0:
         return None
     made_for = controller.carrier_drive

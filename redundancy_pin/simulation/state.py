@@ -10,8 +10,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
-from redundancy_pin.arrays import Array, Frozen, checked, frozen, read_only
-from redundancy_pin.errors import InputError
+from redundancy_pin.arrays import Array, Frozen, checked, each, read_only
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.lift import lift
@@ -155,8 +154,8 @@ def closed_state(
     motion = PlatformMotion([t], np.asarray(x, dtype=float)[None], rate[None], np.zeros((1, robot.n)))
     tree = lift(robot, motion)
     q, v = np.array(tree.q[0]), np.array(tree.v[0])
-    q[robot.carrier_position] = _for_carriers(robot, s, "s")
-    v[robot.carrier_velocity] = _for_carriers(robot, sd, "sd")
+    q[robot.carrier_position] = each(s, "s", (robot.k,))
+    v[robot.carrier_velocity] = each(sd, "sd", (robot.k,))
     return State(chain, float(t), read_only(q), read_only(v))
 
 
@@ -168,13 +167,3 @@ def tree_state(robot: Robot, q: ArrayLike, v: ArrayLike, *, t: float = 0.0) -> S
     """
     model = robot.model
     return State(ClosedChain(robot), float(t), checked(q, "q", (model.nq,)), checked(v, "v", (model.nv,)))
-
-
-def _for_carriers(robot: Robot, values: ArrayLike, name: str) -> Array:
-    given = np.atleast_1d(np.asarray(values, dtype=float))
-    if given.shape not in ((1,), (robot.k,)):
-        raise InputError(
-            f"{name} has shape {given.shape}; {robot.name} has {robot.k} carrier(s).",
-            remedy="Pass one number, or one for each carrier.",
-        )
-    return frozen(np.broadcast_to(given, (robot.k,)))

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, one_of
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.dynamics.tree_loads import TreeState, tree_loads
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError, UnsupportedRobotError
 from redundancy_pin.robot import Closure, Payload, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind, wrench_values
-from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command, one_of
+from redundancy_pin.simulation.controllers.base import Amplifiers, CarrierLaw, Command
 from redundancy_pin.simulation.forward import Acceleration, ForwardDynamics
 from redundancy_pin.simulation.rank_loss import Sheet
 from redundancy_pin.simulation.state import GAP, Manifold, State
@@ -254,7 +254,7 @@ def _tree_state(state: State) -> TreeState:
 
 
 def _compiled(robot: Robot, method: str, prescribed: bool) -> ConstraintDynamics | None:
-    one_of("method", method, "projected", "constraint_dynamics")
+    one_of(method, "method", get_args(Method))
     if method == "projected":
         return None
     if prescribed:

@@ -12,7 +12,7 @@ from redundancy_pin.kinematics.assembly import assemble, configuration_differenc
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follows
 from redundancy_pin.kinematics.coordinates import coordinates, difference, is_revolute
-from redundancy_pin.kinematics.lift import find_on_branch
+from redundancy_pin.kinematics.lift import point_on_branch
 from redundancy_pin.robot import Robot
 
 _REACH = 4.0
@@ -95,7 +95,7 @@ def slice_of(system: ConstraintSystem, orientation: float | None) -> Slice:
                 remedy="Leave it out for a robot without orientation; pass a finite angle in rad otherwise.",
             )
         x[fixed[0]] = orientation
-        q = find_on_branch(system, x)
+        q = point_on_branch(system, x).q
     units = ("rad" if _turns(robot) else "m",) * len(free)
     return Slice(tuple(names[k] for k in free), units, free, {names[k]: float(x[k]) for k in fixed}, x, q)
 

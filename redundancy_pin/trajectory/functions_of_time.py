@@ -13,7 +13,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import comb
+from math import comb, factorial
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Legendre, Polynomial, chebyshev
@@ -189,33 +189,30 @@ class PiecewisePolynomial(Frozen):
         return PiecewisePolynomial.from_bernstein(np.stack(control), edges)
 
     @staticmethod
-    def linear(t: Array, values: Array) -> PiecewisePolynomial:
-        """Return what is linear between (M, C) values at (M,) times, s; a time that occurs twice has two values."""
-        left = np.flatnonzero(np.diff(t) > 0.0)
-        slope = (values[left + 1] - values[left]) / np.diff(t)[left, None]
-        return PiecewisePolynomial(frozen(np.append(t[left], t[-1])), read_only(np.stack([slope, values[left]])))
+    def taylor(t: Array, *derivatives: Array) -> PiecewisePolynomial:
+        """Return the polynomials with given derivatives where each piece begins.
 
-    @staticmethod
-    def linear_acceleration(t: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
-        """Return the cubics with s̈ linear between (M,) nodes; a time that occurs twice has two accelerations.
-
-        ``t`` (M,) times, s; ``s`` (M, C) values at the nodes; those at the end of a step are not looked at; ``sd`` (M,
-        C) their rates; the same; ``sdd`` (M, C) their second derivatives.
+        ``t`` (M,) times at which one piece ends and the next begins, s; one that occurs twice makes no piece.
+        ``derivatives``: (M, C) values, rates and so on at these times; those at the ends of pieces are not looked at.
         """
         left = np.flatnonzero(np.diff(t) > 0.0)
-        jerk = (sdd[left + 1] - sdd[left]) / np.diff(t)[left, None]
-        powers = np.stack([jerk / 6.0, 0.5 * sdd[left], sd[left], s[left]])
-        return PiecewisePolynomial(frozen(np.append(t[left], t[-1])), read_only(powers))
+        powers = [part[left] / factorial(order) for order, part in enumerate(derivatives)]
+        return PiecewisePolynomial(frozen(np.append(t[left], t[-1])), read_only(np.stack(powers[::-1])))
+
+    @staticmethod
+    def linear(t: Array, *derivatives: Array) -> PiecewisePolynomial:
+        """Return ``taylor`` with the last of the derivatives linear between the times; a jump of it has two values."""
+        step, change = np.diff(t)[:, None], np.diff(derivatives[-1], axis=0)
+        slope = np.divide(change, step, out=np.zeros_like(change), where=step > 0.0)
+        return PiecewisePolynomial.taylor(t, *derivatives, np.append(slope, slope[-1:], axis=0))
 
     @staticmethod
     def constant_acceleration(t: Array, s: Array, sd: Array, sdd: Array) -> PiecewisePolynomial:
-        """Return the parabolas of steps whose s̈ is that at their end, from s and ṡ where they begin.
+        """Return the parabolas of steps whose s̈ is that at their end, from s and ṡ where they begin, each (M, C).
 
-        ``t`` (M,) increasing times, s; ``s`` (M, C) values; from backward differences, the parabola ends short of that
-        at the end of its step; ``sd`` (M, C) their rates; ``sdd`` (M, C) their second derivatives.
+        Of backward differences the parabola ends short of the value at the end of its step.
         """
-        powers = np.stack([0.5 * sdd[1:], sd[:-1], s[:-1]])
-        return PiecewisePolynomial(frozen(t), read_only(powers))
+        return PiecewisePolynomial.taylor(t, s, sd, np.append(sdd[1:], sdd[-1:], axis=0))
 
     @staticmethod
     def joined(parts: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:

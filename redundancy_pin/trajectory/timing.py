@@ -15,6 +15,7 @@ from scipy.optimize import brentq
 
 from redundancy_pin.arrays import ROUNDING, Array, Frozen, assign, checked, inside, positive, read_only
 from redundancy_pin.errors import InputError
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,10 @@ class Polynomial(Frozen):
         if derivative > self.degree:
             return np.zeros(times.shape + self.control.shape[1:])
         return np.asarray(self.curve(times, derivative))
+
+    def piecewise(self) -> PiecewisePolynomial:
+        """Return it, of values (k,), as a function of time with one piece."""
+        return PiecewisePolynomial.from_bernstein(self.control[:, None], [self.t0, self.t1])
 
 
 def boundary_polynomial(t0: float, t1: float, start: Sequence[ArrayLike], end: Sequence[ArrayLike]) -> Polynomial:

@@ -15,7 +15,7 @@ from redundancy_pin.errors import UnreachablePoseError, WorkingModeError
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, in_working_mode, moved, working_modes
 from redundancy_pin.kinematics.inverse_kinematics import mixed_legs, multistart
-from redundancy_pin.kinematics.lift import find_on_branch
+from redundancy_pin.kinematics.lift import point_on_branch
 from redundancy_pin.robot import Robot
 
 
@@ -26,7 +26,7 @@ def test_the_pose_is_met_in_the_working_mode(name: str, seed: int) -> None:
     system = zoo.system_of(robot)
     increment = np.random.default_rng(seed).uniform(-1.0, 1.0, (1, robot.n)) * zoo.reach_of(robot)
     x = moved(robot, zoo.home_of(robot)[None], increment)
-    state = system.evaluate(find_on_branch(system, x[0])[None])
+    state = system.evaluate(point_on_branch(system, x[0]).q[None])
     assert np.abs(state.phi).max() < CLOSURE_TOLERANCE
     np.testing.assert_allclose(difference(robot, x, coordinates(robot, state)), 0.0, atol=CLOSURE_TOLERANCE)
     assert in_working_mode(robot, state.q)[0]
@@ -37,7 +37,7 @@ def test_behind_an_obstacle_the_search_takes_over() -> None:
     robot = zoo.robot_of("2rpr")
     system = zoo.system_of(robot)
     behind = -0.5 * zoo.home_of(robot)
-    q = find_on_branch(system, behind)
+    q = point_on_branch(system, behind).q
     assert in_working_mode(robot, q[None])[0]
     slides = [robot.model.joints[robot.model.getJointId(f"slide_{leg}")].idx_q for leg in (1, 2)]
     np.testing.assert_allclose(q[slides], [np.hypot(*behind), np.hypot(*(behind - [0.5, 0.0]))], atol=1e-10)
@@ -46,7 +46,7 @@ def test_behind_an_obstacle_the_search_takes_over() -> None:
 def test_out_of_reach_names_pose_gap_and_remedy() -> None:
     robot = zoo.robot_of("3rrr")
     with pytest.raises(UnreachablePoseError, match=r"sample 4, x = \[9.0, 9.0, 0.0\].*open by") as caught:
-        find_on_branch(zoo.system_of(robot), np.array([9.0, 9.0, 0.0]), sample=4)
+        point_on_branch(zoo.system_of(robot), np.array([9.0, 9.0, 0.0]), sample=4)
     assert caught.value.details["gap"] > 1.0
     assert "workspace" in caught.value.remedy
 
@@ -54,7 +54,7 @@ def test_out_of_reach_names_pose_gap_and_remedy() -> None:
 def test_each_mode_has_its_own_configuration_of_a_pose() -> None:
     pose = np.array([1.0])
     robots = [load_robot("four_bar", working_mode=mode) for mode in ((1,), (-1,))]
-    q = np.stack([find_on_branch(ConstraintSystem(robot), pose) for robot in robots])
+    q = np.stack([point_on_branch(ConstraintSystem(robot), pose).q for robot in robots])
     assert working_modes(robots[0], q).tolist() == [[1], [-1]]
 
 
@@ -68,7 +68,7 @@ def test_only_other_modes_close_is_said_so(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(branch, "in_working_mode", nowhere)
     monkeypatch.setattr(search_module, "in_working_mode", nowhere)
     with pytest.raises(WorkingModeError, match=r"closes only in other working modes than \+- of five_bar") as caught:
-        find_on_branch(zoo.system_of(robot), zoo.home_of(robot), sample=2)
+        point_on_branch(zoo.system_of(robot), zoo.home_of(robot), sample=2)
     assert caught.value.details["sample"] == 2
     assert "working_mode" in caught.value.remedy
 

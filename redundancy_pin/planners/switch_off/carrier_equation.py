@@ -17,12 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
 
-from redundancy_pin.arrays import Array, Frozen, read_only
+from redundancy_pin.arrays import Array, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import TimedModel
-from redundancy_pin.trajectory import Polynomial, boundary_polynomial
+from redundancy_pin.singularities.roots import Interval
+from redundancy_pin.trajectory import boundary_polynomial
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, preferred_middle
 
@@ -39,30 +40,15 @@ _NARROW = 1e-3
 """Of the ramp: a smooth stretch shorter than this is not differentiated on."""
 
 
-@dataclass(frozen=True, eq=False)
-class RampDown(Frozen):
-    """The main efforts on their way to zero, and zero after it.
+def ramp_down(
+    dynamics: Dynamics, motion: ContinuousMotion, start: float, window: Interval, datum: Array
+) -> tuple[PiecewisePolynomial, Array]:
+    """Return the main efforts (m,) through a window, N or N·m: a quintic to zero at its start, and zero.
 
-    ``polynomial``: quintic with values (m,), N or N·m (Parsa 2014, eq. 3.4); ``parked_at_entry`` (m,) what they would
-    be at its end with the carriers parked.
+    The quintic (Parsa 2014, eq. 3.4) begins with the efforts of parked carriers at ``start``, their rate and its rate:
+    those of an interpolant over the smooth stretch around ``start``. Behind it are the parked efforts at its end.
     """
-
-    polynomial: Polynomial
-    parked_at_entry: Array
-
-    def __call__(self, times: Array) -> Array:
-        """Return the efforts (N, m) at (N,) times from the start of the ramp on."""
-        value = np.zeros((len(times), self.polynomial.control.shape[1]))
-        ramp = times < self.polynomial.t1
-        value[ramp] = self.polynomial(times[ramp])
-        return value
-
-
-def ramp_down(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: float, datum: Array) -> RampDown:
-    """Return the quintic from the parked efforts at ``start``, with their rate and its rate, to zero at ``end``.
-
-    The derivatives are those of an interpolant of the parked efforts over the smooth stretch around ``start``.
-    """
+    end = window.start
 
     def parked(times: Array) -> Array:
         along = dynamics.along(motion.sample_at(times))
@@ -81,7 +67,8 @@ def ramp_down(dynamics: Dynamics, motion: ContinuousMotion, start: float, end: f
     rates = [chebyshev.chebval(x, chebyshev.chebder(series, order)) * per_second**order for order in (1, 2)]
     at = parked(np.array([start, end]))
     zero = np.zeros(dynamics.robot.m)
-    return RampDown(boundary_polynomial(start, end, [at[0], *rates], [zero, zero, zero]), at[1])
+    quintic = boundary_polynomial(start, end, [at[0], *rates], [zero, zero, zero]).piecewise()
+    return PiecewisePolynomial.joined([quintic, PiecewisePolynomial.constant(zero, end, window.end)]), at[1]
 
 
 def _smooth_around(kinks: Array, t: float, width: float) -> tuple[float, float]:
@@ -139,7 +126,7 @@ class CarrierEquation:
     """
 
     model: TimedModel
-    effort: RampDown
+    effort: PiecewisePolynomial
     row_scale: Array
     size: float
 
@@ -170,31 +157,25 @@ class CarrierEquation:
         basis, half = _basis(), 0.5 * (b - a)
         t = a + half * (basis.x + 1.0)
         model = self.model.at(t)
-        scale = self.row_scale[:, None]
-        by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(model.f_terms / scale[..., None], -1, 0)
-        load = (np.einsum("nij,nj->ni", model.W, self.effort(t)) - model.f0) / self.row_scale
-        idle = _idle_directions(by_sdd)
+        scale, load = self.row_scale[:, None], np.einsum("nij,nj->ni", model.W, self.effort(t))
+        inertia = model.f_terms[..., -1] / scale
+        idle = _idle_directions(inertia)
         value, first, second = basis.value, half * basis.first, half**2 * basis.second
         start = s0 + half * (basis.x[:, None] + 1.0) * sd0
         c = np.zeros((DEGREE + 1, model.k))
         defect = force = np.inf
         for _ in range(_MOST_ITERATIONS):
             s, sd, sdd = start + second @ c, sd0 + first @ c, value @ c
-            residual = load - np.einsum("nik,nk->ni", by_s, s) - np.einsum("nik,nk->ni", by_s2, s * s)
-            residual -= np.einsum("nik,nk->ni", by_sd, sd) + np.einsum("nik,nk->ni", by_ssd, s * sd)
-            accelerating = np.einsum("nik,nk->ni", by_sdd, sdd)
-            residual -= accelerating
+            residual = (load - model.f(s, sd, sdd)) / self.row_scale
             residual = np.concatenate([residual, -np.einsum("nik,nk->ni", idle, sdd)], axis=1)
             previous, defect = defect, float(np.abs(residual).max())
-            force = float(np.abs(accelerating).max())
+            force = float(np.abs(np.einsum("nik,nk->ni", inertia, sdd)).max())
             if not defect < 0.5 * previous and defect <= DEFECTS * self.model.tolerance * max(
                 self.size, FORCE_SHARE * force
             ):
                 break
-            stiffness = by_s + 2.0 * by_s2 * s[:, None] + by_ssd * sd[:, None]
-            damping = by_sd + by_ssd * s[:, None]
-            slope = np.einsum("nik,nd->nidk", by_sdd, value) + np.einsum("nik,nd->nidk", damping, first)
-            slope += np.einsum("nik,nd->nidk", stiffness, second)
+            slopes = zip(model.slopes(s, sd), (second, first, value), strict=True)
+            slope = sum(np.einsum("nik,nd->nidk", by / scale, basis_of) for by, basis_of in slopes)
             slope = np.concatenate([slope, np.einsum("nik,nd->nidk", idle, value)], axis=1)
             change = np.linalg.lstsq(slope.reshape(residual.size, -1), residual.ravel(), rcond=None)[0]
             if not np.isfinite(change).all():

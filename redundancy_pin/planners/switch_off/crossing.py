@@ -23,7 +23,7 @@ from redundancy_pin.kinematics.spectrum import null_directions, spectrum_of
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, dense
 from redundancy_pin.planners.carrier_return import CarrierState
-from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, RampDown, StepGivenUpError, ramp_down
+from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, StepGivenUpError, ramp_down
 from redundancy_pin.singularities.roots import Interval, minima
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -137,14 +137,16 @@ def nothing_carries(instant: LostDirection, force: float, circumstance: str) -> 
 class Crossing(Frozen):
     """Carriers and efforts from the start of a ramp-down to the switch-on.
 
-    ``window``: when the actuators are off; ``ramp``: the main efforts; ``position``: positions of the carriers (k,) as
+    ``window``: when the actuators are off; ``ramp``: the main efforts; ``parked_at_entry``
+    (m,) what they would be when they are off with the carriers parked; ``position``: positions of the carriers (k,) as
     a function of time; ``lost``: instants at which the carriers cannot act in some direction; ``samples``: times (N,)
     and carriers there in backward differences, which the position lags behind; None where the rates are those of the
     position.
     """
 
     window: Interval
-    ramp: RampDown
+    ramp: PiecewisePolynomial
+    parked_at_entry: Array
     position: PiecewisePolynomial
     lost: tuple[LostDirection, ...]
     samples: tuple[Array, CarrierMotion] | None = None
@@ -178,7 +180,7 @@ def cross(
     dynamics: Dynamics, motion: ContinuousMotion, window: Interval, ramp_time: float, datum: Array, row_scale: Array
 ) -> Crossing:
     """Integrate the carriers through one window (steps 3 and 4 of Parsa 2014, section 3.1; eqs 3.5 and 3.6)."""
-    equation, lost = crossing_equation(dynamics, motion, window, window.start - ramp_time, datum, row_scale)
+    equation, parked, lost = crossing_equation(dynamics, motion, window, window.start - ramp_time, datum, row_scale)
     start = equation.model.interpolant.start
     zero = np.zeros_like(datum)
     try:
@@ -187,14 +189,17 @@ def cross(
         off = equation.solve(window.start, window.end, np.array(at_entry.s[0]), np.array(at_entry.sd[0]))
     except StepGivenUpError as stuck:
         raise _unbounded(equation, lost, stuck) from stuck
-    return Crossing(window, equation.effort, PiecewisePolynomial.joined([down, off]), lost)
+    return Crossing(window, equation.effort, parked, PiecewisePolynomial.joined([down, off]), lost)
 
 
 def crossing_equation(
     dynamics: Dynamics, motion: ContinuousMotion, window: Interval, start: float, datum: Array, row_scale: Array
-) -> tuple[CarrierEquation, tuple[LostDirection, ...]]:
-    """Return what the carriers have to satisfy from the start of the ramp-down to switch-on, and where it fails."""
-    ramp = ramp_down(dynamics, motion, start, window.start, datum)
+) -> tuple[CarrierEquation, Array, tuple[LostDirection, ...]]:
+    """Return what the carriers have to satisfy from the start of the ramp-down to switch-on, and where it fails.
+
+    Between the two are the efforts (m,) at the start of the window with the carriers parked.
+    """
+    ramp, parked = ramp_down(dynamics, motion, start, window, datum)
     model = TimedModel.of(dynamics, motion, start, window.end)
     times = np.unique(np.concatenate([model.interpolant.edges, np.linspace(start, window.end, 201)]))
     here = model.at(times)
@@ -203,7 +208,7 @@ def crossing_equation(
     equation = CarrierEquation(model, ramp, row_scale, size)
     lost = tuple(lost_directions(equation, start, window.end))
     require_balanced(equation, lost)
-    return equation, lost
+    return equation, parked, lost
 
 
 _RUNAWAY = 100.0
@@ -262,36 +267,34 @@ def cross_stepwise(
     steps = min(max(1, round(ramp_time / dt)), first)
     t: Array = motion.start + dt * np.arange(first - steps, last + 1, dtype=np.float64)
     snapped = Interval(float(t[steps]), float(t[-1]), window.open_start, window.open_end)
-    equation, lost = crossing_equation(dynamics, motion, snapped, float(t[0]), datum, row_scale)
+    equation, parked, lost = crossing_equation(dynamics, motion, snapped, float(t[0]), datum, row_scale)
     model = equation.model.at(t)
     load = np.einsum("nij,nj->ni", model.W, equation.effort(t))
     s = np.tile(datum, (len(t) + 2, 1))  # two samples at rest before the first
     for i in range(len(t)):
-        s[i + 2] = _position(equation, model, i, load[i], s[i + 1], s[i], dt)
+        s[i + 2] = _position(equation, model[i : i + 1], load[i], s[i + 1], s[i], dt)
     sd = np.diff(s, axis=0) / dt
     carriers = CarrierMotion(s[2:], sd[1:], np.diff(sd, axis=0) / dt)
     # s̈ of a sample is that of the step which ends there; the first sample only starts one
     position = PiecewisePolynomial.constant_acceleration(t, s[2:], carriers.sd, carriers.sdd)
-    return Crossing(snapped, equation.effort, position.made_continuous(), lost, (read_only(t), carriers))
+    return Crossing(snapped, equation.effort, parked, position.made_continuous(), lost, (read_only(t), carriers))
 
 
 def _position(
-    equation: CarrierEquation, model: CarrierModel, i: int, load: Array, last: Array, before: Array, dt: float
+    equation: CarrierEquation, model: CarrierModel, load: Array, last: Array, before: Array, dt: float
 ) -> Array:
-    """Solve f(s, (s − s₁)/dt, (s − 2 s₁ + s₂)/dt²) = W τ_ref for s (k,) by Newton's method."""
-    by_s, by_s2, by_sd, by_ssd, by_sdd = np.moveaxis(model.f_terms[i] / equation.row_scale[:, None, None], -1, 0)
-    target = (load - model.f0[i]) / equation.row_scale
-    s = 2.0 * last - before
-    left = np.inf
+    """Solve f(s, (s − s₁)/dt, (s − 2 s₁ + s₂)/dt²) = W τ_ref for s (k,) by Newton's method; one sample of a model."""
+    scale, s, left = equation.row_scale, 2.0 * last - before, np.inf
     for _ in range(_MOST_ITERATIONS):
         sd, sdd = (s - last) / dt, (s - 2.0 * last + before) / dt**2
-        residual = target - by_s @ s - by_s2 @ (s * s) - by_sd @ sd - by_ssd @ (s * sd) - by_sdd @ sdd
+        residual = (load - model.f(s[None], sd[None], sdd[None])[0]) / scale
         left = float(np.abs(residual).max())
         if left <= STEP_TOLERANCE * equation.size:
             return s
-        slope = by_s + 2.0 * by_s2 * s + by_sd / dt + by_ssd * (sd + s / dt) + by_sdd / dt**2
+        by_s, by_sd, by_sdd = model.slopes(s[None], sd[None])
+        slope = (by_s + by_sd / dt + by_sdd / dt**2)[0] / scale[:, None]
         s = s + np.linalg.lstsq(slope, residual, rcond=None)[0]
-    t = float(model.t[i])
+    t = float(model.t[0])
     message = f"At t = {t:.6g} s no position of the carriers balances the prescribed efforts: {left:.3g} N are left."
     remedy = "Use the integration scheme, or a shorter step."
     raise InfeasiblePlanError(message, remedy=remedy, constraint="carrier_motion", time=t, amount=left)

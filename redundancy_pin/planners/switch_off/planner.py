@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, positive, require_few
+from redundancy_pin.arrays import Array, one_of, positive, require_few
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
@@ -17,7 +17,7 @@ from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel
 from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import Limits, one_of, require_dynamics, require_motion, return_duration
+from redundancy_pin.planners.limits import Limits, require_dynamics, require_motion, return_duration
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross, cross_stepwise
 from redundancy_pin.singularities.roots import Interval
@@ -165,7 +165,7 @@ def _window(
         "return_end": leg.back.end,
         "return_time": leg.back.end - end,
         "effort_at_ramp_start": crossing.ramp(np.array([start]))[0].tolist(),
-        "parked_effort_at_entry": crossing.ramp.parked_at_entry.tolist(),
+        "parked_effort_at_entry": crossing.parked_at_entry.tolist(),
         "exit_jump": np.abs(tau[1 if settings.scheme == "backward_differences" else 0]).tolist(),
         "effort_one_step_after_exit": np.abs(tau[1]).tolist(),
         "carriers_at_exit": {"s": state.s.tolist(), "sd": state.sd.tolist(), "sdd": state.sdd.tolist()},

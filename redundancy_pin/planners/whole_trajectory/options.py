@@ -15,11 +15,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, frozen, positive
+from redundancy_pin.arrays import Array, each, frozen, one_of, positive
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.limits import Limits, ResolvedLimits, as_text, broadcast_to, fraction, one_of, whole
+from redundancy_pin.planners.limits import Limits, ResolvedLimits, fraction, whole
 from redundancy_pin.robot import Robot
 
 
@@ -243,16 +243,13 @@ def checked_settings(
         )
     resolved = limits.resolved(robot)
     park = resolved.on_track(datum, "datum")
-    speeds = broadcast_to(start_speed, "start_speed", (robot.k,))
-    if not np.isfinite(speeds).all():
-        raise InputError(f"start_speed is {as_text(start_speed)!r}, expected finite numbers.", name="start_speed")
     return Settings(
         objective=weights,
         lam=lam,
         baseline=objective.baseline,
         limits=resolved,
         start=park if start is None else resolved.on_track(start, "start"),
-        start_speed=frozen(speeds),
+        start_speed=frozen(each(start_speed, "start_speed", (robot.k,), finite=True)),
         end=end,
         datum=park,
         mesh=Mesh(positive(mesh.dt, "dt", "s"), whole(mesh.refinements, "refinements", 0, MOST_REFINEMENTS)),

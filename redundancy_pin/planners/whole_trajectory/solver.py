@@ -75,7 +75,7 @@ class Solution:
     def position(self, problem: Problem) -> PiecewisePolynomial:
         """Return the carriers' positions, m, as a function of time: s̈ is linear in a step."""
         carriers = problem.carriers(self.values)
-        return PiecewisePolynomial.linear_acceleration(problem.grid.t, carriers.s, carriers.sd, carriers.sdd)
+        return PiecewisePolynomial.linear(problem.grid.t, carriers.s, carriers.sd, carriers.sdd)
 
     def tau(self, problem: Problem) -> Array:
         """Return (M, m) the main efforts, N or N·m."""

@@ -11,7 +11,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, frozen
+from redundancy_pin.arrays import Array, each, frozen
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.forward import ForwardKernel
 from redundancy_pin.errors import InputError
@@ -287,16 +287,9 @@ class Amplifiers:
 
 def load_limits(robot: Robot, effort: ArrayLike | None, carrier_force: ArrayLike | None) -> Command:
     """Return largest |τ| (m,), N or N·m, and |F| (k,), N, each from a positive scalar, one value each, or None."""
-    return _limit(effort, robot.m, "effort_limit"), _limit(carrier_force, robot.k, "carrier_force_limit")
-
-
-def _limit(values: ArrayLike | None, count: int, name: str) -> Array:
-    given = np.full(1, np.inf) if values is None else np.atleast_1d(np.asarray(values, dtype=float))
-    if given.shape not in ((1,), (count,)) or not (given > 0.0).all():
-        raise InputError(
-            f"{name} is {values!r}.", remedy=f"Pass one positive number, or {count}, or None for no limit."
-        )
-    return np.broadcast_to(given, (count,))
+    pairs = (effort, "effort_limit", robot.m), (carrier_force, "carrier_force_limit", robot.k)
+    tau, force = (each(np.inf if limit is None else limit, name, (n,), above_zero=True) for limit, name, n in pairs)
+    return tau, force
 
 
 def kernel_of(robot: Robot, dynamics: Dynamics | None) -> ForwardKernel | None:
@@ -316,30 +309,12 @@ def kernel_of(robot: Robot, dynamics: Dynamics | None) -> ForwardKernel | None:
     return kernel
 
 
-def one_of(name: str, value: str, *known: str) -> None:
-    """Refuse a value that is not one of those known."""
-    if value not in known:
-        choices = '" or "'.join(known)
-        raise InputError(f"{name} is {value!r}.", remedy=f'Pass "{choices}".')
-
-
-def positive(name: str, value: float, least: float = 0.0) -> float:
-    """Return a positive, finite number, at least ``least``."""
-    if not (isfinite(value) and value > 0.0 and value >= least):
-        wanted = f", at least {least}" if least else ""
-        raise InputError(f"{name} is {value}.", remedy=f"Pass a positive, finite number{wanted}.", name=name)
-    return float(value)
-
-
 def positive_each(values: ArrayLike | None, default: Array, floor: float, name: str) -> Array:
     """Return positive values, one each: those given, or the defaults raised to a share of the largest of them."""
     if values is None:
         largest = float(default.max(initial=0.0))
         return np.maximum(default, floor * largest if largest > 0.0 else 1.0)
-    given = np.atleast_1d(np.asarray(values, dtype=float))
-    if given.shape not in ((1,), default.shape) or not (np.isfinite(given) & (given > 0.0)).all():
-        raise InputError(f"{name} is {values!r}.", remedy=f"Pass one positive number, or {len(default)}.", name=name)
-    return np.broadcast_to(given, default.shape)
+    return each(values, name, default.shape, above_zero=True, finite=True)
 
 
 def largest_loads(reference: MotionReference) -> tuple[Array, Array]:

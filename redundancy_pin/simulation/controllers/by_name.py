@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, one_of
 from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
@@ -19,7 +19,6 @@ from redundancy_pin.simulation.controllers.base import (
     FeedForward,
     Sampling,
     Tracking,
-    one_of,
 )
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import JointFriction
@@ -53,7 +52,7 @@ def controller_by_name(
     Raises:
         InputError: an unknown name, or a setting that the controller refuses.
     """
-    one_of("The controller", name, *DRIVES)
+    one_of(name, "The controller", DRIVES)
     if name == "open loop":
         return FeedForward(reference) if sampling is None else _SampledFeedForward(reference, None, sampling)
     made: Any = ComputedTorque if name == "computed torque" else TimeVaryingLqr

@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, read_only
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, positive, read_only
 from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus, CarrierForces, allocate
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.forward import Equations, ForwardKernel
@@ -30,7 +30,6 @@ from redundancy_pin.simulation.controllers.base import (
     largest_loads,
     load_limits,
     middles,
-    positive,
     positive_each,
 )
 from redundancy_pin.simulation.derivatives import state_error
@@ -192,7 +191,7 @@ class ComputedTorque(Tracking):
     ) -> None:
         super().__init__(plan, motion, sampling)
         for name, value in (("bandwidth", bandwidth), ("carrier_bandwidth", carrier_bandwidth), ("damping", damping)):
-            positive(name, value)
+            positive(value, name, "")
         robot = self.robot
         self.bandwidth, self.carrier_bandwidth, self.damping = bandwidth, carrier_bandwidth, damping
         frequency = np.concatenate([np.full(robot.n, bandwidth), np.full(robot.k, carrier_bandwidth)])

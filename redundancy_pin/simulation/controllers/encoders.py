@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, checked
+from redundancy_pin.arrays import Array, checked, positive
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import turning_velocities
 from redundancy_pin.planners.reference import MotionReference
-from redundancy_pin.simulation.controllers.base import Command, Controller, EffortLaw, positive
+from redundancy_pin.simulation.controllers.base import Command, Controller, EffortLaw
 from redundancy_pin.simulation.state import Manifold, State
 
 
@@ -81,8 +81,8 @@ class Encoders(Controller):
         phase: Array | None = None,
         home: Array | None = None,
     ) -> None:
-        self.period, self.time_constant = positive("period", period), positive("time_constant", time_constant)
-        steps = positive("revolute_step", revolute_step), positive("prismatic_step", prismatic_step)
+        self.period, self.time_constant = positive(period, "period", "s"), positive(time_constant, "time_constant", "s")
+        steps = positive(revolute_step, "revolute_step", "rad"), positive(prismatic_step, "prismatic_step", "m")
         robot = reference.robot
         if robot.model.nq != robot.model.nv:
             raise UnsupportedRobotError(

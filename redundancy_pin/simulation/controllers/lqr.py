@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve, expm, solve_continuous_are, solve_discrete_are
 
-from redundancy_pin.arrays import Array, Frozen, frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, frozen, positive, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
@@ -29,7 +29,6 @@ from redundancy_pin.simulation.controllers.base import (
     kernel_of,
     largest_loads,
     load_limits,
-    positive,
     positive_each,
 )
 from redundancy_pin.simulation.derivatives import linearise_along, state_error
@@ -86,7 +85,7 @@ def bryson_weights(
         InputError: a value that is not positive, or of the wrong shape.
     """
     for name, value in (("position", position), ("carrier", carrier), ("bandwidth", bandwidth)):
-        positive(name, value)
+        positive(value, name, "")
     robot = reference.robot
     largest = largest_loads(reference)
     main = positive_each(effort, largest[0], LEAST_SHARE, "effort")
@@ -298,7 +297,7 @@ class TimeVaryingLqr(Tracking):
     ) -> None:
         super().__init__(plan, motion, sampling)
         robot, reference = self.robot, self.reference
-        positive("step", step)
+        positive(step, "step", "s")
         if sampling is not None and sampling.delay > sampling.period:
             raise InputError(
                 f"The delay of {sampling.delay} s is longer than the period of {sampling.period} s.",

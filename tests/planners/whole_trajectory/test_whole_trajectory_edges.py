@@ -23,7 +23,7 @@ MODELS = Path(__file__).parents[3] / "models"
 
 def carriers_between(plan, times):
     c = plan.carriers
-    return carriers_at(PiecewisePolynomial.linear_acceleration(plan.t, c.s, c.sd, c.sdd), times)
+    return carriers_at(PiecewisePolynomial.linear(plan.t, c.s, c.sd, c.sdd), times)
 
 
 def efforts_at(dynamics, trajectory, plan, times):

@@ -109,7 +109,7 @@ def test_limits_hold_between_the_nodes_where_they_are_met(quantity, limit, toler
     assert plan.diagnostics["optimal"] is (tolerance == 1e-9)
     assert plan.status is (PlanStatus.WITHIN_LIMITS if plan.diagnostics["optimal"] else PlanStatus.STOPPED_EARLY)
     c = plan.carriers
-    position = PiecewisePolynomial.linear_acceleration(plan.t, c.s, c.sd, c.sdd)
+    position = PiecewisePolynomial.linear(plan.t, c.s, c.sd, c.sdd)
     least, most = (position if quantity == "track" else position.derivative()).ranges()
     assert (1.0 - 1e-3) * limit <= max(most.max(), -least.min()) <= limit
 

@@ -164,8 +164,8 @@ def test_limited_main_efforts_are_made_up_for_by_carriers():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"bandwidth": 0.0}, "bandwidth is 0.0"),
-        ({"carrier_bandwidth": -1.0}, "carrier_bandwidth is -1.0"),
+        ({"bandwidth": 0.0}, "bandwidth is 0"),
+        ({"carrier_bandwidth": -1.0}, "carrier_bandwidth is -1"),
         ({"damping": float("nan")}, "damping is nan"),
         ({"effort_scale": 0.0}, "effort_scale is 0.0"),
         ({"carrier_scale": [1.0, 2.0, 3.0]}, r"carrier_scale is \[1.0, 2.0, 3.0\]"),

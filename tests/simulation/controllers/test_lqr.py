@@ -203,7 +203,7 @@ def test_a_semidefinite_weight_may_be_so_up_to_rounding():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"step": 0.0}, "step is 0.0"),
+        ({"step": 0.0}, "step is 0"),
         ({"sampling": Sampling(1e-3, 2e-3)}, "delay of 0.002 s is longer"),
         ({"weights": LqrWeights(np.eye(3), np.eye(4))}, r"Q has shape \(3, 3\)"),
         ({"weights": LqrWeights(np.eye(8), -np.eye(4))}, "R positive definite"),
