@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from redundancy_pin.singularities.crossings import find_crossings
     from redundancy_pin.singularities.locus import singular_locus
     from redundancy_pin.singularities.performance import performance, platform_play, platform_stiffness
+    from redundancy_pin.singularities.workspace_map import workspace
     from redundancy_pin.view import show
     from redundancy_pin.visualisation.figures import plots as plot
 
@@ -74,6 +75,7 @@ _PLACES = {
     "simulate": "simulation",
     "singular_locus": "singularities.locus",
     "symbolic": "dynamics.compiled.symbolic",
+    "workspace": "singularities.workspace_map",
     "write_c": "codegen",
 }
 """Names of ``__all__`` that are no modules, by where they are defined; the imports above say it to type checkers."""
@@ -119,6 +121,7 @@ __all__ = [
     "singular_locus",
     "symbolic",
     "trajectory",
+    "workspace",
     "write_c",
 ]
 __version__ = "0.1.0"

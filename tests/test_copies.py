@@ -82,6 +82,7 @@ def objects() -> dict[str, Any]:
         "forward kinematics": rp.forward_kinematics(small, [0.4, 0.5]),
         "assembly modes": rp.assembly_modes(small, [0.4, 0.5]),
         "performance": rp.performance(small, small.q_reference),
+        "workspace": rp.workspace(small, bounds=[(0.0, 0.5), (0.2, 0.5)], resolution=3),
         "crossings": rp.find_crossings(small, circle),
         "locus": rp.singular_locus(small, resolution=20),
         "limits": Limits(),

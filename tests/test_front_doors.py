@@ -51,6 +51,7 @@ ROBOTS: dict[str, Callable[[Any], Any]] = {
     "performance": lambda robot: rp.performance(robot, rp.load_robot("2rpr").q_reference).manipulability,
     "platform_play": lambda robot: rp.platform_play(robot, rp.load_robot("2rpr").q_reference, 0.001),
     "platform_stiffness": lambda robot: rp.platform_stiffness(robot, rp.load_robot("2rpr").q_reference, 1.0),
+    "workspace": lambda robot: rp.workspace(robot, bounds=[(0.0, 0.5), (0.2, 0.5)], resolution=3).margin,
     "classify": lambda robot: rp.classify(robot, rp.load_robot("2rpr").q_reference).parallel_margin,
     "find_crossings": lambda robot: [crossing.t for crossing in rp.find_crossings(robot, CIRCLE)],
     "singular_locus": lambda robot: rp.singular_locus(robot, resolution=8).points,

@@ -11,14 +11,18 @@ from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.continuation import follows
-from redundancy_pin.kinematics.coordinates import coordinates, difference, is_revolute
+from redundancy_pin.kinematics.coordinates import coordinates, difference, is_revolute, turning_velocities
 from redundancy_pin.kinematics.lift import point_on_branch
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.joint_ranges import out_of_range
 
 _REACH = 4.0
 """Half width of the search for the workspace, in characteristic lengths."""
 
-_COARSE = 61
+_FARTHEST = 8.0
+"""The same, where the workspace goes on beyond it."""
+
+_COARSE, _COARSE_IN_SPACE = 61, 15
 _BORDER = 0.03
 """Room left around the workspace, as a fraction of its size."""
 
@@ -29,6 +33,10 @@ _SHORTEST_STEP = 2.0**-3
 _LONGEST_STEP = 2.0
 """Largest change of q (rad, m) between neighbours: a leg near its base hinge turns by up to π/2, one that Newton threw
 to another turn by more."""
+
+
+_TRIED, _STARTS, _SEED = 60, 6, 20141
+"""Nodes at which islands are looked for, random starts at each, and any fixed number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,26 +108,50 @@ def slice_of(system: ConstraintSystem, orientation: float | None) -> Slice:
     return Slice(tuple(names[k] for k in free), units, free, {names[k]: float(x[k]) for k in fixed}, x, q)
 
 
-def default_axes(system: ConstraintSystem, place: Slice, resolution: int) -> tuple[Array, ...]:
-    """Return the grid that covers the workspace around a slice's start.
+def default_axes(
+    system: ConstraintSystem, place: Slice, resolution: int, *, within_ranges: bool = False
+) -> tuple[Array, ...]:
+    """Return the grid that covers the workspace around a slice's start, or its part within the ranges of all joints.
 
-    A coarse grid finds how far the workspace goes; where it is not at an end after ``_REACH`` characteristic
-    lengths it is cut there. A joint that turns is taken once round.
+    A coarse grid finds how far the workspace goes, however far that is up to ``_FARTHEST`` characteristic lengths;
+    where it is not at an end there it is cut after ``_REACH``. A joint that turns is taken once round.
     """
     robot = system.robot
     half = np.pi if _turns(robot) else _REACH * robot.characteristic_length
     if robot.platform is None:
         return (np.linspace(place.x[0] - half, place.x[0] + half, resolution),)
-    rough = tuple(np.linspace(place.x[c] - half, place.x[c] + half, _COARSE) for c in place.free)
-    grid = solve_grid(system, place, rough)
+    middle = positions(place.x[None], place.free)[0]
+    coarse = _COARSE if len(place.free) < 3 else _COARSE_IN_SPACE
+
+    def around(far: float) -> WorkspaceGrid:
+        return solve_grid(system, place, tuple(np.linspace(at - far, at + far, coarse) for at in middle))
+
+    def wanted(grid: WorkspaceGrid) -> BoolArray:
+        kept = grid.reachable & ~out_of_range(robot, grid.q, motion=False)
+        return kept if within_ranges and kept.any() else grid.reachable
+
+    grid = around(half)
+    if _at_an_end(wanted(grid).reshape(grid.shape)):
+        wider = around(half * _FARTHEST / _REACH)
+        grid = grid if _at_an_end(wanted(wider).reshape(wider.shape)) else wider
     axes = []
-    for column, axis in zip(place.free, rough, strict=True):
-        reached = grid.x[grid.reachable, column]
+    for k, axis in enumerate(grid.axes):
+        reached = positions(grid.x[wanted(grid)], place.free)[:, k]
         cell = axis[1] - axis[0]
         low, high = float(reached.min()) - cell, float(reached.max()) + cell
         room = _BORDER * (high - low)
         axes.append(np.linspace(max(low - room, axis[0]), min(high + room, axis[-1]), resolution))
     return tuple(axes)
+
+
+def _at_an_end(nodes: BoolArray) -> bool:
+    """Return whether nodes (A, B, …) of a grid lie at its border: the workspace may go on."""
+    return any(nodes.take((0, -1), axis).any() for axis in range(nodes.ndim))
+
+
+def positions(x: Array, free: tuple[int, ...]) -> Array:
+    """Return (N, f) the free coordinates of (N, n) coordinates, or translations of (N, 4, 4) poses."""
+    return x[:, list(free), 3] if x.ndim == 3 else x[:, list(free)]
 
 
 def _turns(robot: Robot) -> bool:
@@ -141,17 +173,22 @@ def _free(robot: Robot, names: tuple[str, ...]) -> tuple[int, ...]:
     return free
 
 
-def solve_grid(system: ConstraintSystem, place: Slice, axes: tuple[Array, ...]) -> WorkspaceGrid:
+def solve_grid(
+    system: ConstraintSystem, place: Slice, axes: tuple[Array, ...], *, islands: bool = False
+) -> WorkspaceGrid:
     """Flood a grid from one configuration: every solved node is where its neighbours start from.
 
-    Only the part of the workspace that is connected to the start (in the slice of the grid) is found.
+    Only the part of the workspace that is connected to the start (in the slice of the grid) is found; with ``islands``
+    also parts that random starts meet, where working modes tell the branches apart.
     """
     mesh = np.meshgrid(*axes, indexing="ij")
     nodes = np.repeat(place.x[None], mesh[0].size, axis=0)
     for column, values in zip(place.free, mesh, strict=True):
-        nodes[:, column] = values.ravel()
+        nodes[(slice(None), column, 3) if nodes.ndim == 3 else (slice(None), column)] = values.ravel()
     flood = _Flood(system, nodes, mesh[0].shape)
     flood.run(place.x, place.q)
+    if islands and system.robot.working_modes is not None:
+        flood.look_for_islands(place.q)
     grid_axes = tuple(read_only(np.array(axis)) for axis in axes)
     return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.solved)))
 
@@ -173,7 +210,26 @@ class _Flood:
         distance = np.abs(difference(self.system.robot, self.nodes, np.repeat(x[None], len(self.nodes), axis=0)))
         nearest = np.argsort(distance.max(axis=1), kind="stable")[: 4 ** len(self.shape)]
         count = len(nearest)
-        front = self._reach(nearest, x[None].repeat(count, 0), q[None].repeat(count, 0), gamma.repeat(count, 0))
+        self._spread(self._reach(nearest, x[None].repeat(count, 0), q[None].repeat(count, 0), gamma.repeat(count, 0)))
+
+    def look_for_islands(self, q: Array) -> None:
+        """Try random starts about a configuration (nq,) at some nodes not reached, and spread from what closes."""
+        unsolved = np.flatnonzero(~self.solved)
+        targets = np.repeat(unsolved[:: max(1, len(unsolved) // _TRIED)], _STARTS)
+        model, columns = self.system.robot.model, self.system.pose_columns
+        spread = np.where(turning_velocities(self.system.robot)[columns], np.pi, 0.3)
+        steps = np.zeros((len(targets), model.nv))
+        steps[:, columns] = np.random.default_rng(_SEED).uniform(-1.0, 1.0, (len(targets), len(columns))) * spread
+        guess = integrate(model, np.repeat(q[None], len(targets), axis=0), steps)
+        found = assemble(self.system, guess, self.nodes[targets], shortest_step=_SHORTEST_STEP)
+        for k in np.flatnonzero(found.usable):
+            if not self.solved[targets[k]]:
+                self.q[targets[k]], self.gamma[targets[k]] = found.q[k], found.gamma[k]
+                self.solved[targets[k]] = True
+                self._spread(targets[k : k + 1])
+
+    def _spread(self, front: IntArray) -> None:
+        """Solve the neighbours of solved nodes, outward in waves until no new node closes."""
         while len(front):
             targets, sources = self._neighbours(front)
             front = self._reach(targets, self.nodes[sources], self.q[sources], self.gamma[sources])

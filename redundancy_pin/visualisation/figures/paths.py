@@ -18,6 +18,7 @@ from redundancy_pin.kinematics.coordinates import mode_name
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing
 from redundancy_pin.singularities.locus import SingularLocus
+from redundancy_pin.visualisation.figures.shading import brightest, hatched, shade
 from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below
 from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
 from redundancy_pin.visualisation.viewer.page import View
@@ -192,7 +193,7 @@ _LOCUS_STROKES: dict[SingularityKind, dict[str, Any]] = {
 def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: Sequence[Crossing] = ()) -> Figure:
     """Draw a singular locus: type I and type II curves over the margin, readable in black and white.
 
-    The shade is the distance to type II (smallest singular value of the scaled W): darker is nearer; white is out of
+    The colour is the distance to type II (smallest singular value of the scaled W): darker is nearer; hatched is out of
     reach in this working mode. A robot with a single coordinate gets its margins as curves.
 
     Args:
@@ -221,20 +222,15 @@ def draw_locus(locus: SingularLocus, *, motion: Array | None = None, crossings: 
             _draw_singular(axes, places, "#0072B2", "singular instant")
         else:
             _draw_line(axes, locus)
-        legend_below(drawn, axes.get_legend_handles_labels()[0])
+        out = hatched(locus.reachable, locus.reachable) if plane else []
+        legend_below(drawn, [*axes.get_legend_handles_labels()[0], *out])
         return drawn
 
 
 def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
-    axes.grid(False)
-    shade = np.ma.masked_invalid(np.abs(locus.margin.T))
-    # no part of the map is black or white: curves stand out from it, and so does what is out of reach
-    top = float(shade.max())
-    image = axes.pcolormesh(
-        *locus.axes, shade, cmap="Greys_r", vmin=-0.6 * top, vmax=1.1 * top, shading="nearest", rasterized=True
-    )
-    bar = drawn.colorbar(image, ax=axes, shrink=0.8)
-    bar.ax.set_ylim(0.0, top)
+    size, there = np.abs(locus.margin), (locus.reachable, locus.reachable)
+    image = shade(axes, locus.axes, size, there, brightest(size))
+    bar = drawn.colorbar(image, ax=axes, shrink=0.8, extend="max")
     bar.set_label("margin to type II: smallest scaled singular value of W [–]")
     spatial = ["xyz".index(name) for name in locus.names]  # which of the world's axes the picture has
     for ends in links(locus.robot, locus.q_reference):

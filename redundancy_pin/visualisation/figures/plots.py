@@ -13,6 +13,7 @@ curves apart in print without colour, singular instants dotted, near-singular st
     video       the moving picture as .gif or .mp4            of a plan's, a simulation's or a robot's ``View``
     locus       singular curves over the workspace            of ``singular_locus``
     ellipsoids  velocities and forces the motors reach        of ``performance``
+    workspace   where the platform can go, and how well       of ``workspace``
     comparison  the efforts of several plans                  of plans, simulations or ``curves``
 
 All raise ``RedundancyPinError`` where matplotlib is not installed. A new figure over time is a function here that lists
@@ -58,6 +59,7 @@ from redundancy_pin.visualisation.figures.time_panels import (
     series,
 )
 from redundancy_pin.visualisation.figures.video import save_video as video
+from redundancy_pin.visualisation.figures.workspace_map import draw_workspace as workspace
 from redundancy_pin.visualisation.viewer.scene import FLAT, base_hinges, links, traced
 
 if TYPE_CHECKING:
@@ -78,6 +80,7 @@ __all__ = [
     "simulation",
     "snapshots",
     "video",
+    "workspace",
 ]
 
 

@@ -1,0 +1,84 @@
+"""Maps of workspaces: the margin in colour, what is out of reach hatched, what joints forbid dotted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, require_type
+from redundancy_pin.kinematics.coordinates import mode_name
+from redundancy_pin.singularities.workspace_map import Workspace
+from redundancy_pin.visualisation.figures.paths import draw_mechanism, label_plane, projection
+from redundancy_pin.visualisation.figures.shading import COLORS, brightest, hatched, shade
+from redundancy_pin.visualisation.figures.style import figure, legend_below
+from redundancy_pin.visualisation.viewer.scene import base_hinges, links
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def draw_workspace(found: Workspace) -> Figure:
+    """Draw a workspace: a map for each working mode over two coordinates, a cloud over three, curves over one.
+
+    The colour is the margin to type II singularities. Its top is the 95th percentile, so that one bright spot does not
+    flatten the rest; the arrow of the scale says that there is more. In a cloud the nearest points hide what is behind.
+
+    Raises:
+        InputError: no workspace.
+    """
+    require_type(found, Workspace, "A workspace", "Pass what rp.workspace(robot) returns.")
+    many = len(found.modes)
+    columns = min(many, 4)
+    rows = -(-many // columns)
+    with figure(2.4 + 3.6 * columns, 1.4 + 3.4 * rows, f"{found.robot.name}: margin to type II singularities") as drawn:
+        panels = drawn.subplots(rows, columns, squeeze=False).ravel()
+        size = np.abs(found.margin)
+        top = brightest(size[found.in_range])
+        image = None
+        for k, axes in enumerate(panels):
+            if k >= many:
+                axes.set_visible(False)
+                continue
+            if found.modes[k]:
+                axes.set_title(f"working mode {mode_name(found.modes[k])}")
+            if len(found.axes) == 1:
+                axes.plot(found.axes[0], np.where(found.in_range[k], size[k], np.nan), color="#0072B2")
+                axes.set(
+                    xlabel=f"{found.names[0]} [{found.units[0]}]", ylabel="margin to type II [–]", ylim=(0.0, None)
+                )
+            elif len(found.axes) == 2:
+                image = shade(axes, found.axes, size[k], (found.reachable[k], found.in_range[k]), top)
+                axes.set(
+                    **{
+                        f"{a}label": f"{name} [{unit}]"
+                        for a, name, unit in zip("xy", found.names, found.units, strict=True)
+                    }
+                )
+                axes.set_aspect("equal" if found.units[0] == found.units[1] else "auto")
+            else:
+                image = _cloud(axes, found, k, size[k], top)
+        if image is not None:
+            bar = drawn.colorbar(image, ax=list(panels), shrink=0.8, extend="max")
+            bar.set_label("smallest scaled singular value of W [–]")
+        legend_below(drawn, hatched(found.reachable, found.in_range) if len(found.axes) == 2 else [])
+        return drawn
+
+
+def _cloud(axes: Axes, found: Workspace, k: int, size: Array, top: float) -> Any:
+    matrix = projection("3d")
+    robot = found.robot
+    draw_mechanism(
+        axes, [np.stack(ends) @ matrix.T for ends in links(robot, robot.q_reference)], base_hinges(robot) @ matrix.T
+    )
+    mesh = np.stack([part.ravel() for part in np.meshgrid(*found.axes, indexing="ij")], axis=1)
+    inside = found.in_range[k].ravel()
+    points, values = mesh[inside], size.ravel()[inside]
+    towards = np.cross(matrix[0], matrix[1])
+    order = np.argsort(points @ towards)  # the nearest last, on top
+    flat = points[order] @ matrix.T
+    look: dict[str, Any] = {"cmap": COLORS, "vmin": 0.0, "vmax": top, "s": 6.0, "linewidths": 0.0, "zorder": 1.5}
+    image = axes.scatter(flat[:, 0], flat[:, 1], c=values[order], **look)
+    label_plane(axes, "3d", flat=False)
+    return image

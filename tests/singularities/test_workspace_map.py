@@ -1,0 +1,143 @@
+"""Workspaces against closed forms: discs and rings of a five-bar's legs, leg lengths of a Gough platform."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.singularities.workspace import default_axes, slice_of
+from redundancy_pin.singularities.workspace_map import Workspace
+
+BASE = 0.5  # m, between the hinges of the shipped five-bar
+AROUND = [(-0.6, 1.1), (-1.0, 1.0)]
+
+
+def nodes(found: Workspace) -> Array:
+    return np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1)
+
+
+def reaches(x: Array) -> Array:
+    """Return (..., 2) the distances from both base hinges."""
+    return np.linalg.norm(x[..., None, :] - np.array([[0.0, 0.0], [BASE, 0.0]]), axis=-1)
+
+
+@pytest.fixture(scope="module")
+def five_bar() -> Workspace:
+    """All working modes of the five-bar, whose first elbow may bend by at most 2.4 rad."""
+    robot = zoo.robot_of("five_bar").with_limits({"elbow_1": {"lower": -2.4, "upper": 2.4}})
+    return rp.workspace(robot, bounds=AROUND, resolution=22, modes="all")
+
+
+def test_five_bar_reaches_what_two_discs_share_in_every_mode(five_bar: Workspace) -> None:
+    rho = reaches(nodes(five_bar))
+    inside = (rho < 1.0).all(axis=-1)
+    assert five_bar.modes == ((1, 1), (1, -1), (-1, 1), (-1, -1))
+    assert (five_bar.reachable == inside).all()
+    # two links of half a metre at an elbow angle e span 2 · 0.5 · cos(e / 2)
+    bent = 2.0 * np.arccos(np.minimum(rho[..., 0], 1.0)) > 2.4
+    assert (bent & inside).any()
+    assert (five_bar.in_range == (inside & ~bent)).all()
+    lens = 2.0 * np.arccos(BASE / 2.0) - BASE / 2.0 * np.sqrt(4.0 - BASE**2)
+    narrow = (rho[..., 0] < np.cos(1.2)) & inside
+    cell = float(np.prod([axis[1] - axis[0] for axis in five_bar.axes]))
+    assert abs(five_bar.size + cell * narrow.sum() - lens) < 0.03 * lens
+
+
+def test_margins_are_those_of_the_legs_directions(five_bar: Workspace) -> None:
+    x, L = nodes(five_bar), five_bar.robot.characteristic_length
+    rho = reaches(x)
+    for mode, margin, reachable in zip(five_bar.modes, five_bar.margin, five_bar.reachable, strict=True):
+        rows = []
+        for i, sign in enumerate(mode):
+            leg = x - np.array([[0.0, 0.0], [BASE, 0.0]])[i]
+            half = np.arccos(np.minimum(rho[..., i], 1.0))
+            proximal = np.arctan2(leg[..., 1], leg[..., 0]) + sign * half  # mode +1 bends the elbow clockwise
+            distal = np.arctan2(leg[..., 1], leg[..., 0]) - sign * half
+            along = np.stack([np.cos(distal), np.sin(distal)], axis=-1)
+            # the distal link keeps its length: along · ẋ = along · (0.5 n) θ̇, n normal to the proximal link
+            lever = 0.5 * (-np.sin(proximal) * along[..., 0] + np.cos(proximal) * along[..., 1])
+            rows.append(L * along / lever[..., None])
+        W = np.stack(rows, axis=-2)[reachable]
+        least = np.linalg.svd(W, compute_uv=False)[:, -1]
+        assert np.abs(np.abs(margin[reachable]) - least).max() < 1e-7  # arccos beside a stretched leg
+    best = np.where(five_bar.in_range, np.abs(five_bar.margin), 0.0).max(axis=0)
+    assert np.array_equal(np.nan_to_num(five_bar.best), best)
+
+
+def test_the_default_grid_ends_beyond_the_workspace() -> None:
+    robot = zoo.robot_of("five_bar")
+    system = zoo.system_of(robot)
+    x, y = default_axes(system, slice_of(system, None), 9)
+    tip = np.sqrt(1.0 - (BASE / 2.0) ** 2)  # 0.968: where the discs' borders meet
+    assert y[0] < -tip
+    assert y[-1] > tip
+    assert x[0] < -0.5
+    assert x[-1] > 1.0
+
+
+def test_a_part_that_is_not_connected_is_found() -> None:
+    """Short distal links: each leg reaches a ring, and two rings share a part above and one below the base."""
+    robot = zoo.robot_of("five_bar", distal_length=0.2)
+    found = rp.workspace(robot, bounds=[(0.0, 0.5), (-0.7, 0.7)], resolution=20)
+    rho = reaches(nodes(found))
+    inside = ((rho > 0.3) & (rho < 0.7)).all(axis=-1)
+    y = found.axes[1]
+    assert inside[:, y > 0.2].any()
+    assert inside[:, y < -0.2].any()
+    assert not inside[:, np.abs(y) < 0.15].any()
+    assert (found.reachable[0] == inside).all()
+
+
+@pytest.mark.parametrize("free", [("x", "z"), ("x", "y", "z")])
+def test_gough_is_in_range_where_its_legs_are(free: tuple[str, ...]) -> None:
+    sys.path.insert(0, str(Path(__file__).parents[1] / "kinematics"))
+    from test_forward_kinematics import leg_lengths
+
+    robot = zoo.robot_of("gough").with_limits({f"slide_{i}": {"lower": 0.5, "upper": 0.9} for i in range(1, 7)})
+    bounds = [*[(-0.45, 0.45)] * (len(free) - 1), (0.2, 0.9)]
+    found = rp.workspace(robot, free, bounds=bounds, resolution=12 if len(free) == 2 else 6)
+    lengths = np.array([leg_lengths(robot, pose) for pose in found.x])
+    within = ((lengths >= 0.5) & (lengths <= 0.9)).all(axis=1).reshape(found.in_range.shape[1:])
+    assert within.any()
+    assert (~within).any()
+    assert (found.in_range[0] == within).all()
+    assert np.array_equal(found.points, nodes(found)[within])
+    if len(free) == 2:
+        assert np.ptp(found.x[:, 1, 3]) == 0.0  # held at the reference
+
+
+def test_figures_keep_out_of_reach_and_best_apart(five_bar: Workspace) -> None:
+    pytest.importorskip("matplotlib")
+    from matplotlib import colormaps
+
+    drawn = rp.plot.workspace(five_bar)
+    panels = [axes for axes in drawn.axes if axes.get_title()]
+    assert [axes.get_title()[-2:] for axes in panels] == ["++", "+-", "-+", "--"]
+    for axes, in_range, margin in zip(panels, five_bar.in_range, five_bar.margin, strict=True):
+        [image] = [one for one in axes.collections if np.shape(one.get_array()) == in_range.T.shape]
+        assert (np.ma.getmaskarray(image.get_array()) == ~in_range.T).all()
+        assert image.norm.vmax < np.nanmax(np.abs(margin[in_range])) * 1.01
+    shares = np.mean(np.abs(five_bar.margin[five_bar.in_range]) > image.norm.vmax)
+    assert 0.03 < shares < 0.07  # a bright spot is cut, not the others darkened
+    assert {text.get_text() for text in drawn.legends[0].get_texts()} == {"out of reach", "a joint beyond its limits"}
+    best = np.array(colormaps[image.get_cmap().name](1.0)[:3])
+    assert np.linalg.norm(best - 1.0) > 0.5  # not white
+
+
+def test_refusals() -> None:
+    for message, kind, call in (
+        ("free is", InputError, lambda: rp.workspace("five_bar", ("x", "q"))),
+        ("no working mode", InputError, lambda: rp.workspace("five_bar", modes=[(1, 2)])),
+        ("has no picture", UnsupportedRobotError, lambda: rp.workspace("3rrr", ())),
+        ("resolution is", InputError, lambda: rp.workspace("five_bar", resolution=2)),
+        ("nodes", InputError, lambda: rp.workspace("five_bar", resolution=10**4)),
+    ):
+        with pytest.raises(kind, match=message):
+            call()
