@@ -250,17 +250,6 @@ class PlacedRows(NamedTuple):
         np.subtract(parts[:, 0], parts[:, 1], out=rate[3:])
         return first, rate
 
-    def bias(self, twists: Array, relative: Array, rest: Array) -> Array:
-        """Return J̇ v, (R,) or (R, N), of rows between frames.
-
-        Args:
-            twists: (6, 2, R) or (6, 2, 1, N) V of the bodies that carry each axis, and each partner.
-            relative: (6, R) or (6, 1, N) V_B − V_A.
-            rest: A_B − A_A of the same shape.
-        """
-        bias: Array = np.add.reduce(self.rates(twists)[1] * relative + self.wrench * rest)
-        return bias
-
     def jacobian_rate(self, J: Array, dJ: Array, v: Array) -> Array:
         """Return (R, nv) the rate of the rows at one state."""
         rows = self.rows
@@ -392,16 +381,24 @@ class ConstraintSystem:
         still, r = np.zeros((6, state.pose.samples)), len(self.rows)
         motions = [*self.tree.motions(state.pose, v).values(), (still, still)]
         result = np.zeros((r + self.robot.n, state.pose.samples))
-        for rows, (a, c), first, second in self.all_rows.groups:
-            twists = np.stack([motions[a][0], motions[c][0]], axis=1)[:, :, None]
+        for rows, carriers, first, second in self.all_rows.groups:
+            pairs, moving = state.rows.pairs[:, :, rows], state.rows.moving[:, rows]
             relative, rest = (
                 two[:, None] - one[:, None] for one, two in zip(motions[first], motions[second], strict=True)
             )
-            placed = state.rows
-            part = placed._replace(
-                pairs=placed.pairs[:, :, rows], moving=placed.moving[:, rows], wrench=placed.wrench[:, rows]
-            )
-            result[rows] = part.bias(twists, relative, rest)
+            total = np.add.reduce(state.rows.wrench[:, rows] * rest)
+            for k, body in enumerate(carriers):  # the formula of ``RowSet.bias_at``; the world stands still
+                if body == len(motions) - 1:
+                    continue
+                rate = cross(motions[body][0][3:, None], pairs[:, k])
+                if k == 0:
+                    lever = cross(relative[3:], pairs[:, 1]) + relative[:3] * moving[1]
+                else:
+                    rate += motions[body][0][:3, None] * moving[1]
+                    lever = cross(pairs[:, 0], relative[3:])
+                rate *= lever
+                total += np.add.reduce(rate)
+            result[rows] = total
         if self.couplings is not None:
             result[self.couplings.at] = self.couplings.bias(state.q.T, v.T)
         return result[:r].T, result[r:].T

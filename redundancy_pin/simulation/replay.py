@@ -21,6 +21,7 @@ from redundancy_pin.simulation.controllers.by_name import controller_by_name
 from redundancy_pin.simulation.simulate import simulate
 from redundancy_pin.simulation.state import State, closed_state
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Drive = Literal["open loop", "open loop, samples", "carriers by motion", "computed torque", "LQR"]
 
@@ -205,9 +206,12 @@ def _controller(plan: Plan, reference: MotionReference, drive: str, sampling: Sa
 class _SampleEfforts(Tracking):
     """Efforts of the samples, linear in between; where a sample occurs twice they jump."""
 
+    open_loop: PiecewisePolynomial
+
     def __init__(self, plan: Plan, reference: MotionReference) -> None:
         super().__init__(reference)
-        bad = ~np.isfinite(np.concatenate([plan.tau, plan.carrier_force], axis=1)).all(axis=1)
+        efforts = np.concatenate([plan.tau, plan.carrier_force], axis=1)
+        bad = ~np.isfinite(efforts).all(axis=1)
         if bad.any():
             t = float(plan.t[int(bad.argmax())])
             raise InfeasiblePlanError(
@@ -216,16 +220,12 @@ class _SampleEfforts(Tracking):
                 constraint="effort",
                 time=t,
             )
-        self._t, self._tau, self._force = plan.t, np.asarray(plan.tau), np.asarray(plan.carrier_force)
+        self.open_loop = PiecewisePolynomial.linear(plan.t, efforts)
         self.breaks = np.unique(plan.t)[1:-1]
 
     def effort(self, t: float, state: State) -> Command:
-        right = min(max(int(np.searchsorted(self._t, t, side="right")), 1), len(self._t) - 1)
-        left = right - 1
-        step = self._t[right] - self._t[left]
-        share = min(max((t - self._t[left]) / step, 0.0), 1.0) if step > 0.0 else 1.0
-        tau, force = ((1.0 - share) * part[left] + share * part[right] for part in (self._tau, self._force))
-        return tau, force
+        both = self.open_loop.at(t)
+        return both[: self.robot.m], both[self.robot.m :]
 
 
 def _off_track(robot: Robot, s: Array) -> float:

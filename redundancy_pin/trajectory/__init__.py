@@ -7,10 +7,9 @@ from redundancy_pin.arrays import Side
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.csv_file import carriers_from_csv, from_csv
 from redundancy_pin.trajectory.paths import Arc, ChainedPath, Line, Path, PathPoint, circle_path, with_constant
-from redundancy_pin.trajectory.piecewise_law import PiecewiseLaw
 from redundancy_pin.trajectory.points import from_points
-from redundancy_pin.trajectory.splines import PosePath, TimedSpline
 from redundancy_pin.trajectory.timing import (
+    PiecewiseLaw,
     Polynomial,
     RestToRest,
     SpeedProfile,
@@ -21,7 +20,14 @@ from redundancy_pin.trajectory.timing import (
     rest_to_rest_4567,
 )
 from redundancy_pin.trajectory.trajectory import PoseTrajectory, Trajectory, TrajectoryPoint
-from redundancy_pin.trajectory.waypoints import SplinePath, corner_path, rounded_polygon, through_points
+from redundancy_pin.trajectory.waypoints import (
+    PosePath,
+    SplinePath,
+    TimedSpline,
+    corner_path,
+    rounded_polygon,
+    through_points,
+)
 
 __all__ = [
     "Arc",

@@ -72,11 +72,7 @@ class SmoothPath(ABC):
     """Base of the paths without breaks: they define ``length``, ``dimension`` and ``_at``."""
 
     length: float
-
-    @property
-    def breaks(self) -> Array:
-        """(0,) the curvature is continuous."""
-        return frozen([])
+    breaks = frozen(())
 
     def evaluate(self, p: ArrayLike, side: Side = "right") -> PathPoint:
         """Return x, x', x'' at arc lengths p, m; see ``Path.evaluate``."""

@@ -17,12 +17,10 @@ from redundancy_pin.io.reading import read_text
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory.csv_file import checked_poses, table_of_csv
 from redundancy_pin.trajectory.paths import Path, with_constant
-from redundancy_pin.trajectory.piecewise_law import law_through_speeds, uniform_law
-from redundancy_pin.trajectory.splines import PosePath, TimedSpline
 from redundancy_pin.trajectory.time_optimal import fastest_law
-from redundancy_pin.trajectory.timing import SpeedProfile, TimingLaw
+from redundancy_pin.trajectory.timing import SpeedProfile, TimingLaw, law_through_speeds, uniform_law
 from redundancy_pin.trajectory.trajectory import Trajectory
-from redundancy_pin.trajectory.waypoints import SplinePath
+from redundancy_pin.trajectory.waypoints import PosePath, SplinePath, TimedSpline
 
 TIME_OPTIMAL: Literal["time-optimal"] = "time-optimal"
 """In place of times: as fast as limits allow."""

@@ -14,6 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array
 
+HALF_TURN_MARGIN = 1e-6
+"""Rotations this close to a half turn, rad, have no usable axis: rounding of 1e-9 in the pose (the tolerance of a
+pose) would tilt it by 1e-3."""
+
 
 def quaternions_of(rotations: Array) -> Array:
     """Return (N, 4) quaternions of rotations (N, 3, 3), each of the sign that is nearer to the one before."""

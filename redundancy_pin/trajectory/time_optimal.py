@@ -23,7 +23,7 @@ from scipy.interpolate import BPoly
 from redundancy_pin.arrays import Array, IntArray, Side, checked
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory.paths import Path
-from redundancy_pin.trajectory.piecewise_law import PiecewiseLaw
+from redundancy_pin.trajectory.timing import PiecewiseLaw
 
 STEPS = 1000
 """Of the grid, where the path is not sharply bent: with twice as many durations change by less than 1e-4."""

@@ -25,6 +25,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.trajectory.paths import Path, PathPoint, SmoothPath
+from redundancy_pin.trajectory.quaternions import HALF_TURN_MARGIN
 from redundancy_pin.trajectory.timing import TimingLaw
 
 MOST_SAMPLES = 10_000_000
@@ -210,11 +211,6 @@ class Trajectory(Frozen):
         return TrajectoryPoint(x, tangent * pd, tangent * pdd + curvature * pd**2)
 
 
-_HALF_TURN_MARGIN = 1e-6
-"""Rotations this close to a half turn, rad, have no usable axis: rounding of 1e-9 in the pose (the tolerance of a
-pose) would tilt it by 1e-3."""
-
-
 @dataclass(frozen=True, eq=False)
 class _Screw(Frozen, SmoothPath):
     """Poses from ``start`` (4, 4): displaced and turned in proportion to p by a ``screw`` (6,), m and rad, in all."""
@@ -260,7 +256,7 @@ class PoseTrajectory(Trajectory):
         PlatformMotion([0.0, 1.0], poses, np.zeros((2, 6)), np.zeros((2, 6)))
         turn = Rotation.from_matrix(poses[1, :3, :3] @ poses[0, :3, :3].T).as_rotvec()
         angle = float(np.linalg.norm(turn))
-        if angle > np.pi - _HALF_TURN_MARGIN:
+        if angle > np.pi - HALF_TURN_MARGIN:
             raise InputError(
                 f"The poses are {angle:.9g} rad apart: at half a turn the axis is not determined.",
                 remedy="Go through a pose in between.",

@@ -8,7 +8,7 @@ import zoo
 
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.singularities.followed_path import motion_of
+from redundancy_pin.singularities.crossings import motion_of
 from redundancy_pin.trajectory import reference
 
 

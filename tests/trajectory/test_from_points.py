@@ -15,8 +15,8 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory import Line, Trajectory, circle_path, corner_path, from_points, through_points
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
-from redundancy_pin.trajectory.piecewise_law import law_through_speeds
 from redundancy_pin.trajectory.time_optimal import BLEND, fastest_law, least_duration
+from redundancy_pin.trajectory.timing import law_through_speeds
 
 POINTS = np.array([[0.0, 0.0], [0.2, 0.1], [0.3, 0.4], [0.1, 0.5], [0.0, 0.3]])
 TIMES = np.array([1.0, 1.5, 2.2, 3.0, 4.0])  # counted from the first
