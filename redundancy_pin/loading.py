@@ -15,7 +15,8 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, IntArray, checked, frozen, read_only
 from redundancy_pin.errors import DeclarationError, InputError
-from redundancy_pin.kinematics.assembly import assemble, project
+from redundancy_pin.kinematics.assembly import TURNED_OVER, assemble, project
+from redundancy_pin.kinematics.closing import closed_near
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
 from redundancy_pin.kinematics.coordinates import (
     gravity_acts,
@@ -27,12 +28,12 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
-from redundancy_pin.kinematics.selection import closed_near, row_names, selected
+from redundancy_pin.kinematics.selection import row_names, selected
 from redundancy_pin.robot import AXES, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, put_together
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
-from redundancy_pin.robot.from_model import declared
+from redundancy_pin.robot.from_model import declared, depth_first, in_order_of
 from redundancy_pin.robot.loads import JointForces, Load
 from redundancy_pin.robot.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
@@ -307,7 +308,7 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
     else:
         goal = target()[0]
         _require_radians(robot, dict(zip(robot.independent_joints, goal.tolist(), strict=False)), "reference.joints")
-        q, gap, closed = multistart_nearest(system, guess, goal, columns)
+        q, gap, closed = multistart_nearest(system, guess, goal, columns, _prescribed(robot, guess, goal))
     if not closed:
         raise DeclarationError(
             _not_closed(robot, q, gap),
@@ -322,6 +323,16 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
     )
     _check_reference_rank(ConstraintSystem(robot))
     return robot
+
+
+def _prescribed(robot: Robot, guess: Array, goal: Array) -> Array:
+    """Return a guess (nq,) with the joints whose positions are prescribed where they end."""
+    start = guess.copy()
+    for name, value in () if robot.platform else zip(robot.independent_joints, goal.tolist(), strict=True):
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        at = (value,) if joint.nq == 1 else (np.cos(value), np.sin(value))
+        start[joint.idx_q : joint.idx_q + joint.nq] = at
+    return start
 
 
 def _columns(model: pin.Model, names: Iterable[str]) -> IntArray:
@@ -503,22 +514,22 @@ def robot_from_model(
 ) -> Robot:
     """Return a robot as ``Robot.from_model`` says, which puts its named arguments into ``said``."""
     reference, closures = said["reference"], said["closures"]
-    if isinstance(model, pin.Model):
-        model = pin.Model(model)
+    given, (model, at) = model, depth_first(model)
     data: dict[str, Any] = {
         "name": said["name"] or str(getattr(model, "name", "")) or "robot",
         "urdf": "model",
-        **declared(model, said),
+        **declared(model, said, at),
         "working_modes": working_modes,
         "characteristic_length": characteristic_length,
         "reference": reference if isinstance(reference, Mapping) else {},
         "gravity": model.gravity.linear.tolist(),
     }
     near = not (reference is None or isinstance(reference, Mapping))
-    start = checked(reference, "reference", (model.nq,)) if near else None
+    start = in_order_of(model, given, at, checked(reference, "reference", (model.nq,))) if near else None
     loose = any(hasattr(each, "joint1_placement") for each in closures)
     robot = made(data, model, start, loose=loose, urdf=urdf, mode=working_mode)
-    return replace(robot, urdf_folder=urdf_folder)
+    moved = () if at == sorted(at) else ("Joints are numbered depth first, as Pinocchio's mass matrix needs them.",)
+    return replace(robot, urdf_folder=urdf_folder, notes=(*robot.notes, *moved))
 
 
 def made(
@@ -567,6 +578,7 @@ def made(
         guess[listed] = robot.q_reference[listed]
         robot = replace(robot, q_reference=frozen(guess))
     notes: list[str] = []
+    whole: Robot | None = None
     if loose or not data.get("independent"):
         provisional = replace(robot, platform=None, independent_joints=())
         selection = selected(provisional, np.array(robot.q_reference), redundant=loose)
@@ -578,6 +590,8 @@ def made(
                 "is held: the second ball is a universal joint."
             )
         if selection.left_out:
+            # rows that are left say less of the side on which a weld closes: what follows starts on the right one
+            whole, robot = provisional, replace(robot, q_reference=frozen(selection.q))
             rows, opened = ", ".join(selection.left_out), selection.opened
             rounded = f" to {opened:.1g} (m or rad) nearby, as the file's numbers are rounded" if opened > 1e-8 else ""
             notes.append(f"Redundant closure rows left out, the loops stay closed in them{rounded}: {rows}.")
@@ -594,4 +608,14 @@ def made(
     given = declaration.reference
     prescribed = given.platform is not None or given.joints is not None
     target = (lambda: reference_coordinates(robot, declaration.coordinates({}))) if prescribed else None
-    return replace(_closed(robot, declaration, target), notes=tuple(notes))
+    closed = _closed(robot, declaration, target)
+    if whole is not None:
+        system = ConstraintSystem(replace(closed, closures=whole.closures, couplings=whole.couplings))
+        turned = float(system.misalignment(system.evaluate(np.array(closed.q_reference)[None]))[0])
+        if turned > TURNED_OVER:
+            raise DeclarationError(
+                f"At the reference of {closed.name} a hinge or weld closes the wrong way round, by {turned:.3g} rad.",
+                remedy="Name a `reference.guess` nearer to the right one.",
+                angle=turned,
+            )
+    return replace(closed, notes=tuple(notes))

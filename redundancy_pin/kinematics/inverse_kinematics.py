@@ -65,28 +65,31 @@ def multistart(system: ConstraintSystem, guess: Array, x: Array) -> PoseSolution
     return best
 
 
-def multistart_nearest(system: ConstraintSystem, guess: Array, x: Array, listed: IntArray) -> PoseSolution:
+def multistart_nearest(
+    system: ConstraintSystem, guess: Array, x: Array, listed: IntArray, prescribed: Array
+) -> PoseSolution:
     """Assemble one pose in the configuration nearest to what is known of it.
 
     Many starts are solved, half of them with the known joints at their guess, and the nearest of all solutions is
     taken: Newton from the guess alone may leave it for another branch, above all where the joints left out start
     stretched. ``listed`` are the indices in q of the joints whose guess means something; the others do not count for
-    the distance.
+    the distance. ``prescribed`` (nq,) is the guess with the joints that the pose prescribes where they end: Newton
+    starts from there too, and that is what is nearest where no joint is listed.
     """
     rng = np.random.default_rng(_SEED)
-    solutions = [_assemble_around(system, guess, x, 1, rng)]
+    solutions = [_assemble_around(system, start, x, 1, rng) for start in (guess, prescribed)]
     solutions += [_assemble_around(system, guess, x, _NEAR_STARTS, rng, kept) for kept in (listed, listed[:0])]
-    q = wrapped(system.robot, np.concatenate([solution.q for solution in solutions]))
+    q = wrapped(system.robot, np.concatenate([solution.q for solution in solutions]), guess)
     closed = np.concatenate([solution.closed for solution in solutions])
     usable = closed & in_working_mode(system.robot, q)
     if not usable.any():
         return _from_mixed_legs(system, q[closed], guess, x) or multistart(system, guess, x)
     columns = listed if len(listed) else np.arange(len(guess))
-    away = q[:, columns] - guess[columns]
+    away = q[:, columns] - prescribed[columns]
     turning = np.isin(columns, _bounded_angles(system.robot))
     away[:, turning] = (away[:, turning] + np.pi) % (2.0 * np.pi) - np.pi
     # the joints that are not listed decide among equals, so that the answer does not hang on the order of the starts
-    distance = np.abs(away).sum(axis=1).round(9) + 1e-12 * np.abs(q - guess).sum(axis=1)
+    distance = np.abs(away).sum(axis=1).round(9) + 1e-12 * np.abs(q - prescribed).sum(axis=1)
     nearest = int(np.argmin(np.where(usable, distance, np.inf)))
     return PoseSolution(q[nearest], float(np.concatenate([solution.gap for solution in solutions])[nearest]), True)
 
@@ -161,12 +164,20 @@ def _assemble_around(
     return assemble(system, around, np.repeat(x[None], starts, axis=0), shortest_step=_SHORTEST_STEP)
 
 
-def wrapped(robot: Robot, q: Array) -> Array:
-    """Return q with the angles of bounded revolute joints in (−π, π], but for those that the pose prescribes."""
+def wrapped(robot: Robot, q: Array, guess: Array | None = None) -> Array:
+    """Return q with the angles of bounded revolute joints in (−π, π], but for those that the pose prescribes.
+
+    Where that is beyond a joint's limits, and the turn nearest to the guess (nq,) is not, it is that turn.
+    """
     result: Array = q.copy()
     prescribed = {robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.independent_joints}
     columns = [column for column in _bounded_angles(robot) if column not in prescribed]
-    result[:, columns] = np.pi - (np.pi - q[:, columns]) % (2.0 * np.pi)
+    result[:, columns] = short = np.pi - (np.pi - q[:, columns]) % (2.0 * np.pi)
+    if guess is not None:
+        lower, upper = (limit[columns] for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit))
+        near = short + 2.0 * np.pi * np.round((guess[columns] - short) / (2.0 * np.pi))
+        allowed, within = ((lower <= angle) & (angle <= upper) for angle in (short, near))
+        result[:, columns] = np.where(~allowed & within, near, short)
     return result
 
 

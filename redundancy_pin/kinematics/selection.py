@@ -17,20 +17,13 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, BoolArray, IntArray
 from redundancy_pin.errors import DeclarationError
-from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, integrate
+from redundancy_pin.kinematics.closing import SEED, close, closed_near, scattered
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.robot import AXES, Robot
 
-_NEIGHBOURS, _SPREAD, _SEED = 6, 0.1, 2014
-"""Configurations around the reference, how far the joints are from it (rad, or in characteristic lengths), and the
-generator's seed: the same rows every time."""
-
-_ITERATIONS, _SHORTEST, _CUT = 100, 2.0**-12, 1e-8
-"""Newton's method: most steps, the shortest share of one, and the relative singular value that counts as zero."""
-
-_RESTARTS = 30
-"""Further starts where the first does not close, further and further away."""
+_NEIGHBOURS, _SPREAD = 6, 0.1
+"""Configurations around the reference, and how far the joints are from it, rad, or in characteristic lengths."""
 
 _STAYS_CLOSED = 1e-8
 """m, or rad: how far the rows that are left out may open. Newton leaves 1e-11; the false ones open by 1e-3 and more."""
@@ -65,60 +58,6 @@ class Selection(NamedTuple):
     held: tuple[str, ...]
     independent: tuple[str, ...]
     q: Array
-
-
-def closed_near(robot: Robot, q: Array) -> Array:
-    """Return the closed configuration (nq,) that the smallest change of q leads to.
-
-    Raises:
-        DeclarationError: Newton does not close the loops from there.
-    """
-    system, rng = ConstraintSystem(robot), np.random.default_rng(_SEED)
-    closed, gap = _close(system, q)
-    for spread in np.linspace(0.2, 1.5, _RESTARTS):
-        if gap < CLOSURE_TOLERANCE:
-            break
-        closed, gap = _close(system, _around(system, q, 1, spread, rng)[0])
-    if not gap < CLOSURE_TOLERANCE:
-        raise DeclarationError(
-            f"The loops of {robot.name} do not close near the reference: a gap of {gap:.3g} is left.",
-            remedy="Name a reference that is nearer to a closed configuration, or correct the closures.",
-            gap=gap,
-        )
-    return closed
-
-
-def _close(system: ConstraintSystem, q: Array) -> tuple[Array, float]:
-    """Return what Newton with a line search reaches from q (nq,), and the gap that is left.
-
-    ``assemble`` takes rows to be independent; here they may be redundant, and steps are those of least norm.
-    """
-    model, columns = system.robot.model, system.pose_columns
-    scale = velocity_scale(system.robot)[columns]
-    state = system.evaluate(q[None])
-    for _ in range(_ITERATIONS):
-        step = np.zeros((1, model.nv))
-        step[0, columns] = -np.linalg.pinv(state.Jc[0][:, columns] / scale, rcond=_CUT) @ state.phi[0] / scale
-        longest = float(np.abs(step).max(initial=0.0))
-        if longest < SETTLED_STEP:  # the last, which needs no look at what it gains
-            state = system.evaluate(integrate(model, state.q, step))
-            break
-        size, share = np.linalg.norm(state.phi), 1.0 / max(longest, 1.0)
-        while share > _SHORTEST:
-            tried = system.evaluate(integrate(model, state.q, share * step))
-            if np.linalg.norm(tried.phi) < size:
-                break
-            share *= 0.5
-        else:
-            break
-        state = tried
-    gap = float(max(np.abs(state.phi).max(initial=0.0), _turned_over(system.misalignment(state)[0])))
-    closed: Array = state.q[0]
-    return closed, gap
-
-
-def _turned_over(angle: float) -> float:
-    return angle if angle > TURNED_OVER else 0.0
 
 
 def selected(robot: Robot, q: Array, *, redundant: bool) -> Selection:
@@ -235,19 +174,10 @@ def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, .
 
 def _neighbours(system: ConstraintSystem, q: Array) -> Array:
     """Return closed configurations (N, nq), the first of them q itself."""
-    around = _around(system, q, _NEIGHBOURS, _SPREAD, np.random.default_rng(_SEED))
-    reached = [_close(system, each) for each in (q, *around)]
+    around = scattered(system, q, _NEIGHBOURS, _SPREAD, np.random.default_rng(SEED))
+    reached = [close(system, each) for each in (q, *around)]
     closed = [each for each, gap in reached if gap < CLOSURE_TOLERANCE]
     return np.array(closed) if closed else q[None]
-
-
-def _around(system: ConstraintSystem, q: Array, count: int, spread: float, rng: np.random.Generator) -> Array:
-    """Return configurations (count, nq) around q; carriers stay."""
-    robot = system.robot
-    steps = rng.uniform(-spread, spread, (count, robot.model.nv))
-    steps *= robot.characteristic_length / velocity_scale(robot)
-    steps[:, robot.carrier_velocity] = 0.0
-    return integrate(robot.model, np.repeat(q[None], count, axis=0), steps)
 
 
 def _rows(system: ConstraintSystem, q: Array) -> Array:

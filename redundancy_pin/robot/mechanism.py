@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from xml.sax.saxutils import quoteattr
 
@@ -64,7 +64,7 @@ class Mechanism:
     couplings: tuple[Coupling, ...] = ()
 
     def model(self, path: str) -> pin.Model:
-        """Return Pinocchio's model; every link is a frame of it.
+        """Return Pinocchio's model, its joints depth first; every link is a frame of it.
 
         Raises:
             ModelFileError: more links or freedoms than a model may have.
@@ -83,7 +83,7 @@ class Mechanism:
         root = next(iter(self.links))
         places = {root: (0, pin.SE3.Identity())}
         model.addBodyFrame(root, 0, pin.SE3.Identity(), 0)
-        for joint in self.joints:
+        for joint in self._depth_first():
             carrier, place = places[joint.parent]
             place = place * pin.SE3(joint.placement)
             if joint.kind != "fixed":
@@ -99,6 +99,17 @@ class Mechanism:
                 model.appendBodyToJoint(carrier, pin.Inertia(link.mass, link.centre, link.inertia), place)
             model.addBodyFrame(joint.child, carrier, place, 0)
         return model
+
+    def _depth_first(self) -> Iterator[JointEntry]:
+        """Give the joints so that what a joint carries follows it: Pinocchio's mass matrix is wrong otherwise."""
+        above: dict[str, list[JointEntry]] = {}
+        for joint in reversed(self.joints):
+            above.setdefault(joint.parent, []).append(joint)
+        waiting = above.get(next(iter(self.links)), [])
+        while waiting:
+            joint = waiting.pop()
+            yield joint
+            waiting += above.get(joint.child, [])
 
     def with_hinges(self, names: Sequence[str]) -> Mechanism:
         """Return the mechanism with three hinges (yaw, pitch, roll) in place of each of some ball joints."""

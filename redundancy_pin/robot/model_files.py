@@ -2,33 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot.mechanism import Mechanism
 from redundancy_pin.robot.mjcf import read_mjcf
+from redundancy_pin.robot.parallel_yaml import is_parallel_yaml, read_parallel_yaml
 from redundancy_pin.robot.sdf import read_sdf
 from redundancy_pin.robot.urdf import Argument
 from redundancy_pin.robot.xml_files import FORMATS, format_of, read_model
 
-_SUFFIXES = (".xml", ".mjcf", ".sdf", ".world")
+_SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", ".yaml", ".yml")
+_PARALLEL = "a robot.yaml of example-parallel-robots"
+_READERS: Mapping[str, Callable[..., Mechanism]] = {
+    FORMATS["mujoco"]: read_mjcf,
+    FORMATS["sdf"]: read_sdf,
+    _PARALLEL: read_parallel_yaml,
+}
 _ARGUMENTS: Mapping[str, Mapping[str, Argument]] = {
     FORMATS["mujoco"]: {"base": "free", "keyframe": ""},
     FORMATS["sdf"]: {"base": "fixed", "actuated": ""},
+    _PARALLEL: {"base": "fixed"},
 }
 """Such files by what they are, and the arguments that they have in place of those of a xacro file."""
 
 
 def is_model_file(path: Path) -> bool:
     """Return whether a file is one of those that need no declaration: by its name, and by its top element."""
-    return path.suffix.lower() in _SUFFIXES and is_file(path) and format_of(read_model(path)) in _ARGUMENTS
+    return path.suffix.lower() in _SUFFIXES and is_file(path) and _format(path) in _ARGUMENTS
+
+
+def _format(path: Path) -> str:
+    text = read_model(path)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _PARALLEL if is_parallel_yaml(text) else ""
+    return format_of(text)
 
 
 def defaults_of(path: Path) -> Mapping[str, Argument]:
     """Return the arguments of a model file, and their values when left out."""
-    return _ARGUMENTS[format_of(read_model(path))]
+    return _ARGUMENTS[_format(path)]
 
 
 def read_mechanism(path: Path, arguments: Mapping[str, object]) -> tuple[Mechanism, dict[str, Argument]]:
@@ -51,5 +66,4 @@ def read_mechanism(path: Path, arguments: Mapping[str, object]) -> tuple[Mechani
     values = {name: str(arguments.get(name, default)) for name, default in defaults.items()}
     if values["base"] not in ("free", "fixed"):
         raise InputError(f"The argument 'base' is {shown(values['base'])}.", remedy="It must be free or fixed.")
-    mechanism = read_sdf(path, **values) if "actuated" in defaults else read_mjcf(path, **values)
-    return mechanism, dict(values)
+    return _READERS[_format(path)](path, **values), dict(values)

@@ -115,7 +115,7 @@ def test_a_constraint_model_of_pinocchio_closes_a_loop(tilt, kind):
     assert robot.independent_joints == ("crank",)
     (closure,) = robot.closures
     assert len(closure.axes) == kind - (1 if kind == 3 else 3)
-    left_out, chosen = robot.notes
+    left_out, chosen, *_ = robot.notes
     assert left_out.count(" of '") == kind - len(closure.axes)
     assert "crank" in chosen
     effort = _effort(robot)
@@ -188,6 +188,42 @@ def test_a_platform_and_a_picture():
     assert {solid.role for solid in solids_of(robot)} >= {"link", "closure"}
 
 
+def test_joints_in_any_order_are_numbered_depth_first():
+    """Pinocchio's mass matrix is wrong where a sibling comes between a joint and what it carries."""
+    model, body = pin.Model(), pin.Inertia(1.0, np.array([0.3, 0.1, 0.2]), 0.1 * np.eye(3))
+    place = pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.1]))
+    for name, parent, kind in (
+        ("left", 0, pin.JointModelRY()),
+        ("right", 0, pin.JointModelRZ()),
+        ("left_knee", 1, pin.JointModelRX()),
+        ("right_knee", 2, pin.JointModelPZ()),
+    ):
+        model.appendBodyToJoint(model.addJoint(parent, kind, place, name), body, pin.SE3.Identity())
+    model.armature = np.arange(4.0)
+    model.upperPositionLimit = np.array([1.0, 2.0, 3.0, 4.0])
+    for name, joint in (("hand", 3), ("shoe", 4)):
+        model.addFrame(pin.Frame(name, joint, place, pin.FrameType.OP_FRAME))
+    start = np.array([0.1, 0.3, 0.2, 0.4])
+    loop = ("hand", "shoe", ["x", "y"])
+    robot = rp.Robot.from_model(model, closures=[loop], actuated=["left", "left_knee"], reference=start)
+    own = robot.model
+    assert list(own.names)[1:] == ["left", "left_knee", "right", "right_knee"]
+    assert own.armature.tolist() == [0.0, 2.0, 1.0, 3.0]
+    assert own.upperPositionLimit.tolist() == [1.0, 3.0, 2.0, 4.0]
+    q, data = np.array(robot.q_reference), own.createData()
+    mass = pin.crba(own, data, q)
+    mass = np.triu(mass) + np.triu(mass, 1).T
+    still = np.zeros(4)
+    weight = np.array(pin.rnea(own, data, q, still, still))
+    by_rnea = np.array([np.array(pin.rnea(own, data, q, still, unit)) - weight for unit in np.eye(4)])
+    np.testing.assert_allclose(mass, by_rnea, atol=1e-12)
+    pin.forwardKinematics(own, data, q)
+    hand, shoe = (data.oMi[own.getJointId(name)] * place for name in ("left_knee", "right_knee"))
+    np.testing.assert_allclose(hand.actInv(shoe).translation[:2], 0.0, atol=1e-9)
+    assert np.abs(q - start[[0, 2, 1, 3]]).max() < 0.5
+    assert any("depth first" in note for note in robot.notes)
+
+
 BAD = {
     "joint": (
         {"actuated": ["cranc"]},
@@ -246,7 +282,7 @@ def test_bricards_six_hinges_stay_closed_in_all_six_rows():
     robot = rp.Robot.from_model(model, closures=[weld], actuated=["hinge_0"], reference=start)
     assert sum(len(closure.axes) for closure in robot.closures) == 5
     home = robot.q_reference[robot.model.joints[robot.model.getJointId(robot.independent_joints[0])].idx_q]
-    x = home + np.linspace(0.0, 0.3, 20)[:, None]
+    x = home - np.linspace(0.0, 0.3, 20)[:, None]  # a hinge opens by 2π/3 and no wider
     lifted = rp.lift(robot, rp.PlatformMotion(np.linspace(0.0, 1.0, 20), x, np.ones_like(x), np.zeros_like(x)))
     data = robot.model.createData()
     for q in lifted.q:

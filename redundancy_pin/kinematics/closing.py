@@ -1,0 +1,167 @@
+"""Close loops from afar, with rows that may be redundant: where files put their joints says little of where they meet.
+
+Newton's method on the rows ends at the wrong side of a hinge or a weld whose frames start turned away, as rotation rows
+are sines. Levenberg–Marquardt's on angles, the rotation vector between the frames, leads to the right side; Newton ends
+it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
+from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, integrate
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.coordinates import velocity_scale
+from redundancy_pin.robot import AXES, Closure, Robot
+
+SEED = 2014
+"""Of all that is random here and in the choice of rows: the same answer every time."""
+
+_ITERATIONS, _SHORTEST, _CUT = 100, 2.0**-12, 1e-8
+"""Newton's method: most steps, the shortest share of one, and the relative singular value that counts as zero."""
+
+_RESTARTS = 30
+"""Further starts where the first does not close, further and further away."""
+
+_STEPS, _ALL_STEPS = 200, 600
+"""Levenberg–Marquardt's method: most steps from one start, and from all."""
+
+_NEAR = 1e-3
+"""m: the size of what is open from which Newton goes on."""
+
+_LONGEST = 0.5
+"""rad or m: the longest step of a joint."""
+
+_NO_GAIN = 1e-5
+"""Share of what is open that a step has to close."""
+
+
+def closed_near(robot: Robot, q: Array) -> Array:
+    """Return the closed configuration (nq,) that the smallest changes of q lead to.
+
+    Raises:
+        DeclarationError: the loops do not close from there.
+    """
+    system, rng = ConstraintSystem(robot), np.random.default_rng(SEED)
+    closed, gap = close(system, q)
+    left, best = _ALL_STEPS, gap
+    for spread in (0.0, *np.linspace(0.2, 1.5, _RESTARTS)):
+        if gap < CLOSURE_TOLERANCE:
+            return closed
+        near, steps, size = _brought_near(system, q if spread == 0.0 else scattered(system, q, 1, spread, rng)[0])
+        if size < _NEAR:
+            closed, gap = close(system, near)
+        left, best = left - steps, min(best, gap, size)
+        if left < 0:
+            break
+    if gap < CLOSURE_TOLERANCE:
+        return closed
+    raise DeclarationError(
+        f"The loops of {robot.name} do not close near the reference: a gap of {best:.3g} is left.",
+        remedy="Name a reference that is nearer to a closed configuration, or correct the closures.",
+        gap=best,
+    )
+
+
+def close(system: ConstraintSystem, q: Array) -> tuple[Array, float]:
+    """Return what Newton with a line search reaches from q (nq,), and the gap that is left.
+
+    ``assemble`` takes rows to be independent; here they may be redundant, and steps are those of least norm.
+    """
+    model, columns = system.robot.model, system.pose_columns
+    scale = velocity_scale(system.robot)[columns]
+    state = system.evaluate(q[None])
+    for _ in range(_ITERATIONS):
+        step = np.zeros((1, model.nv))
+        step[0, columns] = -np.linalg.pinv(state.Jc[0][:, columns] / scale, rcond=_CUT) @ state.phi[0] / scale
+        longest = float(np.abs(step).max(initial=0.0))
+        if longest < SETTLED_STEP:  # the last, which needs no look at what it gains
+            state = system.evaluate(integrate(model, state.q, step))
+            break
+        size, share = np.linalg.norm(state.phi), 1.0 / max(longest, 1.0)
+        while share > _SHORTEST:
+            tried = system.evaluate(integrate(model, state.q, share * step))
+            if np.linalg.norm(tried.phi) < size:
+                break
+            share *= 0.5
+        else:
+            break
+        state = tried
+    turned = float(system.misalignment(state)[0])
+    gap = float(max(np.abs(state.phi).max(initial=0.0), turned if turned > TURNED_OVER else 0.0))
+    closed: Array = state.q[0]
+    return closed, gap
+
+
+def scattered(system: ConstraintSystem, q: Array, count: int, spread: float, rng: np.random.Generator) -> Array:
+    """Return configurations (count, nq) around q; carriers stay."""
+    robot = system.robot
+    steps = rng.uniform(-spread, spread, (count, robot.model.nv))
+    steps *= robot.characteristic_length / velocity_scale(robot)
+    steps[:, robot.carrier_velocity] = 0.0
+    return integrate(robot.model, np.repeat(q[None], count, axis=0), steps)
+
+
+def _brought_near(system: ConstraintSystem, q: Array) -> tuple[Array, int, float]:
+    """Return what Levenberg–Marquardt's method reaches from q (nq,), its number of steps, and what is left open, m."""
+    model, columns, weight = system.robot.model, system.pose_columns, system.closure_scale
+    scale = velocity_scale(system.robot)[columns]
+    state, damping, count = system.evaluate(q[None]), 1e-2, 0
+    error, rows = _angles(system, state)
+    size = float(np.linalg.norm(weight * error))
+    while size > _NEAR and count < _STEPS and damping < 1e6:
+        count += 1
+        matrix = weight[:, None] * rows[:, columns] / scale
+        normal = matrix.T @ matrix
+        normal += (damping * float(np.trace(normal)) / len(normal) + np.finfo(float).tiny) * np.eye(len(normal))
+        step = np.zeros((1, model.nv))
+        step[0, columns] = -np.linalg.solve(normal, matrix.T @ (weight * error)) / scale
+        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), np.finfo(float).tiny))
+        tried = system.evaluate(integrate(model, state.q, step))
+        new, new_rows = _angles(system, tried)
+        new_size = float(np.linalg.norm(weight * new))
+        if not new_size < size:
+            damping *= 4.0
+            continue
+        gain = size - new_size
+        state, error, rows, size, damping = tried, new, new_rows, new_size, max(damping / 3.0, 1e-9)
+        if gain < _NO_GAIN * size:
+            break
+    reached: Array = state.q[0]
+    return reached, count, size
+
+
+def _angles(system: ConstraintSystem, state: ConstraintState) -> tuple[Array, Array]:
+    """Return (r,) what is open and (r, nv) what it changes by, angles in place of the sines of hinges and welds."""
+    error, rows, first = state.phi[0].copy(), state.Jc[0].copy(), 0
+    for closure in system.robot.closures:
+        turning = [k for k in range(3) if AXES[3 + k] in closure.axes]
+        if len(turning) > 1:
+            at = [first + closure.axes.index(AXES[3 + k]) for k in turning]
+            vector, relative = _turn(system, state, closure, turning)
+            error[at], rows[at] = vector[turning], relative[turning]
+        first += len(closure.axes)
+    return error, rows
+
+
+def _turn(
+    system: ConstraintSystem, state: ConstraintState, closure: Closure, turning: list[int]
+) -> tuple[Array, Array]:
+    """Return (3,) the rotation vector from frame a to b, of a hinge that of its axes, and (3, nv) its rate."""
+    A, B = (state.pose.frame_rotation[frame][:, :, 0] for frame in (closure.frame_a, closure.frame_b))
+    rates = np.zeros((2, 3, system.robot.model.nv))
+    for rate, frame in zip(rates, (closure.frame_a, closure.frame_b), strict=True):
+        columns = list(system.tree.support[frame])
+        rate[:, columns] = state.pose.jacobian[3:, columns, 0]
+    relative: Array = A.T @ (rates[1] - rates[0])
+    if len(turning) == 3:
+        return pin.log3(A.T @ B), relative
+    free = 3 - sum(turning)
+    axis = A.T @ B[:, free]
+    normal = np.cross(np.eye(3)[free], axis)
+    sine = float(np.linalg.norm(normal))
+    direction = normal / sine if sine > 1e-9 else np.eye(3)[turning[0]]  # opposite: any way round
+    return direction * np.arctan2(sine, axis[free]), relative

@@ -1,0 +1,215 @@
+"""Robots in the format of example-parallel-robots: read directly, judged by Pinocchio's constrained dynamics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from written import J, urdf_of, write_robot
+from zoo import home_of
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
+from redundancy_pin.kinematics.closing import closed_near
+from redundancy_pin.kinematics.closure import ConstraintSystem
+
+PLANAR = [
+    J("motor_1", "revolute", "base", "crank_1", (0, 0, 0.1), (0, 0, 1.3)),
+    J("motor_2", "revolute", "base", "crank_2", (0.4, 0, 0.1), (0, 0, 0.9)),
+    J("elbow_1", "revolute", "crank_1", "rod_1", (0.3, 0, 0), (0, 0, -0.6)),
+    J("elbow_2", "revolute", "crank_2", "rod_2", (0.3, 0, 0), (0, 0, 0.8)),
+    J("loop_A", "revolute", "rod_1", "pin", (0.35, 0, 0)),
+    J("end_B", "fixed", "rod_2", "loop_B", (0.35, 0, 0)),
+]
+PLANAR_YAML = {"closed_loop": [["loop_A", "loop_B"]], "type": ["6d"], "name_mot": ["motor_2", "motor_1"]}
+# a foot on a universal joint and a rod with a ball at one end and a universal joint at the other, as of an ankle
+ANKLE = [
+    J("cross", "revolute", "base", "foot", (0, 0, -0.4), (0.1, -0.2, 0.3)),
+    J("motor", "revolute", "base", "crank", (0.1, 0.05, 0), (2.2, 0, 0.4), axis=(0, 1, 0)),
+    J("rod_ball", "revolute", "crank", "rod", (0.12, 0, 0), (0, 2.0, 0)),
+    J("rod_A", "fixed", "rod", "rod_end", (0.4, 0, 0)),
+    J("foot_cross", "revolute", "foot", "pivot", (0.1, 0.05, 0.02), (-2.4, 0.5, 0)),
+    J("held", "revolute", "foot", "toe", (0.2, 0, 0)),
+]
+ANKLE_YAML = {
+    "closed_loop": [["rod_A", "pivot"]],
+    "type": ["6D"],
+    "name_mot": ["motor"],
+    "joint_name": ["cross", "rod_ball", "foot_cross", "held"],
+    "joint_type": ["UJOINT_XY", "SPHERICAL", "UJOINT_ZY", "FIXED"],
+}
+
+
+def written(folder: Path, joints: list[J], said: dict) -> Path:
+    # as the collection writes limits: none of position, which urdfdom reads as 0 and 0
+    text = urdf_of(joints).replace('lower="-100" upper="100" ', "")
+    (folder / "robot.urdf").write_text(text)
+    (folder / "robot.yaml").write_text(yaml.safe_dump(said))
+    return folder
+
+
+def model_by_hand(urdf: str, said: dict) -> pin.Model:
+    """Build the model joint by joint out of Pinocchio's own of the URDF."""
+    plain, model = pin.buildModelFromXML(urdf), pin.Model()
+    kinds = dict(zip(said.get("joint_name", ()), said.get("joint_type", ()), strict=True))
+    hinges = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
+    places = {0: (0, pin.SE3.Identity())}
+    for index in range(1, plain.njoints):
+        name, kind = str(plain.names[index]), kinds.get(str(plain.names[index]), "")
+        carrier, place = places[int(plain.parents[index])]
+        place = place * plain.jointPlacements[index]
+        if kind == "FIXED":
+            places[index] = carrier, place
+        elif kind.startswith("UJOINT"):
+            first = model.addJoint(carrier, hinges[kind[-2]](), place, f"{name}_{kind[-2].lower()}")
+            second = model.addJoint(first, hinges[kind[-1]](), pin.SE3.Identity(), f"{name}_{kind[-1].lower()}")
+            places[index] = second, pin.SE3.Identity()
+        else:
+            joint = pin.JointModelSpherical() if kind else plain.joints[index]
+            places[index] = model.addJoint(carrier, joint, place, name), pin.SE3.Identity()
+        model.appendBodyToJoint(places[index][0], plain.inertias[index], places[index][1])
+    for frame in plain.frames:
+        carrier, place = places[int(frame.parentJoint)]
+        model.addFrame(pin.Frame(frame.name, carrier, place * frame.placement, pin.FrameType.OP_FRAME))
+    return model
+
+
+def in_order(robot: rp.Robot, model: pin.Model, vector: Array, attribute: str) -> Array:
+    """Return a configuration or velocity of the robot in the order of the model."""
+    at, count = f"idx_{attribute}", f"n{attribute}"
+    result = np.zeros(getattr(model, count))
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        own = robot.model.joints[robot.model.getJointId(name)]
+        start, size = getattr(own, at), getattr(own, count)
+        result[getattr(joint, at) : getattr(joint, at) + size] = vector[start : start + size]
+    return result
+
+
+@pytest.mark.parametrize(("joints", "said"), [(PLANAR, PLANAR_YAML), (ANKLE, ANKLE_YAML)], ids=["planar", "ankle"])
+def test_accelerations_are_those_of_pinocchio(joints: list[J], said: dict, tmp_path: Path) -> None:
+    robot = rp.load_robot(written(tmp_path, joints, said))
+    assert robot.name == tmp_path.name
+    assert robot.actuated == tuple(said["name_mot"])
+    assert (robot.model.lowerPositionLimit < -1.0).all()
+    assert (robot.model.upperPositionLimit > 1.0).all()
+    model = model_by_hand((tmp_path / "robot.urdf").read_text(), said)
+    assert (model.nq, model.nv) == (robot.model.nq, robot.model.nv)
+    ((one, other),) = said["closed_loop"]
+    frames = (model.frames[model.getFrameId(name)] for name in (one, other))
+    ends = [part for frame in frames for part in (frame.parentJoint, frame.placement)]
+    constraint = pin.RigidConstraintModel(pin.ContactType.CONTACT_6D, model, *ends, pin.ReferenceFrame.LOCAL)
+    constraints, data = pin.StdVec_RigidConstraintModel(), model.createData()
+    constraints.append(constraint)
+    own = pin.StdVec_RigidConstraintData()
+    own.append(constraint.createData())
+    pin.initConstraintDynamics(model, data, constraints, own)
+    rng = np.random.default_rng(2)
+    x, xd = home_of(robot)[None] + 0.05, rng.normal(size=(1, robot.n))
+    lifted = rp.lift(robot, rp.PlatformMotion([0.0], x, xd, 0.0 * xd))
+    tau = rng.normal(size=robot.m)
+    force = np.zeros(robot.model.nv)
+    force[robot.actuated_velocity] = tau
+    q, v, u = (
+        in_order(robot, model, vector, kind) for vector, kind in ((lifted.q[0], "q"), (lifted.v[0], "v"), (force, "v"))
+    )
+    pin.framesForwardKinematics(model, data, q)
+    gap = data.oMf[model.getFrameId(one)].inverse() * data.oMf[model.getFrameId(other)]
+    assert np.abs(pin.log6(gap).vector).max() < 1e-9
+    settings = pin.ProximalSettings(1e-14, 1e-14, 1e-8, 200)
+    a = np.array(pin.constraintDynamics(model, data, q, v, u, constraints, own, settings))
+    rates = [model.joints[model.getJointId(name)].idx_v for name in robot.independent_joints]
+    motion = rp.PlatformMotion([0.0], x, xd, a[rates][None])
+    np.testing.assert_allclose(in_order(robot, model, rp.lift(robot, motion).a[0], "v"), a, rtol=1e-8, atol=1e-8)
+    reduced = rp.RneaDynamics(robot).reduce(motion)
+    np.testing.assert_allclose(reduced.f[0], reduced.W[0] @ tau, rtol=1e-7, atol=1e-7 * np.abs(reduced.f).max())
+
+
+def test_a_weld_that_starts_turned_away_is_closed_the_right_way_round(tmp_path: Path) -> None:
+    """Newton on sines ends turned over."""
+    turned = [*PLANAR[:4], J("loop_A", "revolute", "rod_1", "pin", (0.35, 0, 0), (0, 0, 3.0)), PLANAR[5]]
+    robot = rp.load_robot(written(tmp_path, turned, PLANAR_YAML))
+    system = ConstraintSystem(robot)
+    state = system.evaluate(np.array(robot.q_reference)[None])
+    assert np.abs(state.phi).max() < 1e-10
+    model, data = robot.model, robot.model.createData()
+    pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
+    first, second = (data.oMf[model.getFrameId(name, pin.FrameType.BODY)].rotation for name in ("pin", "loop_B"))
+    np.testing.assert_allclose(first, second, atol=1e-8)
+    far = np.array([0.1, -0.3, 2.0, -2.0, 3.0])
+    again = closed_near(robot, far)
+    assert np.abs(system.evaluate(again[None]).phi).max() < 1e-10
+
+
+def test_a_base_that_moves_and_a_declaration_of_ones_own(tmp_path: Path) -> None:
+    free = rp.load_robot(written(tmp_path, PLANAR, PLANAR_YAML), base="free")
+    six = {f"base_{axis}" for axis in ("x", "y", "z", "rz", "ry", "rx")}
+    assert six < set(free.independent_joints)
+    assert free.independent_joints[:2] == ("motor_2", "motor_1")
+    own = tmp_path / "own"
+    own.mkdir()
+    said = {"urdf": "../robot.yaml", "reference": {"guess": {"motor_1": 0.1}}, "actuated": ["motor_1"]}
+    (own / "robot.yaml").write_text(yaml.safe_dump(said))
+    assert rp.load_robot(own).actuated == ("motor_1",)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"closed_loop": [["loop_A", "loop_C"]]}, DeclarationError, "no frame 'loop_C'"),
+        ({"type": ["5d"]}, DeclarationError, r"type\[0\]"),
+        ({"type": []}, DeclarationError, ""),
+        ({"type": ["6d", "6d"]}, DeclarationError, "a list of 1"),
+        ({"joint_name": ["elbow_1"], "joint_type": ["UJOINT_XX"]}, DeclarationError, "UJOINT_XX"),
+        ({"name_mot": ["motor_3"]}, DeclarationError, "no moving joint 'motor_3'"),
+        ({"joint_nam": ["elbow_1"]}, DeclarationError, "joint_nam"),
+    ],
+)
+def test_mistakes_are_named(change: dict, error: type, message: str, tmp_path: Path) -> None:
+    if not message:  # types may be left out: all are welds
+        assert rp.load_robot(written(tmp_path, PLANAR, {**PLANAR_YAML, **change})).n == 2
+        return
+    with pytest.raises(error, match=message):
+        rp.load_robot(written(tmp_path, PLANAR, {**PLANAR_YAML, **change}))
+
+
+def test_files_beside_it_and_names_that_are_not_there(tmp_path: Path) -> None:
+    said = {**PLANAR_YAML, "joint_name": ["elbow_9"], "joint_type": ["SPHERICAL"]}
+    robot = rp.load_robot(written(tmp_path, PLANAR, said))
+    assert any("Passed over" in note and "elbow_9" in note for note in robot.notes)
+    (tmp_path / "robot.urdf").rename(tmp_path / "one.urdf")
+    assert rp.load_robot(tmp_path).n == robot.n
+    (tmp_path / "two.urdf").write_text("<robot/>")
+    with pytest.raises(ModelFileError, match="holds 2"):
+        rp.load_robot(tmp_path)
+    with pytest.raises(InputError, match="no argument 'bases'"):
+        rp.load_robot(written(tmp_path, PLANAR, PLANAR_YAML), bases="free")
+
+
+def test_joints_that_are_prescribed_start_there(tmp_path: Path) -> None:
+    """A triangle of an arm and a slide that another turn of the guess would put 2.5 rad elsewhere."""
+    arms = [
+        J("crank", "revolute", "base", "crank"),
+        J("knee", "revolute", "crank", "coupler", (0.1, 0, 0)),
+        J("coupler_end", "fixed", "coupler", "tip", (0.3, 0, 0)),
+        J("rocker", "revolute", "base", "rocker", (0.3, 0, 0)),
+        J("rocker_end", "fixed", "rocker", "end", (0.2, 0, 0)),
+    ]
+    declaration = {
+        "closures": [{"frames": ["tip", "end"], "axes": ["x", "y"]}],
+        "actuated": ["crank"],
+        "independent": {"joints": ["crank"]},
+        "reference": {"joints": {"crank": 1.0}, "guess": {"knee": -0.6, "rocker": 1.4 - 2.0 * np.pi}},
+    }
+    urdf = urdf_of(arms)
+    at = urdf.index('<joint name="rocker"')
+    urdf = urdf[:at] + urdf[at:].replace('lower="-100" upper="100"', 'lower="-7" upper="-3.5"', 1)
+    robot = rp.load_robot(write_robot(tmp_path, urdf, declaration))
+    crank, knee, rocker = robot.q_reference
+    assert crank == 1.0
+    assert abs(knee + 0.6) < 0.5
+    # the guess's own turn, within its limits
+    assert abs(rocker - 1.4 + 2.0 * np.pi) < 0.5
