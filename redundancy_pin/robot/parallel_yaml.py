@@ -71,8 +71,7 @@ def read_parallel_yaml(path: Path, *, base: str = "fixed") -> Mechanism:
         for number, ((one, other), kind) in enumerate(zip(said.closed_loop, types, strict=True)):
             if kind.lower() not in ("3d", "6d"):
                 raise bad_value(f"type[{number}]", kind, "3d or 6d")
-            ends = (_link(tree, name) for name in (one, other))
-            closures.append(Closure(f"{one} = {other}", *ends, AXES[: int(kind[0])]))
+            closures.append(Closure(f"{one} = {other}", _link(tree, one), _link(tree, other), AXES[: int(kind[0])]))
         for kind in said.joint_type:
             if kind not in _KINDS:
                 raise bad_value("joint_type", kind, f"one of {', '.join(_KINDS)}")

@@ -46,13 +46,15 @@ def tree_mechanism(
         DeclarationError: an unknown joint or kind; a joint that is driven and has several freedoms.
     """
     named = {joint.name: joint for joint in tree.joints}
-    for joint, kind in kinds.items():
-        if joint not in named:
-            remedy = f"{did_you_mean(joint, named)}It has: {', '.join(named)}."
-            raise DeclarationError(f"The URDF has no joint {joint!r}.", remedy=remedy, name=joint)
+    for replaced, kind in kinds.items():
+        if replaced not in named:
+            remedy = f"{did_you_mean(replaced, named)}It has: {', '.join(named)}."
+            raise DeclarationError(f"The URDF has no joint {replaced!r}.", remedy=remedy, name=replaced)
         if kind not in KINDS:
             remedy = f"{did_you_mean(kind, KINDS)}There are: {', '.join(KINDS)}."
-            raise DeclarationError(f"The joint {joint!r} cannot be made {shown(kind)}.", remedy=remedy, name=joint)
+            raise DeclarationError(
+                f"The joint {replaced!r} cannot be made {shown(kind)}.", remedy=remedy, name=replaced
+            )
     links: dict[str, LinkEntry] = {}
     joints: list[JointEntry] = []
     start: dict[str, float | Array] = {}
