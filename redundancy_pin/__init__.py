@@ -3,11 +3,16 @@
 Names are imported when they are first used: a program pays for the rooms it enters, and for no others.
 """
 
+# ruff: noqa: E402 - Ctrl-C is quiet before anything is imported that takes its time
+from redundancy_pin import _startup
+
+_startup.install()
+
 import importlib
 import importlib.util
 from typing import TYPE_CHECKING, Any
 
-from redundancy_pin import _moved, _startup
+from redundancy_pin import _moved
 
 if TYPE_CHECKING:
     from redundancy_pin import simulation, trajectory
@@ -37,8 +42,6 @@ if TYPE_CHECKING:
     from redundancy_pin.singularities.workspace_map import workspace
     from redundancy_pin.view import show
     from redundancy_pin.visualisation.figures import plots as plot
-
-_startup.install()
 
 _PLACES = {
     "CarrierMotion": "motion",

@@ -1,7 +1,8 @@
 """Ctrl-C while the command ``redundancy-pin`` is still importing: one line and exit code 130, no traceback.
 
 The imports take a second or two, before any code of the command line could catch an interrupt. A program that imports
-the package keeps Python's own handling.
+the package keeps Python's own handling. This file imports what every interpreter has loaded already, and is imported
+first: what is interrupted before has not reached the package.
 """
 
 from __future__ import annotations
@@ -9,19 +10,19 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
-from pathlib import Path
 
 INTERRUPTED = 130  # exit code after Ctrl-C, as shells have it
 
 
 def install() -> None:
     """End quietly when interrupted, if this is the command; until ``done``."""
-    command = Path(sys.argv[0]).stem if sys.argv else ""
-    # where interrupts are ignored, as behind nohup, they stay so; only the main thread may set handlers
-    default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if command == "redundancy-pin" and default and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, _end)
+    command = os.path.splitext(os.path.basename(sys.argv[0]))[0] if sys.argv else ""
+    # where interrupts are ignored, as behind nohup, they stay so
+    if command == "redundancy-pin" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        try:
+            signal.signal(signal.SIGINT, _end)
+        except ValueError:
+            return  # only the main thread may set handlers
 
 
 def done() -> None:

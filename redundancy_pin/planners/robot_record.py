@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from redundancy_pin.errors import ModelFileError, PlanFileError, RedundancyPinError, shown
+from redundancy_pin.errors import DeclarationError, ModelFileError, PlanFileError, RedundancyPinError, shown
 from redundancy_pin.io.schema import Schema, typed, validated
 from redundancy_pin.kinematics.coordinates import is_revolute
 from redundancy_pin.loading import load_with
@@ -163,6 +163,7 @@ def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trus
     ``source``: where the robot is now, if its files have moved, or lie elsewhere than the file that holds the record;
     ``trust``: as for ``load_robot``, which only a user says, never a file.
     """
+    _require_sound(record)
     try:
         place = _own_source(record) if source is None else source
         robot = load_with(
@@ -180,6 +181,19 @@ def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trus
     if difference:
         raise _changed(record, place, difference)
     return replace(robot, own_meshes_only=source is None and record.folder is not None and not trust)
+
+
+def _require_sound(record: RobotRecord) -> None:
+    """Judge a record that was put together in Python as one that comes from a file."""
+    values = {name: getattr(record, name) for name in _Record.model_fields}
+    limits, arguments = values["carrier_limits"], values["arguments"]
+    if isinstance(limits, tuple) and all(isinstance(entry, CarrierLimits) for entry in limits):
+        values["carrier_limits"] = tuple(map(asdict, limits))
+    values["arguments"] = dict(arguments) if isinstance(arguments, Mapping) else arguments
+    try:
+        validated(_Record, values, of="robot")
+    except DeclarationError as error:
+        raise PlanFileError(error.message, remedy=error.remedy or "Save the plan again.") from error
 
 
 _PASS_SOURCE = "Pass source=, the path of its robot.yaml (--robot on the command line)."

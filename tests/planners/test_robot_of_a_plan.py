@@ -271,6 +271,15 @@ def test_records_of_the_wrong_form(field: str, value: Any, tmp_path: Path) -> No
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("field", WRONG)
+def test_records_of_the_wrong_form_made_in_python(field: str, shipped_plan: Plan) -> None:
+    for value in (None, 1, [1], [[1]], [["a"] * 10], {"a": {}}, b"x", ((1.0,) * 9,), (float("nan"),) * 3, ("x", 2)):
+        plan = replace(shipped_plan, robot=replace(shipped_plan.robot, **{field: value}))
+        with pytest.raises(PlanFileError) as caught:
+            load_robot_of(plan)
+        assert caught.value.remedy
+
+
 @pytest.mark.parametrize("name", inspect.signature(rp.load_robot).parameters)
 def test_no_argument_of_a_plan_is_one_of_load_robot(name: str, shipped_plan: Plan, tmp_path: Path) -> None:
     """What ``load_robot`` is told by its user alone (a source, gravity, a mode, trust) comes from no file."""
