@@ -130,6 +130,8 @@ def _draw(
         try:
             robot = random_robot(source, rng, carriers, masses) if vary else _nominal(source, trust)
         except DeclarationError as error:
+            if not vary:
+                raise  # it is what its files say, draw after draw
             failure = error  # these lengths do not close in this mode: draw again
             continue
         case = _random_motion(robot, samples, rng, amplitude=0.6 * 0.9**attempt)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 
 import pytest
 from command_line import call, refused
@@ -54,3 +55,11 @@ def test_failure_shows_in_table_json_and_exit_code(monkeypatch: pytest.MonkeyPat
 )
 def test_bad_input(arguments: tuple[str, ...], says: str) -> None:
     assert says in refused("validate", *arguments)
+
+
+def test_what_a_declaration_says_wrong_is_said_and_not_drawn_again(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("name: x\nurdf: nowhere.urdf\nactuated: 3\n", encoding="utf-8")
+    said = refused("validate", "--robot", path, "--samples", "5")
+    assert said == refused("info", "--robot", path)
+    assert "actuated" in said
