@@ -9,8 +9,8 @@ import click
 import numpy as np
 
 from redundancy_pin.cli.errors import FAILED_CHECK
-from redundancy_pin.cli.options import backend_option, json_option, trust_option
-from redundancy_pin.cli.output import console, number, print_json, row, table_of
+from redundancy_pin.cli.options import backend_option, json_option, recorded_robot_options
+from redundancy_pin.cli.output import number, report, row, table_of
 from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES
 from redundancy_pin.planners.check import check_plan
 from redundancy_pin.planners.plan import load_plan, load_robot_of
@@ -19,11 +19,8 @@ from redundancy_pin.studies.case import BACKENDS, RNEA
 
 @click.command()
 @click.argument("path", metavar="NPZ")
-@click.option(
-    "--robot", "source", metavar="NAME|PATH", help="The plan's robot, where it is neither shipped nor in its folder."
-)
 @backend_option(RNEA, "What judges the plan.")
-@trust_option
+@recorded_robot_options
 @json_option
 def check(path: str, source: str | None, backend: str, trust: bool, as_json: bool) -> int:
     r"""Judge a saved plan anew.
@@ -39,35 +36,28 @@ def check(path: str, source: str | None, backend: str, trust: bool, as_json: boo
     """
     plan = load_plan(path)
     result = check_plan(plan, BACKENDS[backend](load_robot_of(plan, source, trust=trust)))
-    if as_json:
-        print_json(
-            {
-                "plan": path,
-                "backend": backend,
-                "passed": result.passed,
-                "status": result.status.value,
-                "saved_status": plan.status.value,
-                "imbalance": result.imbalance,
-                "peak_effort": result.peak_effort,
-                "limits": {"violated": [vars(event) for event in result.violated]},
-                "deviations": [vars(deviation) for deviation in result.deviations],
-                "wider_limits": list(result.wider_limits),
-                "closure_rank": list(result.closure_rank),
-            }
-        )
-    else:
-        unit = plan.robot.effort_unit(*plan.robot.actuated)
-        rows = [
-            ("is what it says", "yes" if result.passed else "NO"),
-            ("status", result.status.value.replace("_", " ")),
-            ("largest imbalance of W τ = f", number(result.imbalance)),
-            (f"peak main effort [{unit}]", row(result.peak_effort)),
-            ("limits broken", str(len(result.violated)) if result.violated else "none"),
-            *(("deviation", deviation.message) for deviation in result.deviations),
-            *(("wider limit", note) for note in result.wider_limits),
-            *(("closures lose rank", _where(loss)) for loss in result.closure_rank),
-        ]
-        console().print(table_of(f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {backend}", (), rows))
+    facts = {
+        "plan": path,
+        "backend": backend,
+        "passed": result.passed,
+        "status": result.status.value,
+        "saved_status": plan.status.value,
+        **{name: getattr(result, name) for name in ("imbalance", "peak_effort", "wider_limits", "closure_rank")},
+        "limits": {"violated": [vars(event) for event in result.violated]},
+        "deviations": [vars(deviation) for deviation in result.deviations],
+    }
+    rows = [
+        ("is what it says", "yes" if result.passed else "NO"),
+        ("status", result.status.value.replace("_", " ")),
+        ("largest imbalance of W τ = f", number(result.imbalance)),
+        (f"peak main effort [{plan.robot.effort_unit(*plan.robot.actuated)}]", row(result.peak_effort)),
+        ("limits broken", str(len(result.violated)) if result.violated else "none"),
+        *(("deviation", deviation.message) for deviation in result.deviations),
+        *(("wider limit", note) for note in result.wider_limits),
+        *(("closures lose rank", _where(loss)) for loss in result.closure_rank),
+    ]
+    title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {backend}"
+    report(as_json, facts, table_of(title, (), rows))
     for deviation in result.deviations:
         click.echo(f"error: {deviation.message}", err=True)
     return EXIT_CODES.get(result.status, BREAKS_LIMITS) if result.passed else FAILED_CHECK

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.options import json_option, trust_option
-from redundancy_pin.cli.output import print_json, same_file
+from redundancy_pin.cli.options import json_option, recorded_robot_options
+from redundancy_pin.cli.output import report, same_file
 from redundancy_pin.errors import InputError, OutputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.export import write_csv, write_json, write_mat, write_ros
@@ -24,20 +24,10 @@ WRITERS = {".csv": write_csv, ".json": write_json, ".mat": write_mat, ".yaml": w
 @click.option("--rate", type=float, metavar="HZ", help="Rows a second.  [default: the samples of the plan]")
 @click.option("--two-sided", is_flag=True, help="Two rows where something jumps: before and after it.")
 @click.option("--ros", is_flag=True, help="Write a JointTrajectory as .json; .yaml always is one.")
-@click.option(
-    "--robot", "source", metavar="NAME|PATH", help="The plan's robot, where it is neither shipped nor in its folder."
-)
-@trust_option
+@recorded_robot_options
 @json_option
 def export(
-    path: str,
-    out: str,
-    rate: float | None,
-    two_sided: bool,
-    ros: bool,
-    source: str | None,
-    trust: bool,
-    as_json: bool,
+    path: str, out: str, rate: float | None, two_sided: bool, ros: bool, source: str | None, trust: bool, as_json: bool
 ) -> None:
     r"""Write a plan for other programs.
 
@@ -70,8 +60,5 @@ def export(
             rate, two_sided=two_sided or (False if message else None), robot=load_robot_of(plan, source, trust=trust)
         )
         (write_ros if message else WRITERS[suffix])(table, out)
-    if as_json:
-        joints = list(table.joints)
-        print_json({"plan": path, "robot": plan.robot.name, "out": out, "rows": len(table.t), "joints": joints})
-    else:
-        click.echo(f"{len(table.t)} rows of {', '.join(table.joints)} are in {out}")
+    facts = {"plan": path, "robot": plan.robot.name, "out": out, "rows": len(table.t), "joints": table.joints}
+    report(as_json, facts, f"{len(table.t)} rows of {', '.join(table.joints)} are in {out}")

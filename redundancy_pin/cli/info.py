@@ -10,14 +10,17 @@ import click
 import numpy as np
 
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import console, print_json, row, table_of
+from redundancy_pin.cli.output import report, row, table_of
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.robot import Load, Robot
 from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
+from redundancy_pin.studies.table import json_data
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+_LIMITS = ("speed", "acceleration", "force")
 
 
 @click.command()
@@ -39,13 +42,7 @@ def info(robot: RobotOptions, as_json: bool) -> None:
         _list_robots(as_json)
         return
     facts = describe(robot.load(), declaration_path(robot.source), trust=robot.trust)
-    if as_json:
-        print_json(facts)
-    else:
-        for table in (_general(facts), *_tables(facts)):
-            console().print(table)
-        for note in facts["notes"]:
-            console().print(note, markup=False)
+    report(as_json, facts, _general(facts), *_tables(facts), *facts["notes"])
 
 
 def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str, Any]:
@@ -58,67 +55,45 @@ def describe(robot: Robot, declaration: Any, *, trust: bool = False) -> dict[str
     data = {} if is_model_file(declaration) else read_declaration(declaration).data
     file = declaration.parent / data["urdf"] if data else declaration
     defaults = defaults_of(file) if is_model_file(file) else render(file, {}, trust=trust)[1]
-    model = robot.model
+    platform, limits = robot.platform, zip(robot.carriers, robot.carrier_limits, strict=True)
+    counts = {"independent velocities n": robot.n, "main actuators m": robot.m, "carriers k": robot.k}
     return {
         "name": robot.name,
         "description": str(data.get("description", "")),
-        "counts": {
-            "independent velocities n": robot.n,
-            "main actuators m": robot.m,
-            "carriers k": robot.k,
-            "nq": model.nq,
-            "nv": model.nv,
-        },
+        "counts": {**counts, "nq": robot.model.nq, "nv": robot.model.nv},
         "independent": {
-            "platform": robot.platform.frame if robot.platform else None,
-            "axes": list(robot.platform.axes) if robot.platform else None,
-            "joints": list(robot.independent_joints),
+            "platform": platform.frame if platform else None,
+            "axes": platform.axes if platform else None,
+            "joints": robot.independent_joints,
         },
-        "joints": [_joint(robot, index) for index in range(1, model.njoints)],
-        "closures": [
-            {"frame_a": closure.frame_a, "frame_b": closure.frame_b, "axes": list(closure.axes)}
-            for closure in robot.closures
-        ],
+        "joints": [_joint(robot, index) for index in range(1, robot.model.njoints)],
+        "closures": [{name: getattr(one, name) for name in ("frame_a", "frame_b", "axes")} for one in robot.closures],
         "couplings": [
-            {"joint": each.joint, "of": each.of or None, "polynomial": list(each.polynomial)}
-            for each in robot.couplings
+            {"joint": each.joint, "of": each.of or None, "polynomial": each.polynomial} for each in robot.couplings
         ],
         "parameters": {
             name: {"value": value, "default": defaults.get(name)} for name, value in robot.parameters.items()
         },
         "carrier_limits": {
-            name: {
-                "position": [limits.lower, limits.upper],
-                **{key: getattr(limits, key) for key in ("speed", "acceleration", "force")},
-            }
-            for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True)
+            name: {"position": [own.lower, own.upper], **{key: getattr(own, key) for key in _LIMITS}}
+            for name, own in limits
         },
-        "gravity": robot.gravity.tolist(),
+        **{name: getattr(robot, name) for name in ("gravity", "characteristic_length", "closed_form", "notes")},
         "gravity_acts": gravity_acts(robot),
         "working_mode": mode_name(robot.working_mode),
         "working_modes": [mode_name(mode) for mode in all_working_modes(robot) if mode],
-        "characteristic_length": robot.characteristic_length,
-        "closed_form": robot.closed_form,
         "reference": _reference(robot),
-        "notes": list(robot.notes),
         "loads": [_load(load) for load in robot.loads],
     }
 
 
 def _load(load: Load) -> dict[str, Any]:
     """Return a load as plain data: its kind, where it acts, and what of it is not zero."""
-    values = {field.name: getattr(load, field.name) for field in fields(load)}
-    plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
-    friction = ("friction_speed",) if not plain.get("friction") else ()
-    gear = ("gear",) if not plain.get("rotor_inertia") else ()
-    rest = ("rest",) if not plain.get("stiffness") else ()
-    hidden = {*friction, *gear, *rest}
-    return {
-        "kind": type(load).__name__,
-        **{
-            name: value for name, value in plain.items() if name not in hidden and np.asarray(value, dtype=object).any()
-        },
-    }
+    values = {field.name: json_data(getattr(load, field.name)) for field in fields(load)}
+    only_with = {"friction_speed": "friction", "gear": "rotor_inertia", "rest": "stiffness"}
+    hidden = {name for name, of in only_with.items() if not values.get(of)}
+    own = {name: value for name, value in values.items() if np.asarray(value, dtype=object).any()}
+    return {"kind": type(load).__name__, **{name: value for name, value in own.items() if name not in hidden}}
 
 
 def _reference(robot: Robot) -> dict[str, Any]:
@@ -134,12 +109,9 @@ def _reference(robot: Robot) -> dict[str, Any]:
     still = np.zeros((1, robot.n))
     motion = PlatformMotion([0.0], x, still, still)
     distribution = distribute(RneaDynamics(robot).reduce(motion))
-    return {
-        "coordinates": x[0].tolist(),
-        "type_i_margin": float(lift(robot, motion).serial_margin_bound[0]),
-        "type_ii_margin": float(distribution.margin[0]),
-        "condition": float(distribution.condition[0]),
-    }
+    serial, parallel = lift(robot, motion).serial_margin_bound[0], distribution.margin[0]
+    margins = {"type_i_margin": serial, "type_ii_margin": parallel, "condition": distribution.condition[0]}
+    return {"coordinates": x[0].tolist(), **margins}
 
 
 def _joint(robot: Robot, index: int) -> dict[str, Any]:
@@ -152,13 +124,8 @@ def _joint(robot: Robot, index: int) -> dict[str, Any]:
         ends = (float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit))
         limits = [end if np.isfinite(end) and abs(end) < 1e300 else None for end in ends]
     at = float(robot.q_reference[joint.idx_q]) if joint.nq == 1 else None
-    return {
-        "name": name,
-        "type": known.get(kind[: len("JointModelP")], kind),
-        "role": role,
-        "limits": limits,
-        "reference": at,
-    }
+    kind = known.get(kind[: len("JointModelP")], kind)
+    return {"name": name, "type": kind, "role": role, "limits": limits, "reference": at}
 
 
 def _list_robots(as_json: bool) -> None:
@@ -166,10 +133,8 @@ def _list_robots(as_json: bool) -> None:
         (name, str(read_yaml(declaration_path(name), ModelFileError, "").data.get("description", "")))
         for name in shipped_robots()
     ]
-    if as_json:
-        print_json({"robots": [{"name": name, "description": text} for name, text in robots]})
-        return
-    console().print(table_of("shipped robots", ("robot", "description"), robots))
+    facts = {"robots": [{"name": name, "description": text} for name, text in robots]}
+    report(as_json, facts, table_of("shipped robots", ("robot", "description"), robots))
 
 
 def _general(facts: dict[str, Any]) -> Table:
@@ -210,11 +175,7 @@ def _tables(facts: dict[str, Any]) -> Iterator[Table]:
         headings: tuple[str, ...] = ("parameter", "value", "default")
         yield table_of("parameters (--set NAME=VALUE)", headings, values, numbers=True)
     limits = [
-        (
-            name,
-            " … ".join(f"{end:g}" for end in entry["position"]),
-            *(f"{entry[key]:g}" for key in ("speed", "acceleration", "force")),
-        )
+        (name, " … ".join(f"{end:g}" for end in entry["position"]), *(f"{entry[key]:g}" for key in _LIMITS))
         for name, entry in facts["carrier_limits"].items()
     ]
     if limits:
@@ -238,13 +199,13 @@ def _range(joint: dict[str, Any]) -> tuple[str, str]:
 def _loads_table(facts: dict[str, Any]) -> Table:
     rows = []
     for load in facts["loads"]:
-        where = [str(load[name]) for name in ("joint", "frame", "frame_a", "frame_b") if name in load]
+        places = ("joint", "frame", "frame_a", "frame_b")
+        where = ", ".join(str(load[name]) for name in places if name in load)
+        values = {name.replace("_", " "): value for name, value in load.items() if name not in ("kind", *places)}
         what = [
-            f"{name.replace('_', ' ')} {value:g}" if isinstance(value, float) else f"{name.replace('_', ' ')} {value}"
-            for name, value in load.items()
-            if name not in ("kind", "joint", "frame", "frame_a", "frame_b")
+            f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in values.items()
         ]
-        rows.append((load["kind"], ", ".join(where), ", ".join(what)))
+        rows.append((load["kind"], where, ", ".join(what)))
     return table_of("loads in force (SI units)", ("kind", "where", "what"), rows)
 
 

@@ -9,30 +9,18 @@ import click
 import numpy as np
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.options import (
-    RobotOptions,
-    backend_option,
-    followed_motion,
-    json_option,
-    motion_option,
-    robot_options,
-    split_trajectory,
-    trajectory_option,
-)
-from redundancy_pin.cli.output import console, print_json, progress, require_suffix, row, same_file, table_of
-from redundancy_pin.dynamics.base import OnUnreachable, ReducedDynamics
-from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
+from redundancy_pin.dynamics.base import OnUnreachable
+from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.dynamics.inverse_dynamics import EffortStatus, InverseDynamics
 from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as along_motion
-from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import OutputError
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.studies.table import csv_text
-from redundancy_pin.trajectory import carriers_from_csv
 
 STEP = 1e-3  # between samples of a trajectory, s
 EXIT_CODES = {EffortStatus.FINITE_EFFORT: 0, EffortStatus.UNBOUNDED_EFFORT: 3, EffortStatus.UNRESOLVED: 4}
@@ -40,10 +28,9 @@ _LISTED = 10  # instants that a warning names
 
 
 @click.command("inverse-dynamics")
-@robot_options()
-@backend_option(RNEA)
-@motion_option("Motion to follow.")
-@trajectory_option("Trajectory to follow instead, carriers parked")
+@options.robot_options()
+@options.backend_option(RNEA)
+@options.motion_options("Motion to follow.", "Trajectory to follow instead, carriers parked")
 @click.option("--dt", type=float, metavar="SECONDS", help=f"Between samples of the trajectory.  [default: {STEP:g}]")
 @click.option("--out", required=True, metavar="CSV", help="Where the efforts go.")
 @click.option(
@@ -53,13 +40,11 @@ _LISTED = 10  # instants that a warning names
     show_default=True,
     help="Refuse a motion that leaves the workspace, or mark those samples.",
 )
-@json_option
+@options.json_option
 def inverse_dynamics(
-    robot: RobotOptions,
+    robot: options.RobotOptions,
     backend: str,
-    motion_path: str | None,
-    check_rates: bool,
-    trajectory: str | None,
+    motion: options.MotionOptions,
     dt: float | None,
     out: str,
     unreachable: OnUnreachable,
@@ -87,100 +72,69 @@ def inverse_dynamics(
       redundancy-pin inverse-dynamics --robot 2rpr --trajectory way.csv:speed=0.1 --out efforts.csv
     """
     # whatever is wrong with the output is reported before the work, and a motion is never written over
-    for read in (motion_path, split_trajectory(trajectory)[0] if trajectory else None):
-        if read and same_file(read, out):
+    for read in (motion.path, options.split_trajectory(motion.trajectory)[0] if motion.trajectory else None):
+        if read and output.same_file(read, out):
             raise OutputError("--out is the file of the motion.", remedy="Give it another name.", path=out)
-    require_suffix("--out", out, ".csv")
+    output.require_suffix("--out", out, ".csv")
     require_writable(out)
     with (
-        progress("inverse dynamics") as advance,
+        output.progress("inverse dynamics") as advance,
         in_words(OPTIONS.knowing({"unreachable": "--unreachable", "dt": "--dt"})),
     ):
         advance(0, 4, "reading")
         loaded = robot.load()
-        followed = followed_motion(
-            "Inverse dynamics", trajectory, motion_path, {"dt": dt} if motion_path else {}, check_rates=check_rates
-        )
-        motion = followed if isinstance(followed, PlatformMotion) else followed.sample(STEP if dt is None else dt)
-        carriers = carriers_from_csv(motion_path, check_rates=check_rates) if motion_path else None
+        followed = motion.follow("Inverse dynamics", dt=dt)
+        sampled = followed if isinstance(followed, PlatformMotion) else followed.sample(STEP if dt is None else dt)
         advance(1, 4, "dynamics")
-        whole = f"dynamics of {len(motion)} samples"  # the long part: shown sample by sample
-        dynamics = (
-            RneaDynamics(loaded, progress=lambda done, total: advance(done, total, whole))
-            if backend == RNEA
-            else BACKENDS[backend](loaded)
-        )
-        result = along_motion(dynamics, motion, carriers, unreachable=unreachable)
-        reduced, distribution = result.reduced, result.efforts
+        whole = f"dynamics of {len(sampled)} samples"  # the long part: shown sample by sample
+        settings: Any = {"progress": lambda done, total: advance(done, total, whole)} if backend == RNEA else {}
+        dynamics = BACKENDS[backend](loaded, **settings)
+        result = along_motion(dynamics, sampled, motion.carriers(), unreachable=unreachable)
+        reduced, efforts = result.reduced, result.efforts
         advance(3, 4, "writing")
-        write_text(out, efforts_csv(reduced, distribution))
-    facts = _summary(result)
+        columns: dict[str, Any] = {"t": reduced.t, "tau": efforts.tau, "carrier_force": reduced.carrier_force}
+        columns |= {"status": efforts.status_labels, "margin": efforts.margin, "residual": efforts.residual}
+        write_text(out, csv_text(columns))  # floats come back bit by bit
     _warn(result)
-    without = np.flatnonzero(~np.isfinite(distribution.tau).all(axis=1))
-    if len(without):
-        first = without[0]
-        click.echo(
-            f"warning: no finite main efforts at {len(without)} of {len(distribution)} samples, first at t = "
-            f"{reduced.t[first]:.6g} s ({distribution.status_labels[first]}).",
-            err=True,
-        )
-    if as_json:
-        print_json(
-            {
-                "robot": loaded.name,
-                "backend": backend,
-                "motion": motion_path,
-                "trajectory": trajectory,
-                "out": out,
-                **facts,
-            }
-        )
-        return EXIT_CODES[result.status]
+    given = {"robot": loaded.name, "backend": backend, "motion": motion.path, "trajectory": motion.trajectory}
+    facts = {**given, "out": out, **_summary(result)}
     record = robot_record(loaded)
     main, moved = record.effort_unit(*loaded.actuated), record.effort_unit(*loaded.carriers)
     rows = [(f"{name} samples", str(count)) for name, count in facts["statuses"].items()]
-    rows.append((f"largest |tau| [{main}]", row(facts["largest_tau"])))
+    rows.append((f"largest |tau| [{main}]", output.row(facts["largest_tau"])))
     if loaded.k:
-        rows.append((f"largest |carrier force| [{moved}]", row(facts["largest_carrier_force"])))
+        rows.append((f"largest |carrier force| [{moved}]", output.row(facts["largest_carrier_force"])))
     rows += [("smallest margin", f"{facts['smallest_margin']:.6g}"), ("whole motion", result.status.value)]
     if result.instants:
-        rows.append(("singular at t [s]", row(one.t for one in result.instants)))
+        rows.append(("singular at t [s]", output.row(one.t for one in result.instants)))
     rows.append(("written to", out))
-    console().print(table_of(f"{loaded.name}, {backend}: {len(motion)} samples", (), rows))
+    output.report(as_json, facts, output.table_of(f"{loaded.name}, {backend}: {len(sampled)} samples", (), rows))
     return EXIT_CODES[result.status]
 
 
-def efforts_csv(reduced: ReducedDynamics, distribution: Distribution) -> str:
-    """Return the result of an inverse-dynamics computation as CSV text; floats come back bit by bit."""
-    return csv_text(
-        {
-            "t": reduced.t,
-            "tau": distribution.tau,
-            "carrier_force": reduced.carrier_force,
-            "status": distribution.status_labels,
-            "margin": distribution.margin,
-            "residual": distribution.residual,
-        }
-    )
-
-
 def _warn(result: InverseDynamics) -> None:
-    """Print on stderr what the samples do not show, a line each."""
+    """Print on stderr where no finite efforts are, and what the samples do not show, a line each."""
     unbounded = [one for one in result.instants if one.unbounded]
     if unbounded:
         listed = ", ".join(f"{one.t:.9g}" for one in unbounded[:_LISTED])
         more = f" and {len(unbounded) - _LISTED} more instants" if len(unbounded) > _LISTED else ""
         worst = max(unbounded, key=lambda one: one.residual)
         what = "det W changes sign" if any(one.crosses for one in unbounded) else "W loses rank"
-        click.echo(
-            f"warning: no finite main efforts at t = {listed} s{more}: {what} there, at a type II singularity; "
-            f"{worst.residual:.4g} N (scaled) are left that no actuator can carry. Beside it they grow without bound.",
-            err=True,
+        output.warning(
+            f"no finite main efforts at t = {listed} s{more}: {what} there, at a type II singularity; "
+            f"{worst.residual:.4g} N (scaled) are left that no actuator can carry. Beside it they grow without bound."
         )
     if result.unresolved:
-        click.echo(f"warning: between its samples the motion cannot be followed: {result.unresolved}", err=True)
+        output.warning(f"between its samples the motion cannot be followed: {result.unresolved}")
     for excess in result.joint_limits:
-        click.echo(f"warning: {excess}.", err=True)
+        output.warning(f"{excess}.")
+    efforts, without = result.efforts, np.flatnonzero(~np.isfinite(result.efforts.tau).all(axis=1))
+    if len(without):
+        first = without[0]
+        output.warning(
+            f"no finite main efforts at {len(without)} of {len(efforts)} samples, first at t = "
+            f"{result.reduced.t[first]:.6g} s ({efforts.status_labels[first]})."
+        )
 
 
 def _summary(result: InverseDynamics) -> dict[str, Any]:

@@ -10,64 +10,37 @@ from typing import Any
 
 import click
 
+from redundancy_pin.cli import options
 from redundancy_pin.cli.errors import FAILED_CHECK
-from redundancy_pin.cli.options import (
-    backend_option,
-    is_points_file,
-    jobs_option,
-    json_option,
-    require_choice,
-    robot_flags,
-    scheduler_option,
-    split_trajectory,
-    trajectory_option,
-    trajectory_value,
-)
-from redundancy_pin.cli.output import console, print_json, resumable
+from redundancy_pin.cli.output import report, resumable, warning
 from redundancy_pin.cli.plan_problem import PARAMETERS, number, read_parameters
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded
-from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK
-from redundancy_pin.studies.feasibility import (
-    LIMITS,
-    OTHER,
-    PRESETS,
-    STEPWISE,
-    SWITCH_OFF,
-    WHOLE,
-    FeasibilityMap,
-    MapProblem,
-    axis_label,
-    effort_unit,
-    feasibility_map,
-    parse_axis,
-    write_map,
-)
+from redundancy_pin.studies import feasibility
+from redundancy_pin.studies.case import PLANNERS, RNEA, VIRTUAL_WORK
 from redundancy_pin.studies.store import FILE
-from redundancy_pin.studies.table import Column, Table, json_data
+from redundancy_pin.studies.table import Column, Table, json_data, table
 from redundancy_pin.trajectory.points import read_points
 from redundancy_pin.visualisation.figures.style import require_matplotlib
 from redundancy_pin.workers import cluster
 
 
 def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    for name, text in reversed(list(LIMITS.items())):
-        flag = f"--{name.replace('_', '-')}"
-        command = click.option(flag, type=float, metavar="NUMBER", help=f"Limit: {text}; inf for none.")(command)
-    return command
+    limits = {options.flag(name): f"Limit: {text}; inf for none." for name, text in feasibility.LIMITS.items()}
+    return options.number_options(limits)(command)
 
 
 @click.command("map")
-@robot_flags
-@backend_option(None, "How to compute; virtual-work where it can.")
-@trajectory_option("Motion")
+@options.robot_flags
+@options.backend_option(None, "How to compute; virtual-work where it can.")
+@options.trajectory_option("Motion")
 @click.option("--x", "x_text", metavar="AXIS", help="NAME=LOW:HIGH:COUNT, with :log at its end for a logarithmic one.")
 @click.option("--y", "y_text", metavar="AXIS", help="The same, or NAME=V,V,...: values one by one.")
 @_limit_options
 @click.option(
     "--planner",
     "planners",
-    type=click.Choice([SWITCH_OFF, STEPWISE, WHOLE]),
+    type=click.Choice(list(PLANNERS)),
     multiple=True,
     help="May be repeated.  [default: that of the thesis, and whole-trajectory]",
 )
@@ -80,10 +53,10 @@ def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.option("--refine", default=2, show_default=True, metavar="N", help="How often the border is bisected.")
 @click.option("--along", type=click.Choice(["x", "y"]), default="x", show_default=True, help="Axis of the bisection.")
-@jobs_option(-1)
-@scheduler_option
+@options.jobs_option(-1)
+@options.scheduler_option
 @click.option("--out", metavar="FOLDER", help="Where store, tables and pictures go.  [default: map-ROBOT]")
-@json_option
+@options.json_option
 def map(**given: Any) -> int:
     r"""What a machine can do: two parameters swept.
 
@@ -105,66 +78,56 @@ def map(**given: Any) -> int:
     folder = expanded(given["out"] or f"map-{Path(problem.robot).stem}")
     settings: dict[str, Any] = {name: given[name] for name in ("jobs", "refine", "along")}
     with cluster(given["scheduler"]), resumable("map", "cells", folder / FILE) as advance:
-        result = feasibility_map(problem, folder / FILE, **settings, progress=advance)
-    files = write_map(result, folder)
-    if given["as_json"]:
-        data = {key: value for key, value in result.as_dict().items() if key != "cells"}
-        print_json({**data, "folder": str(folder), "files": [str(path) for path in files]})
-    else:
-        screen = console()
-        screen.print(_counts(result).terminal())
-        screen.print(_border(result).terminal())
-        screen.print(f"Tables and pictures are in {folder}: {', '.join(path.name for path in files)}.")
+        result = feasibility.feasibility_map(problem, folder / FILE, **settings, progress=advance)
+    files = feasibility.write_map(result, folder)
+    facts = {**result.as_dict(), "folder": str(folder), "files": [str(path) for path in files]}
+    del facts["cells"]
+    written = f"Tables and pictures are in {folder}: {', '.join(path.name for path in files)}."
+    report(given["as_json"], facts, _counts(result).terminal(), _border(result).terminal(), written)
     failed = {planner: [cell for cell in result.of(planner) if cell.possible is None] for planner in problem.planners}
     for planner, cells in failed.items():
         if cells:
             where = f"{problem.x.name} {cells[0].x:g}, {problem.y.name} {cells[0].y:g}"
             why = f"in the first ({where}) with: {' '.join(cells[0].message.split())}"
-            click.echo(f"warning: {planner} failed in {len(cells)} cell(s), {why}", err=True)
+            warning(f"{planner} failed in {len(cells)} cell(s), {why}")
     return FAILED_CHECK if any(len(cells) == len(result.of(planner)) for planner, cells in failed.items()) else 0
 
 
-def problem_of(given: Mapping[str, Any]) -> MapProblem:
+def problem_of(given: Mapping[str, Any]) -> feasibility.MapProblem:
     """Return the problem that the options describe; what is left out comes from the preset of the robot."""
     robot = given["robot"]
-    preset = PRESETS.get(robot, OTHER)
-    if given["trajectory"] is None and robot not in PRESETS:
+    preset = feasibility.PRESETS.get(robot, feasibility.OTHER)
+    if given["trajectory"] is None and robot not in feasibility.PRESETS:
         raise InputError(f"There is no usual motion of {robot}.", remedy="Add --trajectory.")
-    name, options = split_trajectory(given["trajectory"]) if given["trajectory"] else (preset.trajectory, {})
-    if is_points_file(name):  # the points are part of the problem, and of its store: not the name of a file
-        name, options = "points", {"points": _points(name), **options}
+    name, texts = options.split_trajectory(given["trajectory"]) if given["trajectory"] else (preset.trajectory, {})
+    if options.is_points_file(name):  # the points are part of the problem, and of its store: not the name of a file
+        name, texts = "points", {"points": _points(name), **texts}
     usual = name == preset.trajectory  # limits and options of a preset were chosen for its own motion
-    x, y = parse_axis(given["x_text"] or preset.x), parse_axis(given["y_text"] or preset.y)
-    limits = {**(preset.limits if usual else {})}
-    limits |= {key: float(given[key]) for key in LIMITS if given[key] is not None}
+    x, y = feasibility.parse_axis(given["x_text"] or preset.x), feasibility.parse_axis(given["y_text"] or preset.y)
+    own = {key: float(given[key]) for key in feasibility.LIMITS if given[key] is not None}
+    limits = {**(preset.limits if usual else {}), **own}
     for axis, text in ((x, given["x_text"]), (y, given["y_text"])):
         if axis.name in limits and given.get(axis.name) is None:
             del limits[axis.name]
         if text is None and given.get(axis.name) is not None:
             raise InputError(
-                f"--{axis.name.replace('_', '-')} fixes {axis.name}, which is an axis of this map.",
+                f"{options.flag(axis.name)} fixes {axis.name}, which is an axis of this map.",
                 remedy="Name other axes with --x and --y.",
             )
     parameters: dict[str, dict[str, Any]] = {}
     for text in given["parameters"]:
         planner, key, value = _parameter(text)
         parameters.setdefault(planner, {}).setdefault(key, []).append(value)
-    return MapProblem(
-        robot=robot,
+    return feasibility.MapProblem(
         x=x,
         y=y,
         trajectory=name,
-        options={
-            **(preset.options if usual else {}),
-            **{key: trajectory_value(key, value, f"the trajectory {name}") for key, value in options.items()},
-        },
-        settings=given["settings"],
+        options={**(preset.options if usual else {}), **options.trajectory_values(name, texts)},
         mode=given["mode"] or (),
-        gravity=given["gravity"],
-        trust=given["trust"],
-        backend=given["backend"] or (VIRTUAL_WORK if robot in PRESETS else RNEA),
+        **{key: given[key] for key in ("robot", "settings", "gravity", "trust")},
+        backend=given["backend"] or (VIRTUAL_WORK if robot in feasibility.PRESETS else RNEA),
         limits={key: value for key, value in limits.items() if not math.isinf(value)},
-        planners=given["planners"] or (preset.thesis, WHOLE),
+        planners=given["planners"] or (preset.thesis, feasibility.WHOLE),
         parameters={planner: _read(planner, values) for planner, values in parameters.items()},
     )
 
@@ -187,12 +150,12 @@ def _parameter(text: str) -> tuple[str, str, str]:
         raise InputError(
             f"--parameter {shown(text)} is not PLANNER:NAME=VALUE.", remedy="Write --parameter switch-off:threshold=20."
         )
-    return require_choice(planner.strip(), (SWITCH_OFF, STEPWISE, WHOLE), "the planner"), key.strip(), value.strip()
+    return options.require_choice(planner.strip(), tuple(PLANNERS), "the planner"), key.strip(), value.strip()
 
 
 def _read(planner: str, given: Mapping[str, list[str]]) -> dict[str, Any]:
     """Return parameters of a planner as plain data; repeated ones belong together where the planner takes several."""
-    if planner == STEPWISE and "dt" in given:  # a flag of its own on the command line of the planner
+    if planner == feasibility.STEPWISE and "dt" in given:  # a flag of its own on the command line of the planner
         rest = {key: values for key, values in given.items() if key != "dt"}
         return {**_read(planner, rest), "dt": number("dt", given["dt"][-1])}
     values = {
@@ -202,21 +165,12 @@ def _read(planner: str, given: Mapping[str, list[str]]) -> dict[str, Any]:
     return {key: json_data(value) for key, value in read_parameters(planner, values).items()}
 
 
-def _counts(result: FeasibilityMap) -> Table:
-    columns = (
-        Column("planner"),
-        Column("feasible", "possible"),
-        Column("stopped_early", "stopped early"),
-        Column("infeasible", "not possible"),
-        Column("limits", "in the way"),
-        Column("failed"),
-        Column("seconds", "time", "s", ".1f"),
-    )
+def _counts(result: feasibility.FeasibilityMap) -> Table:
     rows = []
     for planner, numbers in result.as_dict()["planners"].items():
         limits = ", ".join(f"{limit} {count}" for limit, count in numbers["in_the_way"].items())
         rows.append({"planner": planner, **numbers["counts"], "limits": limits, "seconds": numbers["seconds"]})
-    return Table.of(columns, rows, f"{result.problem.robot}, {result.problem.trajectory}: cells")
+    return table("map_counts", rows, f"{result.problem.robot}, {result.problem.trajectory}: cells")
 
 
 _UNIFORM: Mapping[frozenset[bool | None], str] = {
@@ -225,14 +179,16 @@ _UNIFORM: Mapping[frozenset[bool | None], str] = {
 }
 
 
-def _border(result: FeasibilityMap) -> Table:
-    (along, across), unit = result.axes, effort_unit(result.problem)
+def _border(result: feasibility.FeasibilityMap) -> Table:
+    (along, across), unit = result.axes, feasibility.effort_unit(result.problem)
     rows: dict[float, dict[str, Any]] = {value: {"line": f"{value:g}"} for value in across.values}
     for planner in result.problem.planners:
         for value, cells in result.lines(planner).items():
             rows[value][planner] = _UNIFORM.get(frozenset(cell.possible for cell in cells), "not known")
         for value, crossings in groupby(result.border(planner), lambda crossing: crossing.line):
             rows[value][planner] = "; ".join(f"{crossing.low:.4g} … {crossing.high:.4g}" for crossing in crossings)
-    columns = [Column("line", axis_label(across.name, unit)), *(Column(planner) for planner in result.problem.planners)]
-    title = f"border: {axis_label(along.name, unit)} between a cell that is possible and one that is not"
+    planners = [Column(planner) for planner in result.problem.planners]
+    columns = [Column("line", feasibility.axis_label(across.name, unit)), *planners]
+    label = feasibility.axis_label(along.name, unit)
+    title = f"border: {label} between a cell that is possible and one that is not"
     return Table.of(columns, list(rows.values()), title)

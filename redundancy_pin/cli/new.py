@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
 
 from redundancy_pin.cli.options import json_option, trust_option
-from redundancy_pin.cli.output import print_json
+from redundancy_pin.cli.output import report
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable, write_text
 
@@ -80,20 +80,15 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
     beside = target.resolve().parent == source.resolve().parent
     write_text(target, _text(robot, source.name if beside else str(source.resolve()), how, bool(transmissions)))
     loaded = load_robot(target, trust=trust)
-    if as_json:
-        print_json(
-            {
-                "out": str(target),
-                "closures": [{"frames": [c.frame_a, c.frame_b], "axes": list(c.axes)} for c in loaded.closures],
-                "couplings": [asdict(coupling) for coupling in loaded.couplings],
-                "actuated": list(loaded.actuated),
-                "independent": list(loaded.independent_joints),
-            }
-        )
-    else:
-        click.echo(
-            f"{target}: n = {loaded.n}, m = {loaded.m}, {len(loaded.closures)} closure(s). Read it, and correct it."
-        )
+    facts = {
+        "out": str(target),
+        "closures": [{"frames": [c.frame_a, c.frame_b], "axes": c.axes} for c in loaded.closures],
+        "couplings": [asdict(coupling) for coupling in loaded.couplings],
+        "actuated": loaded.actuated,
+        "independent": loaded.independent_joints,
+    }
+    counts = f"n = {loaded.n}, m = {loaded.m}, {len(loaded.closures)} closure(s)"
+    report(as_json, facts, f"{target}: {counts}. Read it, and correct it.")
 
 
 def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], str]:
@@ -136,27 +131,11 @@ def _transmissions(urdf: str, tree: Tree) -> list[str]:
     return [name for name in dict.fromkeys(named) if name in moving]
 
 
-def _coupling_lines(robot: Robot) -> list[str]:
-    import json
-
-    if not robot.couplings:
-        return []
-    lines = [
-        "# Joints that mimic others in the URDF: position = c0 + c1 p + c2 p^2 + ... of the other's p.",
-        "couplings:",
-    ]
-    for each in robot.couplings:
-        values = {"joint": each.joint, "of": each.of, "polynomial": list(each.polynomial)}
-        lines.append(f"  - {{{', '.join(f'{key}: {json.dumps(value)}' for key, value in values.items())}}}")
-    return [*lines, ""]
-
-
 def _text(robot: Robot, urdf: str, how: str, transmissions: bool) -> str:
     """Return the declaration, with a comment on each thing that was guessed."""
     import json
 
-    def quoted(value: Any) -> str:
-        return json.dumps(value, ensure_ascii=False)
+    import jinja2
 
     q, model = robot.q_reference, robot.model
     positions = {}
@@ -167,27 +146,7 @@ def _text(robot: Robot, urdf: str, how: str, transmissions: bool) -> str:
     driven = "the joints with transmissions." if transmissions else "as many joints as freedoms; choose."
     free = {name: positions[name] for name in robot.independent_joints}
     rest = {name: value for name, value in positions.items() if name not in free}
-    lines = [
-        "# Proposed by `redundancy-pin new`. Look at what it says, and correct what it cannot know.",
-        f"name: {quoted(robot.name)}",
-        f"urdf: {quoted(urdf)}",
-        "gravity: [0, 0, -9.81]      # a URDF does not say it",
-        "",
-        f"# Where loops were cut: {how}. [x, y] is a pin in the plane of frame a, [x, y, z] a ball.",
-        "closures:" if robot.closures else "closures: []",
-        *(f"  - {{frames: {quoted([c.frame_a, c.frame_b])}, axes: {quoted(list(c.axes))}}}" for c in robot.closures),
-        "",
-        *_coupling_lines(robot),
-        f"# What is driven: {driven}",
-        f"actuated: {quoted(list(robot.actuated))}",
-        "carriers: []                # masses that slide on links, if there are any",
-        "",
-        "# What the motion is given in: these joints, or rows of a platform, {platform: LINK, axes: [x, y]}.",
-        f"independent: {{joints: {quoted(list(robot.independent_joints))}}}",
-        "",
-        "# A closed configuration: the nearest to the guess is taken.",
-        "reference:",
-        f"  joints: {quoted(free)}",
-        f"  guess: {quoted(rest)}",
-    ]
-    return "\n".join(lines) + "\n"
+    made = jinja2.Environment(loader=jinja2.PackageLoader("redundancy_pin.cli", ""), trim_blocks=True)
+    made.filters["quoted"] = lambda value: json.dumps(value, ensure_ascii=False)
+    template = made.get_template("robot.yaml.j2")
+    return template.render(robot=robot, urdf=urdf, how=how, driven=driven, free=free, rest=rest) + "\n"

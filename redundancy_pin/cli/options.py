@@ -17,7 +17,7 @@ from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError, did_you_mean, shown
 
 if TYPE_CHECKING:
-    from redundancy_pin.motion import PlatformMotion
+    from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.robot import Robot
     from redundancy_pin.trajectory import Trajectory
 
@@ -85,12 +85,12 @@ def robot_flags(command: _Command, *, required: bool = True) -> _Command:
 
 
 def robot_options(*, required: bool = True) -> Callable[[_Command], Callable[..., Any]]:
-    """Add the flags of the robot to a command that takes them as one ``RobotOptions``, its first argument."""
+    """Add the flags of the robot to a command that takes them as one ``RobotOptions``, its argument ``robot``."""
 
     def decorate(command: _Command) -> Callable[..., Any]:
         @functools.wraps(command)
         def called(robot: str | None, settings: Any, mode: Any, gravity: Any, trust: bool, **given: Any) -> Any:
-            return command(RobotOptions(robot or "", settings, mode, gravity, trust), **given)
+            return command(robot=RobotOptions(robot or "", settings, mode, gravity, trust), **given)
 
         return robot_flags(called, required=required)
 
@@ -101,6 +101,12 @@ def trust_option(command: _Command) -> _Command:
     """Add ``--trust`` to a command; no file can say it."""
     text = "Let the robot's xacro run any Python, with your rights: for files whose author you trust."
     return click.option("--trust", is_flag=True, help=text)(command)
+
+
+def recorded_robot_options(command: _Command) -> _Command:
+    """Add ``--robot`` (argument ``source``) and ``--trust`` to a command that reads a saved plan."""
+    text = "The plan's robot, where it is neither shipped nor in its folder."
+    return click.option("--robot", "source", metavar="NAME|PATH", help=text)(trust_option(command))
 
 
 def settings_option(flag: str, name: str, text: str) -> Callable[[_Command], _Command]:
@@ -181,8 +187,21 @@ def parse_vector(given: Any) -> tuple[float, ...]:
     return numbers
 
 
-FLAGS = ("speed", "radius", "ramp_time", "ramp_length", "straight", "side", "alpha")
+FLAGS = {
+    "speed": "Cruising speed of the trajectory, m/s.",
+    "radius": "Corner radius, m.",
+    "ramp_time": "Duration of each speed ramp, s.",
+    "ramp_length": "Arc length of the ramp, m.",
+    "straight": "Length of each straight of the corner, m.",
+    "side": "Side of the square, m.",
+    "alpha": "Constant orientation of the platform, rad.",
+}
 """Keys of trajectories that are flags of their own; the rest can be written as ``name:key=value``."""
+
+
+def flag(name: str) -> str:
+    """Return the flag of a parameter: ``--ramp-time``."""
+    return f"--{name.replace('_', '-')}"
 
 
 def require_known(given: Iterable[object], known: Sequence[str], where: str) -> None:
@@ -245,42 +264,53 @@ def make_trajectory(name: str, options: Mapping[str, Any]) -> Trajectory:
 def parse_trajectory(text: str, flags: Mapping[str, float | None]) -> Trajectory:
     """Return the trajectory that ``name`` or ``name:key=value,...`` and flags describe together."""
     name, texts = split_trajectory(text)
-    options = {key: trajectory_value(key, value, f"the trajectory {name}") for key, value in texts.items()}
+    options = trajectory_values(name, texts)
     given = {key: value for key, value in flags.items() if value is not None}
     maker = _maker(name)
     known = inspect.signature(maker).parameters if maker else given
     for key in given:
-        flag = f"--{key.replace('_', '-')}"
         if key in options:
-            raise InputError(f"{key} of the {name} is given twice.", remedy=f"Leave {flag} or {key}= out.", key=key)
+            remedy = f"Leave {flag(key)} or {key}= out."
+            raise InputError(f"{key} of the {name} is given twice.", remedy=remedy, key=key)
         if key not in known:
-            raise InputError(f"The trajectory {name} takes no {flag}.", remedy=f"It takes {', '.join(known)}.", key=key)
-    with in_words(OPTIONS.knowing({key: f"--{key.replace('_', '-')}" for key in given})):
+            remedy = f"It takes {', '.join(known)}."
+            raise InputError(f"The trajectory {name} takes no {flag(key)}.", remedy=remedy, key=key)
+    with in_words(OPTIONS.knowing({key: flag(key) for key in given})):
         return make_trajectory(name, {**options, **given})
 
 
-def followed_motion(
-    who: str,
-    trajectory: str | None,
-    motion_path: str | None,
-    flags: Mapping[str, float | None],
-    *,
-    check_rates: bool,
-) -> PlatformMotion | Trajectory:
-    """Return the motion of ``--trajectory`` and its flags, or of ``--motion``; ``who`` needs it, such as "A plan"."""
-    if (trajectory is None) == (motion_path is None):
-        raise InputError(f"{who} needs either --trajectory or --motion.", remedy="Give one of them.")
-    if motion_path is None:
-        return parse_trajectory(str(trajectory), flags)
-    # refused rather than ignored: --speed beside a file would seem to have an effect
-    useless = [name for name, value in flags.items() if value is not None]
-    if useless:
-        raise InputError(
-            f"--{useless[0].replace('_', '-')} does not apply to a motion from a file.", remedy="Leave it out."
-        )
-    from redundancy_pin.trajectory import from_csv
+@dataclass(frozen=True)
+class MotionOptions:
+    """Which motion: that of a file, whose rates are checked, or a trajectory with its flags."""
 
-    return from_csv(motion_path, check_rates=check_rates)
+    path: str | None
+    check_rates: bool
+    trajectory: str | None = None
+    flags: Mapping[str, float | None] = field(default_factory=dict)
+
+    def follow(self, who: str, **settings: float | None) -> PlatformMotion | Trajectory:
+        """Return the motion; ``who`` needs it, such as "A plan". Files take neither flags nor other settings."""
+        if (self.trajectory is None) == (self.path is None):
+            raise InputError(f"{who} needs either --trajectory or --motion.", remedy="Give one of them.")
+        if self.trajectory is not None:
+            return parse_trajectory(self.trajectory, self.flags)
+        # refused rather than ignored: --speed beside a file would seem to have an effect
+        for name, value in {**self.flags, **settings}.items():
+            if value is not None:
+                raise InputError(f"{flag(name)} does not apply to a motion from a file.", remedy="Leave it out.")
+        return self.read()
+
+    def read(self) -> PlatformMotion:
+        """Return the motion of the file."""
+        from redundancy_pin.trajectory import from_csv
+
+        return from_csv(str(self.path), check_rates=self.check_rates)
+
+    def carriers(self) -> CarrierMotion | None:
+        """Return the motion of the carriers that the file has; None without, or without a file."""
+        from redundancy_pin.trajectory import carriers_from_csv
+
+        return carriers_from_csv(self.path, check_rates=self.check_rates) if self.path else None
 
 
 def split_trajectory(text: str) -> tuple[str, dict[str, str]]:
@@ -294,6 +324,11 @@ def split_trajectory(text: str) -> tuple[str, dict[str, str]]:
             raise InputError(f"{shown(pair)} of the trajectory is not KEY=VALUE.", remedy="Write circle:speed=0.5.")
         options[key.strip()] = value.strip()
     return name, options
+
+
+def trajectory_values(name: str, texts: Mapping[str, str]) -> dict[str, Any]:
+    """Return the values of the keys of a trajectory; as ``trajectory_value``."""
+    return {key: trajectory_value(key, text, f"the trajectory {name}") for key, text in texts.items()}
 
 
 def trajectory_value(key: str, text: str, where: str) -> Any:
@@ -326,36 +361,49 @@ def trajectory_option(what: str) -> Callable[[_Command], _Command]:
     )
 
 
-def motion_option(text: str, *, required: bool = False) -> Callable[[_Command], _Command]:
-    """Return ``--motion``, and what says that its rates need not be those of its positions."""
+def motion_options(
+    text: str, trajectory: str | None = None, *, flags: Mapping[str, str] = {}
+) -> Callable[[_Command], Callable[..., Any]]:
+    """Add the options of a motion to a command that takes them as one ``MotionOptions``, its argument ``motion``.
 
-    def decorate(command: _Command) -> _Command:
-        command = click.option(
+    ``text`` is the help of ``--motion``, ``trajectory`` the beginning of that of ``--trajectory``, which is left out
+    without; ``flags`` are keys of trajectories that have options of their own, with their help.
+    """
+
+    def decorate(command: _Command) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def called(*args: Any, motion_path: Any, check_rates: Any, trajectory: Any = None, **given: Any) -> Any:
+            own = {key: given.pop(key) for key in flags}
+            return command(*args, motion=MotionOptions(motion_path, check_rates, trajectory, own), **given)
+
+        added = number_options({flag(name): help_text for name, help_text in flags.items()})(called)
+        added = click.option(
             "--check-rates/--no-check-rates",
             default=True,
             show_default=True,
             help="Refuse a motion whose rates are not those of its positions; poses to stand still in need --no-.",
-        )(command)
-        return click.option("--motion", "motion_path", required=required, metavar="CSV", help=text)(command)
+        )(added)
+        added = click.option("--motion", "motion_path", metavar="CSV", help=text)(added)
+        return trajectory_option(trajectory)(added) if trajectory else added
 
     return decorate
 
 
 def trajectory_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--trajectory``, ``--motion`` and the flags of trajectories to a command."""
-    flags = {
-        "--speed": "Cruising speed of the trajectory, m/s.",
-        "--radius": "Corner radius, m.",
-        "--ramp-time": "Duration of each speed ramp, s.",
-        "--ramp-length": "Arc length of the ramp, m.",
-        "--straight": "Length of each straight of the corner, m.",
-        "--side": "Side of the square, m.",
-        "--alpha": "Constant orientation of the platform, rad.",
-    }
-    for flag, text in reversed(flags.items()):
-        command = click.option(flag, type=float, metavar="NUMBER", help=text)(command)
-    command = motion_option("Motion to follow instead: columns t, x0.., xd0.., xdd0...")(command)
-    return trajectory_option("Trajectory to follow")(command)
+    """Add ``--trajectory``, ``--motion`` and all flags of trajectories to a command."""
+    text = "Motion to follow instead: columns t, x0.., xd0.., xdd0..."
+    return motion_options(text, "Trajectory to follow", flags=FLAGS)(command)
+
+
+def number_options(texts: Mapping[str, str]) -> Callable[[_Command], _Command]:
+    """Return options that take a number each, with their help."""
+
+    def decorate(command: _Command) -> _Command:
+        for name, text in reversed(list(texts.items())):  # the last one that is added is listed first
+            command = click.option(name, type=float, metavar="NUMBER", help=text)(command)
+        return command
+
+    return decorate
 
 
 def _value(key: str, value: object, where: str) -> Any:

@@ -63,6 +63,23 @@ def print_json(data: Mapping[str, Any]) -> None:
     click.echo(json.dumps(json_data(data), indent=2, allow_nan=False))
 
 
+def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
+    """Print facts as one JSON document, or what is shown to people: tables, and lines of text."""
+    if as_json:
+        print_json(facts)
+        return
+    for each in shown:
+        if isinstance(each, str):
+            click.echo(each)
+        else:
+            console().print(each)
+
+
+def warning(text: str) -> None:
+    """Print a warning in one line on stderr."""
+    click.echo(f"warning: {text}", err=True)
+
+
 def number(value: float) -> str:
     """Return a number with six digits, rounding to zero what is rounding of a number of size one."""
     return f"{0.0 if abs(value) < _ROUNDING else value:.6g}"

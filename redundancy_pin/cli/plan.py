@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
@@ -11,37 +11,8 @@ import click
 import numpy as np
 from rich.table import Table
 
+from redundancy_pin.cli import options, output, plan_problem
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.options import (
-    FLAGS,
-    RobotOptions,
-    backend_option,
-    followed_motion,
-    json_option,
-    robot_options,
-    trajectory_options,
-    trust_option,
-)
-from redundancy_pin.cli.output import (
-    console,
-    number,
-    print_json,
-    progress,
-    require_outputs,
-    require_suffix,
-    row,
-    table_of,
-)
-from redundancy_pin.cli.plan_problem import (
-    PREFIX,
-    STEP,
-    WORDING,
-    Problem,
-    flags_of,
-    planner_options,
-    problem,
-    read_problem,
-)
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import replacing_file
 from redundancy_pin.kinematics.lift import lift
@@ -81,7 +52,7 @@ def warn(plan: Plan) -> None:
     if plan.status is PlanStatus.VIOLATES_LIMITS:
         text = "; ".join(_event(plan, event, broken=True) for event in plan.limits.violated[:_LISTED])
         more = len(plan.limits.violated) - _LISTED
-        click.echo(f"warning: limits broken: {text}{f'; and {more} more' if more > 0 else ''}.", err=True)
+        output.warning(f"limits broken: {text}{f'; and {more} more' if more > 0 else ''}.")
     if plan.status is PlanStatus.UNBOUNDED_EFFORT:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
         if len(bad) or check is None:
@@ -89,22 +60,20 @@ def warn(plan: Plan) -> None:
             where = f"{first} at {len(bad)} of {len(plan.t)} samples"
         else:
             where = f" between the samples, at t = {check.time[int(check.peak.argmax())]:.6g} s"
-        click.echo(f"warning: no finite main efforts:{where}, where W is singular.", err=True)
+        output.warning(f"no finite main efforts:{where}, where W is singular.")
     if plan.diagnostics.get("optimal") is False:
         kept = plan.status in (PlanStatus.STOPPED_EARLY, PlanStatus.UNRESOLVED)
         there = "The plan keeps every limit, but there" if kept else "There"
-        click.echo(
-            f"warning: this is no optimum: the optimiser stopped early ({plan.diagnostics.get('solver')}). "
-            f"{there} may be a better one; allow more --seconds.",
-            err=True,
+        output.warning(
+            f"this is no optimum: the optimiser stopped early ({plan.diagnostics.get('solver')}). "
+            f"{there} may be a better one; allow more --seconds."
         )
     if check is not None and not check.passed and np.isfinite(check.ratio):
         worst = int(check.peak.argmax())
-        click.echo(
-            f"warning: between the samples the efforts are {check.ratio:.4g} times those at the samples, up to "
+        output.warning(
+            f"between the samples the efforts are {check.ratio:.4g} times those at the samples, up to "
             f"{check.peak[worst]:.4g} {plan.robot.effort_unit(plan.robot.actuated[worst])} at t = "
-            f"{check.time[worst]:.6g} s: {_FINER[plan.planner]}.",
-            err=True,
+            f"{check.time[worst]:.6g} s: {_FINER[plan.planner]}."
         )
 
 
@@ -184,8 +153,8 @@ def _phase_times(plan: Plan) -> list[dict[str, Any]]:
     ]
 
 
-def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
-    facts, status = summary(plan), plan.status.value.replace("_", " ")
+def _table(plan: Plan, facts: Mapping[str, Any]) -> Table:
+    status = plan.status.value.replace("_", " ")
     if not plan.diagnostics.get("optimal", True):
         status = f"{status}: no optimum, the solver says {plan.diagnostics.get('solver')}"
     # of the joints' kinds: a robot may have motors that turn and carriers that slide
@@ -194,21 +163,21 @@ def _table(plan: Plan, out: str | None, plot: str | None) -> Table:
         ("status", status),
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples"),
         ("phases [s]", _phases(facts["phases"])),
-        (f"peak main effort [{main}]", row(facts["peak_effort"])),
-        (f"rms main effort [{main}]", row(facts["rms_effort"])),
-        (f"reversals above {100.0 * SWING:g} % of the peak", row(facts["reversals"])),
-        (f"peak carrier effort [{moved}]", row(facts["peak_carrier_force"])),
-        ("energy, main actuators [J]", number(plan.main_energy)),
-        ("energy, carriers [J]", number(plan.carrier_energy)),
-        ("smallest margin", number(facts["smallest_margin"])),
+        (f"peak main effort [{main}]", output.row(facts["peak_effort"])),
+        (f"rms main effort [{main}]", output.row(facts["rms_effort"])),
+        (f"reversals above {100.0 * SWING:g} % of the peak", output.row(facts["reversals"])),
+        (f"peak carrier effort [{moved}]", output.row(facts["peak_carrier_force"])),
+        ("energy, main actuators [J]", output.number(plan.main_energy)),
+        ("energy, carriers [J]", output.number(plan.carrier_energy)),
+        ("smallest margin", output.number(facts["smallest_margin"])),
         *_of_the_optimum(plan),
         *(("advice", text) for text in [facts["advice"]] if text),
         ("limits broken", _events(plan, plan.limits.violated, broken=True)),
         ("limits touched", _events(plan, plan.limits.binding, broken=False)),
-        *((f"{name} written to", path) for name, path in (("plan", out), ("picture", plot)) if path),
+        *((f"{name} written to", facts[key]) for name, key in (("plan", "out"), ("picture", "plot")) if facts[key]),
     ]
     title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {_BACKENDS.get(plan.backend, plan.backend)}"
-    return table_of(title, (), rows)
+    return output.table_of(title, (), rows)
 
 
 def _phases(phases: list[dict[str, Any]]) -> str:
@@ -232,18 +201,18 @@ def _event(plan: Plan, event: LimitEvent, *, broken: bool) -> str:
 
 
 def _output_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    command = json_option(command)
+    command = options.json_option(command)
     command = click.option("--plot", metavar="PICTURE", help="Draw the plan (.png, .svg or .pdf).")(command)
     return click.option("--out", metavar="NPZ", help="Where the plan goes; `load_plan` reads it.")(command)
 
 
 def _shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    return robot_options()(backend_option(RNEA)(trajectory_options(_output_options(command))))
+    return options.robot_options()(options.backend_option(RNEA)(options.trajectory_options(_output_options(command))))
 
 
 @click.group(invoke_without_command=True)
 @click.option("--problem", "problem_path", metavar="YAML", help="Problem file; docs/problem.yaml explains its keys.")
-@trust_option
+@options.trust_option
 @_output_options
 @click.pass_context
 def plan(
@@ -266,8 +235,8 @@ def plan(
         if problem_path is None:
             raise InputError("There is nothing to plan.", remedy="Name a planner, or give --problem.")
         path = problem_path
-        with in_words(WORDING):
-            return _run(lambda: read_problem(path, trust=trust), out, plot, as_json, inputs=(path,))
+        with in_words(plan_problem.WORDING):
+            return _run(lambda: plan_problem.read_problem(path, trust=trust), out, plot, as_json, (path,))
     if problem_path or out or plot or as_json or trust:
         raise InputError(
             "Options before the name of the planner belong to --problem.",
@@ -278,8 +247,8 @@ def plan(
 
 @plan.command("switch-off")
 @_shared_options
-@planner_options("switch-off")
-def switch_off(robot: RobotOptions, **given: Any) -> int:
+@plan_problem.planner_options("switch-off")
+def switch_off(**given: Any) -> int:
     r"""Cross singularities with the actuators off.
 
     Wherever the condition number exceeds the threshold the main efforts are zero, and the carriers' inertia drives the
@@ -290,14 +259,14 @@ def switch_off(robot: RobotOptions, **given: Any) -> int:
       redundancy-pin plan switch-off --robot 2rpr --trajectory circle --speed 0.6 \
           --threshold 7 --return-time shortest --out plan.npz --plot plan.png
     """
-    return _from_flags("switch-off", robot, given)
+    return _from_flags("switch-off", given)
 
 
 @plan.command("stepwise")
 @_shared_options
-@planner_options("stepwise")
-@click.option("--step", type=float, metavar="SECONDS", help=f"Length of the steps.  [default: {STEP:g}]")
-def stepwise(robot: RobotOptions, **given: Any) -> int:
+@plan_problem.planner_options("stepwise")
+@click.option("--step", type=float, metavar="SECONDS", help=f"Length of the steps.  [default: {plan_problem.STEP:g}]")
+def stepwise(**given: Any) -> int:
     r"""Least torque around corners, step by step.
 
     In every step the carriers' accelerations minimise the distance of the main efforts from a fraction of those of a
@@ -308,13 +277,13 @@ def stepwise(robot: RobotOptions, **given: Any) -> int:
       redundancy-pin plan stepwise --robot 3rrr --mode +++ --trajectory corner --radius 0.025 \
           --lam 0.5 --baseline carriers=false --out plan.npz
     """
-    return _from_flags("stepwise", robot, given)
+    return _from_flags("stepwise", given)
 
 
 @plan.command("whole-trajectory")
 @_shared_options
-@planner_options("whole-trajectory")
-def whole_trajectory(robot: RobotOptions, **given: Any) -> int:
+@plan_problem.planner_options("whole-trajectory")
+def whole_trajectory(**given: Any) -> int:
     r"""Least effort over the whole motion.
 
     Carriers and main actuators are planned together: the motors stay on, through singularities too, and every limit of
@@ -328,34 +297,31 @@ def whole_trajectory(robot: RobotOptions, **given: Any) -> int:
       redundancy-pin plan whole-trajectory --robot 3rrr --mode +++ --trajectory corner --radius 0.013 \
           --max-effort 9 --max-jerk 200 --json
     """
-    return _from_flags("whole-trajectory", robot, given)
+    return _from_flags("whole-trajectory", given)
 
 
-def _from_flags(planner: str, robot: RobotOptions, given: Mapping[str, Any]) -> int:
-    motion_path = given["motion_path"]
-    settings = given.get("baseline")
+def _from_flags(planner: str, given: Mapping[str, Any]) -> int:
+    robot, motion, settings, prefix = given["robot"], given["motion"], given.get("baseline"), plan_problem.PREFIX
     baseline = replace(robot, settings={**robot.settings, **settings}) if settings else None
-    parameters = {name.removeprefix(PREFIX): value for name, value in given.items() if name.startswith(PREFIX)}
+    parameters = {name.removeprefix(prefix): value for name, value in given.items() if name.startswith(prefix)}
 
-    def read() -> Problem:
-        flags, check = {flag: given[flag] for flag in FLAGS}, given["check_rates"]
-        motion = followed_motion("A plan", given["trajectory"], motion_path, flags, check_rates=check)
-        backend, step = given["backend"], given.get("step")
-        return problem(planner, robot, backend, motion, parameters, baseline=baseline, step=step)
+    def read() -> plan_problem.Problem:
+        followed, backend, step = motion.follow("A plan"), given["backend"], given.get("step")
+        return plan_problem.problem(planner, robot, backend, followed, parameters, baseline=baseline, step=step)
 
-    with in_words(OPTIONS.knowing(flags_of(planner))):
-        return _run(read, given["out"], given["plot"], given["as_json"], inputs=(motion_path,) if motion_path else ())
+    with in_words(OPTIONS.knowing(plan_problem.flags_of(planner))):
+        return _run(read, given["out"], given["plot"], given["as_json"], (motion.path,) if motion.path else ())
 
 
 def _run(
-    read: Callable[[], Problem], out: str | None, plot: str | None, as_json: bool, *, inputs: tuple[str, ...]
+    read: Callable[[], plan_problem.Problem], out: str | None, plot: str | None, as_json: bool, inputs: Iterable[str]
 ) -> int:
     """Read, plan, write, print; return the exit code."""
     # before the work: minutes of optimisation are not lost to a misspelt folder
     if out:
-        require_suffix("--out", out, ".npz")
-    require_outputs(out, plot, inputs)
-    with progress("plan") as advance:
+        output.require_suffix("--out", out, ".npz")
+    output.require_outputs(out, plot, inputs)
+    with output.progress("plan") as advance:
         advance(0, 3, "reading")
         task = read()
         advance(1, 3, task.planner)
@@ -369,11 +335,9 @@ def _run(
                 result.save(out)
     robot = task.dynamics.robot
     left = beyond_limits(robot, lift(robot, result.motion, mark_unreachable=True).q, result.t)
-    if as_json:
-        print_json({**summary(result), "joint_limits": [vars(one) for one in left], "out": out, "plot": plot})
-    else:
-        console().print(_table(result, out, plot))
+    facts = {**summary(result), "joint_limits": [vars(one) for one in left], "out": out, "plot": plot}
+    output.report(as_json, facts, _table(result, facts))
     for one in left:
-        click.echo(f"warning: {one}.", err=True)
+        output.warning(f"{one}.")
     warn(result)  # last, and on stderr: what is wrong with a plan is the line a user sees
     return EXIT_CODES.get(result.status, BREAKS_LIMITS)

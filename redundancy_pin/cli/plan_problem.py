@@ -13,29 +13,16 @@ import click
 import numpy as np
 
 from redundancy_pin.arrays import frozen
+from redundancy_pin.cli import options
 from redundancy_pin.cli.errors import KEYS
-from redundancy_pin.cli.options import (
-    RobotOptions,
-    is_points_file,
-    make_trajectory,
-    parse_mode,
-    parse_setting,
-    parse_vector,
-    require_choice,
-    require_known,
-    settings_option,
-)
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError, shown
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.stepwise.planner import plan_stepwise
-from redundancy_pin.planners.switch_off.planner import plan_switch_off
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
-from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot.urdf import shipped_robots
-from redundancy_pin.studies.case import BACKENDS, RNEA
+from redundancy_pin.studies.case import BACKENDS, PLANNERS, RNEA
 from redundancy_pin.trajectory import Trajectory, from_csv
 
 Reader = Callable[[str, object], Any]
@@ -120,12 +107,6 @@ def weights(name: str, value: object) -> str | dict[str, float]:
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
-PLANNERS: Mapping[str, Callable[..., Plan]] = {
-    "switch-off": plan_switch_off,
-    "stepwise": plan_stepwise,
-    "whole-trajectory": plan_whole_trajectory,
-}
-"""Planners, by the name the command line uses."""
 
 PREFIX = "parameter_"
 """Of the arguments that are parameters of a planner: the speed of a trajectory is not that of a carrier."""
@@ -230,7 +211,7 @@ def _flag(name: str, parameter: Parameter) -> str:
 def read_parameters(planner: str, given: Mapping[str, object]) -> dict[str, Any]:
     """Return the parameters of a planner, each as the kind of value it is."""
     known = PARAMETERS[planner]
-    require_known(given, tuple(known), f"the planner {planner}")
+    options.require_known(given, tuple(known), f"the planner {planner}")
     return {name: known[name].read(name, value) for name, value in given.items() if value is not None and value != ()}
 
 
@@ -240,7 +221,7 @@ def planner_options(planner: str) -> Callable[[_Command], _Command]:
     def decorate(command: _Command) -> _Command:
         if planner in WITH_BASELINE:
             text = "Parameters that make the robot its own baseline: carriers=false."
-            command = settings_option("--baseline", "baseline", text)(command)
+            command = options.settings_option("--baseline", "baseline", text)(command)
         for name, parameter in reversed(list(PARAMETERS[planner].items())):
             command = _option(planner, name, parameter)(command)
         return command
@@ -287,12 +268,12 @@ class Problem:
 
 def problem(
     planner: str,
-    robot: RobotOptions,
+    robot: options.RobotOptions,
     backend: str,
     motion: PlatformMotion | Trajectory,
     parameters: Mapping[str, object],
     *,
-    baseline: RobotOptions | None = None,
+    baseline: options.RobotOptions | None = None,
     step: float | None = None,
 ) -> Problem:
     """Put a problem together from what flags or a file say, its parameters as written.
@@ -301,7 +282,7 @@ def problem(
     stepwise plan along a trajectory, s.
     """
     values = read_parameters(planner, parameters)
-    make = BACKENDS[require_choice(backend, tuple(BACKENDS), "the backend")]
+    make = BACKENDS[options.require_choice(backend, tuple(BACKENDS), "the backend")]
     for name, given, takers in (("baseline", baseline, WITH_BASELINE), ("step", step, ("stepwise",))):
         if given is not None and planner not in takers:
             only = f"Only {' and '.join(takers)} {'does' if len(takers) == 1 else 'do'}."
@@ -369,11 +350,11 @@ def _about(group: str) -> Iterator[None]:
 
 
 def _problem(data: Mapping[str, Any], place: Path, trust: bool) -> Problem:
-    require_known(data, _KEYS, f"the problem {place.name}")
+    options.require_known(data, _KEYS, f"the problem {place.name}")
     for key in ("planner", "robot"):
         if key not in data:
             raise InputError(f"The problem {place.name} lacks the key {key!r}.", remedy=f"Add {key}: ....", key=key)
-    planner = require_choice(data["planner"], tuple(PLANNERS), "the planner")
+    planner = options.require_choice(data["planner"], tuple(PLANNERS), "the planner")
     robot, motion = replace(_robot(data, place.parent), trust=trust), _motion(data, place)
     parameters = _mapping(data.get("parameters", {}), "parameters")
     with _about("parameters."):
@@ -405,15 +386,15 @@ def _motion(data: Mapping[str, Any], path: Path) -> PlatformMotion | Trajectory:
         if not isinstance(check, bool):
             raise InputError(f"check_rates is {shown(check)}.", remedy="Write true or false.", key="check_rates")
         return from_csv(path.parent / word("motion", data["motion"]), check_rates=check)
-    options = dict(_mapping(data["trajectory"], "trajectory"))
-    if "name" not in options:
+    given = dict(_mapping(data["trajectory"], "trajectory"))
+    if "name" not in given:
         raise InputError("The trajectory lacks the key 'name'.", remedy="Write {name: circle, speed: 0.6}.")
-    name = options.pop("name")
+    name = given.pop("name")
     with _about("trajectory."):
-        return make_trajectory(str(path.parent / name) if is_points_file(name) else name, options)
+        return options.make_trajectory(str(path.parent / name) if options.is_points_file(name) else name, given)
 
 
-def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:
+def _robot(data: Mapping[str, Any], folder: Path) -> options.RobotOptions:
     """Return the robot options of a mapping."""
     mode, gravity = data.get("mode"), data.get("gravity")
     settings = _mapping(data.get("set", {}), "set")
@@ -422,17 +403,17 @@ def _robot(data: Mapping[str, Any], folder: Path) -> RobotOptions:
             remedy = "Write a number, true, false or text."
             raise InputError(f"{name} in `set` is {shown(value)}.", remedy=remedy, key=f"set.{name}")
     source = word("robot", data["robot"])
-    return RobotOptions(
+    return options.RobotOptions(
         source if source in shipped_robots() or Path(source).is_absolute() else str(folder / source),
-        dict(parse_setting(f"{name}={value}") for name, value in settings.items()),  # YAML reads 1e-3 as text
-        None if mode is None else parse_mode(word("mode", mode)),
-        None if gravity is None else parse_vector(gravity),
+        dict(options.parse_setting(f"{name}={value}") for name, value in settings.items()),  # YAML reads 1e-3 as text
+        None if mode is None else options.parse_mode(word("mode", mode)),
+        None if gravity is None else options.parse_vector(gravity),
     )
 
 
-def _baseline(given: Mapping[str, Any], data: Mapping[str, Any], folder: Path) -> RobotOptions:
+def _baseline(given: Mapping[str, Any], data: Mapping[str, Any], folder: Path) -> options.RobotOptions:
     """Return the baseline robot: the robot of the problem, with what ``baseline`` says in place of its own."""
-    require_known(given, _ROBOT_KEYS, "the baseline")
+    options.require_known(given, _ROBOT_KEYS, "the baseline")
     # another robot has other parameters and modes: nothing of the first one's is taken over
     own = {} if "robot" in given else {key: data[key] for key in _ROBOT_KEYS if key in data}
     settings = {**_mapping(own.get("set", {}), "set"), **_mapping(given.get("set", {}), "set")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from redundancy_pin.cli.options import json_option
-from redundancy_pin.cli.output import console, print_json, progress
+from redundancy_pin.cli.output import progress, report
 from redundancy_pin.studies.reproduce import reproduce as run_job
 from redundancy_pin.studies.reproduce import tables
 
@@ -37,12 +37,8 @@ def reproduce(out: str, as_json: bool) -> None:
     """
     with progress("reproduce") as advance:
         done = run_job(out, progress=advance)
-    if as_json:
-        print_json(done.summary)
-        return
-    screen, shown = console(), tables(done.results)
-    for name, columns in SHOWN.items():
-        if name in shown:
-            screen.print(shown[name].only(*columns).terminal())
+    made = tables(done.results)
+    shown = [made[name].only(*columns).terminal() for name, columns in SHOWN.items() if name in made]
     passed = f"cross-check passed: {len(done.results.check.rows)} checks"
-    screen.print(f"{passed}. Results are in {done.folder} (start with report.html or report.md).")
+    end = f"{passed}. Results are in {done.folder} (start with report.html or report.md)."
+    report(as_json, done.summary, *shown, end)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import click
 
 from redundancy_pin.cli.errors import printable
-from redundancy_pin.cli.options import RobotOptions, json_option, motion_option, robot_options
-from redundancy_pin.cli.output import print_json, progress
+from redundancy_pin.cli.options import MotionOptions, RobotOptions, json_option, motion_options, robot_options
+from redundancy_pin.cli.output import progress, report
 from redundancy_pin.errors import InputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.planners.plan import Plan, load_plan
 from redundancy_pin.planners.robot_record import load_recorded
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation import Simulation, load_simulation
-from redundancy_pin.trajectory import carriers_from_csv, from_csv
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.video import require_video, save_video
 from redundancy_pin.visualisation.viewer.page import View, require_html, require_meshcat
@@ -26,7 +24,7 @@ from redundancy_pin.visualisation.viewer.page import View, require_html, require
 @robot_options(required=False)
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to show, as `plan --out` writes it.")
 @click.option("--run", "run_path", metavar="NPZ", help="Simulation to show, as `simulate --out` writes it.")
-@motion_option("Motion to show, as `inverse-dynamics` reads it.")
+@motion_options("Motion to show, as `inverse-dynamics` reads it.")
 @click.option("--html", "out", metavar="HTML", help="Write one file that plays offline, instead of a live viewer.")
 @click.option("--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg.")
 @click.option("--forces/--no-forces", default=True, show_default=True, help="Whether arrows are shown at first.")
@@ -37,8 +35,7 @@ def show(
     robot: RobotOptions,
     plan_path: str | None,
     run_path: str | None,
-    motion_path: str | None,
-    check_rates: bool,
+    motion: MotionOptions,
     out: str | None,
     video: str | None,
     forces: bool,
@@ -68,8 +65,7 @@ def show(
     if out:
         require_html(out)
         require_writable(out)
-    given = {"--plan": plan_path, "--run": run_path, "--motion": motion_path}
-    picture = _view(robot, given, forces, force_scale, check_rates=check_rates)
+    picture = _view(robot, plan_path, run_path, motion, forces=forces, force_scale=force_scale)
     if video:
         with progress("video") as advance:
             save_video(picture, video, progress=lambda done, total: advance(done, total, ""))
@@ -91,26 +87,24 @@ def show(
 
 
 def _view(
-    options: RobotOptions, given: Mapping[str, str | None], forces: bool, force_scale: float, *, check_rates: bool
+    options: RobotOptions, plan_path: str | None, run_path: str | None, motion: MotionOptions, **settings: Any
 ) -> View:
+    given = {"--plan": plan_path, "--run": run_path, "--motion": motion.path}
     named = [flag for flag, path in given.items() if path]
     if len(named) > 1:
         raise InputError(
             f"{' and '.join(named)} are both given.",
             remedy="Give one of them: a plan and a simulation have their motion.",
         )
-    plan_path, run_path, motion_path = given.values()
-    settings: Any = {"forces": forces, "force_scale": force_scale}
     if plan_path or run_path:
         subject = load_plan(plan_path) if plan_path else load_simulation(run_path or "")
         return view(subject, robot=robot_of(subject, options), **settings)
     if not options.source:
         raise InputError("There is nothing to show.", remedy="Add --robot NAME or --plan NPZ.")
     robot = options.load()
-    if not motion_path:
+    if not motion.path:
         return view(robot, **settings)
-    motion = from_csv(motion_path, check_rates=check_rates)
-    return view(robot, motion, carriers_from_csv(motion_path, check_rates=check_rates), **settings)
+    return view(robot, motion.read(), motion.carriers(), **settings)
 
 
 def robot_of(subject: Plan | Simulation, options: RobotOptions) -> Robot:
@@ -125,8 +119,5 @@ def robot_of(subject: Plan | Simulation, options: RobotOptions) -> Robot:
 
 def _report(picture: View, where: str, *, as_json: bool) -> None:
     scene = picture.scene
-    if as_json:
-        facts = {"title": scene.title, "frames": len(scene.t), "duration": scene.duration, "where": where}
-        print_json(facts)
-    else:
-        click.echo(f"{printable(scene.title)}: {scene.duration:.4g} s in {len(scene.t)} frames, at {where}")
+    facts = {"title": scene.title, "frames": len(scene.t), "duration": scene.duration, "where": where}
+    report(as_json, facts, f"{printable(scene.title)}: {scene.duration:.4g} s in {len(scene.t)} frames, at {where}")

@@ -10,25 +10,8 @@ import numpy as np
 from rich.table import Table
 
 from redundancy_pin.arrays import Array
+from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import BAD_INPUT, OPTIONS, in_words, printable
-from redundancy_pin.cli.options import (
-    FLAGS,
-    RobotOptions,
-    followed_motion,
-    json_option,
-    require_known,
-    robot_options,
-    settings_option,
-    trajectory_options,
-)
-from redundancy_pin.cli.output import (
-    console,
-    number,
-    print_json,
-    progress,
-    require_outputs,
-    table_of,
-)
 from redundancy_pin.cli.plan import BREAKS_LIMITS, NOT_OPTIMAL
 from redundancy_pin.cli.plan_problem import numbers
 from redundancy_pin.cli.show import robot_of
@@ -52,7 +35,6 @@ from redundancy_pin.simulation import (
 )
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, controller_by_name, joint_friction
 from redundancy_pin.simulation.replay import CONTROLLED_ATOL, CONTROLLED_RTOL, DT
-from redundancy_pin.trajectory import carriers_from_csv
 from redundancy_pin.view import show as view
 from redundancy_pin.visualisation.figures.plots import run_title, save
 from redundancy_pin.visualisation.figures.plots import simulation as plot_simulation
@@ -91,10 +73,10 @@ def _numbers(name: str) -> Any:
 
 
 @click.command()
-@robot_options(required=False)
+@options.robot_options(required=False)
 @click.option("--plan", "plan_path", metavar="NPZ", help="Plan to follow, as `plan --out` writes it.")
-@trajectory_options
-@settings_option(
+@options.trajectory_options
+@options.settings_option(
     "--machine", "machine", "Parameter in which the machine is not as planned, such as carrier_mass=2.1; repeatable."
 )
 @click.option("--controller", type=click.Choice(list(CONTROLLERS)), default="open-loop", show_default=True,
@@ -109,7 +91,9 @@ def _numbers(name: str) -> Any:
 @click.option("--noise", type=float, default=0.0, show_default=True, metavar="N",
               help="Standard deviation of every actuator's effort, one value a period, N or N·m.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Of the noise.")
-@settings_option("--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s; repeatable.")
+@options.settings_option(
+    "--friction", "friction", f"Friction of the joints: {', '.join(FRICTION)}; N, N·m, s; repeatable."
+)
 @click.option("--max-effort", metavar="E[,E...]", callback=_numbers("--max-effort"),
               help="Where the amplifiers of the main actuators saturate, N or N·m.")  # fmt: skip
 @click.option("--max-carrier-force", metavar="F[,F...]", callback=_numbers("--max-carrier-force"),
@@ -121,8 +105,8 @@ def _numbers(name: str) -> Any:
 @click.option("--out", metavar="NPZ|CSV", help="Where it goes: all of it, or a table by joint name, as of `export`.")
 @click.option("--plot", metavar="PICTURE", help="Draw it, with the plan behind it (.png, .svg or .pdf).")
 @click.option("--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg.")
-@json_option
-def simulate(robot: RobotOptions, **given: Any) -> int:
+@options.json_option
+def simulate(robot: options.RobotOptions, **given: Any) -> int:
     r"""Simulate a machine that is to follow a plan or a motion.
 
     Forward dynamics of the closed chains under a controller: the planned efforts open loop, computed torque, or an LQR.
@@ -138,19 +122,18 @@ def simulate(robot: RobotOptions, **given: Any) -> int:
       redundancy-pin simulate --robot five_bar --motion motion.csv --controller computed-torque \
           --period 0.001 --delay 0.001 --noise 0.05 --friction revolute_coulomb=0.02
     """
-    plan_path, motion_path, out, plot = (given[name] for name in ("plan_path", "motion_path", "out", "plot"))
-    video = given["video"]
+    plan_path, motion, out, plot, video = (given[name] for name in ("plan_path", "motion", "out", "plot", "video"))
     if video:
         require_video(video)
     if out and not out.lower().endswith((".npz", ".csv")):
         raise OutputError(f"--out {out} ends in neither .npz nor .csv.", remedy="Write --out run.npz.", path=out)
-    require_outputs(out, plot, [path for path in (plan_path, motion_path) if path])
+    output.require_outputs(out, plot, [path for path in (plan_path, motion.path) if path])
     sampling = _sampling(given)
-    with progress("simulate") as advance, in_words(OPTIONS.knowing(_FLAGS)):
+    with output.progress("simulate") as advance, in_words(OPTIONS.knowing(_FLAGS)):
         advance(0, 3, "reading")
         plan = load_plan(plan_path) if plan_path else None
         nominal, reference = _planned(robot, plan, given)
-        machine = _machine(nominal, given["machine"], robot)
+        machine = _machine(nominal, given["machine"], trust=robot.trust)
         advance(1, 3, "simulation")
         run = _run(machine, reference, sampling, given)
         advance(2, 3, "writing")
@@ -164,11 +147,8 @@ def simulate(robot: RobotOptions, **given: Any) -> int:
         if video:
             save_video(view(run, robot=machine), video, progress=lambda done, total: advance(done, total, "video"))
     facts = summary(run, reference, machine)
-    if given["as_json"]:
-        print_json({**facts, "controller": given["controller"], "out": out, "plot": plot, "video": video})
-    else:
-        title = f"{run.robot.name}, {CONTROLLERS[given['controller']]}"
-        console().print(_table(title, run, facts, {"simulation": out, "picture": plot, "video": video}))
+    facts |= {"controller": given["controller"], "out": out, "plot": plot, "video": video}
+    output.report(given["as_json"], facts, _table(run, facts))
     warn(run)
     return EXIT_CODES.get(run.status, BAD_INPUT)
 
@@ -182,39 +162,34 @@ def _sampling(given: Mapping[str, Any]) -> Sampling | None:
     return None
 
 
-def _planned(options: RobotOptions, plan: Plan | None, given: Mapping[str, Any]) -> tuple[Robot, MotionReference]:
+def _planned(robot: options.RobotOptions, plan: Plan | None, given: Mapping[str, Any]) -> tuple[Robot, MotionReference]:
     """Return the robot as planned, and the motion that it is to follow."""
-    flags = {flag: given[flag] for flag in FLAGS}
+    chosen: options.MotionOptions = given["motion"]
     if plan is not None:
-        for flag, value in {"trajectory": given["trajectory"], "motion": given["motion_path"], "park": given["park"],
-                            **flags}.items():  # fmt: skip
+        own = {"trajectory": chosen.trajectory, "motion": chosen.path, "park": given["park"], **chosen.flags}
+        for name, value in own.items():
             if value is not None:
-                raise InputError(
-                    f"--plan and --{flag.replace('_', '-')} are both given.", remedy="A plan has its own motion."
-                )
-        nominal = robot_of(plan, options)
+                message = f"--plan and {options.flag(name)} are both given."
+                raise InputError(message, remedy="A plan has its own motion.")
+        nominal = robot_of(plan, robot)
         return nominal, plan_reference(plan, robot=nominal)
-    if not options.source:
+    if not robot.source:
         raise InputError("There is nothing to simulate.", remedy="Add --plan NPZ, or --robot NAME and a motion.")
-    path, check = given["motion_path"], given["check_rates"]
-    motion = followed_motion("A simulation without --plan", given["trajectory"], path, flags, check_rates=check)
-    nominal = options.load()
-    carriers = carriers_from_csv(path, check_rates=check) if path else None
+    motion, carriers = chosen.follow("A simulation without --plan"), chosen.carriers()
+    nominal = robot.load()
     if carriers is not None and given["park"] is not None:
         raise InputError("The carriers of the motion move, and --park parks them.", remedy="Leave --park out.")
     parked = 0.0 if given["park"] is None else given["park"]
     return nominal, motion_reference(nominal, motion, parked if carriers is None else carriers)
 
 
-def _machine(nominal: Robot, changes: Mapping[str, Any], options: RobotOptions) -> Robot:
+def _machine(nominal: Robot, changes: Mapping[str, Any], *, trust: bool) -> Robot:
     """Return the robot that is simulated: that of the plan with other parameters."""
     if not changes:
         return nominal
     arguments = {**nominal.parameters, **changes}
     mode = nominal.working_mode or None
-    return load_with(
-        nominal.source, arguments, gravity=nominal.gravity.tolist(), working_mode=mode, trust=options.trust
-    )
+    return load_with(nominal.source, arguments, gravity=nominal.gravity.tolist(), working_mode=mode, trust=trust)
 
 
 def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, given: Mapping[str, Any]) -> Simulation:
@@ -230,7 +205,7 @@ def _run(machine: Robot, reference: MotionReference, sampling: Sampling | None, 
         require_not_negative("--noise", given["noise"])
         controller = NoisyAmplifier(controller, np.random.default_rng(given["seed"]), given["noise"])
     friction = given["friction"]
-    require_known(friction, FRICTION, "--friction")
+    options.require_known(friction, FRICTION, "--friction")
     for name, value in friction.items():
         require_not_negative(f"--friction {name}", value)
     events = set(given["stop_at"])
@@ -267,7 +242,7 @@ def warn(run: Simulation) -> None:
         text = f"could not go on at t = {run.t[-1]:.6g} s: {run.reason}"
     else:
         return
-    click.echo(f"warning: {printable(' '.join(text.split()))}", err=True)
+    output.warning(f"{printable(' '.join(text.split()))}")
 
 
 def summary(run: Simulation, reference: MotionReference, robot: Robot) -> dict[str, Any]:
@@ -300,7 +275,7 @@ def _peaks(values: Array) -> Array:
     return peaks
 
 
-def _table(title: str, run: Simulation, facts: Mapping[str, Any], files: Mapping[str, str | None]) -> Table:
+def _table(run: Simulation, facts: Mapping[str, Any]) -> Table:
     main, moved = run.robot.effort_unit(*run.robot.actuated), run.robot.effort_unit(*run.robot.carriers)
     seen = [f"{event.kind.replace('_', ' ')} ({event.name}) at {event.t:.4g} s" for event in run.events]
     more = len(seen) - LISTED
@@ -308,13 +283,14 @@ def _table(title: str, run: Simulation, facts: Mapping[str, Any], files: Mapping
         ("status", run.status.value.replace("_", " ")),
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {len(run)} samples"),
         ("events", "\n".join([*seen[:LISTED], *([f"and {more} more"] if more > 0 else [])]) or "none"),
-        ("largest distance from the planned motion [m]", number(facts["largest_distance"])),
-        ("distance at the end [m]", number(facts["last_distance"])),
-        *((f"peak of {name} [{main}]", number(value))
+        ("largest distance from the planned motion [m]", output.number(facts["largest_distance"])),
+        ("distance at the end [m]", output.number(facts["last_distance"])),
+        *((f"peak of {name} [{main}]", output.number(value))
           for name, value in zip(run.robot.actuated, facts["peak_effort"].tolist(), strict=True)),
-        *((f"peak of {name} [{moved}]", number(value))
+        *((f"peak of {name} [{moved}]", output.number(value))
           for name, value in zip(run.robot.carriers, facts["peak_carrier_force"].tolist(), strict=True)),
-        ("work of all actuators [J]", number(facts["work"])),
-        *((f"{name} written to", path) for name, path in files.items() if path),
+        ("work of all actuators [J]", output.number(facts["work"])),
+        *((f"{name} written to", facts[key])
+          for name, key in (("simulation", "out"), ("picture", "plot"), ("video", "video")) if facts[key]),
     ]  # fmt: skip
-    return table_of(title, (), rows)
+    return output.table_of(f"{run.robot.name}, {CONTROLLERS[facts['controller']]}", (), rows)

@@ -8,23 +8,15 @@ from typing import Any
 import click
 from rich.table import Table
 
+from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
-from redundancy_pin.cli.options import (
-    RobotOptions,
-    json_option,
-    motion_option,
-    parse_trajectory,
-    robot_options,
-    trajectory_option,
-)
-from redundancy_pin.cli.output import console, print_json, progress, require_picture, row, table_of
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.classify import SingularityKind
 from redundancy_pin.singularities.crossings import Crossing, find_crossings
 from redundancy_pin.singularities.locus import singular_locus
-from redundancy_pin.trajectory import Trajectory, from_csv
+from redundancy_pin.trajectory import Trajectory
 from redundancy_pin.visualisation.figures.paths import draw_locus
 from redundancy_pin.visualisation.figures.style import save
 
@@ -32,19 +24,11 @@ _DRAWN_STEP = 1e-3  # sampling interval of a trajectory in the picture, as a fra
 
 
 @click.command()
-@robot_options()
-@motion_option("Motion to search: columns t, x0.., xd0.., xdd0...")
-@trajectory_option("Trajectory to search instead")
+@options.robot_options()
+@options.motion_options("Motion to search: columns t, x0.., xd0.., xdd0...", "Trajectory to search instead")
 @click.option("--plot", metavar="PICTURE", help="Draw the singularities over the workspace (.png, .svg or .pdf).")
-@json_option
-def singularities(
-    robot: RobotOptions,
-    motion_path: str | None,
-    check_rates: bool,
-    trajectory: str | None,
-    plot: str | None,
-    as_json: bool,
-) -> None:
+@options.json_option
+def singularities(robot: options.RobotOptions, motion: options.MotionOptions, plot: str | None, as_json: bool) -> None:
     r"""Find singularities: a map, instants of a motion.
 
     Type I: some platform velocity is lost. Type II: some platform velocity is not controlled by the actuators. The
@@ -55,32 +39,23 @@ def singularities(
       redundancy-pin singularities --robot 3rrr --mode +++ --plot locus.png
       redundancy-pin singularities --robot 2rpr --trajectory circle:speed=0.5
     """
-    if motion_path and trajectory:
-        raise InputError("--motion and --trajectory exclude each other.", remedy="Give one of them.")
-    if not (motion_path or trajectory or plot):
+    if not (motion.path or motion.trajectory or plot):
         raise InputError("There is nothing to do.", remedy="Ask for --plot, --motion or --trajectory.")
     if plot:
-        require_picture(plot)
-    with progress("singularities") as advance, in_words(OPTIONS.knowing({"find_crossings": "--motion"})):
+        output.require_picture(plot)
+    with output.progress("singularities") as advance, in_words(OPTIONS.knowing({"find_crossings": "--motion"})):
         advance(0, 3, "reading")
         loaded = robot.load()
-        if motion_path:
-            followed: PlatformMotion | Trajectory | None = from_csv(motion_path, check_rates=check_rates)
-        else:
-            followed = parse_trajectory(trajectory, {}) if trajectory else None
+        followed = motion.follow("The search along a motion") if motion.path or motion.trajectory else None
         advance(1, 3, "along the motion")
         crossings = find_crossings(loaded, followed) if followed is not None else ()
         advance(2, 3, "over the workspace")
         if plot:
             _draw(loaded, followed, crossings, plot)
-    if as_json:
-        data = [crossing_data(crossing) for crossing in crossings]
-        print_json({"robot": loaded.name, "crossings": data if followed is not None else None, "plot": plot})
-        return
-    if followed is not None:
-        console().print(_table(loaded, crossings))
-    if plot:
-        console().print(f"The picture is {plot}.")
+    shown: list[Any] = [_table(loaded, crossings)] if followed is not None else []
+    shown += [f"The picture is {plot}."] if plot else []
+    data = [crossing_data(crossing) for crossing in crossings] if followed is not None else None
+    output.report(as_json, {"robot": loaded.name, "crossings": data, "plot": plot}, *shown)
 
 
 def crossing_data(crossing: Crossing) -> dict[str, Any]:
@@ -107,14 +82,14 @@ def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
         rows.append(
             (
                 f"{crossing.t:.9g}" if crossing.until == crossing.t else f"{crossing.t:.9g} to {crossing.until:.9g}",
-                row(place),
+                output.row(place),
                 crossing.kind.label,
                 "crossed" if crossing.crosses else "touched",
-                row(direction),
+                output.row(direction),
             )
         )
     headings = ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction")
-    return table_of(f"{robot.name}: {len(crossings)} singular instant(s)", headings, rows)
+    return output.table_of(f"{robot.name}: {len(crossings)} singular instant(s)", headings, rows)
 
 
 def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:

@@ -8,7 +8,7 @@ from dataclasses import asdict
 import click
 
 from redundancy_pin.cli.options import json_option, scheduler_option
-from redundancy_pin.cli.output import console, print_json, resumable
+from redundancy_pin.cli.output import report, resumable
 from redundancy_pin.io.files import expanded, write_text
 from redundancy_pin.studies.robustness import DRAWS, robustness_study, study_caption, study_csv, study_table
 from redundancy_pin.studies.store import FILE
@@ -56,11 +56,5 @@ def study(
         "cells": [asdict(cell) for cell in result.cells],
     }
     write_text(folder / "summary.json", json.dumps(json_data(summary), indent=2, allow_nan=False) + "\n")
-    if as_json:
-        print_json(summary)
-        return
-    screen = console()
-    screen.print(extent)
-    screen.print(table.only(*_SHOWN).terminal())
-    screen.print(caption)
-    screen.print(f"Tables and store are in {folder}: study.md, trials.csv, summary.json, {FILE}.")
+    files = f"Tables and store are in {folder}: study.md, trials.csv, summary.json, {FILE}."
+    report(as_json, summary, extent, table.only(*_SHOWN).terminal(), caption, files)

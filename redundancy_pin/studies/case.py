@@ -52,6 +52,15 @@ Mode: TypeAlias = tuple[int, ...]
 Options: TypeAlias = tuple[tuple[str, Any], ...]
 """Keyword arguments as sorted pairs: cases are hashable and go to other processes."""
 
+SWITCH_OFF, STEPWISE, WHOLE = "switch-off", "stepwise", "whole-trajectory"
+
+PLANNERS: Mapping[str, Callable[..., Plan]] = {
+    SWITCH_OFF: plan_switch_off,
+    STEPWISE: plan_stepwise,
+    WHOLE: plan_whole_trajectory,
+}
+"""Planners by the name the command line uses."""
+
 Planner = Literal["none", "parked", "switch_off", "stepwise", "whole_trajectory"]
 """What moves the carriers: nobody as there are none, nobody as they stay at s = 0, or a planner."""
 
@@ -188,20 +197,20 @@ class Case:
 
     def plan(self, backend: str | None = None) -> Plan:
         """Plan the case; errors as the planners."""
-        dynamics, given = self.dynamics(backend), dict(self.options)
-        match self.planner:
-            case "switch_off":
-                return plan_switch_off(dynamics, self.trajectory(), dt=self.dt, **given)
-            case "stepwise":
-                motion = self.trajectory().sample(self.dt, two_sided=self.two_sided)
-                return plan_stepwise(dynamics, motion, baseline=self._baseline(backend), **given)
-            case "whole_trajectory":
-                if not isinstance(given.get("objective", ""), str):
-                    given["objective"] = dict(given["objective"])
-                if given.get("lam"):
-                    given["baseline"] = self._baseline(backend)
-                return plan_whole_trajectory(dynamics, self.trajectory(), dt=self.dt, **given)
-        return _at_rest(dynamics, self.trajectory(), self.dt, "baseline" if self.planner == "none" else "parked")
+        dynamics, trajectory, given = self.dynamics(backend), self.trajectory(), dict(self.options)
+        if self.planner in ("none", "parked"):
+            motion = trajectory.sample(self.dt)
+            still, phase = CarrierMotion.parked(len(motion), dynamics.robot.k), np.zeros(len(motion), dtype=np.intp)
+            name = "baseline" if self.planner == "none" else "parked"
+            made: Any = {"planner": name, "phases": ("parked",), "parameters": {"dt": self.dt}, "diagnostics": {}}
+            return finish_plan(dynamics.along(motion), still, phase=phase, **made)
+        if self.planner == "stepwise" or given.get("lam"):
+            given["baseline"] = self._baseline(backend)
+        if not isinstance(given.get("objective", ""), str):
+            given["objective"] = dict(given["objective"])
+        if self.planner == "stepwise":
+            return plan_stepwise(dynamics, trajectory.sample(self.dt, two_sided=self.two_sided), **given)
+        return PLANNERS[self.planner.replace("_", "-")](dynamics, trajectory, dt=self.dt, **given)
 
     def as_dict(self) -> dict[str, object]:
         """Return the configuration as plain data, for JSON."""
@@ -218,13 +227,6 @@ class Case:
         without = self.planner == "none"
         arguments = options(**{**dict(self.arguments), "carriers": False}) if without else self.arguments
         return self.robot, self.working_mode, arguments, self.gravity, self.trust
-
-
-def _at_rest(machine: Dynamics, trajectory: Trajectory, dt: float, name: str) -> Plan:
-    motion = trajectory.sample(dt)
-    still, phase = CarrierMotion.parked(len(motion), machine.robot.k), np.zeros(len(motion), dtype=np.intp)
-    given: dict[str, Any] = {"parameters": {"dt": dt}, "diagnostics": {}}
-    return finish_plan(machine.along(motion), still, planner=name, phase=phase, phases=("parked",), **given)
 
 
 @dataclass

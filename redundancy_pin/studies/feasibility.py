@@ -33,19 +33,8 @@ from redundancy_pin.planners.functions import ALLOWED
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
-from redundancy_pin.studies.map_problem import (
-    LIMITS,
-    OTHER,
-    PRESETS,
-    STEPWISE,
-    SWITCH_OFF,
-    WHOLE,
-    Axis,
-    MapProblem,
-    Preset,
-    parse_axis,
-    spaced,
-)
+from redundancy_pin.studies.case import STEPWISE, SWITCH_OFF, WHOLE
+from redundancy_pin.studies.map_problem import LIMITS, OTHER, PRESETS, Axis, MapProblem, Preset, parse_axis, spaced
 from redundancy_pin.studies.store import Progress, Store, make_folder
 from redundancy_pin.studies.table import csv_text, json_data
 from redundancy_pin.visualisation.figures.feasibility_map import Tile, plot_feasibility

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Literal, cast
@@ -13,24 +13,13 @@ import numpy as np
 
 from redundancy_pin.arrays import require_few
 from redundancy_pin.errors import InputError, did_you_mean
-from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.stepwise.planner import plan_stepwise
-from redundancy_pin.planners.switch_off.planner import plan_switch_off
-from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
 from redundancy_pin.robot import Robot
-from redundancy_pin.studies.case import BACKENDS, TRAJECTORIES, VIRTUAL_WORK, Case, Planner, options
+from redundancy_pin.studies import case
+from redundancy_pin.studies.case import PLANNERS, STEPWISE, SWITCH_OFF, TRAJECTORIES, WHOLE, Case
 from redundancy_pin.studies.table import json_data
 
 Scale = Literal["linear", "log"]
 
-SWITCH_OFF, STEPWISE, WHOLE = "switch-off", "stepwise", "whole-trajectory"
-
-PLANNERS: Mapping[str, Callable[..., Plan]] = {
-    SWITCH_OFF: plan_switch_off,
-    STEPWISE: plan_stepwise,
-    WHOLE: plan_whole_trajectory,
-}
-"""Planners by the name the command line uses."""
 
 LIMITS: Mapping[str, str] = {
     "stroke": "length of every track, about its middle, m",
@@ -191,7 +180,7 @@ class MapProblem:
     settings: Mapping[str, Value] = field(default_factory=dict)
     mode: tuple[int, ...] = ()
     gravity: tuple[float, ...] | None = None
-    backend: str = VIRTUAL_WORK
+    backend: str = case.VIRTUAL_WORK
     limits: Mapping[str, float] = field(default_factory=dict)
     planners: tuple[str, ...] = (SWITCH_OFF, WHOLE)
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -199,13 +188,11 @@ class MapProblem:
 
     def __post_init__(self) -> None:
         _require([self.trajectory], tuple(TRAJECTORIES), "trajectory")
-        _require([self.backend], tuple(BACKENDS), "backend")
+        _require([self.backend], tuple(case.BACKENDS), "backend")
         _require((*self.planners, *self.parameters), tuple(PLANNERS), "planner")
         if not self.planners or len(set(self.planners)) < len(self.planners):
-            raise InputError(
-                f"The planners are {', '.join(self.planners) or 'none'}.",
-                remedy="Name each planner once, at least one.",
-            )
+            named = ", ".join(self.planners) or "none"
+            raise InputError(f"The planners are {named}.", remedy="Name each planner once, at least one.")
         keys = self._keys
         _require(self.options, tuple(keys), f"option of the {self.trajectory}")
         for name, key in keys.items():
@@ -214,13 +201,10 @@ class MapProblem:
         _require(self.limits, tuple(LIMITS), "limit")
         if self.x.name == self.y.name:
             raise InputError(f"Both axes are {self.x.name}.", remedy="Vary two different parameters.")
-        for axis in (self.x, self.y):
-            for given in (self.options, self.limits, self.settings):
-                if axis.name in given:
-                    raise InputError(
-                        f"{axis.name} is an axis of the map and has the fixed value {given[axis.name]!r}.",
-                        remedy="Leave one of them out.",
-                    )
+        fixed = {**self.options, **self.limits, **self.settings}
+        for axis in (axis for axis in (self.x, self.y) if axis.name in fixed):
+            message = f"{axis.name} is an axis of the map and has the fixed value {fixed[axis.name]!r}."
+            raise InputError(message, remedy="Leave one of them out.")
         lowest = {axis.name: axis.values[0] for axis in (self.x, self.y)}
         for name, value in {**self.options, **self.limits, **lowest}.items():
             if isinstance(value, (bool, list, tuple)):  # points, vertices, closed
@@ -235,7 +219,7 @@ class MapProblem:
     def unvaried(self) -> Case:
         """The robot on its trajectory, with the arguments and options that are not varied."""
         machine: dict[str, Any] = {"working_mode": self.mode, "gravity": self.gravity, "trust": self.trust}
-        return Case("unvaried", self.robot, self.trajectory, arguments=options(**self.settings), **machine)
+        return Case("unvaried", self.robot, self.trajectory, arguments=case.options(**self.settings), **machine)
 
     @property
     def loaded(self) -> Robot:
@@ -307,8 +291,8 @@ class MapProblem:
         if planner == WHOLE:
             given |= {"effort": limits.get("max_effort"), "jerk": limits.get("max_jerk")}
         parts = {"path_options": path, "options": given, "arguments": robot, "limits": limits}
-        changed: dict[str, Any] = {name: options(**part) for name, part in parts.items()}
-        kind = cast("Planner", planner.replace("-", "_"))
+        changed: dict[str, Any] = {name: case.options(**part) for name, part in parts.items()}
+        kind = cast("case.Planner", planner.replace("-", "_"))
         return replace(self.unvaried, name=f"{planner}, {x:g}, {y:g}", planner=kind, dt=dt, **changed)
 
     def identity(self) -> dict[str, Any]:

@@ -63,7 +63,7 @@ def test_plot_is_written(tmp_path: Path) -> None:
         (("--robot", "2rpr", "--trajectory", "circle:sped=1"), "speed"),
         (("--robot", "2rpr", "--trajectory", "circle:speed=fast"), "fast"),
         (("--robot", "2rpr", "--trajectory", "circle:speed=-1"), "-1"),
-        (("--robot", "2rpr", "--trajectory", "circle", "--motion", "m.csv"), "exclude"),
+        (("--robot", "2rpr", "--trajectory", "circle", "--motion", "m.csv"), "either --trajectory or --motion"),
         (("--robot", "2rpr", "--motion", "nowhere.csv"), "nowhere.csv"),
         (("--robot", "3rrr", "--trajectory", "circle"), "moves in 3 (x, y, rz)"),
         (("--robot", "2rpr", "--plot", "locus.txt"), "picture format"),

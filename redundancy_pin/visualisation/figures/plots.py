@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -147,23 +147,14 @@ def curves_of_plan(plan: Plan) -> Curves:
     """Return the curves of a plan; singular instants and threshold where its planner names them."""
     require_type(plan, Plan, "A plan", "Pass load_plan(...).")
     threshold = plan.parameters.get("threshold") if plan.parameters.get("measure") == "condition" else None
-    main_unit, carriers_turn = _units(plan.robot)
     return Curves(
-        title=f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
-        t=plan.t,
-        tau=plan.tau,
-        main_unit=main_unit,
-        carrier_force=plan.carrier_force,
-        carriers=plan.carriers,
+        f"{plan.robot.name}: {plan.planner.replace('_', ' ')}, {plan.status.value.replace('_', ' ')}",
         limits=plan.limits.judged_by,
-        condition=plan.condition,
-        margin=plan.margin,
         regular=plan.sample_status == SampleStatus.REGULAR,
-        carriers_turn=carriers_turn,
         instants=numbers(plan.diagnostics.get("singular_instants")),
         thresholds=numbers([threshold]),
-        main_names=plan.robot.actuated,
-        carrier_names=plan.robot.carriers,
+        **_drawn(plan, ("t", "tau", "carrier_force", "carriers", "condition", "margin")),
+        **_joints(plan.robot),
     )
 
 
@@ -172,7 +163,6 @@ def curves_of_run(run: Simulation, robot: Robot | None = None) -> Curves:
 
     A robot whose files are gone leaves condition and margin unknown: NaN.
     """
-    main_unit, carriers_turn = _units(run.robot)
     condition = margin = np.full(len(run), np.nan)
     try:
         found = classify(robot or load_recorded(run.robot), run.q)
@@ -180,19 +170,13 @@ def curves_of_run(run: Simulation, robot: Robot | None = None) -> Curves:
     except PlanFileError:
         pass
     return Curves(
-        title=run_title(run),
-        t=run.t,
-        tau=run.tau,
-        main_unit=main_unit,
-        carrier_force=run.carrier_force,
-        carriers=run.carriers,
+        run_title(run),
         limits=run.robot.carrier_limits,
         condition=condition,
         margin=margin,
         regular=np.ones(len(run), dtype=bool),  # the efforts are those that acted
-        carriers_turn=carriers_turn,
-        main_names=run.robot.actuated,
-        carrier_names=run.robot.carriers,
+        **_drawn(run, ("t", "tau", "carrier_force", "carriers")),
+        **_joints(run.robot),
     )
 
 
@@ -245,31 +229,31 @@ def curves(
             f"{sliding.s.shape}.",
             remedy="Pass what belongs to one motion.",
         )
-    main_unit, carriers_turn = _units(robot_record(robot))
     return Curves(
-        title=robot.name if title is None else title,
-        t=reduced.t,
-        tau=efforts.tau,
-        main_unit=main_unit,
-        carrier_force=reduced.carrier_force,
+        robot.name if title is None else title,
         carriers=sliding,
         limits=robot.carrier_limits,
-        condition=efforts.condition,
-        margin=efforts.margin,
         regular=efforts.status == SampleStatus.REGULAR,
-        carriers_turn=carriers_turn,
         instants=tuple(crossing.t for crossing in crossings),
         thresholds=tuple(thresholds),
-        main_names=robot.actuated,
-        carrier_names=robot.carriers,
+        **_drawn(reduced, ("t", "carrier_force")),
+        **_drawn(efforts, ("tau", "condition", "margin")),
+        **_joints(robot_record(robot)),
     )
 
 
-def _units(record: RobotRecord) -> tuple[str, bool]:
-    """Return kind and unit of the main efforts, and whether all carriers turn."""
+def _drawn(source: object, names: Sequence[str]) -> dict[str, Any]:
+    """Return what curves take over from a plan, a simulation or dynamics as it is."""
+    return {name: getattr(source, name) for name in names}
+
+
+def _joints(record: RobotRecord) -> dict[str, Any]:
+    """Return names of the joints, kind and unit of the main efforts, and whether all carriers turn."""
     unit = record.effort_unit(*record.actuated)
     kind = {"N": "force", "N·m": "torque"}.get(unit, "effort")
-    return f"{kind} [{unit}]", bool(record.carriers) and set(record.carriers) <= set(record.rotating)
+    turn = bool(record.carriers) and set(record.carriers) <= set(record.rotating)
+    names = {"main_names": record.actuated, "carrier_names": record.carriers}
+    return {**names, "main_unit": f"{kind} [{unit}]", "carriers_turn": turn}
 
 
 def numbers(values: object) -> tuple[float, ...]:
