@@ -10,17 +10,9 @@ from typing import Any
 
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.plan import Plan, PlanStatus
-from redundancy_pin.studies import cases
+from redundancy_pin.studies import cases, measures
 from redundancy_pin.studies.case import Case, Mode, Plans
 from redundancy_pin.studies.cases import EFFORT, NONE, OBJECTIVES, PEAK, STEPWISE, SWITCH_OFF, TASKS, Extent, by_method
-from redundancy_pin.studies.measures import (
-    dense_peak,
-    missing_force,
-    numbers,
-    plan_differences,
-    rms_acceleration,
-    square_integral,
-)
 from redundancy_pin.studies.planned import Chapter, Tell
 from redundancy_pin.studies.statements import claim, counted, ratios, verdict
 from redundancy_pin.studies.table import Record, Table, grouped, table, text
@@ -146,8 +138,8 @@ def plan_record(plans: Plans, task: Case, method: str, coarser: float = 1.0) -> 
                                  "main_energy", "carrier_energy", "energy", "position", "speed", "acceleration",
                                  "track", "speed_limit", "acceleration_limit"), math.nan)  # fmt: skip
         return {**record, **nothing, "file": "", "status": INFEASIBLE, "exists": False, "sound": False, "broken": "",
-                "solver": "", "why": outcome.message, "missing": missing_force(outcome)}  # fmt: skip
-    between, shown = dense_peak(case, outcome), numbers(outcome)
+                "solver": "", "why": outcome.message, "missing": measures.missing_force(outcome)}  # fmt: skip
+    between, shown = measures.dense_peak(case, outcome), measures.numbers(outcome)
     return {**record, **shown, "dense_peak": between, "worst": max(shown["peak"], between), "exists": True,
             "sound": outcome.status is PlanStatus.WITHIN_LIMITS, "why": "", "missing": math.nan}  # fmt: skip
 
@@ -289,7 +281,7 @@ def attempt(plans: Plans, case: Case) -> Record:
             failed = {**record, **details, "said": outcome.message}
         elif outcome.status in (PlanStatus.WITHIN_LIMITS, PlanStatus.STOPPED_EARLY, PlanStatus.UNRESOLVED):
             binding = sorted({f"{event.quantity} of {event.carrier}" for event in outcome.limits.binding})
-            peak = max(float(outcome.peak_effort.max()), dense_peak(attempted, outcome))
+            peak = max(float(outcome.peak_effort.max()), measures.dense_peak(attempted, outcome))
             return {**record, "feasible": True, "status": outcome.status.value, "peak": peak, "binding": binding}
         else:
             message = "the plan breaks limits or has no finite efforts"
@@ -318,7 +310,7 @@ def backend_record(plans: Plans, case: Case) -> Record:
     first, second = (plans.outcome(case, backend) for backend in case.backends)
     statuses = [INFEASIBLE if isinstance(one, InfeasiblePlanError) else one.status.value for one in (first, second)]
     if isinstance(first, Plan) and isinstance(second, Plan):
-        differences = plan_differences(first, second)
+        differences = measures.plan_differences(first, second)
         costs = [float(str(plan.diagnostics["cost"])) for plan in (first, second)]
         cost = abs(costs[0] - costs[1]) / max(abs(costs[0]), abs(costs[1]))
     else:
@@ -355,7 +347,7 @@ def weights(plans: Plans, task: Case, extent: Extent) -> list[tuple[float, float
     case = by_method(task, EFFORT, extent.coarser)
     least = plans.plan(case)
     effort: Mapping[str, Any] = least.diagnostics["objective"]  # type: ignore[assignment]
-    equal = float(effort["effort"]) / square_integral(least.t, least.carriers.sdd)
+    equal = float(effort["effort"]) / measures.square_integral(least.t, least.carriers.sdd)
     aims = [(ratio, ratio * equal, (("carrier_acceleration", ratio * equal),)) for ratio in extent.ratios]
     return [(ratio, weight, case.with_options(objective=(("effort", 1.0), *aim))) for ratio, weight, aim in aims]
 
@@ -371,12 +363,12 @@ def trade_record(plans: Plans, task: Case, extent: Extent) -> Record:
 
 
 def _trade_point(ratio: float, weight: float, outcome: Plan | InfeasiblePlanError) -> Record:
+    point = {"ratio": ratio, "weight": weight, "rms_effort": 0.0, "rms_acceleration": 0.0, "peak": 0.0}
     if isinstance(outcome, InfeasiblePlanError):
-        values = dict.fromkeys(("rms_effort", "rms_acceleration", "peak"), 0.0)
-        return {"ratio": ratio, "weight": weight, **values, "status": INFEASIBLE}
-    shown = numbers(outcome)
-    return {"ratio": ratio, "weight": weight, "rms_effort": shown["rms"], "rms_acceleration": rms_acceleration(outcome),
-            "peak": shown["peak"], "status": shown["status"]}  # fmt: skip
+        return {**point, "status": INFEASIBLE}
+    shown, acceleration = measures.numbers(outcome), measures.rms_acceleration(outcome)
+    return {**point, "rms_effort": shown["rms"], "rms_acceleration": acceleration, "peak": shown["peak"],
+            "status": shown["status"]}  # fmt: skip
 
 
 def rises(values: Sequence[float]) -> bool:

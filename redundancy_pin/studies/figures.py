@@ -21,24 +21,8 @@ from redundancy_pin.studies.case import RNEA, VIRTUAL_WORK, Case, Plans
 from redundancy_pin.studies.cases import EFFORT, NONE, PEAK, STEPWISE, SWITCH_OFF, TASKS, by_method, without_carriers
 from redundancy_pin.studies.measures import MotionRun, rms_acceleration, window
 from redundancy_pin.studies.table import Record, mode_text
-from redundancy_pin.visualisation.figures.comparisons import (
-    TradeCurve,
-    plot_bars,
-    plot_efforts,
-    plot_side_by_side,
-    plot_speed_border,
-    plot_tracking,
-    plot_trade_off,
-)
+from redundancy_pin.visualisation.figures import comparisons, plots
 from redundancy_pin.visualisation.figures.paths import plot_path, plot_plane_paths
-from redundancy_pin.visualisation.figures.plots import (
-    carrier_panels,
-    curves,
-    curves_of_plan,
-    main_panel,
-    plot_comparison,
-    singularity_panel,
-)
 from redundancy_pin.visualisation.figures.time_panels import Curve, Panel, plot_time_panels, series
 from redundancy_pin.visualisation.viewer.scene import base_hinges, links
 
@@ -108,8 +92,8 @@ def motion_pictures(runs: Sequence[MotionRun]) -> list[Picture]:
 
 def effort_figure(_: Results, run: MotionRun, title: str) -> Figure:
     """Return the efforts of a run by both backends."""
-    drawn = curves(run.robot, run.reduced[RNEA], run.distribution, title=title)
-    return plot_efforts(
+    drawn = plots.curves(run.robot, run.reduced[RNEA], run.distribution, title=title)
+    return comparisons.plot_efforts(
         replace(drawn, instants=tuple(instant.t for instant in run.instants)),
         run.solved[VIRTUAL_WORK].tau,
         backends=("RNEA", "virtual work"),
@@ -137,7 +121,7 @@ def comparison_figure(_: Results, runs: Sequence[MotionRun]) -> Figure:
     """Return the efforts of several runs along one motion."""
     efforts = {_carriers(run.case): (run.t, run.distribution.tau) for run in runs}
     names = runs[0].robot.actuated
-    return plot_comparison(runs[0].case.title, names, runs[0].case.unit, efforts)
+    return plots.plot_comparison(runs[0].case.title, names, runs[0].case.unit, efforts)
 
 
 def _carriers(case: Case) -> str:
@@ -167,8 +151,8 @@ def profile(results: Results, case: Case) -> Figure:
 def displacement(results: Results, case: Case) -> Figure:
     """Draw the platform's x and y over time."""
     motion = case.trajectory().sample(_FINE)
-    curves = series(("x − x(0)", "y − y(0)"), motion.t, motion.x - motion.x[0])
-    panels = [Panel(f"{curve.label} [m]", (curve,)) for curve in curves]
+    lines = series(("x − x(0)", "y − y(0)"), motion.t, motion.x - motion.x[0])
+    panels = [Panel(f"{curve.label} [m]", (curve,)) for curve in lines]
     return plot_time_panels(f"{case.title}: displacement of the platform", panels)
 
 
@@ -183,7 +167,7 @@ def paths(results: Results, *several: Case) -> Figure:
         return plot_plane_paths(first.title if alone else "Corners of the 3-RRR's platform", lines)
     trajectory = first.trajectory()
     mechanism, hinges = _mechanism(first.load_robot(), trajectory.sample(_FINE))
-    singular = trajectory.sample_at(np.array(curves_of_plan(results.plans.plan(first)).instants)).x
+    singular = trajectory.sample_at(np.array(plots.curves_of_plan(results.plans.plan(first)).instants)).x
     title = f"{first.title}: path and mechanism at the start"
     return plot_plane_paths(title, lines, mechanism=mechanism, hinges=hinges, singular=list(singular))
 
@@ -191,25 +175,29 @@ def paths(results: Results, *several: Case) -> Figure:
 def condition(results: Results, *several: Case) -> Figure:
     """Draw the condition number along the motion of cases that differ in their threshold."""
     thresholds = tuple(float(case.option("threshold")) for case in several)
-    drawn = replace(curves_of_plan(results.plans.plan(several[0])), thresholds=thresholds)
-    panel = replace(singularity_panel(drawn), height=1.8)
+    drawn = replace(plots.curves_of_plan(results.plans.plan(several[0])), thresholds=thresholds)
+    panel = replace(plots.singularity_panel(drawn), height=1.8)
     return plot_time_panels(f"{several[0].title}: condition number", (panel,), instants=drawn.instants)
 
 
 def forces(results: Results, case: Case) -> Figure:
     """Draw the forces of the main actuators and the condition number of a crossing."""
     plan = results.plans.plan(case)
-    drawn, before = curves_of_plan(plan), plan.t <= float(window(plan)["exit"])
+    drawn, before = plots.curves_of_plan(plan), plan.t <= float(window(plan)["exit"])
     until = series(plan.robot.actuated, plan.t[before], plan.tau[before])
-    panels = (main_panel(drawn), Panel("force τ [N], until\nswitched on", until, height=1.2), singularity_panel(drawn))
+    panels = (
+        plots.main_panel(drawn),
+        Panel("force τ [N], until\nswitched on", until, height=1.2),
+        plots.singularity_panel(drawn),
+    )
     return plot_time_panels(f"{_off(case)}: main actuators", panels, plan=plan, instants=drawn.instants)
 
 
 def carriers(results: Results, case: Case) -> Figure:
     """Draw position, speed and acceleration of the carriers of a crossing."""
     plan = results.plans.plan(case)
-    drawn = curves_of_plan(plan)
-    panels = [replace(panel, height=1.2) for panel in carrier_panels(drawn)]
+    drawn = plots.curves_of_plan(plan)
+    panels = [replace(panel, height=1.2) for panel in plots.carrier_panels(drawn)]
     return plot_time_panels(f"{_off(case)}: carriers", panels, plan=plan, instants=drawn.instants)
 
 
@@ -230,7 +218,7 @@ def torques(results: Results, case: Case) -> Figure:
 
 def _carriers_of(quantity: str, place: int, results: Results, case: Case) -> Figure:
     plan = results.plans.plan(case)
-    panel = replace(carrier_panels(curves_of_plan(plan))[place], height=2.4)
+    panel = replace(plots.carrier_panels(plots.curves_of_plan(plan))[place], height=2.4)
     return plot_time_panels(f"{_stepwise(case)}: {quantity} of the carriers", [panel], plan=plan)
 
 
@@ -324,8 +312,8 @@ def _existing(results: Results, task: Case) -> dict[str, Plan]:
 def task_figure(results: Results, task: Case) -> Figure:
     """Return the plans of a task side by side."""
     plans = _existing(results, task)
-    instants = curves_of_plan(plans[EFFORT]).instants if EFFORT in plans else ()
-    return plot_side_by_side(task.title, plans, task.unit, instants=instants)
+    instants = plots.curves_of_plan(plans[EFFORT]).instants if EFFORT in plans else ()
+    return comparisons.plot_side_by_side(task.title, plans, task.unit, instants=instants)
 
 
 def modes_figure(results: Results, radius: float) -> Figure:
@@ -335,7 +323,7 @@ def modes_figure(results: Results, radius: float) -> Figure:
     peaks = {method: np.array([record["rows"][method]["worst"] for record in records]) for method in methods}
     title = f"3-RRR, corner of radius {radius:g} m: largest torque in every working mode"
     modes = [mode_text(record["mode"]) for record in records]
-    return plot_bars(title, modes, "working mode", "largest |τ| [N·m]", peaks)
+    return comparisons.plot_bars(title, modes, "working mode", "largest |τ| [N·m]", peaks)
 
 
 def fastest_figure(results: Results) -> Figure:
@@ -348,7 +336,7 @@ def fastest_figure(results: Results) -> Figure:
         )
         for race in results.chapters["beyond"]["fastest"]
     ]
-    return plot_speed_border("2-RPR: largest main force over speed, carriers within their limits", attempts)
+    return comparisons.plot_speed_border("2-RPR: largest main force over speed, carriers within their limits", attempts)
 
 
 def trade_figure(results: Results) -> Figure:
@@ -362,8 +350,8 @@ def trade_figure(results: Results) -> Figure:
             if method in (NONE, STEPWISE, SWITCH_OFF)
         }
         along = np.array([(point["rms_acceleration"], point["rms_effort"]) for point in points])
-        trades.append(TradeCurve(task.title, task.unit, along, marks))
-    return plot_trade_off("Main effort against the carriers' acceleration", trades)
+        trades.append(comparisons.TradeCurve(task.title, task.unit, along, marks))
+    return comparisons.plot_trade_off("Main effort against the carriers' acceleration", trades)
 
 
 # --- replay --------------------------------------------------------------------------------------------------------
@@ -384,7 +372,7 @@ def replay_pictures(results: Results) -> list[Picture]:
 def tracking_figure(results: Results, replayed: cases.Replayed) -> Figure:
     """Return the distances from a plan for every drive that replayed it."""
     same = [one for one in results.replays if one.plan == replayed.name and len(one.t)]
-    return plot_tracking(replayed.task.title, {one.drive: (one.t, one.error) for one in same})
+    return comparisons.plot_tracking(replayed.task.title, {one.drive: (one.t, one.error) for one in same})
 
 
 def pictures(results: Results) -> dict[str, list[Picture]]:

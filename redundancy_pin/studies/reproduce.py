@@ -31,20 +31,8 @@ from redundancy_pin.io.files import MANIFEST, replacing_folder, require_replacea
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory.options import casadi
 from redundancy_pin.simulation.replay import Drive, Replay, replay
-from redundancy_pin.studies import beyond, planned
+from redundancy_pin.studies import beyond, cases, planned
 from redundancy_pin.studies.case import Case, Plans, machine_code
-from redundancy_pin.studies.cases import (
-    CHAPTERS,
-    FULL,
-    MOTIONS,
-    SINGULAR,
-    TASKS,
-    TURNS,
-    Extent,
-    Replayed,
-    by_method,
-    motion_name,
-)
 from redundancy_pin.studies.figures import THESIS, Results, pictures
 from redundancy_pin.studies.measures import CSV_DIGITS, MotionRun, run
 from redundancy_pin.studies.statements import compare_motions, environment, thesis
@@ -106,9 +94,9 @@ class Reproduction:
 
 def reproduce(
     folder: str | Path,
-    motions: Sequence[Case] = MOTIONS,
+    motions: Sequence[Case] = cases.MOTIONS,
     *,
-    extent: Extent = FULL,
+    extent: cases.Extent = cases.FULL,
     samples: int = CROSS_CHECK_SAMPLES,
     progress: Progress | None = None,
 ) -> Reproduction:
@@ -150,12 +138,12 @@ def reproduce(
     return Reproduction(Path(folder), results, record)
 
 
-def _count(motions: Sequence[Case], extent: Extent) -> int:
+def _count(motions: Sequence[Case], extent: cases.Extent) -> int:
     """Return the steps of the progress bar."""
-    names = [motion_name(case) for case in motions]
+    names = [cases.motion_name(case) for case in motions]
     comparisons = sum(names.count(name) > 1 for name in set(names))
     parts = {"planned": lambda: planned.parts(extent) + len(THESIS), "replay": lambda: len(extent.replayed) + 2,
-             "beyond": lambda: beyond.parts(extent) + len(TASKS) + 4}  # fmt: skip
+             "beyond": lambda: beyond.parts(extent) + len(cases.TASKS) + 4}  # fmt: skip
     return _CROSS_CHECK_STEPS + 3 * len(motions) + comparisons + sum(parts[chapter]() for chapter in extent.chapters)
 
 
@@ -176,7 +164,9 @@ def require_agreement(
     return check
 
 
-def compute(motions: Sequence[Case], extent: Extent, check: CrossCheckReport, tell: Callable[[str], None]) -> Results:
+def compute(
+    motions: Sequence[Case], extent: cases.Extent, check: CrossCheckReport, tell: Callable[[str], None]
+) -> Results:
     """Run the motions and the chapters; every plan is made once."""
     runs: list[MotionRun] = []
     for result in parallel(run, [(case,) for case in motions], extent.jobs, ordered=True):
@@ -205,7 +195,7 @@ def summary(results: Results, files: Sequence[str]) -> dict[str, Any]:
     for one in results.runs:
         experiments[one.case.name]["configuration"]["source"] = thesis()["sources"][one.case.robot]
     about = {"format": "redundancy_pin results", "format_version": 1, "versions": made_with()}
-    chapters = {name: results.chapters.get(name) for name in CHAPTERS}
+    chapters = {name: results.chapters.get(name) for name in cases.CHAPTERS}
     checked, compared = results.check.as_dict(), results.compared
     shown = {"cross_check": checked, "experiments": experiments, "thesis": compared, **chapters}
     return dict(json_data({**about, **shown, "notes": NOTES, "files": sorted(files)}))
@@ -218,10 +208,10 @@ def made_with() -> dict[str, str]:
     return own | {name: version for name, version in known.items() if version}
 
 
-def run_replays(plans: Plans, extent: Extent, tell: Callable[[str], None]) -> tuple[list[Replay], dict[str, str]]:
+def run_replays(plans: Plans, extent: cases.Extent, tell: Callable[[str], None]) -> tuple[list[Replay], dict[str, str]]:
     """Replay plans of all planners with each of their drives; return what came out, and why some plans do not exist."""
     missing: dict[str, str] = {}
-    jobs: list[tuple[Replayed, Plan, Drive]] = []
+    jobs: list[tuple[cases.Replayed, Plan, Drive]] = []
     for replayed in extent.replayed:
         outcome = plans.outcome(replayed.case(extent.coarser))
         if isinstance(outcome, InfeasiblePlanError):
@@ -237,7 +227,7 @@ def run_replays(plans: Plans, extent: Extent, tell: Callable[[str], None]) -> tu
     return results, missing
 
 
-def _replay(replayed: Replayed, plan: Plan, drive: Drive) -> Replay:
+def _replay(replayed: cases.Replayed, plan: Plan, drive: Drive) -> Replay:
     return replay(plan, drive, name=replayed.name, motion=replayed.task.trajectory(), backend=machine_code)
 
 
@@ -271,10 +261,10 @@ def write(folder: Path, results: Results, tell: Callable[[str], None]) -> None:
 
 def write_plans(folder: Path, results: Results) -> None:
     """Write the plans of the chapter beyond the thesis, each with its curves as CSV; a time occurs twice at a jump."""
-    tasks = {task.name: task for task in TASKS}
+    tasks = {task.name: task for task in cases.TASKS}
     for record in results.chapters["beyond"]["plans"]:
         if record["exists"] and record["file"]:
-            plan = results.plans.plan(by_method(tasks[record["task"]], record["way"], results.extent.coarser))
+            plan = results.plans.plan(cases.by_method(tasks[record["task"]], record["way"], results.extent.coarser))
             kept = {key: value for key, value in plan.diagnostics.items() if key not in _CLOCK}
             replace(plan, diagnostics=kept).save(folder / f"{record['file']}.npz")
             parts = (plan.motion, "x xd xdd"), (plan.carriers, "s sd sdd"), (plan, "tau carrier_force condition")
@@ -286,7 +276,7 @@ def report(results: Results) -> str:
     """Return the report as Markdown; pictures and files are links into the folder."""
     template = environment(jinja2.PackageLoader("redundancy_pin.studies", "")).get_template("report.md.j2")
     shown = {"tables": tables(results), "pictures": pictures(results), "versions": made_with(), "notes": NOTES}
-    chapters = {name: results.chapters.get(name) for name in CHAPTERS}
+    chapters = {name: results.chapters.get(name) for name in cases.CHAPTERS}
     return template.render(results=results, mode_text=mode_text, **shown, **chapters)
 
 
@@ -311,7 +301,7 @@ RANGED = ("peak", "rms", "carrier_force", "main_energy", "energy")
 """What the comparison of machines shows as ranges over the working modes."""
 
 
-def _planned(chapter: Mapping[str, Any], extent: Extent) -> dict[str, Table]:
+def _planned(chapter: Mapping[str, Any], extent: cases.Extent) -> dict[str, Table]:
     machines, modes = chapter["fair_comparison"], [mode_text(mode) for mode in extent.modes]
     moded = grouped([record for record in machines if record["mode"]], "motion", "what")
     over_modes = [same[0] | {key: span([one[key] for one in same]) for key in RANGED} for same in moded.values()]
@@ -339,7 +329,7 @@ def _beyond(chapter: Mapping[str, Any]) -> dict[str, Table]:
     peaks = [Column(method, value=functools.partial(_worst, method)) for method in (modes[0]["rows"] if modes else ())]
     ratio = Column("ratio", "least peak over no carriers", format=".2f")
     shown = {name: table(name, chapter[name]) for name in ("targets", "fastest", "backends", "first_guesses")}
-    for name, tasks in (("singular", SINGULAR), ("turns", TURNS)):
+    for name, tasks in (("singular", cases.SINGULAR), ("turns", cases.TURNS)):
         chosen = [record for record in plans if record["task"] in {task.name for task in tasks}]
         shown[f"{name}_limits"] = table("plans_limits", chosen)
         shown[f"{name}_costs"] = table("plans_costs", [record for record in chosen if record["exists"]])

@@ -21,17 +21,8 @@ from redundancy_pin.singularities.locus import SingularLocus
 from redundancy_pin.visualisation.figures.shading import brightest, hatched, shade
 from redundancy_pin.visualisation.figures.style import STROKES, Stroke, figure, legend_below
 from redundancy_pin.visualisation.figures.time_panels import Background, Windows, condition_panel, draw_panel
+from redundancy_pin.visualisation.viewer import scene as scenes
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import (
-    MARGIN_COLORS,
-    OBLIQUE,
-    UNKNOWN_COLOR,
-    Scene,
-    base_hinges,
-    links,
-    margin_classes,
-    margin_labels,
-)
 from redundancy_pin.visualisation.viewer.solids import ROLE_COLORS, ROLE_NAMES, Solid, arc_points, corners_of
 
 if TYPE_CHECKING:
@@ -49,7 +40,7 @@ def projection(plane: str) -> Array:
         InputError: an unknown plane.
     """
     if plane == "3d":
-        towards = np.array(OBLIQUE) / np.linalg.norm(OBLIQUE)
+        towards = np.array(scenes.OBLIQUE) / np.linalg.norm(scenes.OBLIQUE)
         right = np.cross([0.0, 0.0, 1.0], towards)
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(towards, right)])
@@ -233,14 +224,14 @@ def _draw_plane(drawn: Figure, axes: Axes, locus: SingularLocus) -> None:
     bar = drawn.colorbar(image, ax=axes, shrink=0.8, extend="max")
     bar.set_label("margin to type II: smallest scaled singular value of W [–]")
     spatial = ["xyz".index(name) for name in locus.names]  # which of the world's axes the picture has
-    for ends in links(locus.robot, locus.q_reference):
+    for ends in scenes.links(locus.robot, locus.q_reference):
         axes.plot(*np.stack(ends)[:, spatial].T, "-o", color="#5A5A5A", linewidth=1.6, markersize=3.5, zorder=2.0)
     named: set[SingularityKind] = set()
     for curve in locus.curves:
         style = _LOCUS_STROKES[curve.kind] | ({"label": None} if curve.kind in named else {})
         named.add(curve.kind)
         axes.plot(*curve.points[:, list(locus.free)].T, zorder=2.5, **style)
-    axes.plot(*base_hinges(locus.robot)[:, spatial].T, "^", color="#000000", markersize=8, zorder=3.0,
+    axes.plot(*scenes.base_hinges(locus.robot)[:, spatial].T, "^", color="#000000", markersize=8, zorder=3.0,
               label="base hinge")  # fmt: skip
     home = locus.reference[list(locus.free)]
     axes.plot(*home, "D", color="#0072B2", markersize=6, zorder=3.0, label="reference")
@@ -268,14 +259,17 @@ _FAINTEST = 0.25  # opacity of the first instant; the last one is drawn in full
 _BASE_OPACITY = 0.18  # of the base, which is behind everything
 _TRACK: dict[str, Any] = {"linestyle": (0, (3, 1.5))}
 
-_COLORS = (*MARGIN_COLORS, UNKNOWN_COLOR)  # of the classes of the margin; class −1, not known, is the last
-_WIDTHS = (3.4, *[1.6] * len(MARGIN_COLORS))  # singular stretches are wider, for print without colour
+_COLORS = (
+    *scenes.MARGIN_COLORS,
+    scenes.UNKNOWN_COLOR,
+)  # of the classes of the margin; class −1, not known, is the last
+_WIDTHS = (3.4, *[1.6] * len(scenes.MARGIN_COLORS))  # singular stretches are wider, for print without colour
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 _DRAWN_AS_JOINT = {"actuated": "o", "passive": "o", "closure": "D"}
 
 
 def draw_snapshots(
-    view: View | Scene, times: Sequence[float] | int = 5, *, plane: str = "xy", title: str | None = None
+    view: View | scenes.Scene, times: Sequence[float] | int = 5, *, plane: str = "xy", title: str | None = None
 ) -> Figure:
     """Draw links, tracks, carriers, base and platform at several instants, later ones stronger, over the path.
 
@@ -292,7 +286,7 @@ def draw_snapshots(
         InputError: no view, an unknown plane, or times outside the motion.
     """
     scene = view.scene if isinstance(view, View) else view
-    if not isinstance(scene, Scene):
+    if not isinstance(scene, scenes.Scene):
         raise InputError(
             f"snapshots draws a view, not a {type(view).__name__}.", remedy="Pass what rp.show returns: rp.show(plan)."
         )
@@ -315,17 +309,17 @@ def draw_snapshots(
         return drawn
 
 
-def fitting_plane(scene: Scene) -> str:
+def fitting_plane(scene: scenes.Scene) -> str:
     """Return the plane that shows a scene: "xy" where it is flat, else "3d"."""
     return "xy" if scene.is_flat else "3d"
 
 
 def draw_frame(
-    axes: Axes, scene: Scene, frame: int, *, plane: str = "xy", alpha: float = 1.0, base: bool = True
+    axes: Axes, scene: scenes.Scene, frame: int, *, plane: str = "xy", alpha: float = 1.0, base: bool = True
 ) -> None:
     """Draw the mechanism at one frame of a scene; the ``base`` is the same in every frame."""
     matrix = projection(plane)
-    platform = _COLORS[margin_classes(scene.margin[[frame]])[0]]
+    platform = _COLORS[scenes.margin_classes(scene.margin[[frame]])[0]]
     for solid in scene.solids:
         if solid.role == "platform":
             _draw_solid(axes, replace(solid, color=platform), scene.placement[frame, solid.body], matrix, alpha)
@@ -333,14 +327,14 @@ def draw_frame(
             _draw_solid(axes, solid, scene.placement[frame, solid.body], matrix, alpha)
 
 
-def draw_path(axes: Axes, scene: Scene, *, plane: str = "xy") -> None:
+def draw_path(axes: Axes, scene: scenes.Scene, *, plane: str = "xy") -> None:
     """Draw the path of the platform in the colours of the margin."""
     from matplotlib.collections import LineCollection
 
     points = scene.path @ projection(plane).T
     if len(points) < 2:
         return
-    classes = margin_classes(scene.path_margin)
+    classes = scenes.margin_classes(scene.path_margin)
     edges = np.flatnonzero(np.diff(classes)) + 1
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges + 1, [len(points)]])
     pieces = [points[a:b] for a, b in zip(starts, stops, strict=True)]
@@ -351,7 +345,7 @@ def draw_path(axes: Axes, scene: Scene, *, plane: str = "xy") -> None:
     axes.plot(*points[0], "o", color="#000000", markersize=4, zorder=4.1)
 
 
-def scene_handles(scene: Scene, frames: Sequence[int]) -> list[Any]:
+def scene_handles(scene: scenes.Scene, frames: Sequence[int]) -> list[Any]:
     """Return what the legend says: the kinds of parts there are, and the margins that occur."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -367,8 +361,8 @@ def scene_handles(scene: Scene, frames: Sequence[int]) -> list[Any]:
             handles.append(Line2D([], [], color=color, linewidth=1.2, label=name, **_TRACK))
         else:
             handles.append(Patch(facecolor=color, edgecolor="#202020", linewidth=0.5, label=name))
-    margins = margin_classes(np.concatenate([scene.path_margin, scene.margin[list(frames)]]))
-    for number, (color, name) in enumerate(zip(MARGIN_COLORS, margin_labels(), strict=True)):
+    margins = scenes.margin_classes(np.concatenate([scene.path_margin, scene.margin[list(frames)]]))
+    for number, (color, name) in enumerate(zip(scenes.MARGIN_COLORS, scenes.margin_labels(), strict=True)):
         if number in margins:
             handles.append(Line2D([], [], color=color, linewidth=_WIDTHS[number], label=f"margin {name}"))
     return handles

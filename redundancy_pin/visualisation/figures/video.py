@@ -11,14 +11,7 @@ import numpy as np
 from redundancy_pin.arrays import Array, IntArray, positive
 from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
 from redundancy_pin.io.files import refusing, replacing_file, require_writable
-from redundancy_pin.visualisation.figures.paths import (
-    draw_frame,
-    draw_path,
-    fitting_plane,
-    label_plane,
-    projection,
-    scene_handles,
-)
+from redundancy_pin.visualisation.figures import paths
 from redundancy_pin.visualisation.figures.style import figure, legend_below, require_matplotlib
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import Scene
@@ -66,21 +59,21 @@ def save_video(
         )
     require_video(path)
     frames = _frames(scene, positive(rate, "rate", "Hz"), positive(speed, "speed", ""))
-    plane = fitting_plane(scene) if plane is None else plane
-    low, high = _extent(scene, projection(plane))
+    plane = paths.fitting_plane(scene) if plane is None else plane
+    low, high = _extent(scene, paths.projection(plane))
     with figure(6.0, 5.6) as drawn, replacing_file(path) as temporary, refusing(path):
         axes = drawn.subplots()
-        legend_below(drawn, scene_handles(scene, range(len(scene.t))))
+        legend_below(drawn, paths.scene_handles(scene, range(len(scene.t))))
         writer = _writer(path, rate)
         with writer.saving(drawn, str(temporary), _DPI):
             for done, frame in enumerate(frames.tolist()):
                 axes.clear()
                 axes.set_title(scene.title if title is None else title)
-                draw_frame(axes, scene, frame, plane=plane)
-                draw_path(axes, scene, plane=plane)
+                paths.draw_frame(axes, scene, frame, plane=plane)
+                paths.draw_path(axes, scene, plane=plane)
                 axes.update_datalim([low, high])
                 axes.autoscale_view()
-                label_plane(axes, plane, flat=scene.is_flat)
+                paths.label_plane(axes, plane, flat=scene.is_flat)
                 axes.text(0.99, 0.99, f"t = {scene.t[frame]:.2f} s", transform=axes.transAxes, ha="right", va="top")
                 if done == 1:
                     drawn.set_layout_engine(None)  # the page is as it was laid out for the first frame

@@ -17,17 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
-from redundancy_pin.visualisation.viewer.scene import (
-    EFFORT_COLORS,
-    MARGIN_COLORS,
-    OBLIQUE,
-    UNKNOWN_COLOR,
-    Arrow,
-    Scene,
-    along_z,
-    margin_classes,
-    place,
-)
+from redundancy_pin.visualisation.viewer import scene as scenes
 from redundancy_pin.visualisation.viewer.solids import Mesh, Solid, arc_points, corners_of
 
 AROUND = 14  # corners of the round cross-section of an arrow
@@ -42,10 +32,10 @@ _DISTANCE = 1.4  # of the camera, in radii of what it must see: its view is 75 d
 _LAST = 3  # order in which arrows are drawn: after what is see-through (0) and the path (1, 2)
 _ENDLESS = 2**31 - 1  # repetitions of the animation
 # Turns meshcat's cylinders, which stand on y, to z
-_Y_TO_Z = place(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+_Y_TO_Z = scenes.place(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 
 
-def send_scene(viewer: Any, scene: Scene, *, forces: bool = True) -> None:
+def send_scene(viewer: Any, scene: scenes.Scene, *, forces: bool = True) -> None:
     """Send a scene to a ``meshcat.Visualizer``; ``forces`` says whether arrows are shown at first."""
     from meshcat.animation import Animation
 
@@ -64,12 +54,12 @@ def send_scene(viewer: Any, scene: Scene, *, forces: bool = True) -> None:
     viewer.set_animation(Animation(clips=clips), play=True, repetitions=_ENDLESS)
 
 
-def solid_path(scene: Scene, solid: Solid) -> str:
+def solid_path(scene: scenes.Scene, solid: Solid) -> str:
     """Return where a solid is in the tree of meshcat, below its root."""
     return f"robot/{_step(scene.names[solid.body])}/{_step(solid.name)}"
 
 
-def arrow_path(arrow: Arrow) -> str:
+def arrow_path(arrow: scenes.Arrow) -> str:
     """Return where an arrow is in the tree of meshcat, below its root."""
     return f"forces/{arrow.group}_{_step(arrow.name)}"
 
@@ -79,7 +69,7 @@ def _step(name: str) -> str:
     return name.replace("/", "_")
 
 
-def _set_stage(viewer: Any, scene: Scene) -> None:
+def _set_stage(viewer: Any, scene: scenes.Scene) -> None:
     """White behind, no grid, and a camera that sees all of the motion."""
     for end in ("top_color", "bottom_color"):
         viewer["/Background"].set_property(end, [1.0, 1.0, 1.0])
@@ -88,15 +78,15 @@ def _set_stage(viewer: Any, scene: Scene) -> None:
     low, high = _extent(scene)
     radius = 0.5 * float(np.linalg.norm(high - low)) + _MARGIN * scene.size
     # a flat machine is seen from above with x to the right; any other obliquely
-    direction = np.array([0.0, -0.25, 1.0]) if scene.is_flat else np.array(OBLIQUE)
+    direction = np.array([0.0, -0.25, 1.0]) if scene.is_flat else np.array(scenes.OBLIQUE)
     x, y, z = _DISTANCE * radius * direction / np.linalg.norm(direction)
     # meshcat's camera looks at the origin whatever is done to it: what is to be in the middle goes there
-    viewer.set_transform(place(translation=-0.5 * (low + high)))
+    viewer.set_transform(scenes.place(translation=-0.5 * (low + high)))
     # the camera hangs in a frame whose y axis points up
     viewer["/Cameras/default/rotated/<object>"].set_property("position", [float(x), float(z), float(-y)])
 
 
-def _extent(scene: Scene) -> tuple[Array, Array]:
+def _extent(scene: scenes.Scene) -> tuple[Array, Array]:
     """Return the corners (3,), (3,) m of the box that holds all solids and the path over the whole motion."""
     frames = np.linspace(0, len(scene.t) - 1, min(len(scene.t), _SAMPLED)).round().astype(np.intp)
     points = [scene.path]
@@ -110,7 +100,7 @@ def _extent(scene: Scene) -> tuple[Array, Array]:
 # --- objects -------------------------------------------------------------------------------------------------------
 
 
-def _add_solid(viewer: Any, scene: Scene, solid: Solid, clips: dict[Any, Any]) -> None:
+def _add_solid(viewer: Any, scene: scenes.Scene, solid: Solid, clips: dict[Any, Any]) -> None:
     from meshcat import geometry
 
     path, placement = solid_path(scene, solid), solid.placement
@@ -131,11 +121,11 @@ def _add_solid(viewer: Any, scene: Scene, solid: Solid, clips: dict[Any, Any]) -
         _add(viewer, path, shape, kind(color=_code(solid.color), opacity=solid.opacity, **flat), placement)
         return
     # a platform has a copy in the colour of each class of the margin that occurs, shown while it lasts
-    classes = margin_classes(scene.margin)
+    classes = scenes.margin_classes(scene.margin)
     for number in np.unique(classes).tolist():
         copy = f"{path}_margin_{number if number >= 0 else 'unknown'}"
         # no light changes a colour that means something
-        material = geometry.MeshBasicMaterial(color=_code((*MARGIN_COLORS, UNKNOWN_COLOR)[number]))
+        material = geometry.MeshBasicMaterial(color=_code((*scenes.MARGIN_COLORS, scenes.UNKNOWN_COLOR)[number]))
         _add(viewer, copy, shape, material, placement)
         shown: BoolArray = classes == number
         viewer[copy].set_property("visible", bool(shown[0]))
@@ -143,11 +133,11 @@ def _add_solid(viewer: Any, scene: Scene, solid: Solid, clips: dict[Any, Any]) -
             _animate(clips, viewer[copy], scene.t, visible=shown)
 
 
-def _add_arrow(viewer: Any, scene: Scene, item: Arrow, clips: dict[Any, Any]) -> None:
+def _add_arrow(viewer: Any, scene: scenes.Scene, item: scenes.Arrow, clips: dict[Any, Any]) -> None:
     from meshcat import geometry
 
     path = arrow_path(item)
-    placement = scene.placement[:, item.body] @ place(along_z(item.axis))
+    placement = scene.placement[:, item.body] @ scenes.place(scenes.along_z(item.axis))
     length = np.where(np.abs(item.length) < _NOTHING, _NOTHING, item.length)
     # an arc is mirrored to turn the other way round; all arrows are equally wide but for short ones
     wide = np.abs(length) if item.turning else np.minimum(np.abs(length), 0.35 * scene.size)
@@ -157,20 +147,20 @@ def _add_arrow(viewer: Any, scene: Scene, item: Arrow, clips: dict[Any, Any]) ->
     viewer[f"{path}/effort"].set_transform(np.diag([*scale[0], 1.0]))
     _animate(clips, viewer[f"{path}/effort"], scene.t, scale=scale)
     shape = geometry.TriangularMeshGeometry(*(arc() if item.turning else arrow()))
-    material = _on_top(color=_code(EFFORT_COLORS[item.group]))
+    material = _on_top(color=_code(scenes.EFFORT_COLORS[item.group]))
     _add(viewer, f"{path}/effort/arrow", shape, material, np.eye(4), order=_LAST)
 
 
-def _add_path(viewer: Any, scene: Scene) -> None:
+def _add_path(viewer: Any, scene: scenes.Scene) -> None:
     from meshcat import geometry
 
-    palette = np.array([rgb(color) for color in (*MARGIN_COLORS, UNKNOWN_COLOR)])  # class −1 is the last
+    palette = np.array([rgb(color) for color in (*scenes.MARGIN_COLORS, scenes.UNKNOWN_COLOR)])  # class −1 is the last
     layers = (("halo", 2.0 * PATH_RADIUS), ("margin", PATH_RADIUS))  # white about it: seen on any ground
     for order, (name, radius) in enumerate(layers, start=1):
         vertices, triangles, owner = tube(scene.path, radius * scene.size)
         if not len(vertices):
             return
-        color = np.ones(vertices.shape) if name == "halo" else palette[margin_classes(scene.path_margin)][owner]
+        color = np.ones(vertices.shape) if name == "halo" else palette[scenes.margin_classes(scene.path_margin)][owner]
         shape = geometry.TriangularMeshGeometry(vertices, triangles, color=color)
         _add(viewer, f"path/{name}", shape, _on_top(vertexColors=True), np.eye(4), order=order)
 
