@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 import reprlib
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
+from typing import Any
 
 _LONGEST = 4000
 """Characters of a message or a remedy: a file that is refused must not fill the screen with what is in it."""
@@ -80,6 +82,15 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the start of a remedy that names the nearest known name; empty where none is near."""
     close = difflib.get_close_matches(str(name)[:_SHOWN], list(known), n=1)
     return f"Did you mean {shown(close[0])}? " if close else ""
+
+
+def optional(package: str, who: str, remedy: str) -> Any:
+    """Import a package that not everybody has, which ``who`` needs ("Plots need"); RedundancyPinError without it."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        name = "dask.distributed" if package == "distributed" else package
+        raise RedundancyPinError(f"{who} {name}, which is not installed.", remedy=remedy) from error
 
 
 class InputError(RedundancyPinError, ValueError):

@@ -21,7 +21,7 @@ from redundancy_pin.simulation.result import Simulation
 from redundancy_pin.trajectory import reference
 from redundancy_pin.visualisation.figures.plots import curves_of_run
 from redundancy_pin.visualisation.viewer.page import View
-from redundancy_pin.visualisation.viewer.scene import make_scene, scene_of
+from redundancy_pin.visualisation.viewer.scene import configurations, make_scene, require_scale
 
 SWING_DURATION = 2.0  # of the default motion of a robot that has none in the thesis, s
 SWING = 0.15  # its amplitude in characteristic lengths (rad for rotations); halved until the robot can follow
@@ -64,23 +64,15 @@ def show(
     if isinstance(subject, (Plan, Simulation)) and (motion is not None or carriers is not None):
         kind = "plan" if isinstance(subject, Plan) else "simulation"
         raise InputError(f"A {kind} has its own motions.", remedy=f"Pass a robot instead of the {kind}, or no motion.")
+    require_scale(force_scale)  # before the lift, which takes long
     if isinstance(subject, Simulation):
         shown = robot or load_recorded(subject.robot)
         drawn = curves_of_run(subject, shown)
-        scene = scene_of(
-            shown,
-            subject.t,
-            subject.q,
-            drawn.margin,
-            subject.tau,
-            subject.carrier_force,
-            title=drawn.title,
-            force_scale=force_scale,
-        )
-        return View(scene, forces=forces, height=height)
-    if isinstance(subject, Plan):
+        t, q, margin, title = subject.t, subject.q, drawn.margin, drawn.title
+        tau, force = subject.tau, subject.carrier_force
+    elif isinstance(subject, Plan):
         shown = robot or load_robot_of(subject)
-        motion, carriers, margin = subject.motion, subject.carriers, subject.margin
+        t, q, margin = subject.t, configurations(shown, subject.motion, subject.carriers), subject.margin
         tau, force = subject.tau, subject.carrier_force
         title = f"{shown.name}: {subject.planner.replace('_', ' ')}, {subject.status.value.replace('_', ' ')}"
     elif isinstance(subject, (Robot, str, Path)):
@@ -94,13 +86,14 @@ def show(
         poses = PlatformMotion(motion.t, motion.x, motion.xd, motion.xdd, check_rates=False)
         reduced = RneaDynamics(shown).reduce(poses, carriers)
         efforts = distribute(reduced)
-        margin, tau, force, title = efforts.margin, efforts.tau, reduced.carrier_force, shown.name
+        t, q, title = motion.t, configurations(shown, motion, carriers), shown.name
+        margin, tau, force = efforts.margin, efforts.tau, reduced.carrier_force
     else:
         raise InputError(
             f"A plan, a simulation, a robot or its name can be shown, not {type(subject).__name__}.",
             remedy="Pass show(plan), or show(robot, motion, carriers).",
         )
-    scene = make_scene(shown, motion, carriers, margin, tau, force, title=title, force_scale=force_scale)
+    scene = make_scene(shown, t, q, margin, tau, force, title=title, force_scale=force_scale)
     return View(scene, forces=forces, height=height)
 
 

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import joblib
 
-from redundancy_pin.errors import InputError, RedundancyPinError
+from redundancy_pin.errors import InputError, RedundancyPinError, optional
 
 R = TypeVar("R")
 
@@ -182,13 +182,7 @@ def cluster(scheduler: str | None) -> Iterator[None]:
     if scheduler is None:
         yield
         return
-    try:
-        distributed: Any = importlib.import_module("distributed")
-    except ImportError as error:
-        raise RedundancyPinError(
-            "A cluster needs dask.distributed, which is not installed.",
-            remedy="Install it with `pip install 'redundancy_pin[dask]'`.",
-        ) from error
+    distributed = optional("distributed", "A cluster needs", "Install it with `pip install 'redundancy_pin[dask]'`.")
     try:
         distributed.Client(scheduler, timeout=ANSWER, set_as_default=False).close()
         client = distributed.Client(scheduler, timeout=PATIENCE, set_as_default=False)

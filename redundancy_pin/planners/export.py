@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, positive, read_only
-from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
+from redundancy_pin.errors import InputError, OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, write_text
 from redundancy_pin.kinematics.coordinates import is_revolute, joint_position
 from redundancy_pin.kinematics.lift import lift
@@ -330,12 +330,7 @@ def data_frame(table: PlanTable) -> Any:
     Raises:
         RedundancyPinError: pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError as error:
-        raise RedundancyPinError(
-            "A data frame needs pandas, which is not installed.", remedy="Install it with `pip install pandas`."
-        ) from error
+    pandas = optional("pandas", "A data frame needs", "Install it with `pip install pandas`.")
     columns = table.columns()
     frame = pandas.DataFrame(
         {name: values for name, (_, values) in columns.items() if name != "t"}, index=pandas.Index(table.t, name="t")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray, runs
 from redundancy_pin.dynamics.base import Dynamics, ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
 from redundancy_pin.errors import CrossCheckError, InfeasiblePlanError
@@ -203,8 +203,7 @@ def sample_with(trajectory: Trajectory, dt: float, instants: Array) -> PlatformM
 
 def windows(t: Array, inside: BoolArray) -> tuple[tuple[float, float], ...]:
     """Return first and last time, s, of each run of true samples (N,) at times (N,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
-    return tuple((float(t[first]), float(t[after - 1])) for first, after in edges.reshape(-1, 2))
+    return tuple((float(t[first]), float(t[after - 1])) for first, after in runs(inside))
 
 
 def relative_difference(a: Array, b: Array) -> float:

@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.dynamics.compiled.load_symbols import LoadSymbols
-from redundancy_pin.errors import RedundancyPinError, UnsupportedRobotError
+from redundancy_pin.errors import UnsupportedRobotError, optional
 from redundancy_pin.robot import AXES, Closure, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
 
@@ -36,14 +36,8 @@ def casadi() -> Any:
     Raises:
         RedundancyPinError: it is not installed.
     """
-    try:
-        import casadi as library
-    except ImportError as error:
-        raise RedundancyPinError(
-            "Compiled dynamics need casadi, which is not installed.",
-            remedy="Install it with `pip install 'redundancy_pin[optimal]'`, or use RneaDynamics.",
-        ) from error
-    return library
+    remedy = "Install it with `pip install 'redundancy_pin[optimal]'`, or use RneaDynamics."
+    return optional("casadi", "Compiled dynamics need", remedy)
 
 
 @dataclass(frozen=True, eq=False)

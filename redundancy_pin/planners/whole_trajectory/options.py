@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, each, frozen, one_of, positive
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.errors import InputError, RedundancyPinError
+from redundancy_pin.errors import InputError, optional
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, fraction, whole
 from redundancy_pin.robot import Robot
@@ -25,14 +25,8 @@ from redundancy_pin.robot import Robot
 
 def casadi() -> Any:
     """Return the optional solver library."""
-    try:
-        import casadi as library
-    except ImportError as error:
-        raise RedundancyPinError(
-            "Planning over the whole trajectory needs casadi, which is not installed.",
-            remedy="Install it with `pip install 'redundancy_pin[optimal]'`.",
-        ) from error
-    return library
+    remedy = "Install it with `pip install 'redundancy_pin[optimal]'`."
+    return optional("casadi", "Planning over the whole trajectory needs", remedy)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign, require_type
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, assign, require_type, runs
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus
 from redundancy_pin.errors import InputError, PlanFileError
@@ -137,10 +137,8 @@ class Curves:
     @property
     def windows(self) -> tuple[tuple[float, float], ...]:
         """First and last time, s, of each stretch of samples below the near-singular margin."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.margin < NEAR_SINGULAR_MARGIN, [False]])))
-        return tuple(
-            (float(self.t[start]), float(self.t[stop - 1])) for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        )
+        near = runs(self.margin < NEAR_SINGULAR_MARGIN)
+        return tuple((float(self.t[start]), float(self.t[stop - 1])) for start, stop in near)
 
 
 def curves_of_plan(plan: Plan) -> Curves:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from redundancy_pin.errors import OutputError, RedundancyPinError
+from redundancy_pin.errors import OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file
 
 if TYPE_CHECKING:
@@ -113,13 +113,7 @@ def _styled() -> Iterator[None]:
 
 def require_matplotlib() -> None:
     """Check that plots can be made."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise RedundancyPinError(
-            "Plots need matplotlib, which is not installed.",
-            remedy="Install it with `pip install 'redundancy_pin[plot]'`.",
-        ) from error
+    optional("matplotlib", "Plots need", "Install it with `pip install 'redundancy_pin[plot]'`.")
 
 
 def save(drawn: Figure, *paths: str | Path) -> None:

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, IntArray, positive
+from redundancy_pin.arrays import IntArray, positive
 from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
 from redundancy_pin.io.files import refusing, replacing_file, require_writable
 from redundancy_pin.visualisation.figures import paths
 from redundancy_pin.visualisation.figures.style import figure, legend_below, require_matplotlib
 from redundancy_pin.visualisation.viewer.page import View
 from redundancy_pin.visualisation.viewer.scene import Scene
-from redundancy_pin.visualisation.viewer.solids import corners_of
+from redundancy_pin.visualisation.viewer.solids import extent_of
 
 RATE = 25.0
 """Frames a second; a GIF counts in hundredths of a second, so it is a divisor of 100."""
@@ -60,7 +60,9 @@ def save_video(
     require_video(path)
     frames = _frames(scene, positive(rate, "rate", "Hz"), positive(speed, "speed", ""))
     plane = paths.fitting_plane(scene) if plane is None else plane
-    low, high = _extent(scene, paths.projection(plane))
+    low, high = extent_of(scene.solids, scene.placement, scene.path, paths.projection(plane))
+    room = _ROOM * float((high - low).max())
+    low, high = low - room, high + room
     with figure(6.0, 5.6) as drawn, replacing_file(path) as temporary, refusing(path):
         axes = drawn.subplots()
         legend_below(drawn, paths.scene_handles(scene, range(len(scene.t))))
@@ -119,16 +121,3 @@ def _frames(scene: Scene, rate: float, speed: float) -> IntArray:
         wanted = np.append(wanted, scene.duration)
     nearest: IntArray = np.abs(scene.t[:, None] - wanted).argmin(axis=0)
     return nearest
-
-
-def _extent(scene: Scene, matrix: Array) -> tuple[Array, Array]:
-    """Return the corners (2,), (2,) of the picture that holds all solids over the whole motion."""
-    points = [scene.path @ matrix.T]
-    for solid in scene.solids:
-        body = scene.placement[:, solid.body]
-        corners = corners_of(solid) @ body[:, :3, :3].transpose(0, 2, 1) + body[:, None, :3, 3]
-        points.append(corners.reshape(-1, 3) @ matrix.T)
-    every = np.concatenate(points)
-    low, high = every.min(axis=0), every.max(axis=0)
-    room = _ROOM * float((high - low).max())
-    return low - room, high + room

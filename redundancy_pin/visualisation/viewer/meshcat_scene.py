@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.visualisation.viewer import scene as scenes
-from redundancy_pin.visualisation.viewer.solids import Mesh, Solid, arc_points, corners_of
+from redundancy_pin.visualisation.viewer.solids import Mesh, Solid, arc_points, extent_of
 
 AROUND = 14  # corners of the round cross-section of an arrow
 PATH_RADIUS = 0.008  # of the traced path, in sizes of the machine
@@ -75,7 +75,8 @@ def _set_stage(viewer: Any, scene: scenes.Scene) -> None:
         viewer["/Background"].set_property(end, [1.0, 1.0, 1.0])
     for name in ("/Grid", "/Axes"):
         viewer[name].set_property("visible", False)
-    low, high = _extent(scene)
+    frames = np.linspace(0, len(scene.t) - 1, min(len(scene.t), _SAMPLED)).round().astype(np.intp)
+    low, high = extent_of(scene.solids, scene.placement[frames], scene.path, np.eye(3))
     radius = 0.5 * float(np.linalg.norm(high - low)) + _MARGIN * scene.size
     # a flat machine is seen from above with x to the right; any other obliquely
     direction = np.array([0.0, -0.25, 1.0]) if scene.is_flat else np.array(scenes.OBLIQUE)
@@ -84,17 +85,6 @@ def _set_stage(viewer: Any, scene: scenes.Scene) -> None:
     viewer.set_transform(scenes.place(translation=-0.5 * (low + high)))
     # the camera hangs in a frame whose y axis points up
     viewer["/Cameras/default/rotated/<object>"].set_property("position", [float(x), float(z), float(-y)])
-
-
-def _extent(scene: scenes.Scene) -> tuple[Array, Array]:
-    """Return the corners (3,), (3,) m of the box that holds all solids and the path over the whole motion."""
-    frames = np.linspace(0, len(scene.t) - 1, min(len(scene.t), _SAMPLED)).round().astype(np.intp)
-    points = [scene.path]
-    for solid in scene.solids:
-        body = scene.placement[frames, solid.body]
-        points.append((corners_of(solid) @ body[:, :3, :3].transpose(0, 2, 1) + body[:, None, :3, 3]).reshape(-1, 3))
-    every = np.concatenate(points)
-    return every.min(axis=0), every.max(axis=0)
 
 
 # --- objects -------------------------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from threading import Thread
 from typing import Any
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import OutputError, RedundancyPinError
+from redundancy_pin.errors import OutputError, RedundancyPinError, optional
 from redundancy_pin.io.files import write_text
 from redundancy_pin.visualisation.viewer.meshcat_scene import arrow_path, send_scene, solid_path
 from redundancy_pin.visualisation.viewer.scene import EFFORT_COLORS, MARGIN_COLORS, Scene, margin_labels
@@ -264,12 +264,6 @@ def require_html(path: str | Path) -> None:
 
 def require_meshcat() -> None:
     """Check that moving pictures can be made."""
-    try:
-        with warnings.catch_warnings():  # it uses a name of pyzmq that is to go
-            warnings.simplefilter("ignore", DeprecationWarning)
-            import meshcat  # noqa: F401
-    except ImportError as error:
-        raise RedundancyPinError(
-            "Moving pictures need meshcat, which is not installed.",
-            remedy="Install it with `pip install 'redundancy_pin[show]'`.",
-        ) from error
+    with warnings.catch_warnings():  # it uses a name of pyzmq that is to go
+        warnings.simplefilter("ignore", DeprecationWarning)
+        optional("meshcat", "Moving pictures need", "Install it with `pip install 'redundancy_pin[show]'`.")

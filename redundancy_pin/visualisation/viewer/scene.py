@@ -113,28 +113,13 @@ class Scene:
         return bool(np.ptp(self.placement[:, 1:, 2, 3]) < FLAT * self.size)
 
 
-def make_scene(
-    robot: Robot,
-    motion: PlatformMotion,
-    carriers: CarrierMotion,
-    margin: Array,
-    tau: Array | None = None,
-    carrier_force: Array | None = None,
-    *,
-    title: str = "",
-    force_scale: float = 1.0,
-) -> Scene:
-    """Return the moving picture of a motion of N samples, with its margin (N,) to type II, scaled.
-
-    Efforts ``tau`` (N, m), NaN where there are none, and ``carrier_force`` (N, k), N or N·m, become arrows;
-    ``force_scale`` is how much longer than usual: usually the largest force met away from singularities has an arrow of
-    0.4 sizes of the machine, the largest torque an arc of radius 0.16.
+def configurations(robot: Robot, motion: PlatformMotion, carriers: CarrierMotion) -> Array:
+    """Return the (N, nq) configurations of a robot along a motion of N samples.
 
     Raises:
-        InputError: a scale that is not a positive number, or samples that do not fit.
+        InputError: samples that do not fit.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as ``lift``.
     """
-    _require_scale(force_scale)  # before the lift, which takes long
     if len(carriers) != len(motion) or carriers.s.shape[1] != robot.k:
         raise InputError(
             f"The carrier motion has shape {carriers.s.shape}, expected ({len(motion)}, {robot.k}).",
@@ -142,10 +127,10 @@ def make_scene(
         )
     q = lift(robot, motion).q.copy()
     q[:, robot.carrier_position] = carriers.s  # the lift does not move them: no closure contains a carrier
-    return scene_of(robot, motion.t, q, margin, tau, carrier_force, title=title, force_scale=force_scale)
+    return q
 
 
-def scene_of(
+def make_scene(
     robot: Robot,
     t: Array,
     q: Array,
@@ -156,11 +141,16 @@ def scene_of(
     title: str = "",
     force_scale: float = 1.0,
 ) -> Scene:
-    """Return the moving picture of (N, nq) configurations at (N,) times, s, such as a simulation's.
+    """Return the moving picture of (N, nq) configurations at (N,) times, s, with their margin (N,) to type II, scaled.
 
-    The rest is as for ``make_scene``.
+    Efforts ``tau`` (N, m), NaN where there are none, and ``carrier_force`` (N, k), N or N·m, become arrows;
+    ``force_scale`` is how much longer than usual: usually the largest force met away from singularities has an arrow of
+    0.4 sizes of the machine, the largest torque an arc of radius 0.16.
+
+    Raises:
+        InputError: a scale that is not a positive number.
     """
-    _require_scale(force_scale)
+    require_scale(force_scale)
     frames, points = frame_samples(t), path_samples(margin)
     efforts: list[tuple[str, Group, Array]] = []
     if tau is not None:
@@ -200,7 +190,8 @@ def _readings(robot: Robot, q: Array, efforts: Mapping[str, Array]) -> tuple[Rea
     return tuple(found)
 
 
-def _require_scale(force_scale: float) -> None:
+def require_scale(force_scale: float) -> None:
+    """Check the factor on the length of arrows."""
     if not (np.isfinite(force_scale) and force_scale > 0.0):
         raise InputError(f"force_scale is {force_scale}.", remedy="Pass a positive number.")
 

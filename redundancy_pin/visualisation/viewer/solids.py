@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -89,6 +89,20 @@ def corners_of(solid: Solid) -> Array:
     corners: Array = np.where(np.indices((2, 2, 2)).reshape(3, 8).T, high, low)
     placed: Array = corners @ solid.placement[:3, :3].T + solid.placement[:3, 3]
     return placed
+
+
+def extent_of(solids: Iterable[Solid], placement: Array, path: Array, seen: Array) -> tuple[Array, Array]:
+    """Return the corners (d,), (d,) of the box that holds solids and a path (N, 3) over F frames, m.
+
+    ``placement`` (F, J, 4, 4) are those of the joints; ``seen`` (d, 3) is a projection, or the identity.
+    """
+    points = [path @ seen.T]
+    for solid in solids:
+        body = placement[:, solid.body]
+        corners = corners_of(solid) @ body[:, :3, :3].transpose(0, 2, 1) + body[:, None, :3, 3]
+        points.append(corners.reshape(-1, 3) @ seen.T)
+    every = np.concatenate(points)
+    return every.min(axis=0), every.max(axis=0)
 
 
 def arc_points(solid: Solid) -> Array:
