@@ -10,7 +10,7 @@ import numpy as np
 
 from redundancy_pin.cli.errors import FAILED_CHECK
 from redundancy_pin.cli.options import backend_option, json_option, recorded_robot_options
-from redundancy_pin.cli.output import number, report, row, table_of
+from redundancy_pin.cli.output import TextTable, number, report, row
 from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES
 from redundancy_pin.planners.check import check_plan
 from redundancy_pin.planners.plan import load_plan, load_robot_of
@@ -57,7 +57,7 @@ def check(path: str, source: str | None, backend: str, trust: bool, as_json: boo
         *(("closures lose rank", _where(loss)) for loss in result.closure_rank),
     ]
     title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {backend}"
-    report(as_json, facts, table_of(title, (), rows))
+    report(as_json, facts, TextTable(title, (), rows))
     for deviation in result.deviations:
         click.echo(f"error: {deviation.message}", err=True)
     return EXIT_CODES.get(result.status, BREAKS_LIMITS) if result.passed else FAILED_CHECK

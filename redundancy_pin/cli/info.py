@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
 
 from redundancy_pin.cli.options import RobotOptions, json_option, robot_options
-from redundancy_pin.cli.output import report, row, table_of
+from redundancy_pin.cli.output import TextTable, report, row
 from redundancy_pin.errors import InputError, ModelFileError
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.robot import Load, Robot
 from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
 from redundancy_pin.studies.table import json_data
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 _LIMITS = ("speed", "acceleration", "force")
 
@@ -134,10 +131,10 @@ def _list_robots(as_json: bool) -> None:
         for name in shipped_robots()
     ]
     facts = {"robots": [{"name": name, "description": text} for name, text in robots]}
-    report(as_json, facts, table_of("shipped robots", ("robot", "description"), robots))
+    report(as_json, facts, TextTable("shipped robots", ("robot", "description"), robots))
 
 
-def _general(facts: dict[str, Any]) -> Table:
+def _general(facts: dict[str, Any]) -> TextTable:
     independent, reference = facts["independent"], facts["reference"]
     axes, modes = independent["axes"], facts["working_modes"]
     rows = [
@@ -155,32 +152,32 @@ def _general(facts: dict[str, Any]) -> Table:
         ("type II margin there", f"{reference['type_ii_margin']:.4g}"),
         ("condition number there", f"{reference['condition']:.4g}"),
     ]
-    return table_of(": ".join(part for part in (facts["name"], facts["description"]) if part), (), rows)
+    return TextTable(": ".join(part for part in (facts["name"], facts["description"]) if part), (), rows)
 
 
-def _tables(facts: dict[str, Any]) -> Iterator[Table]:
+def _tables(facts: dict[str, Any]) -> Iterator[TextTable]:
     """Give the tables of joints and closures, and of parameters and limits where there are any."""
     joints = [(joint["name"], joint["type"], joint["role"], *_range(joint)) for joint in facts["joints"]]
-    yield table_of("joints of the tree", ("joint", "type", "role", "limits", "reference"), joints)
+    yield TextTable("joints of the tree", ("joint", "type", "role", "limits", "reference"), joints)
     closures = [(each["frame_a"], each["frame_b"], ", ".join(each["axes"])) for each in facts["closures"]]
-    yield table_of("closures", ("frame a", "frame b", "axes"), closures)
+    yield TextTable("closures", ("frame a", "frame b", "axes"), closures)
     couplings = [
         (each["joint"], each["of"] or "held", " ".join(f"{c:g}" for c in each["polynomial"]))
         for each in facts["couplings"]
     ]
     if couplings:
-        yield table_of("couplings, q = c0 + c1 p + ...", ("joint q", "of p", "polynomial"), couplings)
+        yield TextTable("couplings, q = c0 + c1 p + ...", ("joint q", "of p", "polynomial"), couplings)
     values = [(name, _text(entry["value"]), _text(entry["default"])) for name, entry in facts["parameters"].items()]
     if values:
         headings: tuple[str, ...] = ("parameter", "value", "default")
-        yield table_of("parameters (--set NAME=VALUE)", headings, values, numbers=True)
+        yield TextTable("parameters (--set NAME=VALUE)", headings, values, numbers=True)
     limits = [
         (name, " … ".join(f"{end:g}" for end in entry["position"]), *(f"{entry[key]:g}" for key in _LIMITS))
         for name, entry in facts["carrier_limits"].items()
     ]
     if limits:
         headings = ("carrier", "position [m]", "speed [m/s]", "acceleration [m/s²]", "force [N]")
-        yield table_of("carrier limits", headings, limits, numbers=True)
+        yield TextTable("carrier limits", headings, limits, numbers=True)
     if facts["loads"]:
         yield _loads_table(facts)
 
@@ -196,7 +193,7 @@ def _range(joint: dict[str, Any]) -> tuple[str, str]:
     return f"{ends} {unit}", f"{at:.4g}{' (outside)' if outside else ''}"
 
 
-def _loads_table(facts: dict[str, Any]) -> Table:
+def _loads_table(facts: dict[str, Any]) -> TextTable:
     rows = []
     for load in facts["loads"]:
         places = ("joint", "frame", "frame_a", "frame_b")
@@ -206,7 +203,7 @@ def _loads_table(facts: dict[str, Any]) -> Table:
             f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in values.items()
         ]
         rows.append((load["kind"], where, ", ".join(what)))
-    return table_of("loads in force (SI units)", ("kind", "where", "what"), rows)
+    return TextTable("loads in force (SI units)", ("kind", "where", "what"), rows)
 
 
 def _unit(facts: dict[str, Any]) -> str:

@@ -108,7 +108,7 @@ def inverse_dynamics(
     if result.instants:
         rows.append(("singular at t [s]", output.row(one.t for one in result.instants)))
     rows.append(("written to", out))
-    output.report(as_json, facts, output.table_of(f"{loaded.name}, {backend}: {len(sampled)} samples", (), rows))
+    output.report(as_json, facts, output.TextTable(f"{loaded.name}, {backend}: {len(sampled)} samples", (), rows))
     return EXIT_CODES[result.status]
 
 

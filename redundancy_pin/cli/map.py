@@ -83,7 +83,7 @@ def map(**given: Any) -> int:
     facts = {**result.as_dict(), "folder": str(folder), "files": [str(path) for path in files]}
     del facts["cells"]
     written = f"Tables and pictures are in {folder}: {', '.join(path.name for path in files)}."
-    report(given["as_json"], facts, _counts(result).terminal(), _border(result).terminal(), written)
+    report(given["as_json"], facts, _counts(result), _border(result), written)
     failed = {planner: [cell for cell in result.of(planner) if cell.possible is None] for planner in problem.planners}
     for planner, cells in failed.items():
         if cells:

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,16 +47,25 @@ def _is_terminal(stream: Any) -> bool:
     return stream is not None and stream.isatty()  # None where it was closed before the start
 
 
-def table_of(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = False) -> Table:
-    """Return a table, without a head where there are no headings; columns of ``numbers`` stand to the right."""
-    from rich.table import Table
+@dataclass(frozen=True)
+class TextTable:
+    """Rows of text, without a head where there are no headings; columns of ``numbers`` stand to the right."""
 
-    table = Table(title=title, show_header=bool(headings))
-    for place, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if numbers and place else "left")
-    for row in rows:
-        table.add_row(*row)
-    return table
+    title: str
+    headings: Sequence[str]
+    rows: Iterable[Sequence[str]]
+    numbers: bool = False
+
+    def terminal(self) -> Table:
+        """Return the table for a rich console."""
+        from rich.table import Table
+
+        table = Table(title=self.title, show_header=bool(self.headings))
+        for place, heading in enumerate(self.headings):
+            table.add_column(heading, justify="right" if self.numbers and place else "left")
+        for row in self.rows:
+            table.add_row(*row)
+        return table
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -64,7 +74,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
-    """Print facts as one JSON document, or what is shown to people: tables, and lines of text."""
+    """Print facts as one JSON document, or what is shown to people: what has a ``terminal``, such as tables, and lines."""
     if as_json:
         print_json(facts)
         return
@@ -72,7 +82,7 @@ def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
         if isinstance(each, str):
             click.echo(each)
         else:
-            console().print(each)
+            console().print(each.terminal())
 
 
 def warning(text: str) -> None:

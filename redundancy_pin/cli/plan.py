@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.table import Table
 
 from redundancy_pin.cli import options, output, plan_problem
 from redundancy_pin.cli.errors import OPTIONS, in_words
@@ -153,7 +152,7 @@ def _phase_times(plan: Plan) -> list[dict[str, Any]]:
     ]
 
 
-def _table(plan: Plan, facts: Mapping[str, Any]) -> Table:
+def _table(plan: Plan, facts: Mapping[str, Any]) -> output.TextTable:
     status = plan.status.value.replace("_", " ")
     if not plan.diagnostics.get("optimal", True):
         status = f"{status}: no optimum, the solver says {plan.diagnostics.get('solver')}"
@@ -177,7 +176,7 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> Table:
         *((f"{name} written to", facts[key]) for name, key in (("plan", "out"), ("picture", "plot")) if facts[key]),
     ]
     title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, {_BACKENDS.get(plan.backend, plan.backend)}"
-    return output.table_of(title, (), rows)
+    return output.TextTable(title, (), rows)
 
 
 def _phases(phases: list[dict[str, Any]]) -> str:

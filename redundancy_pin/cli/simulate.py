@@ -7,7 +7,6 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.table import Table
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.cli import options, output
@@ -275,7 +274,7 @@ def _peaks(values: Array) -> Array:
     return peaks
 
 
-def _table(run: Simulation, facts: Mapping[str, Any]) -> Table:
+def _table(run: Simulation, facts: Mapping[str, Any]) -> output.TextTable:
     main, moved = run.robot.effort_unit(*run.robot.actuated), run.robot.effort_unit(*run.robot.carriers)
     seen = [f"{event.kind.replace('_', ' ')} ({event.name}) at {event.t:.4g} s" for event in run.events]
     more = len(seen) - LISTED
@@ -293,4 +292,4 @@ def _table(run: Simulation, facts: Mapping[str, Any]) -> Table:
         *((f"{name} written to", facts[key])
           for name, key in (("simulation", "out"), ("picture", "plot"), ("video", "video")) if facts[key]),
     ]  # fmt: skip
-    return output.table_of(f"{run.robot.name}, {CONTROLLERS[facts['controller']]}", (), rows)
+    return output.TextTable(f"{run.robot.name}, {CONTROLLERS[facts['controller']]}", (), rows)

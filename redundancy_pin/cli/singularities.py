@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import click
-from rich.table import Table
 
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
@@ -73,7 +72,7 @@ def crossing_data(crossing: Crossing) -> dict[str, Any]:
     }
 
 
-def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
+def _table(robot: Robot, crossings: Sequence[Crossing]) -> output.TextTable:
     rows = []
     for crossing in crossings:
         type_ii = crossing.kind != SingularityKind.TYPE_I
@@ -89,7 +88,7 @@ def _table(robot: Robot, crossings: Sequence[Crossing]) -> Table:
             )
         )
     headings = ("t [s]", "position [m, rad]", "kind", "crossed or touched", "uncontrolled or lost direction")
-    return output.table_of(f"{robot.name}: {len(crossings)} singular instant(s)", headings, rows)
+    return output.TextTable(f"{robot.name}: {len(crossings)} singular instant(s)", headings, rows)
 
 
 def _draw(robot: Robot, followed: PlatformMotion | Trajectory | None, crossings: Sequence[Crossing], plot: str) -> None:

@@ -57,4 +57,4 @@ def study(
     }
     write_text(folder / "summary.json", json.dumps(json_data(summary), indent=2, allow_nan=False) + "\n")
     files = f"Tables and store are in {folder}: study.md, trials.csv, summary.json, {FILE}."
-    report(as_json, summary, extent, table.only(*_SHOWN).terminal(), caption, files)
+    report(as_json, summary, extent, table.only(*_SHOWN), caption, files)
