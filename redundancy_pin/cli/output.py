@@ -74,7 +74,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
-    """Print facts as one JSON document, or what is shown to people: what has a ``terminal``, such as tables, and lines."""
+    """Print facts as one JSON document, or what is shown to people: tables (with ``terminal``) and lines."""
     if as_json:
         print_json(facts)
         return
