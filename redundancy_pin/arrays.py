@@ -156,6 +156,12 @@ def runs(flags: BoolArray) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
+def stretches(values: NDArray[Any]) -> list[tuple[int, int]]:
+    """Return start and stop of each stretch of (N,) values in which all are the same."""
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return list(pairwise(edges))
+
+
 def largest(values: Array) -> Array:
     """Return (m,) the largest magnitude in each column of (N, m), NaN left out; zero where nothing is left."""
     return np.asarray(np.nanmax(np.abs(values), axis=0, initial=0.0))

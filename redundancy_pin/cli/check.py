@@ -50,7 +50,7 @@ def check(path: str, source: str | None, backend: str, trust: bool, as_json: boo
         ("is what it says", "yes" if result.passed else "NO"),
         ("status", result.status.value.replace("_", " ")),
         ("largest imbalance of W τ = f", number(result.imbalance)),
-        (f"peak main effort [{plan.robot.effort_unit(*plan.robot.actuated)}]", row(result.peak_effort)),
+        (f"peak main effort [{plan.robot.effort_units[0]}]", row(result.peak_effort)),
         ("limits broken", str(len(result.violated)) if result.violated else "none"),
         *(("deviation", deviation.message) for deviation in result.deviations),
         *(("wider limit", note) for note in result.wider_limits),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Any
 
 import click
@@ -12,7 +11,6 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.dynamics.base import OnUnreachable
-from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.dynamics.inverse_dynamics import EffortStatus, InverseDynamics
 from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as along_motion
 from redundancy_pin.errors import OutputError
@@ -98,8 +96,7 @@ def inverse_dynamics(
     _warn(result)
     given = {"robot": loaded.name, "backend": backend, "motion": motion.path, "trajectory": motion.trajectory}
     facts = {**given, "out": out, **_summary(result)}
-    record = robot_record(loaded)
-    main, moved = record.effort_unit(*loaded.actuated), record.effort_unit(*loaded.carriers)
+    main, moved = robot_record(loaded).effort_units
     rows = [(f"{name} samples", str(count)) for name, count in facts["statuses"].items()]
     rows.append((f"largest |tau| [{main}]", output.row(facts["largest_tau"])))
     if loaded.k:
@@ -139,10 +136,10 @@ def _warn(result: InverseDynamics) -> None:
 
 def _summary(result: InverseDynamics) -> dict[str, Any]:
     reduced, distribution = result.reduced, result.efforts
-    counts = Counter(distribution.status.tolist())
+
     return {
         "samples": len(distribution),
-        "statuses": {SampleStatus(value).label: counts[value] for value in sorted(counts)},
+        "statuses": distribution.status_counts,
         "largest_tau": _largest(distribution.tau),
         "largest_carrier_force": _largest(reduced.carrier_force),
         "smallest_margin": float(np.fmin.reduce(distribution.margin)),

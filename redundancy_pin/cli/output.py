@@ -100,6 +100,12 @@ def row(values: Iterable[float]) -> str:
     return ", ".join(number(float(value)) for value in values)
 
 
+def listed(texts: Sequence[str], most: int, between: str) -> str:
+    """Return texts one after another; of more than ``most`` the rest is counted."""
+    rest = [f"and {len(texts) - most} more"] if len(texts) > most else []
+    return between.join([*texts[:most], *rest])
+
+
 def require_suffix(flag: str, path: str, suffix: str) -> None:
     """Check that a file to write is named as what it will be: other programs, and people, go by the name."""
     named = Path(path)

@@ -10,6 +10,7 @@ from typing import Any
 import click
 import numpy as np
 
+from redundancy_pin.arrays import stretches
 from redundancy_pin.cli import options, output, plan_problem
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError
@@ -49,9 +50,7 @@ def warn(plan: Plan) -> None:
     """Print in one line on stderr what is wrong with a plan; nothing if it is within its limits."""
     check = plan.between
     if plan.status is PlanStatus.VIOLATES_LIMITS:
-        text = "; ".join(_event(plan, event, broken=True) for event in plan.limits.violated[:_LISTED])
-        more = len(plan.limits.violated) - _LISTED
-        output.warning(f"limits broken: {text}{f'; and {more} more' if more > 0 else ''}.")
+        output.warning(f"limits broken: {_events(plan, plan.limits.violated, '; ', broken=True)}.")
     if plan.status is PlanStatus.UNBOUNDED_EFFORT:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
         if len(bad) or check is None:
@@ -144,11 +143,9 @@ def _smallest_margin(plan: Plan) -> float:
 
 def _phase_times(plan: Plan) -> list[dict[str, Any]]:
     """Return name, first and last time of every stretch of samples in one phase."""
-    edges = np.flatnonzero(np.diff(plan.phase)) + 1
-    starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(plan.phase)]]) - 1
     return [
-        {"name": plan.phases[plan.phase[a]], "start": float(plan.t[a]), "end": float(plan.t[b])}
-        for a, b in zip(starts, stops, strict=True)
+        {"name": plan.phases[plan.phase[start]], "start": float(plan.t[start]), "end": float(plan.t[stop - 1])}
+        for start, stop in stretches(plan.phase)
     ]
 
 
@@ -157,7 +154,7 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> output.TextTable:
     if not plan.diagnostics.get("optimal", True):
         status = f"{status}: no optimum, the solver says {plan.diagnostics.get('solver')}"
     # of the joints' kinds: a robot may have motors that turn and carriers that slide
-    main, moved = plan.robot.effort_unit(*plan.robot.actuated), plan.robot.effort_unit(*plan.robot.carriers)
+    main, moved = plan.robot.effort_units
     rows = [
         ("status", status),
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {facts['samples']} samples"),
@@ -181,15 +178,11 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> output.TextTable:
 
 def _phases(phases: list[dict[str, Any]]) -> str:
     shown = [f"{phase['name'].replace('_', ' ')} {phase['start']:.4g}–{phase['end']:.4g}" for phase in phases]
-    more = len(shown) - _LISTED_PHASES
-    return ", ".join(shown[:_LISTED_PHASES]) + (f", and {more} more" if more > 0 else "")
+    return output.listed(shown, _LISTED_PHASES, ", ")
 
 
-def _events(plan: Plan, events: tuple[LimitEvent, ...], *, broken: bool) -> str:
-    if not events:
-        return "none"
-    lines = [_event(plan, event, broken=broken) for event in events[:_LISTED]]
-    return "\n".join(lines) + (f"\nand {len(events) - _LISTED} more" if len(events) > _LISTED else "")
+def _events(plan: Plan, events: tuple[LimitEvent, ...], between: str = "\n", *, broken: bool) -> str:
+    return output.listed([_event(plan, event, broken=broken) for event in events], _LISTED, between) or "none"
 
 
 def _event(plan: Plan, event: LimitEvent, *, broken: bool) -> str:

@@ -56,15 +56,8 @@ NEVER = "never"
 LISTED = 8
 """Events that the table lists; the rest is counted."""
 
-_FLAGS = {
-    "effort_limit": "--max-effort",
-    "carrier_force_limit": "--max-carrier-force",
-    "stop_at": "--stop-at",
-    "period": "--period",
-    "duration": "--duration",
-    "dt": "--dt",
-    "carriers": "--carriers",
-}
+_FLAGS = {name: options.flag(name) for name in ("stop_at", "period", "duration", "dt", "carriers")}
+_FLAGS |= {"effort_limit": "--max-effort", "carrier_force_limit": "--max-carrier-force"}
 
 
 def _numbers(name: str) -> Any:
@@ -275,13 +268,13 @@ def _peaks(values: Array) -> Array:
 
 
 def _table(run: Simulation, facts: Mapping[str, Any]) -> output.TextTable:
-    main, moved = run.robot.effort_unit(*run.robot.actuated), run.robot.effort_unit(*run.robot.carriers)
+    main, moved = run.robot.effort_units
     seen = [f"{event.kind.replace('_', ' ')} ({event.name}) at {event.t:.4g} s" for event in run.events]
-    more = len(seen) - LISTED
+
     rows = [
         ("status", run.status.value.replace("_", " ")),
         ("time [s]", f"{facts['start']:.6g} to {facts['end']:.6g}, {len(run)} samples"),
-        ("events", "\n".join([*seen[:LISTED], *([f"and {more} more"] if more > 0 else [])]) or "none"),
+        ("events", output.listed(seen, LISTED, "\n") or "none"),
         ("largest distance from the planned motion [m]", output.number(facts["largest_distance"])),
         ("distance at the end [m]", output.number(facts["last_distance"])),
         *((f"peak of {name} [{main}]", output.number(value))

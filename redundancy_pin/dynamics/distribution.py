@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -124,6 +125,12 @@ class Distribution(Frozen):
     def status_labels(self) -> NDArray[np.str_]:
         """(N,) the statuses as text, such as ``"regular"``."""
         return read_only(np.array([status.label for status in SampleStatus])[self.status])
+
+    @property
+    def status_counts(self) -> dict[str, int]:
+        """Number of samples of each status that occurs."""
+        counts = Counter(self.status.tolist())
+        return {SampleStatus(value).label: counts[value] for value in sorted(counts)}
 
 
 CONSISTENCY_TOLERANCE = 1e-7

@@ -102,6 +102,11 @@ class RobotRecord:
         turning = [name in self.rotating for name in joints]
         return "N·m" if turning and all(turning) else "N or N·m" if any(turning) else "N"
 
+    @property
+    def effort_units(self) -> tuple[str, str]:
+        """Units of the efforts of the main actuators, and of the carriers."""
+        return self.effort_unit(*self.actuated), self.effort_unit(*self.carriers)
+
 
 def robot_record(robot: Robot) -> RobotRecord:
     """Return the plain data from which a robot can be loaded again."""

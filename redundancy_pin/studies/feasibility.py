@@ -552,8 +552,7 @@ def axis_label(name: str, effort: str) -> str:
 
 def effort_unit(problem: MapProblem) -> str:
     """Return the unit of the main efforts."""
-    robot = robot_record(problem.loaded)
-    return robot.effort_unit(*robot.actuated)
+    return robot_record(problem.loaded).effort_units[0]
 
 
 def _unit(name: str, effort: str) -> str:

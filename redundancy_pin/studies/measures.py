@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -107,12 +106,6 @@ class MotionRun:
         return largest
 
     @property
-    def status_counts(self) -> dict[str, int]:
-        """Number of samples of each status that occurs."""
-        counts = Counter(self.distribution.status.tolist())
-        return {SampleStatus(value).label: counts[value] for value in sorted(counts)}
-
-    @property
     def near_singular_windows(self) -> tuple[tuple[float, float], ...]:
         """Time intervals, s, in which samples are near-singular or singular."""
         return windows(self.t, self.distribution.status != SampleStatus.REGULAR)
@@ -147,7 +140,7 @@ class MotionRun:
             "effort_unit": self.case.unit,
             "regular_peaks": self.peaks,
             "carrier_force_peaks": np.abs(self.reduced[RNEA].carrier_force).max(axis=0, initial=0.0),
-            "statuses": self.status_counts,
+            "statuses": self.distribution.status_counts,
             "smallest_margin": self.distribution.margin.min(),
             "near_singular_windows": self.near_singular_windows,
             "singular_instants": [{**vars(instant), "unbounded": instant.unbounded} for instant in self.instants],

@@ -10,6 +10,7 @@ from redundancy_pin.visualisation.figures.time_panels import (
     Background,
     Curve,
     Panel,
+    condition_panel,
     plot_panel_grid,
     plot_time_panels,
     series,
@@ -45,7 +46,7 @@ def test_both_sides_are_hatched_but_named_once() -> None:
 def test_carriers_and_condition_numbers_are_no_main_actuators() -> None:
     panels = [
         Panel("f [N]", (Curve("main", T, T, 1), Curve("carrier", T, -T, 1, carrier=True))),
-        Panel("condition number [–]", (Curve("condition number", T, 1.0 + T),), log=True),
+        condition_panel(T, 1.0 + T),
     ]
     drawn = plot_time_panels("title", panels, instants=[0.5])
     main, carrier = drawn.axes[0].lines[:2]

@@ -79,7 +79,7 @@ def test_what_cannot_be_made_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyP
         save_video(scene, tmp_path / "seen.gif", speed=1e-3)
     with pytest.raises(InputError, match="rate"):
         save_video(scene, tmp_path / "seen.gif", rate=-1.0)
-    with pytest.raises(InputError, match="shows a view"):
+    with pytest.raises(InputError, match="view can be drawn"):
         save_video("four_bar", tmp_path / "seen.gif")  # type: ignore[arg-type]
     monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
     with pytest.raises(RedundancyPinError, match=r"ffmpeg, which is not found.*or write a \.gif"):

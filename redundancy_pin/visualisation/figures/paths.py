@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, stretches
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import mode_name
 from redundancy_pin.singularities.classify import SingularityKind
@@ -253,6 +253,15 @@ def _draw_line(axes: Axes, locus: SingularLocus) -> None:
     axes.set(xlabel=f"{locus.names[0]} [{locus.units[0]}]", ylabel="smallest scaled singular value [–]")
 
 
+def scene_in(view: object) -> scenes.Scene:
+    """Return the scene of a view, or a scene as it is."""
+    scene = view.scene if isinstance(view, View) else view
+    if not isinstance(scene, scenes.Scene):
+        message = f"A view can be drawn, not {type(view).__name__}."
+        raise InputError(message, remedy="Pass what rp.show returns: rp.show(plan).")
+    return scene
+
+
 # --- snapshots: a moving picture on paper ---------------------------------------------------------------------------
 
 _FAINTEST = 0.25  # opacity of the first instant; the last one is drawn in full
@@ -285,11 +294,7 @@ def draw_snapshots(
     Raises:
         InputError: no view, an unknown plane, or times outside the motion.
     """
-    scene = view.scene if isinstance(view, View) else view
-    if not isinstance(scene, scenes.Scene):
-        raise InputError(
-            f"snapshots draws a view, not a {type(view).__name__}.", remedy="Pass what rp.show returns: rp.show(plan)."
-        )
+    scene = scene_in(view)
     projection(plane)  # refused before anything is drawn
     wanted = np.linspace(0.0, scene.duration, times) if isinstance(times, int) else np.asarray(times, dtype=float)
     if not wanted.size or not ((wanted >= 0.0) & (wanted <= scene.duration)).all():
@@ -335,10 +340,9 @@ def draw_path(axes: Axes, scene: scenes.Scene, *, plane: str = "xy") -> None:
     if len(points) < 2:
         return
     classes = scenes.margin_classes(scene.path_margin)
-    edges = np.flatnonzero(np.diff(classes)) + 1
-    starts, stops = np.concatenate([[0], edges]), np.concatenate([edges + 1, [len(points)]])
-    pieces = [points[a:b] for a, b in zip(starts, stops, strict=True)]
-    colors, widths = [_COLORS[classes[a]] for a in starts], [_WIDTHS[classes[a]] for a in starts]
+    parts = stretches(classes)
+    pieces = [points[a : b + 1] for a, b in parts]  # each up to where the next one begins
+    colors, widths = [_COLORS[classes[a]] for a, _ in parts], [_WIDTHS[classes[a]] for a, _ in parts]
     # white about it: seen on a platform of its colour
     axes.add_collection(LineCollection([points], colors=["#FFFFFF"], linewidths=[max(widths) + 2.0], zorder=3.9))
     axes.add_collection(LineCollection(pieces, colors=colors, linewidths=widths, zorder=4.0))

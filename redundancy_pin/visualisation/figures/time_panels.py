@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array, BoolArray, stretches
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.visualisation.figures.style import (
     BEYOND,
@@ -74,7 +74,7 @@ class Panel:
     curves: tuple[Curve, ...]
     levels: tuple[tuple[float, str], ...] = ()  # horizontal lines, with what the legend says of them
     limits: ArrayLike = ()
-    log: bool = False  # whether the axis is logarithmic; of condition numbers, from 1 to 1000, without ``within``
+    log: bool = False  # whether the axis is logarithmic, from 1 to 1000 without ``within``
     height: float = 1.0  # relative
     within: tuple[float, float] | None = None  # ends of the axis; None: fitted to curves and limits
     marks: tuple[tuple[float, float, str], ...] = ()  # (t, value, text), such as where a limit is exceeded most
@@ -119,9 +119,8 @@ class Background:
 
 def phase_spans(plan: Plan) -> list[tuple[int, float, float]]:
     """Return (phase, start, end), s, of each stretch of a plan in one phase; each ends where the next one starts."""
-    first = np.concatenate([[0], np.flatnonzero(np.diff(plan.phase)) + 1])
-    ends = [*plan.t[first[1:]].tolist(), float(plan.t[-1])]
-    return list(zip(plan.phase[first].tolist(), plan.t[first].tolist(), ends, strict=True))
+    t, last = plan.t, len(plan.t) - 1
+    return [(int(plan.phase[a]), float(t[a]), float(t[min(b, last)])) for a, b in stretches(plan.phase)]
 
 
 def series(names: Sequence[str], t: Array, values: Array, **settings: Any) -> tuple[Curve, ...]:
@@ -193,10 +192,7 @@ def draw_panel(axes: Axes, panel: Panel, width: float, *, alike: Sequence[Panel]
         style: dict[str, Any] = {"color": stroke.color, "linestyle": stroke.dash, "zorder": 2.2}
         if curve.reference:
             style = {"color": "#6E6E6E", "linestyle": "-", "linewidth": 1.0, "zorder": 2.0}
-        shown = curve.value
-        if panel.log and panel.within is None:  # a condition number, in black in every figure
-            style["color"], shown = "#000000", np.minimum(shown, 10.0 * _CONDITION_TOP)
-        axes.plot(curve.t, shown, label=curve.label, **{**style, **curve.style})
+        axes.plot(curve.t, curve.value, label=curve.label, **{**style, **curve.style})
     for i, (level, name) in enumerate(panel.levels):
         stroke = STROKES[1 + i % (len(STROKES) - 1)]
         axes.axhline(level, color=stroke.color, linestyle=stroke.dash, linewidth=1.1, zorder=1.9, label=name)

@@ -52,11 +52,7 @@ def save_video(
         OutputError: another suffix, or the file cannot be written; an earlier one is as it was.
         RedundancyPinError: matplotlib, or for an MP4 ffmpeg, is not installed.
     """
-    scene = view.scene if isinstance(view, View) else view
-    if not isinstance(scene, Scene):
-        raise InputError(
-            f"A video shows a view, not a {type(view).__name__}.", remedy="Pass what rp.show returns: rp.show(plan)."
-        )
+    scene = paths.scene_in(view)
     require_video(path)
     frames = _frames(scene, positive(rate, "rate", "Hz"), positive(speed, "speed", ""))
     plane = paths.fitting_plane(scene) if plane is None else plane
