@@ -75,6 +75,10 @@ def warn(plan: Plan) -> None:
         )
 
 
+_AS_IT_IS = ("peak_effort", "peak_effort_at_samples", "rms_effort", "main_energy", "carrier_energy", "parameters",
+             "diagnostics")  # fmt: skip
+
+
 def summary(plan: Plan) -> dict[str, Any]:
     """Return what is worth knowing of a plan as plain data."""
     return {
@@ -86,22 +90,13 @@ def summary(plan: Plan) -> dict[str, Any]:
         "samples": len(plan.t),
         "start": float(plan.t[0]),
         "end": float(plan.t[-1]),
-        "peak_effort": plan.peak_effort,
-        "peak_effort_at_samples": plan.peak_effort_at_samples,
-        "rms_effort": plan.rms_effort,
         "reversals": reversals(plan),
         "advice": _advice(plan),
         "peak_carrier_force": np.abs(plan.carrier_force).max(axis=0, initial=0.0),
-        "main_energy": plan.main_energy,
-        "carrier_energy": plan.carrier_energy,
         "smallest_margin": _smallest_margin(plan),
         "phases": _phase_times(plan),
-        "limits": {
-            "violated": [vars(event) for event in plan.limits.violated],
-            "binding": [vars(event) for event in plan.limits.binding],
-        },
-        "parameters": plan.parameters,
-        "diagnostics": plan.diagnostics,
+        "limits": {kind: [vars(event) for event in getattr(plan.limits, kind)] for kind in ("violated", "binding")},
+        **{name: getattr(plan, name) for name in _AS_IT_IS},
     }
 
 

@@ -59,17 +59,8 @@ def singularities(robot: options.RobotOptions, motion: options.MotionOptions, pl
 
 def crossing_data(crossing: Crossing) -> dict[str, Any]:
     """Return a crossing as plain data."""
-    return {
-        "t": crossing.t,
-        "until": crossing.until,
-        "x": crossing.x.tolist(),
-        "kind": crossing.kind.label,
-        "crosses": crossing.crosses,
-        "tangential": crossing.tangential,
-        "leg": crossing.leg,
-        "uncontrolled_twist": crossing.uncontrolled_twist.tolist(),
-        "lost_direction": crossing.lost_direction.tolist(),
-    }
+    names = ("t", "until", "x", "crosses", "tangential", "leg", "uncontrolled_twist", "lost_direction")
+    return {**{name: getattr(crossing, name) for name in names}, "kind": crossing.kind.label}
 
 
 def _table(robot: Robot, crossings: Sequence[Crossing]) -> output.TextTable:

@@ -113,22 +113,11 @@ def random_case(
     """
     # the first draw has its carriers, so that nothing about carriers goes unchecked by chance
     with_carriers = True if carriers is None and index == 0 else carriers
-    return _draw(source, samples, np.random.default_rng([seed, index]), vary, with_carriers, masses, trust)
-
-
-def _draw(
-    source: str,
-    samples: int,
-    rng: np.random.Generator,
-    vary: bool,
-    carriers: bool | None,
-    masses: Masses,
-    trust: bool,
-) -> Case:
+    rng = np.random.default_rng([seed, index])
     failure: RedundancyPinError | None = None
     for attempt in range(_TRIES):
         try:
-            robot = random_robot(source, rng, carriers, masses) if vary else _nominal(source, trust)
+            robot = random_robot(source, rng, with_carriers, masses) if vary else _nominal(source, trust)
         except DeclarationError as error:
             if not vary:
                 raise  # it is what its files say, draw after draw

@@ -62,9 +62,12 @@ STEP = 5e-3
 
 
 def _crossing(path: str, speed: float, threshold: float, ramp_down: float) -> Case:
-    motion = _two_rpr(path, speed)
-    planned = motion.with_planner("switch_off", threshold=threshold, ramp_down=ramp_down, return_time=RETURN_TIME)
-    return replace(planned, name=f"{path}-{speed:g}-cn{threshold:g}")
+    name = f"{path}-{speed:g}-cn{threshold:g}"
+    return _switching_off(name, _two_rpr(path, speed), threshold=threshold, ramp_down=ramp_down)
+
+
+def _switching_off(name: str, motion: Case, **parameters: float) -> Case:
+    return replace(motion.with_planner("switch_off", return_time=RETURN_TIME, **parameters), name=name)
 
 
 def corner(radius: float, lam: float = 0.0, mode: Mode = FIRST_MODE) -> Case:
@@ -183,8 +186,7 @@ def _cross(name: str, motion: Case, threshold: float = 5.0, ramp_down: float = 0
         motion.path == "circle"
     ):  # the 3-4-5 shape of the ramps, not the thesis's overshooting one: v T / 2 with T = 0.2 s
         motion = motion.with_path(ramp_time=0.2, ramp_length=0.1 * motion.option("speed"))
-    planned = motion.with_planner("switch_off", threshold=threshold, ramp_down=ramp_down, return_time=RETURN_TIME)
-    return replace(planned, name=name)
+    return _switching_off(name, motion, threshold=threshold, ramp_down=ramp_down)
 
 
 def _with_masses(path: str, speed: float) -> Case:

@@ -25,6 +25,7 @@ from redundancy_pin.visualisation.viewer.scene import (
     Arrow,
     Scene,
     body_points,
+    configurations,
     frame_samples,
     make_scene,
     margin_classes,
@@ -170,7 +171,7 @@ def test_carrier_arrows_point_along_the_work_they_do() -> None:
     moved = rp.CarrierMotion(zero + 1e-3, zero, zero)
     force = np.tile([1.0, -2.0], (len(motion), 1))
     here, there = (
-        make_scene(robot, motion, carriers, np.ones(len(motion)), carrier_force=force)
+        make_scene(robot, motion.t, configurations(robot, motion, carriers), np.ones(len(motion)), carrier_force=force)
         for carriers in (rp.CarrierMotion.parked(len(motion), robot.k), moved)
     )
     for name, sign in zip(robot.carriers, (1.0, -1.0), strict=True):
@@ -189,7 +190,14 @@ def test_arrows_are_scaled_to_the_largest_effort_away_from_singularities() -> No
     tau = np.zeros((n, 3))
     tau[0, 0], tau[-1] = -5.0, [1e6, np.nan, np.inf]
     margin[-1] = 0.5 * NEAR_SINGULAR_MARGIN
-    scene = make_scene(robot, motion, rp.CarrierMotion.parked(n, robot.k), margin, tau, force_scale=2.0)
+    scene = make_scene(
+        robot,
+        motion.t,
+        configurations(robot, motion, rp.CarrierMotion.parked(n, robot.k)),
+        margin,
+        tau,
+        force_scale=2.0,
+    )
     longest = 2.0 * LONGEST_TORQUE * robot.characteristic_length
     first, second, third = scene.arrows
     assert first.turning
@@ -266,4 +274,4 @@ def test_a_carrier_motion_of_another_length_is_refused() -> None:
     robot = zoo.robot_of("2rpr")
     motion = default_motion(robot)
     with pytest.raises(InputError, match=r"shape \(3, 2\)"):
-        make_scene(robot, motion, rp.CarrierMotion.parked(3, 2), np.ones(len(motion)))
+        make_scene(robot, motion.t, configurations(robot, motion, rp.CarrierMotion.parked(3, 2)), np.ones(len(motion)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.visualisation.figures.plots import LEAST_DISTANCE, Curves, carrier_panels, curves_of_plan
+from redundancy_pin.visualisation.figures.plots import Curves, carrier_panels, curves_of_plan, distance_panel
 from redundancy_pin.visualisation.figures.style import STROKES, figure, legend_above, legend_below, log_scale
 from redundancy_pin.visualisation.figures.time_panels import (
     Background,
@@ -200,9 +200,4 @@ def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
 
 def plot_tracking(title: str, curves: Mapping[str, tuple[Array, Array]]) -> Figure:
     """Draw distances (N,), m, from a planned motion over times (N,), s; both by label."""
-    lines = tuple(
-        Curve(label, t, np.maximum(error, LEAST_DISTANCE), i) for i, (label, (t, error)) in enumerate(curves.items())
-    )
-    top = max(float(np.nanmax(curve.value)) for curve in lines)
-    panel = Panel("distance from the plan [m]", lines, log=True, within=(0.5 * LEAST_DISTANCE, 3.0 * top), height=1.8)
-    return plot_time_panels(title, [panel])
+    return plot_time_panels(title, [replace(distance_panel("distance from the plan [m]", curves), height=1.8)])

@@ -401,10 +401,14 @@ def plan(
         )
         main = replace(main, curves=(*thin, *main.curves))
     events = plan.limits.violated
-    left = [main, force_panel(drawn, events), singularity_panel(drawn)]
+    columns = [[main, force_panel(drawn, events), singularity_panel(drawn)], _carrier_column(drawn, events)]
+    return plot_panel_grid(title or plan_title(plan), columns, (9.6, 7.2), Background(plan, drawn.instants))
+
+
+def _carrier_column(drawn: Curves, events: Sequence[LimitEvent] = ()) -> list[Panel]:
+    """Return the panels of the carriers under one legend."""
     position, *rest = carrier_panels(drawn, events)
-    right = [position, *(replace(panel, legend=False) for panel in rest)]
-    return plot_panel_grid(title or plan_title(plan), [left, right], (9.6, 7.2), Background(plan, drawn.instants))
+    return [position, *(replace(panel, legend=False) for panel in rest)]
 
 
 def simulation(
@@ -429,8 +433,7 @@ def simulation(
     left, right = [main_panel(drawn)], []
     if drawn.carrier_names:
         left.append(force_panel(drawn))
-        position, *rest = carrier_panels(drawn)
-        right = [position, *(replace(panel, legend=False) for panel in rest)]
+        right = _carrier_column(drawn)
     if plan is not None:
         planned = curves_of_plan(plan)
         if (planned.main_names, planned.carrier_names) != (drawn.main_names, drawn.carrier_names):
@@ -464,11 +467,18 @@ def _distance_panel(run: Simulation, plan: Plan, robot: Robot) -> Panel:
             remedy="Pass the plan that was simulated.",
         )
     t = run.t[during]
-    away = np.maximum(distance(robot, run.x[during], plan.platform_at(t).x), LEAST_DISTANCE)
-    ends = max(0.5 * LEAST_DISTANCE, SHOWN_DISTANCES * float(away.max())), 3.0 * float(away.max())
+    away = distance(robot, run.x[during], plan.platform_at(t).x)
     name = "angles count times the characteristic length" if angle_columns(robot) else ""
-    return Panel("distance of the platform\nfrom its plan [m]", (Curve(name, t, away),), log=True,
-                 within=ends)  # fmt: skip
+    return distance_panel("distance of the platform\nfrom its plan [m]", {name: (t, away)}, SHOWN_DISTANCES)
+
+
+def distance_panel(label: str, curves: Mapping[str, tuple[Array, Array]], least: float = 0.0) -> Panel:
+    """Return distances (N,), m, over times (N,), s, by label, from ``least`` of the largest on; a logarithmic axis."""
+    lines = tuple(
+        Curve(name, t, np.maximum(away, LEAST_DISTANCE), i) for i, (name, (t, away)) in enumerate(curves.items())
+    )
+    top = max(float(np.nanmax(curve.value)) for curve in lines)
+    return Panel(label, lines, log=True, within=(max(0.5 * LEAST_DISTANCE, least * top), 3.0 * top))
 
 
 def path(

@@ -150,9 +150,7 @@ def _readings(scene: Scene) -> dict[str, Any]:
         "t": _digits(scene.t),
         "joints": [
             {
-                "name": reading.name,
-                "kind": reading.kind,
-                "unit": reading.unit,
+                **{name: getattr(reading, name) for name in ("name", "kind", "unit")},
                 "position": _digits(reading.position),
                 "effort": None if reading.effort is None else _digits(reading.effort),
                 "effort_unit": "N" if reading.unit == "m" else "N·m",
