@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import click
 
-from redundancy_pin.cli.errors import printable
 from redundancy_pin.cli.options import MotionOptions, RobotOptions, json_option, motion_options, robot_options
 from redundancy_pin.cli.output import report
 from redundancy_pin.codegen import write_c
@@ -34,4 +33,4 @@ def codegen(robot: RobotOptions, out: str, prefix: str | None, motion: MotionOpt
     moves, carriers = motion.read() if motion.path else None, motion.carriers()
     written = write_c(robot.load(), out, prefix=prefix, motion=moves, carriers=carriers)
     facts = {**vars(written), "folder": str(written.folder)}
-    report(as_json, facts, f"{printable(str(written.folder))}: {', '.join(written.files)}")
+    report(as_json, facts, f"{written.folder}: {', '.join(written.files)}")

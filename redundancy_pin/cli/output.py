@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from redundancy_pin._startup import INTERRUPTED
+from redundancy_pin.cli.errors import printable
 from redundancy_pin.errors import OutputError
 from redundancy_pin.io.files import require_writable
 from redundancy_pin.studies.table import json_data
@@ -80,7 +81,7 @@ def report(as_json: bool, facts: Mapping[str, Any], *shown: Any) -> None:
         return
     for each in shown:
         if isinstance(each, str):
-            click.echo(each)
+            click.echo(printable(each))  # names come from files of strangers
         else:
             console().print(each.terminal())
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from redundancy_pin.cli.errors import printable
 from redundancy_pin.cli.options import MotionOptions, RobotOptions, json_option, motion_options, robot_options
 from redundancy_pin.cli.output import progress, report
 from redundancy_pin.errors import InputError
@@ -120,4 +119,4 @@ def robot_of(subject: Plan | Simulation, options: RobotOptions) -> Robot:
 def _report(picture: View, where: str, *, as_json: bool) -> None:
     scene = picture.scene
     facts = {"title": scene.title, "frames": len(scene.t), "duration": scene.duration, "where": where}
-    report(as_json, facts, f"{printable(scene.title)}: {scene.duration:.4g} s in {len(scene.t)} frames, at {where}")
+    report(as_json, facts, f"{scene.title}: {scene.duration:.4g} s in {len(scene.t)} frames, at {where}")
