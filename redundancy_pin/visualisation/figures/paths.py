@@ -257,7 +257,7 @@ def scene_in(view: object) -> scenes.Scene:
     """Return the scene of a view, or a scene as it is."""
     scene = view.scene if isinstance(view, View) else view
     if not isinstance(scene, scenes.Scene):
-        message = f"A view can be drawn, not {type(view).__name__}."
+        message = f"A view can be drawn, not a {type(view).__name__}."
         raise InputError(message, remedy="Pass what rp.show returns: rp.show(plan).")
     return scene
 
