@@ -18,6 +18,7 @@ from redundancy_pin.arrays import Frozen
 from redundancy_pin.crosscheck import run
 from redundancy_pin.dynamics.allocation import CarrierForces, allocate
 from redundancy_pin.dynamics.compiled import design_of
+from redundancy_pin.dynamics.contacts import closure_forces
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry
 from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
 from redundancy_pin.planners.carrier_return import CarrierState
@@ -83,6 +84,8 @@ def objects() -> dict[str, Any]:
         "assembly modes": rp.assembly_modes(small, [0.4, 0.5]),
         "performance": rp.performance(small, small.q_reference),
         "workspace": rp.workspace(small, bounds=[(0.0, 0.5), (0.2, 0.5)], resolution=3),
+        "closure forces": (closing := closure_forces(along)),
+        "rows of efforts": closing.rows(np.ones(len(closing.names)), 0.0, 1.0),
         "crossings": rp.find_crossings(small, circle),
         "locus": rp.singular_locus(small, resolution=20),
         "limits": Limits(),

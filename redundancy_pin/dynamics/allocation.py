@@ -170,33 +170,63 @@ def leaves_bounds(efforts: Array, lower: Array, upper: Array) -> BoolArray:
     return outside
 
 
-def fit_into_bounds(matrices: Array, efforts: Array, rank: IntArray, cost: Array, lower: Array, upper: Array) -> Array:
-    """Return the minimisers of Σ cost_j u_j² over the solutions of A u = A u₀ within the bounds, NaN if there are none.
+def fit_into_bounds(
+    matrices: Array,
+    efforts: Array,
+    rank: IntArray,
+    cost: Array,
+    lower: Array,
+    upper: Array,
+    rows: Array | None = None,
+) -> Array:
+    """Return the minimisers of Σ cost_j u_j² over the solutions of A u = A u₀ with l ≤ C u ≤ h, NaN if there are none.
 
-    All are scaled: A (N, n, m), u₀ = ``efforts`` (N, m), solutions without bounds, cost (m,) > 0, bounds (N, m).
+    All are scaled: A (N, n, m), u₀ = ``efforts`` (N, m), solutions without bounds, cost (m,) > 0, bounds (N, m + c);
+    C = ``rows`` (N, m + c, m) begins with the identity, which it is when left out.
     """
     fitted = np.full_like(efforts, np.nan)
-    root = np.sqrt(cost)
+    root, m = np.sqrt(cost), matrices.shape[2]
+    rows = np.broadcast_to(np.eye(m), (len(efforts), m, m)) if rows is None else rows
     directions = np.linalg.svd(matrices, full_matrices=True)[2]
-    for k in np.flatnonzero(rank < matrices.shape[2]):
+    for k in np.flatnonzero(rank < m):
         u, low, high = efforts[k], lower[k], upper[k]
         # y = √cost u / size: the cost is then a length, and tolerances are relative to the largest effort at stake
-        size = max(np.abs(u).max(), np.abs(np.clip(u, low, high)).max())
+        held = rows[k] @ u
+        size = max(np.abs(u).max(), np.abs(np.clip(held, low, high)).max())
         basis = root[:, np.newaxis] * directions[k, rank[k] :].T
         null = np.linalg.qr(basis)[0]
         start = root * u / size
         start -= null @ (null.T @ start)  # the shortest of all solutions
         slack = (low / size - BOUND_TOLERANCE, high / size + BOUND_TOLERANCE)
-        z = within_bounds(start, null, np.diag(1.0 / root), *slack)
+        z = within_bounds(start, null, rows[k] / root, *slack)
         if z is not None:
-            fitted[k] = np.clip(size * (start + null @ z) / root, low, high)
+            fitted[k] = np.clip(size * (start + null @ z) / root, low[:m], high[:m])
     return fitted
 
 
-def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array) -> Array:
-    """Return (N,) min ‖A u − g‖ over l ≤ u ≤ h: how much force the bounds leave unbalanced, N, scaled."""
-    problems = zip(matrices, forces, lower, upper, strict=True)
-    return np.array([np.linalg.norm(A @ least_miss(A, g, low, high) - g) for A, g, low, high in problems])
+_STEADY = 1e-12
+"""Weight, relative to the squares of A, that makes a least miss over rows unique: it changes the miss by its root."""
+
+
+def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, rows: Array) -> Array:
+    """Return (N,) min ‖A u − g‖ over l ≤ C u ≤ h, C as in ``fit_into_bounds``: the force left unbalanced, N, scaled.
+
+    Infinite where nothing keeps the bounds, whatever is left.
+    """
+    m = matrices.shape[2]
+    if rows.shape[1] == m:
+        boxes = zip(matrices, forces, lower, upper, strict=True)
+        return np.array([np.linalg.norm(A @ least_miss(A, g, low, high) - g) for A, g, low, high in boxes])
+    import daqp
+
+    found = []
+    for A, g, C, low, high in zip(matrices, forces, rows, lower, upper, strict=True):
+        H = A.T @ A
+        H += _STEADY * max(np.trace(H), 1.0) * np.eye(m)
+        sides = (np.clip(high, -1e30, 1e30), np.clip(low, -1e30, 1e30))
+        u, _, flag, _ = daqp.solve(H, -A.T @ g, np.ascontiguousarray(C), *sides, np.zeros(len(C), dtype=np.int32))
+        found.append(float(np.linalg.norm(A @ u - g)) if flag > 0 else np.inf)
+    return np.array(found)
 
 
 class AllocationStatus(Enum):

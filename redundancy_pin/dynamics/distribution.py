@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -21,6 +22,7 @@ from redundancy_pin.arrays import (
     frozen,
     peak,
     read_only,
+    require_type,
 )
 from redundancy_pin.dynamics.allocation import fit_into_bounds, least_residual, leaves_bounds, minimum_norm
 from redundancy_pin.dynamics.base import ReducedDynamics
@@ -146,6 +148,22 @@ FORCE_TOLERANCE = 1e-9
 a fraction of that says nothing."""
 
 
+@dataclass(frozen=True, eq=False)
+class EffortRows(Frozen):
+    """Linear conditions on the efforts, lower ≤ matrix τ ≤ upper: what contacts hold, a squeeze, a preload.
+
+    ``dynamics.contacts`` makes them of closure forces. Equal bounds make an equation.
+
+    Attributes:
+        matrix: (N, c, m), or (c, m) for all samples; every row in a unit of its own.
+        lower, upper: (N, c) or (c,); −inf and inf for none.
+    """
+
+    matrix: Array
+    lower: Array
+    upper: Array
+
+
 def distribute(
     reduced: ReducedDynamics,
     *,
@@ -153,6 +171,7 @@ def distribute(
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
     preferred: ArrayLike | None = None,
+    rows: Sequence[EffortRows] = (),
     near_singular: float = NEAR_SINGULAR_MARGIN,
     rank_tolerance: float = RANK_TOLERANCE,
     consistency_tolerance: float = CONSISTENCY_TOLERANCE,
@@ -180,6 +199,9 @@ def distribute(
         preferred: scalar, (m,) or (N, m) efforts τ⁰ that are kept to where f leaves a choice: Σ w_j (τ_j − τ⁰_j)² is
             least. Internal forces, such as a squeeze of what two arms hold or a preload against backlash, are
             preferred efforts along W δ = 0, which then hold exactly.
+        rows: further conditions that the efforts keep as they keep their bounds, such as friction cones of contacts, or
+            the force that two of them squeeze with (``dynamics.contacts``). Bounds, rows, weights and preferred efforts
+            are one quadratic program a sample; samples whose efforts keep them without are not looked at again.
         near_singular: margin below which a sample is near-singular (scaled, no unit).
         rank_tolerance: singular values up to this fraction of the largest one, and up to this, count as zero.
         consistency_tolerance: fraction of f that may lie outside the range of W, ...
@@ -199,7 +221,7 @@ def distribute(
         consistency_tolerance=consistency_tolerance,
         force_tolerance=force_tolerance,
     )
-    problem = _problem(reduced, weights, lower, upper)
+    problem = _with_rows(_problem(reduced, weights, lower, upper), rows, reduced.column_scale)
     size = np.linalg.norm(problem.g, axis=1)
     start = None
     if preferred is not None:  # efforts are counted from there
@@ -211,6 +233,8 @@ def distribute(
             g=problem.g - np.einsum("Nij,Nj->Ni", problem.A, start),
             lower=problem.lower - start,
             upper=problem.upper - start,
+            row_lower=problem.row_lower - np.einsum("Ncj,Nj->Nc", problem.rows, start),
+            row_upper=problem.row_upper - np.einsum("Ncj,Nj->Nc", problem.rows, start),
         )
     spectrum = spectrum_of(problem.A)
     rank = spectrum.rank(rank_tolerance)
@@ -293,6 +317,7 @@ class _Problem:
         cost: (m,) positive, the largest is 1.
         lower, upper: (N, m) bounds of u, N, infinite where there is none.
         solvable: (N,) the sample is reachable, and its W and f are finite.
+        rows: (N, c, m) unit rows with row_lower ≤ rows u ≤ row_upper, (N, c) each, N.
     """
 
     A: Array
@@ -301,6 +326,17 @@ class _Problem:
     lower: Array
     upper: Array
     solvable: BoolArray
+    rows: Array
+    row_lower: Array
+    row_upper: Array
+
+    def fitting(self, at: BoolArray) -> tuple[Array, Array, Array]:
+        """Return lower and upper bounds of some samples and their rows, the unknowns' own bounds first."""
+        count, m = int(at.sum()), self.A.shape[2]
+        own = np.broadcast_to(np.eye(m), (count, m, m))
+        sides = ((self.lower, self.row_lower), (self.upper, self.row_upper))
+        low, high = (np.concatenate([one[at], other[at]], axis=1) for one, other in sides)
+        return low, high, np.concatenate([own, self.rows[at]], axis=1)
 
 
 def _problem(
@@ -331,7 +367,34 @@ def _problem(
             sample=k,
             actuator=j,
         )
-    return _Problem(A, g, _cost(weights, column_scale), low / column_scale, high / column_scale, solvable)
+    bounds, none = (low / column_scale, high / column_scale), np.zeros((samples, 0))
+    return _Problem(A, g, _cost(weights, column_scale), *bounds, solvable, np.zeros((samples, 0, m)), none, none)
+
+
+def _with_rows(problem: _Problem, rows: Sequence[EffortRows], column_scale: Array) -> _Problem:
+    """Return the problem with further rows, made unit rows of scaled efforts."""
+    samples, _, m = problem.A.shape
+    for one in rows:
+        require_type(one, EffortRows, "Rows of efforts", "Pass EffortRows, or what dynamics.contacts makes.")
+        given = np.asarray(one.matrix, dtype=np.float64)
+        given = np.tile(given, (samples, 1, 1)) if given.ndim == 2 else given.copy()
+        c = given.shape[1] if given.ndim == 3 else 0
+        if len(given) == samples:
+            given[~problem.solvable] = 0.0  # closures of samples that are not reachable have no forces
+        matrix = checked(given, "matrix", (samples, c, m)) * column_scale
+        size = np.linalg.norm(matrix, axis=2)
+        size = np.where(size > 0.0, size, 1.0)  # a row that no effort moves holds or does not
+        bounds = [
+            _bound(np.where(~problem.solvable[:, None], absent, values), name, absent, samples, c) / size
+            for values, name, absent in ((one.lower, "lower", -math.inf), (one.upper, "upper", math.inf))
+        ]
+        problem = replace(
+            problem,
+            rows=np.concatenate([problem.rows, matrix / size[:, :, None]], axis=1),
+            row_lower=np.concatenate([problem.row_lower, bounds[0]], axis=1),
+            row_upper=np.concatenate([problem.row_upper, bounds[1]], axis=1),
+        )
+    return problem
 
 
 def _positive(values: ArrayLike, name: str, length: int) -> Array:
@@ -389,10 +452,13 @@ def _check_tolerances(**tolerances: float) -> None:
 def _within_bounds(problem: _Problem, efforts: Array, rank: IntArray) -> tuple[Array, BoolArray]:
     """Return (N, m) efforts within the bounds, and (N,) where there are none although there are efforts."""
     bounded = np.clip(efforts, problem.lower, problem.upper)
-    at = leaves_bounds(efforts, problem.lower, problem.upper)
+    held = np.einsum("Ncj,Nj->Nc", problem.rows, efforts)
+    both = (np.concatenate(pair, axis=1) for pair in (
+        (efforts, held), (problem.lower, problem.row_lower), (problem.upper, problem.row_upper)
+    ))  # fmt: skip
+    at = leaves_bounds(*both)
     if at.any():
-        lower, upper = problem.lower[at], problem.upper[at]
-        bounded[at] = fit_into_bounds(problem.A[at], efforts[at], rank[at], problem.cost, lower, upper)
+        bounded[at] = fit_into_bounds(problem.A[at], efforts[at], rank[at], problem.cost, *problem.fitting(at))
     return bounded, at & np.isnan(bounded).any(axis=1)
 
 
@@ -402,7 +468,7 @@ def _residual(problem: _Problem, efforts: Array, outside: Array, infeasible: Boo
     residual: Array = np.where(solved, np.linalg.norm(unbalanced, axis=1), outside)
     if infeasible.any():
         residual[infeasible] = least_residual(
-            problem.A[infeasible], problem.g[infeasible], problem.lower[infeasible], problem.upper[infeasible]
+            problem.A[infeasible], problem.g[infeasible], *problem.fitting(infeasible)
         )
     return residual
 

@@ -93,6 +93,7 @@ def test_labels_are_the_names_in_lower_case():
         "underactuated_inconsistent",
         "bound_infeasible",
         "unreachable",
+        "out_of_range",
     ]
 
 

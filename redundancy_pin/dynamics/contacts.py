@@ -1,0 +1,117 @@
+"""Forces in closures as rows of efforts: contacts in friction cones, a squeeze, feet of a floating base.
+
+With more motors than freedoms the efforts decide how hard closures are loaded. Where W τ = f the closure forces are
+
+    λ = λ₀ + Λ τ,      Λ = −(J_cᵀ)⁺ Sᵀ,      λ₀ = (J_cᵀ)⁺ rnea(q, v, a),
+
+affine in τ, so that what contacts can hold (Coulomb's cone, linearised from the inside) and what they are wanted to
+hold are linear conditions on τ: ``EffortRows`` for ``distribute``. A foot on the ground is a closure between a frame of
+the ground and the foot, its first frame that of the ground: then λ is what the ground exerts on the foot, in the
+ground's axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, Frozen, read_only
+from redundancy_pin.dynamics.distribution import EffortRows
+from redundancy_pin.dynamics.rnea import RneaAlongMotion, joint_reactions
+from redundancy_pin.errors import InputError, did_you_mean
+from redundancy_pin.motion import CarrierMotion
+
+
+@dataclass(frozen=True, eq=False)
+class ClosureForces(Frozen):
+    """Closure forces as functions of the efforts along a motion; made by ``closure_forces``.
+
+    Attributes:
+        names: of the r closure rows, such as ``"z of foot_left"``.
+        constant: (N, r) λ₀, N or N·m; NaN where the closures do not determine it.
+        matrix: (N, r, m) Λ.
+    """
+
+    names: tuple[str, ...]
+    constant: Array
+    matrix: Array
+
+    def at(self, tau: Array) -> Array:
+        """Return (N, r) λ for efforts (N, m) that solve W τ = f."""
+        return read_only(self.constant + np.einsum("Nrm,Nm->Nr", self.matrix, tau))
+
+    def rows(self, direction: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> EffortRows:
+        """Return lower ≤ direction · λ ≤ upper: a preload, or with equal bounds a squeeze of so much.
+
+        Args:
+            direction: (c, r) or (r,) in the closure rows, see ``component``; differences squeeze between two contacts.
+            lower: scalar or (c,) N; −inf for none.
+            upper: scalar or (c,) N; inf for none.
+        """
+        wanted = np.atleast_2d(np.asarray(direction, dtype=float))
+        moved = np.einsum("cr,Nr->Nc", wanted, self.constant)
+        matrix = np.einsum("cr,Nrm->Ncm", wanted, self.matrix)
+        return EffortRows(*(read_only(part) for part in (matrix, lower - moved, upper - moved)))
+
+    def component(self, closure: str, axis: str) -> Array:
+        """Return (r,) the unit vector of one closure row.
+
+        Raises:
+            InputError: there is no such row.
+        """
+        name = f"{axis} of {closure}"
+        if name not in self.names:
+            raise InputError(
+                f"There is no closure row {name!r}.",
+                remedy=f"{did_you_mean(name, self.names)}Choose from {', '.join(self.names)}.",
+            )
+        unit: Array = np.eye(len(self.names))[self.names.index(name)]
+        return unit
+
+    def friction_cone(
+        self, closure: str, friction: float, *, normal: str = "z", sides: int = 8, least: float = 0.0
+    ) -> EffortRows:
+        """Return what a contact can hold: a normal force of at least so much, and a tangential one within a pyramid.
+
+        The pyramid lies inside Coulomb's cone |λ_t| ≤ μ λ_n and touches it along its edges: what it allows the cone
+        does.
+
+        Args:
+            closure: its name; its rows are the normal and the tangents.
+            friction: μ, positive.
+            normal: axis of the closure that pushes the second frame away from the first, "x", "y" or "z".
+            sides: of the pyramid, at least 3; 8 leave at most 8 % of the cone's radius out.
+            least: smallest normal force, N.
+
+        Raises:
+            InputError: no such closure, μ that is not positive, fewer than 3 sides.
+        """
+        if not friction > 0.0 or sides < 3:
+            raise InputError(
+                f"friction is {friction} and sides are {sides}.", remedy="Pass a positive μ, and at least 3 sides."
+            )
+        push = self.component(closure, normal)
+        others = [axis for axis in "xyz" if axis != normal and f"{axis} of {closure}" in self.names]
+        tangents = [self.component(closure, axis) for axis in others]
+        angle = 2.0 * np.pi * np.arange(sides) / sides
+        around = np.stack([np.cos(angle), np.sin(angle)])[: len(tangents)]
+        within = friction * np.cos(np.pi / sides) if len(tangents) == 2 else friction
+        faces = within * push - np.einsum("ts,tr->sr", around, np.reshape(tangents, (len(tangents), len(push))))
+        directions = np.concatenate([push[None], faces])
+        return self.rows(directions, np.array([least, *np.zeros(sides)]), np.inf)
+
+
+def closure_forces(along: RneaAlongMotion, carriers: CarrierMotion | None = None) -> ClosureForces:
+    """Return the closure forces as functions of the efforts, along a motion.
+
+    Args:
+        along: ``RneaDynamics(robot).along(motion)``.
+        carriers: carrier motion, parked when left out.
+    """
+    m, samples = along.robot.m, len(along.motion)
+    still = np.zeros((samples, m))
+    none = joint_reactions(along, still, carriers).closure_force
+    each = [joint_reactions(along, still + unit, carriers).closure_force - none for unit in np.eye(m)]
+    return ClosureForces(along.robot.constraint_names, none, read_only(np.stack(each, axis=2)))

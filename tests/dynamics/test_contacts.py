@@ -1,0 +1,126 @@
+"""Rows of efforts against another solver (DAQP), and closure forces against free bodies."""
+
+from __future__ import annotations
+
+import daqp
+import numpy as np
+import pytest
+import zoo
+
+import redundancy_pin as rp
+from redundancy_pin.arrays import Array
+from redundancy_pin.dynamics.contacts import closure_forces
+from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus
+from redundancy_pin.errors import InputError
+
+OPTIMUM = 1e-5  # relative; DAQP keeps conditions to 1e-6
+
+
+@pytest.fixture(scope="module")
+def gripping() -> tuple[rp.Robot, rp.PlatformMotion]:
+    """A five-bar with all four hinges driven: two arms that hold a point between them, and squeeze it."""
+    plain = zoo.robot_of("five_bar")
+    robot = rp.Robot.from_model(
+        plain.model,
+        closures=[{"name": "grip", "frames": ["tip_2", "end_effector"], "axes": ["x", "y"]}],
+        actuated=["base_1", "elbow_1", "base_2", "elbow_2"],
+        carriers=plain.carriers,
+        independent=plain.platform,
+        reference=np.array(plain.q_reference),
+    )
+    return robot, zoo.smooth_motion(plain, 1).at(np.linspace(0.0, 1.0, 6))
+
+
+def least(W: Array, f: Array, rows: EffortRows, k: int) -> Array:
+    """Return the τ of least norm with W τ = f and the rows, by a dual active-set method (DAQP)."""
+    C = rows.matrix[k] if rows.matrix.ndim == 3 else rows.matrix
+    low, high = (side[k] if np.ndim(side) == 2 else np.broadcast_to(side, len(C)) for side in (rows.lower, rows.upper))
+    A = np.concatenate([W, C])
+    sides = (np.clip(np.concatenate([f, side]), -1e20, 1e20) for side in (high, low))
+    tau, _, flag, _ = daqp.solve(np.eye(len(W.T)), np.zeros(len(W.T)), A, *sides)
+    assert flag == 1
+    return np.asarray(tau)
+
+
+def test_a_squeeze_holds_exactly_and_costs_least(gripping) -> None:
+    robot, motion = gripping
+    along = rp.RneaDynamics(robot).along(motion)
+    reduced, force = along.reduce(), closure_forces(along)
+    squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
+    found = rp.distribute(reduced, rows=[squeeze])
+    assert found.solved.all()
+    reactions = rp.joint_reactions(along, found.tau)
+    assert np.abs(reactions.closure_force[:, 0] - 20.0).max() < 1e-6
+    assert np.abs(reactions.closure_force - force.at(found.tau)).max() < 1e-8
+    assert np.abs(np.einsum("nij,nj->ni", reduced.W, found.tau) - reduced.f).max() < 1e-8
+    for k in range(len(motion)):
+        oracle = least(reduced.W[k], reduced.f[k], squeeze, k)
+        assert np.abs(found.tau[k] - oracle).max() < OPTIMUM * np.abs(oracle).max()
+    plain = rp.distribute(reduced)
+    assert np.linalg.norm(plain.tau) < np.linalg.norm(found.tau)
+
+
+def test_contacts_stay_in_their_cones_and_motors_in_their_bounds(gripping) -> None:
+    robot, motion = gripping
+    along = rp.RneaDynamics(robot).along(motion)
+    reduced, force = along.reduce(), closure_forces(along)
+    cone = force.friction_cone("grip", 0.5, normal="x", least=5.0)
+    upper = np.abs(rp.distribute(reduced, rows=[cone]).tau).max(axis=0) * [1.5, 0.95, 1.5, 1.5]  # one motor is weak
+    found = rp.distribute(reduced, rows=[cone], lower=-upper, upper=upper)
+    assert found.solved.all()
+    normal, tangent = rp.joint_reactions(along, found.tau).closure_force.T
+    assert (normal > 5.0 - 1e-6).all()
+    assert (np.abs(tangent) < 0.5 * normal + 1e-6).all()
+    assert (np.abs(found.tau) <= upper).all()
+    assert (np.abs(found.tau[:, 1]) > 0.99 * upper[1]).any()
+    bounds = EffortRows(np.eye(4), -upper, upper)
+    for k in range(len(motion)):
+        both = EffortRows(*(np.concatenate(parts) for parts in zip(
+            (cone.matrix[k], cone.lower[k], np.full(len(cone.lower[k]), np.inf)),
+            (bounds.matrix, bounds.lower, bounds.upper), strict=True)))  # fmt: skip
+        oracle = least(reduced.W[k], reduced.f[k], both, 0)
+        assert np.abs(found.tau[k] - oracle).max() < 1e-4 * np.abs(oracle).max()
+
+
+def test_conditions_that_cannot_be_kept_are_a_status(gripping) -> None:
+    robot, motion = gripping
+    along = rp.RneaDynamics(robot).along(motion)
+    reduced, force = along.reduce(), closure_forces(along)
+    squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
+    found = rp.distribute(reduced, rows=[squeeze], lower=-0.5, upper=0.5)
+    assert (found.status == SampleStatus.BOUND_INFEASIBLE).all()
+    assert np.isnan(found.tau).all()
+    # equal rows that contradict each other have no residual at all
+    other = force.rows(force.component("grip", "x"), 30.0, 30.0)
+    assert np.isinf(rp.distribute(reduced, rows=[squeeze, other]).residual).all()
+    # a robot without choice keeps rows or does not
+    plain = zoo.robot_of("five_bar")
+    own = rp.RneaDynamics(plain).reduce(motion)
+    efforts = rp.distribute(own).tau
+    limit = float(np.median(efforts[:, 0]))
+    kept = rp.distribute(own, rows=[EffortRows(np.array([[1.0, 0.0]]), np.array([-np.inf]), np.array([limit]))])
+    assert ((kept.status == SampleStatus.BOUND_INFEASIBLE) == (efforts[:, 0] > limit + 1e-9)).all()
+
+
+def test_rows_are_counted_from_preferred_efforts(gripping) -> None:
+    robot, motion = gripping
+    along = rp.RneaDynamics(robot).along(motion)
+    reduced, force = along.reduce(), closure_forces(along)
+    squeeze = force.rows(force.component("grip", "x"), 20.0, 20.0)
+    first = rp.distribute(reduced, rows=[squeeze])
+    again = rp.distribute(reduced, rows=[squeeze], preferred=first.tau)
+    assert np.abs(again.tau - first.tau).max() < 1e-6
+
+
+def test_refusals(gripping) -> None:
+    robot, motion = gripping
+    along = rp.RneaDynamics(robot).along(motion)
+    force, narrow = closure_forces(along), EffortRows(np.eye(3), np.zeros(3), np.zeros(3))
+    for message, call in (
+        ("no closure row 'z of grip'", lambda: force.friction_cone("grip", 0.5)),
+        ("friction is -1", lambda: force.friction_cone("grip", -1.0, normal="x")),
+        ("Rows of efforts was expected", lambda: rp.distribute(along.reduce(), rows=[5])),  # type: ignore[list-item]
+        ("matrix has shape", lambda: rp.distribute(along.reduce(), rows=[narrow])),
+    ):
+        with pytest.raises(InputError, match=message):
+            call()
