@@ -21,6 +21,7 @@ from redundancy_pin.studies.beyond import (
     SAME_COST,
     backend_record,
     findings,
+    plan_record,
     rises,
     starts_record,
     targets,
@@ -67,6 +68,27 @@ def saved() -> list[tuple[Case, Record, Plan]]:
     return [(by_name[record["task"]], record, load_plan(FOLDER() / f"{record['file']}.npz")) for record in records]
 
 
+COARSER = 4.0
+"""As in the whole chapter on a small scale."""
+
+plans_of = functools.cache(Plans)
+
+
+@functools.cache
+def few() -> list[tuple[Case, Record, Plan]]:
+    """A crossing, a descent and a corner, without the rest of the chapter."""
+    chosen = ((SINGULAR[2], EFFORT), (SINGULAR[5], EFFORT), (TURNS[0], PEAK))
+    return [
+        (task, plan_record(plans_of(), task, method, COARSER), plans_of().plan(by_method(task, method, COARSER)))
+        for task, method in chosen
+    ]
+
+
+@pytest.fixture(params=[few, pytest.param(saved, marks=pytest.mark.long)], ids=["few", "all"])
+def planned(request: pytest.FixtureRequest) -> list[tuple[Case, Record, Plan]]:
+    return request.param()
+
+
 def inside(plan: Plan, parts: int) -> tuple[np.ndarray[Any, Any], CarrierMotion]:
     """Times inside the steps and the carriers there, s̈ linear in a step, by Taylor series from its start."""
     t, c = plan.t, plan.carriers
@@ -85,6 +107,7 @@ def inside(plan: Plan, parts: int) -> tuple[np.ndarray[Any, Any], CarrierMotion]
     return (t[left, None] + fraction[None] * h[:, None]).ravel(), motion
 
 
+@pytest.mark.long
 def test_every_motion_has_its_methods() -> None:
     assert [(record["task"], record["way"]) for record in chapter()["plans"]] == [
         (task.name, method) for task in TASKS for method in methods(task)
@@ -94,8 +117,8 @@ def test_every_motion_has_its_methods() -> None:
     }
 
 
-def test_numbers_are_those_of_the_saved_plans() -> None:
-    for _, record, plan in saved():
+def test_numbers_are_those_of_the_plans(planned: list[tuple[Case, Record, Plan]]) -> None:
+    for _, record, plan in planned:
         tau = np.abs(plan.tau)
         assert record["status"] == plan.status.value
         assert record["peak"] == pytest.approx(tau.max(), rel=ROUNDING)
@@ -106,11 +129,17 @@ def test_numbers_are_those_of_the_saved_plans() -> None:
         assert record["carrier_force"] == pytest.approx(np.abs(plan.carrier_force).max(), rel=ROUNDING)
         for name, part in (("position", "s"), ("speed", "sd"), ("acceleration", "sdd")):
             assert record[name] == pytest.approx(np.abs(getattr(plan.carriers, part)).max(), rel=ROUNDING)
-        assert not {"seconds", "solver_seconds"} & set(plan.diagnostics)  # the same run writes the same bytes
 
 
-def test_efforts_and_energies_follow_from_the_saved_motion_by_the_other_backend() -> None:
-    for task, record, plan in saved():
+@pytest.mark.long
+def test_the_same_run_writes_the_same_bytes() -> None:
+    assert not any({"seconds", "solver_seconds"} & set(plan.diagnostics) for _, _, plan in saved())
+
+
+def test_efforts_and_energies_follow_from_the_motion_by_the_other_backend(
+    planned: list[tuple[Case, Record, Plan]],
+) -> None:
+    for task, record, plan in planned:
         reduced = task.dynamics(task.backends[-1]).reduce(
             task.trajectory().sample_at(plan.t), plan.carriers, check_track=False
         )
@@ -131,9 +160,9 @@ def test_efforts_and_energies_follow_from_the_saved_motion_by_the_other_backend(
         assert record["carrier_energy"] == pytest.approx(own, rel=1e-6)
 
 
-def test_peaks_between_the_nodes_and_limits_by_the_other_backend() -> None:
+def test_peaks_between_the_nodes_and_limits_by_the_other_backend(planned: list[tuple[Case, Record, Plan]]) -> None:
     checked = 0
-    for task, record, plan in saved():
+    for task, record, plan in planned:
         if record["way"] in (SWITCH_OFF, SWITCH_OFF_LATE):
             continue
         times, motion = inside(plan, 20)
@@ -144,9 +173,10 @@ def test_peaks_between_the_nodes_and_limits_by_the_other_backend() -> None:
             for name, values in limits.items():
                 assert np.abs(values).max() <= record[name] * (1.0 + ROUNDING), record["file"]
             checked += 1
-    assert checked >= len(TASKS)
+    assert checked >= len({task.name for task, _, _ in planned})
 
 
+@pytest.mark.long
 def test_files_agree_with_each_other() -> None:
     text = (FOLDER() / "report.md").read_text()
     with (FOLDER() / "beyond.csv").open(newline="") as stream:
@@ -161,10 +191,8 @@ def test_files_agree_with_each_other() -> None:
 
 def test_the_force_that_is_missing_by_hand() -> None:
     """Mass of the end-effector times its acceleration along the force; the legs' own masses have no part in it."""
-    heavy = next(
-        record for record in chapter()["plans"] if (record["task"], record["way"]) == ("heavy-0.5", SWITCH_OFF)
-    )
-    whole = next(plan for _, record, plan in saved() if (record["task"], record["way"]) == ("heavy-0.5", EFFORT))
+    heavy = plan_record(plans_of(), SINGULAR[2], SWITCH_OFF, COARSER)
+    whole = plans_of().plan(by_method(SINGULAR[2], EFFORT, COARSER))
     instant = whole.diagnostics["singular_instants"][0]  # type: ignore[index]
     acceleration = SINGULAR[2].trajectory().sample_at(np.array([instant])).xdd[0, 0]
     assert heavy["missing"] == pytest.approx(0.5 * abs(acceleration), rel=1e-9)
@@ -205,6 +233,7 @@ def test_optima_are_counted() -> None:
     assert starts_record(Given(virtual_work=InfeasiblePlanError("no")), case)["missing"] == 3
 
 
+@pytest.mark.long
 def test_trade_off_is_ordered() -> None:
     record = chapter()["trade_off"][1]
     assert record["task"] == TURNS[0].name

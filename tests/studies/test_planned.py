@@ -29,6 +29,7 @@ KNOWN = {
 }
 
 
+@pytest.mark.long
 def test_every_statement_has_a_verdict() -> None:
     records = chapter()["against_thesis"]
     assert {record["row"] for record in records} == set(thesis()["rows"])
@@ -40,6 +41,7 @@ def test_every_statement_has_a_verdict() -> None:
     assert {record["verdict"] for record in records} == {"reproduced", "differs"}
 
 
+@pytest.mark.long
 def test_backends_plan_the_same() -> None:
     worst = [record["worst"] for record in chapter()["parity"]]
     assert max(worst) < 1e-8
@@ -56,6 +58,7 @@ def test_plans_that_differ_stop_the_chapter() -> None:
         plan_parity(Off(), CORNERS[0])
 
 
+@pytest.mark.long
 def test_the_track_is_left_where_it_is_left() -> None:
     """Rebuilt elsewhere: carrier 1 is at 0.247 m (0.5 m/s) and 0.260 m (0.75 m/s) as actuators are switched on."""
     records = {record["case"]: record for record in chapter()["crossings"]}
@@ -68,6 +71,7 @@ def test_the_track_is_left_where_it_is_left() -> None:
     assert chapter()["heavy_end_effector"]["details"]["amount"] > 0.0
 
 
+@pytest.mark.long
 def test_ranges_contain_the_run_they_vary() -> None:
     records = chapter()["sensitivity"]
     for record in records:
@@ -78,6 +82,7 @@ def test_ranges_contain_the_run_they_vary() -> None:
         assert record["low"] - 1e-12 <= record["ours"] <= record["high"] + 1e-12
 
 
+@pytest.mark.long
 def test_actuators_do_at_least_the_work_that_the_platform_gains_and_loses() -> None:
     """Without gravity ∫ Σ |power| dt is no less than the total variation of the kinetic energy."""
     plans = quick_results.reproduction("planned").results.plans
@@ -89,9 +94,9 @@ def test_actuators_do_at_least_the_work_that_the_platform_gains_and_loses() -> N
             assert record["energy"] >= np.abs(np.diff(energy)).sum() * (1.0 - 1e-3)  # trapezoids of 5 ms
 
 
-@pytest.mark.parametrize("mode", [(1, 1, 1), (-1, -1, -1)])
+@pytest.mark.parametrize("mode", [(1, 1, 1), pytest.param((-1, -1, -1), marks=pytest.mark.long)])
 def test_known_answers_in_a_working_mode(mode: tuple[int, ...]) -> None:
-    runs = planned.runs_of(quick_results.reproduction("planned").results.plans, mode)
+    runs = planned.runs_of(Plans(), mode)
     for name, answers in KNOWN.items():
         holds, number = getattr(planned, name)(runs)
         assert holds == answers[mode], (name, number)
@@ -159,6 +164,7 @@ def test_conclusions_follow_the_numbers(name: str, changes: dict[str, Any], stan
     assert "{" not in record["here"]
 
 
+@pytest.mark.long
 def test_conclusions_of_the_run_show_its_numbers() -> None:
     shown = {record["name"]: record["here"] for record in chapter()["conclusions"]}
     assert f"{len(CROSSINGS)} crossings" in shown["crossing"]

@@ -27,6 +27,9 @@ from redundancy_pin.visualisation.figures.style import save
 reproduce = functools.partial(job.reproduce, extent=replace(FULL, chapters=()), samples=4)
 """The job without chapters, which are run once in ``quick_results``; the cross-check has tests of its own."""
 
+SOME_CHAPTERS = [name if name == "replay" else pytest.param(name, marks=pytest.mark.long) for name in CHAPTERS]
+"""The others take half a minute each, however coarse."""
+
 NAMES = ("circle-0.5-parked", "corner-r0.025-baseline", "corner-r0.025-parked")
 BASELINE, SHARP = "corner-r0.025-baseline", "corner-r0.013-baseline"
 
@@ -110,7 +113,7 @@ def test_the_same_run_gives_the_same_bytes(names: tuple[str, ...], done: Reprodu
         assert path.read_bytes() == (again.folder / path.name).read_bytes(), path.name
 
 
-@pytest.mark.parametrize("chapter", [*CHAPTERS, ""])
+@pytest.mark.parametrize("chapter", [*SOME_CHAPTERS, ""])
 def test_reports_show_every_figure_and_link_to_files_that_exist(chapter: str, done: Reproduction) -> None:
     made = reproduction(chapter) if chapter else done
     text = (made.folder / "report.md").read_text()
@@ -132,7 +135,7 @@ def one_of_each(drawn: list[Picture]) -> list[Picture]:
 
 
 @pytest.mark.parametrize("choose", [one_of_each, pytest.param(list, marks=pytest.mark.long)], ids=["some", "all"])
-@pytest.mark.parametrize("chapter", CHAPTERS)
+@pytest.mark.parametrize("chapter", SOME_CHAPTERS)
 def test_figures_can_be_drawn(chapter: str, choose: Callable[[list[Picture]], list[Picture]], tmp_path: Path) -> None:
     results = reproduction(chapter).results
     drawn = choose(pictures(results)[chapter])
@@ -148,6 +151,7 @@ def test_every_result_figure_of_the_thesis_is_drawn() -> None:
     assert [number for number, _, _ in THESIS] == [*(f"3.{i}" for i in range(6, 23)), *(f"4.{i}" for i in range(2, 19))]
 
 
+@pytest.mark.long
 def test_verdicts_of_the_run_are_in_the_report() -> None:
     text = (reproduction("planned").folder / "report.md").read_text()
     for record in quick_results.chapter("planned")["conclusions"]:
