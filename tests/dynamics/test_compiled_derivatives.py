@@ -120,6 +120,7 @@ def assert_motion_derivatives(robot: Robot, seed: int, columns: int | None = Non
 # --- by the motion ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long_for("hinge", "five_bar")
 @pytest.mark.parametrize("name", ["2rpr", "five_bar", "four_bar", *spatial_chains.CHAINS])
 def test_by_the_motion(name: str) -> None:
     assert_motion_derivatives(robot_of(name), 1)
@@ -161,6 +162,7 @@ def test_type_two_poses_are_as_good_as_others() -> None:
             assert_derivative(getattr(got, name), "x", i, want[name], 10 * EQUAL, name)
 
 
+@pytest.mark.long_for("actuated1")
 @pytest.mark.parametrize("actuated", [("base_1",), ("base_1", "base_2", "elbow_2"), ("elbow_1", "base_2")])
 def test_fewer_and_more_actuators_than_freedoms(actuated: tuple[str, ...]) -> None:
     robot = robot_of("five_bar")
@@ -171,6 +173,7 @@ def test_fewer_and_more_actuators_than_freedoms(actuated: tuple[str, ...]) -> No
 # --- what closures transmit -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long_for("gough", "hinge", "cylindrical")
 @pytest.mark.parametrize("name", ["five_bar", "3rrr", "hinge", "cylindrical", "gough"])
 def test_closure_forces(name: str) -> None:
     """Of efforts that go on producing the motion: otherwise there are none to compare with."""
@@ -203,7 +206,7 @@ def test_closure_forces(name: str) -> None:
 # --- by what the machine is made of -----------------------------------------------------------------------------------
 
 
-@pytest.mark.long_for("gough-parameters3", "3rrr-parameters2")
+@pytest.mark.long_for("gough-parameters3", "3rrr-parameters2", "2rpr-parameters0")
 @pytest.mark.parametrize(
     ("name", "parameters"),
     [

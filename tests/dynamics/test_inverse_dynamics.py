@@ -34,6 +34,7 @@ def base_line_instants() -> list[float]:
     return [brentq(height, grid[k], grid[k + 1], xtol=1e-14) for k in np.flatnonzero(y[1:] * y[:-1] < 0.0)]
 
 
+@pytest.mark.long_for("compiled-0.001", "compiled-0.01", "rnea-0.001", "rnea-0.05", "virtual work-0.01", "virtual work-0.05")
 @pytest.mark.parametrize("dt", [0.05, 0.01, 1e-3])
 @pytest.mark.parametrize("name", BACKENDS)
 def test_crossings_between_samples_are_named_by_their_instants(name: str, dt: float) -> None:
@@ -248,6 +249,7 @@ def test_samples_without_efforts_are_a_motion_without(name: str) -> None:
     assert stays.status is EffortStatus.UNBOUNDED_EFFORT
 
 
+@pytest.mark.long_for("virtual work")
 @pytest.mark.parametrize("name", BACKENDS)
 def test_wrenches_given_at_samples_are_known_between_them(name: str) -> None:
     motion = CIRCLE.sample(0.01)

@@ -90,6 +90,7 @@ def assert_alike(one: Array, other: Array, tolerance: float = PARITY) -> None:
     np.testing.assert_allclose(one, other, rtol=0.0, atol=tolerance * max(1.0, np.abs(one).max(initial=0.0)))
 
 
+@pytest.mark.long_for("3rrr-mode0")
 @pytest.mark.parametrize(("name", "mode"), [("3rrr", (1, -1, 1)), ("2rpr", (-1, 1))])
 def test_backends_agree_on_loads_of_every_kind(name: str, mode: tuple[int, ...]) -> None:
     robot = machine(name, mode)
@@ -330,6 +331,7 @@ def test_planners_plan_with_loads() -> None:
     assert not plans[0].robot.describes(robot)
 
 
+@pytest.mark.long_for("2rpr")
 @pytest.mark.parametrize("name", ["2rpr", "gough"])
 def test_planned_efforts_in_open_loop_close_with_everything_on(name: str) -> None:
     robot = zoo.robot_of(name, gravity=(0.5, -9.0, 2.0), **ARGUMENTS.get(name, {}))

@@ -294,6 +294,7 @@ def test_the_2rprs_force_is_the_rate_of_the_legs_angular_momentum() -> None:
     np.testing.assert_allclose(RneaDynamics(robot).reduce(motion, carriers).f, expected, atol=1e-12)
 
 
+@pytest.mark.long_for("1000", "4001")
 @pytest.mark.parametrize("size", [7, 1000, 4001])
 def test_blocks_do_not_change_a_bit(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Kinematics and dynamics in blocks of any size, and in one: what a sample gets does not hang on the others."""

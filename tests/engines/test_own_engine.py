@@ -71,7 +71,7 @@ def crossings(simulation):
     return [event for event in simulation.events if event.kind == "type_II"]
 
 
-@pytest.mark.long_for("exudyn-3rrr")
+@pytest.mark.long_for("exudyn-3rrr", "mujoco-3rrr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_the_same_efforts_give_the_same_motion_through_a_type_ii_pose(engine, name):
     task = thrown(name)
@@ -84,7 +84,7 @@ def test_the_same_efforts_give_the_same_motion_through_a_type_ii_pose(engine, na
     assert np.abs(4.0 * fine - coarse).max() / 3.0 < EXTRAPOLATED
 
 
-@pytest.mark.long_for("exudyn-3rrr", "mujoco-3rrr")
+@pytest.mark.long_for("exudyn-3rrr", "mujoco-3rrr", "exudyn-2rpr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_planned_efforts_too(engine, planned, name):
     task = planned[name].task
@@ -104,6 +104,7 @@ def test_a_stepwise_plan_too_whose_carriers_jump_in_acceleration_at_every_sample
     assert np.abs(drive.carriers(plan.t).s - plan.carriers.s).max() > 1e-3
 
 
+@pytest.mark.long_for("3rrr-projected")
 @pytest.mark.parametrize("method", ["projected", "constraint_dynamics"])
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_a_plan_is_followed_by_the_efforts_that_engines_get(planned, name, method):
@@ -116,6 +117,7 @@ def test_a_plan_is_followed_by_the_efforts_that_engines_get(planned, name, metho
     assert run.gap.max() < 1e-9
 
 
+@pytest.mark.long
 def test_steps_may_reach_across_kinks_where_the_tolerance_is_loose(planned):
     drive = planned["3rrr"]
     loose = {"integrator": "RK45", "rtol": 1e-7, "atol": 1e-8}

@@ -129,6 +129,7 @@ def test_the_ties_leave_four_freedoms_to_eight_motors(robot: Robot) -> None:
     assert (robot.n, robot.m, robot.model.nv) == (4, 8, 8)
 
 
+@pytest.mark.long_for("0.1", "0.37")
 @pytest.mark.parametrize("t", TIMES)
 def test_torques_are_the_least_that_solve_the_equations_of_motion(robot: Robot, reader: Reader, t: float) -> None:
     """min ‖τ‖² subject to τ + Jᵀ λ = rnea(q, q̇, q̈): its KKT system in τ, λ and the multipliers of the constraint."""
@@ -155,6 +156,7 @@ def _placed(values: np.ndarray, order: list[int]) -> np.ndarray:
     return placed
 
 
+@pytest.mark.long_for("0.1", "0.37")
 @pytest.mark.parametrize("t", TIMES)
 def test_the_motors_supply_the_change_of_energy(robot: Robot, reader: Reader, t: float) -> None:
     _, v, _ = reader.motion(t)

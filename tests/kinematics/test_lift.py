@@ -166,6 +166,7 @@ def test_uneven_sampling_gives_the_same_configurations(shipped: Robot) -> None:
     np.testing.assert_allclose(uneven.q[::3], even.q, atol=1e-9)
 
 
+@pytest.mark.long_for("gough")
 def test_ten_thousand_samples_are_lifted_in_one_go(shipped: Robot) -> None:
     motion = zoo.smooth_motion(shipped, 14)
     long = lift(shipped, motion.at(np.linspace(0.0, 5.0, 10_001)))

@@ -65,6 +65,7 @@ def test_out_of_reach_in_the_middle_is_marked_and_right_again_behind() -> None:
     np.testing.assert_allclose(tree.q[within], tree.q[::-1][within], atol=1e-7)
 
 
+@pytest.mark.long_for("3001")
 @pytest.mark.parametrize("samples", [61, 3001])
 def test_marked_motion_may_come_back_elsewhere(samples: int) -> None:
     """Out over the top on the left, in again on the right: far from the last good configuration."""
@@ -100,6 +101,7 @@ def test_a_motion_out_of_reach_throughout_is_marked_throughout() -> None:
 # --- type I singularities ---
 
 
+@pytest.mark.long_for("2-1e-06", "50-1e-06", "50-1e-09")
 @pytest.mark.parametrize("left", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("samples", [2, 50])
 def test_the_branch_is_kept_next_to_full_stretch(left: float, samples: int) -> None:
@@ -112,6 +114,7 @@ def test_the_branch_is_kept_next_to_full_stretch(left: float, samples: int) -> N
     np.testing.assert_allclose(tree.q[:, index], -elbow, atol=CLOSURE_TOLERANCE / np.sqrt(left))
 
 
+@pytest.mark.long_for("1", "2")
 @pytest.mark.parametrize("samples", [1, 2, 50])
 def test_full_stretch_itself_is_a_type_i_singularity(samples: int) -> None:
     robot = zoo.robot_of("five_bar")
@@ -215,6 +218,7 @@ def test_a_jump_to_another_branch_is_refused_or_marked(monkeypatch: pytest.Monke
     np.testing.assert_array_equal(lift(robot, motion, mark_unreachable=True).reachable, [True, True, False])
 
 
+@pytest.mark.long_for("five_bar")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar"])
 def test_random_poses_are_closed_or_refused_never_wrong(name: str) -> None:
     """A far-flung set of poses, marked: each is either in the mode and closed, or NaN with a reason."""

@@ -170,6 +170,7 @@ THROWN: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.long_for("short steps")
 @pytest.mark.parametrize("case", THROWN)
 def test_a_machine_that_is_thrown_moves_the_same(case: str) -> None:
     robot = moving.massive("2rpr")

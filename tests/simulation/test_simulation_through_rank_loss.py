@@ -78,6 +78,7 @@ def require_a02(count: int, speed: float, duration: float, options: Mapping[str,
     assert run.gap.max() < 1e-12
 
 
+@pytest.mark.long_for("1-1.0-RK45", "1-1.0-constraint_dynamics", "1-1.0-RK45 and constraint_dynamics", "2-4.0-DOP853", "2-4.0-RK45", "2-4.0-RK45 and constraint_dynamics", "3-0.5-DOP853", "3-0.5-RK45 and constraint_dynamics", "3-0.5-constraint_dynamics")
 @pytest.mark.parametrize("options", ALL)
 @pytest.mark.parametrize(("count", "speed"), [(1, 1.0), (2, 4.0), (3, 0.5)])
 def test_rows_of_four_bars_fall_through_their_flat_pose(count: int, speed: float, options: str) -> None:
@@ -148,7 +149,7 @@ def require_change_point(seed: int, options: Mapping[str, Any], within: float) -
     return len(of_kind(run, "closure_rank"))
 
 
-@pytest.mark.long_for("RK45", "RK45 and constraint_dynamics")
+@pytest.mark.long_for("RK45", "RK45 and constraint_dynamics", "constraint_dynamics")
 @pytest.mark.parametrize("options", ALL)
 def test_random_change_point_linkages_stay_on_their_branch(options: str) -> None:
     within = EXACT if "RK45" not in options else 1e-5
@@ -244,6 +245,7 @@ def test_rest_at_the_flat_pose_leaves_the_motion_undetermined_and_says_so() -> N
     assert run.t[-1] < 0.4
 
 
+@pytest.mark.long_for("0.0001")
 @pytest.mark.parametrize("longer", [1e-4, -1e-4])
 def test_sides_a_little_unequal_have_no_flat_pose_and_the_motion_turns_sharply_instead(longer: float) -> None:
     robot = row_of_four_bars(1, 1.0, 1.0, 1.0, 1.0 + longer)
@@ -398,6 +400,7 @@ class Driven:
         return tuple(0.2 * s[:, None])
 
 
+@pytest.mark.long_for("force", "motion")
 @pytest.mark.parametrize("drive", ["force", "motion", "sampled"])
 def test_work_is_energy_through_flat_poses_with_carriers_and_sampled_controllers(drive: str) -> None:
     robot = parallelogram("carrier")
@@ -423,6 +426,7 @@ def test_joints_without_end_are_carried_across_too() -> None:
     assert len(of_kind(runs[0], "closure_rank")) == 3
 
 
+@pytest.mark.long_for("0.2", "0.03", "0.1")
 @pytest.mark.parametrize("apart", [0.2, 0.1, 0.03, 1e-3])
 def test_two_loops_that_are_flat_one_soon_after_the_other(apart: float) -> None:
     robot = parallelogram(incline=apart)
@@ -486,6 +490,7 @@ def test_with_two_freedoms_the_sheet_is_a_surface(options: str) -> None:
     np.testing.assert_allclose(np.sin(crossing), 0.0, atol=5e-3)  # 20 ms between samples
 
 
+@pytest.mark.long_for("rates0", "rates2")
 @pytest.mark.parametrize("rates", [(-3.0, -2.9), (-3.0, -3.001), (-3.0, 1.0)])
 def test_loops_that_move_by_themselves_are_flat_while_another_one_is(rates: tuple[float, float]) -> None:
     """The second comes to its rank loss on the sheet of the first, whose line does not lead there."""

@@ -73,6 +73,7 @@ def test_two_rpr_is_singular_on_its_base_line() -> None:
     assert np.ptp(curve.points[:, 0]) == pytest.approx(np.ptp(locus.axes[0]))
 
 
+@pytest.mark.long_for("mode1-0.3")
 @pytest.mark.parametrize(("mode", "orientation"), [(None, None), ((1, -1, 1), 0.3)])
 def test_three_rrr_is_type_ii_where_its_distal_lines_meet_in_a_point(mode, orientation) -> None:
     """Lines (e, A × e) are concurrent or parallel when their determinant vanishes; elsewhere it does not."""
