@@ -10,13 +10,14 @@ from typing import Any
 import promises
 import pytest
 import zoo
+from examples import FACTOR
 from hypothesis import settings
 
 from redundancy_pin.dynamics.compiled.build import CACHE
 from redundancy_pin.robot import Robot
 
 # the same examples every time, so that a change is judged and not the draw; `HYPOTHESIS_PROFILE=explore` looks further
-settings.register_profile("fixed", derandomize=True, deadline=None)
+settings.register_profile("fixed", derandomize=True, deadline=None, max_examples=40 * FACTOR)
 settings.register_profile("explore", deadline=None, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 

@@ -41,6 +41,7 @@ def test_a_motion_from_a_file_is_what_its_test_compares(tmp_path: Path) -> None:
     assert done.stdout.startswith("0 failures"), done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("cmake") is None or not COMPILERS, reason="cmake is not installed")
 def test_cmake_builds_it(tmp_path: Path) -> None:
     assert call("codegen", "--robot", "four_bar", "--out", tmp_path / "code").exit_code == 0

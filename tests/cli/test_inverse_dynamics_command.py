@@ -30,6 +30,7 @@ def corner(tmp_path: Path) -> Path:
     return write_motion(tmp_path / "motion.csv", reference.corner(), 0.05, carriers=3)
 
 
+@pytest.mark.long_for("compiled-CompiledDynamics")
 @pytest.mark.parametrize(
     ("name", "backend"), [("rnea", RneaDynamics), ("virtual-work", VirtualWork), ("compiled", CompiledDynamics)]
 )

@@ -244,6 +244,7 @@ def test_wrong_limits_are_said_as_they_were_typed(given: str, said: str) -> None
     )
 
 
+@pytest.mark.long_for("objective1-False")
 @pytest.mark.parametrize(("objective", "advised"), [(("effort",), True), (("effort", "effort_rate=0.01"), False)])
 def test_efforts_that_swing_beside_singularities_are_calmed_by_what_the_plan_proposes(
     objective: tuple[str, ...], advised: bool

@@ -50,6 +50,7 @@ def test_help_says_what_the_options_are() -> None:
     assert "\n  Example:\n    redundancy-pin study" in text
 
 
+@pytest.mark.long
 def test_a_tiny_study_is_simulated_and_written(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "study"
     result = call("study", "--draws", "2", "--jobs", "1", "--out", folder)

@@ -116,6 +116,7 @@ def test_2_for_bad_input_in_one_line_and_nothing_is_written(
     assert sorted(folder.iterdir()) == before
 
 
+@pytest.mark.long_for("arguments1-effort")
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

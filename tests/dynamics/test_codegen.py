@@ -92,7 +92,7 @@ def test_sanitisers_find_nothing(name: str, tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.long_for("fewer actuators")
+@pytest.mark.long_for("fewer actuators", "2rpr")
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
 @pytest.mark.parametrize("name", ["2rpr", "fewer actuators", *LONG])
 def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
@@ -341,6 +341,7 @@ def test_the_branch_is_that_of_the_state() -> None:
         np.testing.assert_allclose(got.xd, [0.1, 0.3 * side], rtol=0.0, atol=1e-11)
 
 
+@pytest.mark.long
 def test_from_far_away_it_is_that_branch_or_none() -> None:
     """Newton's method without its rule of contraction ends below the base here and there."""
     code, random, statuses = code_of("2rpr"), np.random.default_rng(0), []

@@ -366,6 +366,7 @@ def test_marked_samples_are_those_of_rnea(interpret: bool) -> None:
         assert_equal(mine.f[mine.reachable], theirs.f[mine.reachable], "f")
 
 
+@pytest.mark.long
 def test_a_motion_is_reacquired_from_the_reference_behind_a_gap() -> None:
     robot = zoo.robot_of("2rpr")
     motion = line([0.2, 0.1], [-0.2, -0.1], 4)  # through zero length: the way from the first sample is barred
@@ -430,6 +431,7 @@ def test_the_second_one_is_loaded_and_a_broken_one_built_again(
     assert library.stat().st_size == size
 
 
+@pytest.mark.long
 def test_another_robots_library_under_the_right_name_is_built_again(
     four_bar: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

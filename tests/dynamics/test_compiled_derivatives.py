@@ -251,7 +251,7 @@ def remade(robot: Robot, change: Callable[[object], None]) -> Robot:
     return dataclasses.replace(robot, model=model)
 
 
-@pytest.mark.long_for("universal")
+@pytest.mark.long_for("universal", "five_bar")
 @pytest.mark.parametrize("name", ["five_bar", "universal"])
 def test_by_numbers_of_the_tree(name: str) -> None:
     import pinocchio as pin

@@ -34,7 +34,9 @@ def base_line_instants() -> list[float]:
     return [brentq(height, grid[k], grid[k + 1], xtol=1e-14) for k in np.flatnonzero(y[1:] * y[:-1] < 0.0)]
 
 
-@pytest.mark.long_for("compiled-0.001", "compiled-0.01", "rnea-0.001", "rnea-0.05", "virtual work-0.01", "virtual work-0.05")
+@pytest.mark.long_for(
+    "compiled-0.001", "compiled-0.01", "rnea-0.001", "rnea-0.05", "virtual work-0.01", "virtual work-0.05"
+)
 @pytest.mark.parametrize("dt", [0.05, 0.01, 1e-3])
 @pytest.mark.parametrize("name", BACKENDS)
 def test_crossings_between_samples_are_named_by_their_instants(name: str, dt: float) -> None:
@@ -99,6 +101,7 @@ def test_states_and_single_instants_have_nothing_in_between() -> None:
         assert rp.inverse_dynamics(rp.RneaDynamics(robot), one).instants == ()
 
 
+@pytest.mark.long
 def test_reachable_stretches_are_looked_at_one_by_one() -> None:
     """From out of reach straight down into the workspace, and through the pose where both distal links are in line."""
     robot = zoo.robot_of("five_bar")

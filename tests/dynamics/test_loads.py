@@ -316,6 +316,7 @@ def test_reactions_balance_with_loads() -> None:
     assert_alike(total, along.base_wrench(carriers)[:, [0, 1, 5]], 1e-9)
 
 
+@pytest.mark.long
 def test_planners_plan_with_loads() -> None:
     """A crossing of a singularity, by two backends."""
     robot = zoo.robot_of("2rpr", end_effector_mass=0.3)

@@ -58,7 +58,7 @@ def assert_close(actual: np.ndarray, expected: np.ndarray, relative: float) -> N
 # --- energy and momentum ---
 
 
-@examples(15)
+@examples(6)
 @given(name=st.sampled_from(ROBOTS), seed=st.integers(0, 2**16))
 def test_power_of_all_actuators_is_the_rate_of_energy(name: str, seed: int) -> None:
     robot = robot_of(name)
@@ -232,7 +232,7 @@ def stacked_carriers(folder: Path) -> Robot:
     return load_robot(write_robot(folder, urdf_of(tree), declaration))
 
 
-@examples(15)
+@examples(6)
 @given(name=st.sampled_from(WITH_CARRIERS), seed=st.integers(0, 2**16))
 def test_forces_are_quadratic_in_the_carriers_and_affine_in_their_acceleration(name: str, seed: int) -> None:
     robot = robot_of(name)

@@ -101,7 +101,7 @@ def assert_close(got, want, tolerance=AGREEMENT):
     np.testing.assert_allclose(got, want, rtol=0, atol=tolerance * scale)
 
 
-@pytest.mark.long_for("three_rrr-3", "three_rrr-4", "three_rrr-5", "three_rrr-6", "three_rrr-7", "two_rpr-3", "two_rpr-4", "two_rpr-5", "two_rpr-6", "two_rpr-7")
+@pytest.mark.long_for(*(f"{name}-{seed}" for name in ("two_rpr", "three_rrr") for seed in range(3, 8)))
 def test_efforts_obey_lagrange(case):
     f, force = case.along.efforts(*case.carriers)
     for k, state in enumerate(case.states()):

@@ -25,7 +25,7 @@ VELOCITY = 2e-8  # central differences: STEP² times third derivatives of 10², 
 ACCELERATION = 1e-6  # the same on v, whose third derivatives reach 10⁴
 
 
-@examples(20)
+@examples(8)
 @given(name=st.sampled_from(zoo.SHIPPED), seed=st.integers(0, 2**16))
 def test_velocity_and_acceleration_are_derivatives(name: str, seed: int) -> None:
     robot = zoo.robot_of(name)
@@ -106,7 +106,7 @@ def test_columns_of_w_come_in_the_order_of_the_declaration() -> None:
         np.testing.assert_allclose(tree.W[:, :, leg], away / np.linalg.norm(away, axis=1)[:, None], atol=1e-12)
 
 
-@examples(10)
+@examples(4)
 @given(
     mode=st.sampled_from(list(itertools.product((1, -1), repeat=3))),
     radius=st.floats(0.15, 0.35),

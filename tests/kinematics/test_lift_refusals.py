@@ -78,6 +78,7 @@ def test_marked_motion_may_come_back_elsewhere(samples: int) -> None:
     np.testing.assert_array_equal(tree.reachable, within)
 
 
+@pytest.mark.long
 def test_a_marked_motion_may_start_out_of_reach() -> None:
     robot = zoo.robot_of("five_bar")
     motion = line([0.25, 2.0], [0.25, 0.5], 301)

@@ -87,6 +87,7 @@ def test_two_turns_of_a_parallelogram_leave_its_sides_parallel(tmp_path: Path) -
     assert np.abs(tree.a[:, rocker] - SECOND_RATE).max() < ACCELERATION
 
 
+@pytest.mark.long_for("1e-06-501", "1e-06-51", "1e-08-501", "1e-08-10", "1e-08-51", "1e-10-501", "1e-10-10")
 @pytest.mark.parametrize("samples", [10, 51, 501])
 @pytest.mark.parametrize("excess", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
 def test_branches_that_all_but_touch_are_not_taken_for_one_another(samples: int, excess: float, tmp_path: Path) -> None:

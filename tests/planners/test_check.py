@@ -50,6 +50,7 @@ PLANS: dict[str, Callable[[], Plan]] = {
 }
 
 
+@pytest.mark.long_for("returns", "differences", "single samples")
 @pytest.mark.parametrize("name", PLANS)
 def test_a_plan_is_what_it_says_to_the_other_backend_before_and_after_a_file(name: str, tmp_path: Path) -> None:
     plan = PLANS[name]()

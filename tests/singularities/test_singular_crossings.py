@@ -151,6 +151,7 @@ def test_three_rrr_touches_full_stretch_of_its_first_leg(direction: float) -> No
     assert np.isnan(touches[0].uncontrolled_twist).all()
 
 
+@pytest.mark.long
 def test_a_motion_that_ends_at_full_stretch() -> None:
     end = ARM + 2.0 * np.array([np.cos(0.5), np.sin(0.5)])
     trajectory = along(with_constant(through_points([[0.9, 0.5], end]), [0.0]))

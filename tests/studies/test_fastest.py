@@ -102,6 +102,7 @@ def test_an_unsound_plan_is_none() -> None:
     assert trial["status"] == "violates_limits"
 
 
+@pytest.mark.long
 def test_the_real_border_of_the_circle() -> None:
     record = fastest(Plans(), at_speed(CIRCLE, 1.4), replace(QUICK, tolerance=0.2, starts=1))
     assert record["slowest_without"]["constraint"] == "acceleration"

@@ -171,6 +171,7 @@ def _die(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
     os._exit(1)
 
 
+@pytest.mark.long
 def test_a_worker_that_dies_is_one_clear_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(feasibility, "compute", _die)
     with pytest.raises(RedundancyPinError, match="worker process died"):

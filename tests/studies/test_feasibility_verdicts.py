@@ -46,7 +46,7 @@ def circle(request: pytest.FixtureRequest) -> FeasibilityMap:
     return feasibility_map(crossing(**axes), jobs=1)
 
 
-@pytest.fixture(scope="module", params=SCALES)
+@pytest.fixture(scope="module", params=[pytest.param("corners", marks=pytest.mark.long), SCALES[1]])
 def bend(request: pytest.FixtureRequest) -> FeasibilityMap:
     axes = {"x": Axis("speed", (0.1, 0.3)), "y": Axis("stroke", (0.02, 2.0))} if request.param == "corners" else {}
     return feasibility_map(corner(**axes), jobs=1)

@@ -54,6 +54,7 @@ def test_only_turns_beside_singularities_are_told_as_such() -> None:
     assert reversals_beside_singularities(plan).tolist() == [2, 2]
 
 
+@pytest.mark.long
 def test_switch_off_between_its_samples_is_what_finer_samples_show() -> None:
     fine = replace(CIRCLE, dt=2.5e-4).plan("rnea")
     # curvature of τ at its peak: both grids see it to better than 1e-4

@@ -27,8 +27,8 @@ from redundancy_pin.visualisation.figures.style import save
 reproduce = functools.partial(job.reproduce, extent=replace(FULL, chapters=()), samples=4)
 """The job without chapters, which are run once in ``quick_results``; the cross-check has tests of its own."""
 
-SOME_CHAPTERS = [name if name == "replay" else pytest.param(name, marks=pytest.mark.long) for name in CHAPTERS]
-"""The others take half a minute each, however coarse."""
+SLOW_CHAPTERS = [pytest.param(name, marks=pytest.mark.long) for name in CHAPTERS]
+"""Ten to forty seconds each, however coarse."""
 
 NAMES = ("circle-0.5-parked", "corner-r0.025-baseline", "corner-r0.025-parked")
 BASELINE, SHARP = "corner-r0.025-baseline", "corner-r0.013-baseline"
@@ -113,7 +113,7 @@ def test_the_same_run_gives_the_same_bytes(names: tuple[str, ...], done: Reprodu
         assert path.read_bytes() == (again.folder / path.name).read_bytes(), path.name
 
 
-@pytest.mark.parametrize("chapter", [*SOME_CHAPTERS, ""])
+@pytest.mark.parametrize("chapter", [*SLOW_CHAPTERS, ""])
 def test_reports_show_every_figure_and_link_to_files_that_exist(chapter: str, done: Reproduction) -> None:
     made = reproduction(chapter) if chapter else done
     text = (made.folder / "report.md").read_text()
@@ -135,7 +135,7 @@ def one_of_each(drawn: list[Picture]) -> list[Picture]:
 
 
 @pytest.mark.parametrize("choose", [one_of_each, pytest.param(list, marks=pytest.mark.long)], ids=["some", "all"])
-@pytest.mark.parametrize("chapter", SOME_CHAPTERS)
+@pytest.mark.parametrize("chapter", SLOW_CHAPTERS)
 def test_figures_can_be_drawn(chapter: str, choose: Callable[[list[Picture]], list[Picture]], tmp_path: Path) -> None:
     results = reproduction(chapter).results
     drawn = choose(pictures(results)[chapter])
@@ -241,6 +241,7 @@ def test_progress_counts_up_to_the_total(told: list[tuple[int, int]]) -> None:
     assert len({total for _, total in told}) == 1
 
 
+@pytest.mark.long
 def test_each_plan_is_replayed_or_the_reason_is_there() -> None:
     made = reproduction("replay")
     records = {(record["plan"], record["drive"]): record for record in quick_results.chapter("replay")["replays"]}

@@ -203,6 +203,7 @@ def test_scenarios_that_share_a_name_are_refused():
         robustness_study(1, scenarios=(SHORT, replace(SHORT, end=2.6)), drives=("open loop",), jobs=1)
 
 
+@pytest.mark.long
 def test_the_trials_do_not_depend_on_the_number_of_processes():
     options = {"scenarios": (SHORT,), "drives": ("open loop",), "seed": 5}
     assert robustness_study(2, jobs=1, **options).trials == robustness_study(2, jobs=2, **options).trials

@@ -175,6 +175,7 @@ def test_rates_of_other_units_or_columns_are_refused(case, tmp_path):
     assert caught.value.details["column"] in table
 
 
+@pytest.mark.long_for("0.001-6")
 @pytest.mark.parametrize("digits", [6, 17])
 @pytest.mark.parametrize("dt", [1e-3, 0.01, 0.05, 0.2, 0.5])
 def test_right_motions_pass_however_they_are_sampled(dt, digits, tmp_path):

@@ -71,6 +71,7 @@ def test_circle_matches_the_closed_form():
     require_exact(circle_plan(), trajectory)
 
 
+@pytest.mark.long_for("0.0001-crossings2", "0.0-crossings0")
 @pytest.mark.parametrize(
     ("dip", "crossings"),
     [
@@ -136,6 +137,7 @@ def test_carriers_are_consistent_in_time():
         assert error.max() < 1e-6 * np.abs(rate).max()
 
 
+@pytest.mark.long
 def test_efforts_are_continuous_at_switch_on():
     for speed, threshold in ((0.5, 5.0), (0.5, 20.0), (0.75, 5.0)):
         plan = circle_plan(speed, threshold)
@@ -298,7 +300,7 @@ def test_sampled_motion_gives_nearly_the_same_plan():
     np.testing.assert_allclose(sampled.tau[smooth], exact.tau[smooth], atol=1e-6)
 
 
-@examples(4, suppress_health_check=[HealthCheck.filter_too_much])
+@examples(2, suppress_health_check=[HealthCheck.filter_too_much])
 @given(
     base=st.floats(0.4, 0.7),
     aside=st.floats(-0.06, 0.06),

@@ -29,6 +29,7 @@ def first_crossing(trajectory):
     return high
 
 
+@pytest.mark.long_for("0.001")
 @pytest.mark.parametrize("mass", [1e-3, 0.3])
 def test_end_effector_mass_needs_a_force_along_the_legs(mass):
     """m a·u, by hand: a the acceleration of the end-effector, u = (1, 0) the line of both legs."""
@@ -90,6 +91,7 @@ def test_cylinder_mass_stays_solvable():
     assert plan.status is not PlanStatus.UNBOUNDED_EFFORT
 
 
+@pytest.mark.long_for("start0-end0-0.2", "start1-end1-0.5")
 @pytest.mark.parametrize("speed", [0.2, 0.5])
 @pytest.mark.parametrize(("start", "end"), [((0.25, 0.65), (0.25, 0.25)), ((0.3, 0.25), (0.3, 0.65))])
 def test_five_bar_has_no_bounded_crossing(start, end, speed):
@@ -221,6 +223,7 @@ def test_a_datum_that_is_no_number(datum):
         plan_switch_off(two_rpr(), reference.circle(), datum=datum)
 
 
+@pytest.mark.long_for("RneaDynamics")
 @pytest.mark.parametrize("backend", [VirtualWork, RneaDynamics])
 def test_a_carrier_that_runs_away_is_named(backend):
     """Gravity in the plane: with the actuators off the carriers are driven off within the window."""

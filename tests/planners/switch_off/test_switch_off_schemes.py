@@ -37,6 +37,7 @@ def test_backward_differences_are_what_they_say():
     assert np.abs(error).max() < 1e-7
 
 
+@pytest.mark.long_for("0.75-5.0-jumps1")
 @pytest.mark.parametrize(
     ("speed", "threshold", "jumps"),
     [
@@ -86,6 +87,7 @@ def test_threshold_on_the_margin():
     assert plan.diagnostics["worst_measure"] < 1e-12
 
 
+@pytest.mark.long_for("20.0")
 @pytest.mark.parametrize("threshold", [10.0, 20.0])
 def test_shortest_return_in_a_plan(threshold):
     plan = plan_switch_off(two_rpr(), reference.circle(), threshold=threshold, return_time="shortest")
@@ -98,6 +100,7 @@ def test_shortest_return_in_a_plan(threshold):
     assert shorter.status is PlanStatus.VIOLATES_LIMITS
 
 
+@pytest.mark.long
 def test_shortest_returns_decide_whether_windows_merge():
     plan = plan_switch_off(two_rpr(), reference.circle(), threshold=400.0, return_time="shortest")
     assert len(plan.diagnostics["windows"]) == 2

@@ -266,6 +266,7 @@ def test_forces_of_carriers_on_curved_tracks_are_limited_and_minimised_by_their_
     assert squares[0] < 0.9 * min(squares[1:])
 
 
+@pytest.mark.long
 def test_limits_that_no_course_keeps_are_named_by_the_exact_problem(robot, exact):
     most = exact("line", "peak").peak_effort.max()
     with pytest.raises(InfeasiblePlanError) as caught:
@@ -273,6 +274,7 @@ def test_limits_that_no_course_keeps_are_named_by_the_exact_problem(robot, exact
     assert "effort" in {event["constraint"] for event in caught.value.details["relaxations"]}
 
 
+@pytest.mark.long
 def test_several_first_guesses(robot):
     plan = plan_of(robot, "line", "effort", refinements=0, starts=3)
     assert plan.diagnostics["starts"]["converged"] == 3

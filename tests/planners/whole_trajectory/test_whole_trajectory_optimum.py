@@ -19,6 +19,7 @@ def objective_of(plan, name):
     return plan.diagnostics["objective"][name]
 
 
+@pytest.mark.long_for("peak")
 @pytest.mark.parametrize("objective", [pytest.param("effort", marks=pytest.mark.long), "peak"])
 def test_circle_through_both_singularities(objective):
     trajectory = reference.circle(0.5, 0.2, 0.05)

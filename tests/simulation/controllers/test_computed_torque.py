@@ -178,6 +178,7 @@ def test_settings_out_of_their_domain(changed, message):
         ComputedTorque(crossing(), **changed)
 
 
+@pytest.mark.long
 def test_limited_carriers_are_made_up_for_by_main_efforts():
     motion, robot = crossing(), two_rpr()
     start = perturbed(robot, motion, 0.3, AWAY, SPEED)
