@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Generator, Iterator
 from pathlib import Path
@@ -20,6 +21,16 @@ from redundancy_pin.robot import Robot
 settings.register_profile("fixed", derandomize=True, deadline=None, max_examples=40 * FACTOR)
 settings.register_profile("explore", deadline=None, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
+
+
+# collected tests stay to the end: the collector looks at them neither while they are made nor, again and again, later
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Let what was collected be, and the garbage of tests be collected."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(params=zoo.SHIPPED)
