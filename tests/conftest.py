@@ -23,14 +23,15 @@ settings.register_profile("explore", deadline=None, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 
-# collected tests stay to the end: the collector looks at them neither while they are made nor, again and again, later
-gc.disable()
-
-
-def pytest_collection_finish() -> None:
-    """Let what was collected be, and the garbage of tests be collected."""
-    gc.freeze()
-    gc.enable()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Let the garbage collector leave the tests alone, now and later: they stay to the end."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(params=zoo.SHIPPED)
