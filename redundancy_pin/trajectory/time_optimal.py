@@ -97,34 +97,23 @@ def least_duration(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike
 
 
 def _groups(path: Path, max_speed: ArrayLike, max_acceleration: ArrayLike) -> list[_Group]:
-    n = path.dimension
+    each = np.arange(path.dimension)[:, None]
     pose = path.evaluate(np.zeros(1)).x.ndim == 3
+    parts = {2: each.reshape(2, 3), 6: each} if pose else {len(each): each, 1: each.T}
     limits = []
     for name, values in (("max_speed", max_speed), ("max_acceleration", max_acceleration)):
         given = checked(np.atleast_1d(values), name, ("n",))
-        if len(given) not in ((2, 6) if pose else (1, n)):
-            wanted = "two numbers (of the origin and of the rotation) or six" if pose else f"one number or {n}"
+        if len(given) not in parts:
+            wanted = "two numbers (of the origin and of the rotation) or six" if pose else f"one number or {len(each)}"
             raise InputError(f"{name} has {len(given)} values.", remedy=f"Give {wanted}.", name=name)
         if not (given > 0.0).all():
             raise InputError(f"{name} is {given.min():g}, expected positive numbers.", name=name)
-        whole = np.repeat(given, 3) if pose and len(given) == 2 else given
-        limits.append((len(given), whole))
-    (few, speed), (_, acceleration) = limits
-    if len({count for count, _ in limits}) > 1:
+        limits.append(given.tolist())
+    if len(limits[0]) != len(limits[1]):
         raise InputError(
             "max_speed and max_acceleration have different numbers of values.", remedy="Give as many of each."
         )
-    parts = (
-        [np.arange(n)] if few == 1 else [np.arange(3), np.arange(3, 6)] if pose and few == 2 else np.arange(n)[:, None]
-    )
-    return [
-        _Group(
-            part,
-            float(speed[part[0]]) if len(speed) > 1 else float(speed[0]),
-            float(acceleration[part[0]]) if len(acceleration) > 1 else float(acceleration[0]),
-        )
-        for part in parts
-    ]
+    return [_Group(*group) for group in zip(parts[len(limits[0])], *limits, strict=True)]
 
 
 def _optimum(path: Path, groups: list[_Group]) -> tuple[Array, Array, Array]:
