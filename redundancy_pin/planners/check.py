@@ -41,8 +41,9 @@ from redundancy_pin.planners.limits import (
     motion_broken,
     require_dynamics,
 )
-from redundancy_pin.planners.plan import Plan, PlanStatus, reconstruction_error
+from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import record_difference, robot_record
+from redundancy_pin.planners.samples_only import reconstruction_error
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.singularities.roots import zeros
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
