@@ -1,4 +1,4 @@
-"""Plans that are samples and nothing else (files of version 0.1.0, plans put together by hand): what is between them."""
+"""Plans that are samples alone (files of version 0.1.0, plans put together by hand): what is between them."""
 
 from __future__ import annotations
 

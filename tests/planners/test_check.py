@@ -15,7 +15,8 @@ import redundancy_pin as rp
 from redundancy_pin.errors import InputError, PlanFileError, UnsupportedRobotError
 from redundancy_pin.planners.check import _merged
 from redundancy_pin.planners.limits import LimitEvent, motion_broken
-from redundancy_pin.planners.plan import Plan, PlanStatus, reconstruction_error
+from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.planners.samples_only import reconstruction_error
 from redundancy_pin.robot import CarrierLimits
 from redundancy_pin.trajectory import reference
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
