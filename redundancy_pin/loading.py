@@ -372,8 +372,9 @@ def _where_open(robot: Robot, q: Array) -> str:
 
 def _require_radians(robot: Robot, positions: Mapping[str, float], key: str) -> None:
     """Check that no joint that turns is put beyond a turn that its limits do not ask for: it would be in degrees."""
+    counted = {name for each in robot.couplings for name in (each.joint, each.of)}  # their turns
     for name, value in positions.items():
-        if not is_revolute(robot, name) or abs(value) <= 2.0 * np.pi:
+        if name in counted or not is_revolute(robot, name) or abs(value) <= 2.0 * np.pi:
             continue
         joint = robot.model.joints[robot.model.getJointId(name)]
         ends = [float(limit[joint.idx_q]) for limit in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit)]

@@ -10,35 +10,21 @@ from __future__ import annotations
 
 import time
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-import pinocchio as pin
 
-from engines.links import FrameOnLink, LinkClosure, LinkTree, link_tree
+from engines.links import LinkTree, link_tree
 from engines.missing import require
 from engines.run import EngineRun, Raw, finished, joined
 from engines.task import Segment, Task, segments
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError, UnsupportedRobotError
-from redundancy_pin.kinematics.closure import ConstraintSystem
-from redundancy_pin.robot import AXES
+from redundancy_pin.errors import InputError
+from redundancy_pin.writers import IMPEDANCE, mjcf
 
 Integrator = Literal["RK4", "Euler", "implicitfast"]
-
-IMPEDANCE = 0.9999
-"""The highest impedance MuJoCo accepts (its mjMAXIMP): the share of the acceleration a constraint may ask for."""
-
-LEAST_INERTIA = 1e-12
-"""Mass, kg, and moments of inertia, kg·m², of links that have none: MuJoCo accepts no zero. On machines of a kilogram
-and a metre this changes the motion by a millionth of a micrometre."""
-
-LEAST_SHARE = 1e-8
-"""Smallest eigenvalue of the open tree's mass matrix, its diagonal scaled to 1, that MuJoCo can divide by: the rounding
-of accelerations grows with its inverse."""
 
 TIME_CONSTANT = 2.0
 """Time constant of the constraints in steps; MuJoCo raises anything smaller to this (its option refsafe)."""
@@ -90,9 +76,10 @@ def run_mujoco(
         raise InputError(f"integrator is {integrator!r}.", remedy='Use "RK4", "Euler" or "implicitfast".')
     mj = require("mujoco")
     tree = link_tree(task.robot)
-    model = mj.MjModel.from_xml_string(mjcf(tree, constant, impedance, integrator))
+    text = ElementTree.tostring(mjcf(task.robot, longest, constant, impedance, integrator), encoding="unicode")
+    model = mj.MjModel.from_xml_string(text)
     data = mj.MjData(model)
-    at = np.array([int(model.joint(str(i)).qposadr[0]) for i in range(len(tree.links))])
+    at = np.array([int(model.joint(link.name).qposadr[0]) for link in tree.links])
     data.qpos[at], data.qvel[at] = tree.from_q(task.q), tree.from_v(task.v)
     found: list[Raw] = []
     for part in parts:
@@ -101,119 +88,6 @@ def run_mujoco(
             break
     settings = {"step": longest, "time_constant": constant, "impedance": impedance, "integrator": integrator}
     return finished(tree, task, joined(found), "mujoco", str(mj.__version__), settings)
-
-
-def mjcf(tree: LinkTree, time_constant: float, impedance: float, integrator: Integrator) -> str:
-    """Return the robot as MJCF.
-
-    Args:
-        tree: the robot.
-        time_constant: of the soft constraints, s.
-        impedance: of the soft constraints.
-        integrator: MuJoCo's name of the integrator.
-
-    Raises:
-        UnsupportedRobotError: an open tree without inertia in some direction, or a closure that MuJoCo's constraints
-            cannot express.
-    """
-    _require_inertia(tree)
-    root = ElementTree.Element("mujoco", model=tree.robot.name)
-    _add(
-        root,
-        "compiler",
-        angle="radian",
-        boundmass=LEAST_INERTIA,
-        boundinertia=LEAST_INERTIA,
-        inertiafromgeom="false",
-        fusestatic="false",
-    )
-    option = _add(
-        root, "option", gravity=tree.gravity, integrator=integrator, solver="Newton", tolerance=0, iterations=50
-    )
-    _add(option, "flag", contact="disable", warmstart="enable")
-    bodies = [_add(root, "worldbody")]
-    for index, link in enumerate(tree.links):
-        body = _add(bodies[link.parent + 1], "body", pos=link.translation, quat=_quaternion(link.rotation))
-        _add(body, "joint", name=index, type={"revolute": "hinge", "prismatic": "slide"}[link.kind], axis=(0, 0, 1))
-        moments, axes = np.linalg.eigh(link.inertia)
-        axes = axes * np.sign(np.linalg.det(axes))
-        moments = np.maximum(moments, 0.0)
-        _add(body, "inertial", pos=link.centre, quat=_quaternion(axes), mass=link.mass, diaginertia=moments)
-        bodies.append(body)
-    equality = _add(root, "equality")
-    for number, closure in enumerate(tree.closures):
-        kind, places = constraint_of(tree, closure)
-        for place, offset in enumerate(places):
-            names = [f"{number}_{place}_{side}" for side in "ab"]
-            for name, frame in zip(names, (closure.a, closure.b), strict=True):
-                _site(bodies[frame.link + 1], name, frame, offset)
-            _add(
-                equality,
-                kind,
-                site1=names[0],
-                site2=names[1],
-                solref=(time_constant, 1.0),
-                solimp=(impedance, impedance, 0.001, 0.5, 2.0),
-            )
-    return ElementTree.tostring(root, encoding="unicode")
-
-
-def constraint_of(tree: LinkTree, closure: LinkClosure) -> tuple[str, list[Array]]:
-    """Return MuJoCo's constraint for a closure, and the points of the frames (3,), m, it joins.
-
-    Rows that no motion of the tree can violate (z of a planar mechanism) may be added: soft constraints stand them.
-
-    Raises:
-        UnsupportedRobotError: no constraint of MuJoCo's has this mask.
-    """
-    held = set(closure.axes) | _idle(tree, closure)
-    rotations = [axis for axis in AXES[3:] if axis in held]
-    if {"x", "y", "z"} <= held:
-        if not any(axis.startswith("r") for axis in closure.axes):
-            return "connect", [np.zeros(3)]
-        if len(rotations) == 3:
-            return "weld", [np.zeros(3)]
-        if len(rotations) == 2:  # a hinge: two points on its axis
-            free = next(i for i in range(3) if AXES[3 + i] not in held)
-            return "connect", [np.zeros(3), tree.robot.characteristic_length * np.eye(3)[free]]
-    raise UnsupportedRobotError(
-        f"The closure {closure.name!r} holds {', '.join(closure.axes)}, which no constraint of MuJoCo does.",
-        remedy="Use Exudyn, whose joints take any mask.",
-        closure=closure.name,
-    )
-
-
-def _idle(tree: LinkTree, closure: LinkClosure) -> set[str]:
-    """Return the axes along which the frames cannot part, whatever the joints do."""
-    robot = tree.robot
-    declared = next(c for c in robot.closures if c.name == closure.name)
-    whole = ConstraintSystem(replace(robot, closures=(replace(declared, axes=AXES),)))
-    rng = np.random.default_rng(0)
-    steps = rng.uniform(-1.0, 1.0, (_TRIALS, robot.model.nv))
-    state = whole.evaluate(np.array([pin.integrate(robot.model, np.array(robot.q_reference), d) for d in steps]))
-    moved = np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)
-    return {axis for axis, size in zip(AXES, moved, strict=True) if size < _STILL}
-
-
-def _require_inertia(tree: LinkTree) -> None:
-    """MuJoCo divides by the mass matrix of the open tree, so each joint needs inertia behind it, closures or not."""
-    robot = tree.robot
-    upper = pin.crba(robot.model, robot.model.createData(), np.array(robot.q_reference))
-    mass = np.triu(upper) + np.triu(upper, 1).T
-    size = np.sqrt(np.diag(mass))
-    if (size > 0.0).all():
-        values, vectors = np.linalg.eigh(mass / np.outer(size, size))
-        if values[0] > LEAST_SHARE:
-            return
-        worst = int(np.abs(vectors[:, 0]).argmax())
-    else:
-        worst = int(size.argmin())
-    name = next(link.name for link in tree.links if link.velocity == worst)
-    raise UnsupportedRobotError(
-        f"With the closures open, joint {name!r} moves (nearly) no mass, and MuJoCo divides by what it moves.",
-        remedy="Give its link a mass (the 2-RPR: cylinder_mass and piston_mass), or use Exudyn.",
-        joint=name,
-    )
 
 
 def _integrate(mj: Any, model: Any, data: Any, task: Task, tree: LinkTree, part: Segment, at: Array) -> Raw:
@@ -253,34 +127,8 @@ def _silent(mj: Any) -> Iterator[None]:
         mj.set_mju_user_warning(before)
 
 
-def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
-    return ElementTree.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
-
-
-def _text(value: object) -> str:
-    if isinstance(value, Iterable) and not isinstance(value, str):
-        return " ".join(repr(float(part)) for part in value)
-    return repr(float(value)) if isinstance(value, float) else str(value)
-
-
-def _site(body: ElementTree.Element, name: str, frame: FrameOnLink, offset: Array) -> None:
-    _add(body, "site", name=name, pos=frame.translation + frame.rotation @ offset, quat=_quaternion(frame.rotation))
-
-
-def _quaternion(rotation: Array) -> Array:
-    """Return (w, x, y, z), MuJoCo's order."""
-    x, y, z, w = pin.Quaternion(np.array(rotation)).coeffs()
-    return np.array([w, x, y, z])
-
-
 _ROUNDING = 1e-9
 """By which the longest step may exceed the one asked for: times are divided."""
-
-_TRIALS = 5
-"""Random configurations at which a row has to be idle."""
-
-_STILL = 1e-12
-"""Rounding of a row of a one-metre machine."""
 
 _LEAP = 1.0
 """Change of a joint in one step, m or rad, that is no motion."""

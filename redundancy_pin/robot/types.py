@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import pinocchio as pin
@@ -281,6 +282,44 @@ class Robot(Frozen):
         payloads = of_kind(added, Payload)
         model = carrying(self.model, payloads) if payloads else self.model
         return replace(self, model=model, loads=self.loads + added)
+
+    def to_mjcf(self, path: str | Path, *, step: float = 1e-3) -> Path:
+        """Write the robot as MJCF that MuJoCo runs: loops, couplings, motors, damping, and its reference as a keyframe.
+
+        Joints and motors have the names of the robot's, main actuators first: ``data.ctrl`` are efforts. MuJoCo's
+        constraints are soft; they are as stiff as it takes at that step.
+
+        Args:
+            path: the file.
+            step: of the integration, s.
+
+        Returns:
+            The path that was written.
+
+        Raises:
+            UnsupportedRobotError: a joint, closure or load that MJCF does not say; a joint that moves no mass.
+            OutputError: the file cannot be written.
+        """
+        written: Path = importlib.import_module("redundancy_pin.writers").write_mjcf(self, path, step)
+        return written
+
+    def to_urdf(self, path: str | Path) -> Path:
+        """Write the tree of the robot as URDF, and beside it, as .yaml, the declaration that makes this robot of it.
+
+        Closures, roles, limits, couplings and forces in joints are in the declaration, payloads in the masses.
+
+        Args:
+            path: the URDF.
+
+        Returns:
+            The path of the URDF.
+
+        Raises:
+            UnsupportedRobotError: a joint or a load that these files do not say.
+            OutputError: a file cannot be written.
+        """
+        written: Path = importlib.import_module("redundancy_pin.writers").write_urdf(self, path)
+        return written
 
     @property
     def n(self) -> int:

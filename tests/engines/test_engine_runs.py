@@ -1,6 +1,7 @@
 """The planned efforts in Exudyn and MuJoCo: the planned motion comes out, with the order the methods promise."""
 
 import dataclasses
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -19,11 +20,11 @@ from engines import (
 )
 from engines.cases import SHORT, prepare
 from engines.links import link_tree
-from engines.mujoco import IMPEDANCE, constraint_of, mjcf
 from spatial_chains import CHAINS, chain_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError
+from redundancy_pin.writers import constraint_of, mjcf
 
 MOTION_TOLERANCE = 1e-5
 """m and rad: what the comparison with outside engines asks for, without control over the whole motion."""
@@ -201,10 +202,10 @@ def test_the_other_integrators_of_mujoco_are_of_first_order(mujoco, smooth, inte
 def test_the_mjcf_has_pinocchios_mass_matrix_and_gravity(mujoco, seed):
     robot = random_tree(seed, joints=6)
     tree = link_tree(robot)
-    model = mujoco.MjModel.from_xml_string(mjcf(tree, 0.01, IMPEDANCE, "RK4"))
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(mjcf(robot, 1e-3, 0.01), encoding="unicode"))
     data = mujoco.MjData(model)
     q, v = random_state(robot, seed)
-    at = [int(model.joint(str(i)).qposadr[0]) for i in range(len(tree.links))]
+    at = [int(model.joint(link.name).qposadr[0]) for link in tree.links]
     data.qpos[at], data.qvel[at] = tree.from_q(q), tree.from_v(v)
     mujoco.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
@@ -228,8 +229,7 @@ def closed_along(robot, axes):
 
 def test_masks_become_the_constraints_mujoco_has():
     def kinds(robot):
-        tree = link_tree(robot)
-        return [(kind, len(places)) for kind, places in (constraint_of(tree, closure) for closure in tree.closures)]
+        return [(kind, len(places)) for kind, places in (constraint_of(robot, closure) for closure in robot.closures)]
 
     planar, spatial = zoo.robot_of("four_bar"), zoo.robot_of("gough")
     assert kinds(planar) == [("connect", 1)]
@@ -243,8 +243,8 @@ def test_masks_become_the_constraints_mujoco_has():
 
 
 def test_the_second_point_of_a_hinge_lies_on_its_axis():
-    tree = link_tree(closed_along(zoo.robot_of("gough"), ("x", "y", "z", "ry", "rz")))
-    _, (first, second) = constraint_of(tree, tree.closures[0])
+    robot = closed_along(zoo.robot_of("gough"), ("x", "y", "z", "ry", "rz"))
+    _, (first, second) = constraint_of(robot, robot.closures[0])
     assert not first.any()
     assert second[0] > 0.0
     assert not second[1:].any()
@@ -252,7 +252,7 @@ def test_the_second_point_of_a_hinge_lies_on_its_axis():
 
 def test_mujoco_refuses_an_open_tree_without_inertia():
     with pytest.raises(UnsupportedRobotError, match="joint 'slide_2' moves") as caught:
-        mjcf(link_tree(zoo.robot_of("2rpr", end_effector_mass=0.5)), 0.01, IMPEDANCE, "RK4")
+        mjcf(zoo.robot_of("2rpr", end_effector_mass=0.5), 1e-3, 0.01)
     assert "piston_mass" in caught.value.remedy
 
 

@@ -1,0 +1,444 @@
+"""Write robots for other programs: MJCF that MuJoCo runs, loops and motors included; URDF, a declaration beside it."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.io.files import require_writable, write_text
+from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.kinematics.tree import motion_subspace
+from redundancy_pin.robot import AXES, Closure, JointForces, Payload, Robot
+from redundancy_pin.robot.mechanism import angles
+
+IMPEDANCE = 0.9999
+"""The highest impedance that MuJoCo accepts (its mjMAXIMP): the share of the acceleration a constraint may ask for."""
+
+LEAST_INERTIA = 1e-12
+"""Mass, kg, and moments of inertia, kg·m², of links that have none: MuJoCo accepts no zero. On machines of a kilogram
+and a metre this changes the motion by a millionth of a micrometre."""
+
+LEAST_SHARE = 1e-8
+"""Smallest eigenvalue of the open tree's mass matrix, its diagonal scaled to 1, that MuJoCo can divide by: the rounding
+of accelerations grows with its inverse."""
+
+_TRIALS = 5
+"""Random configurations at which a row has to be idle."""
+
+_STILL = 1e-12
+"""Rounding of a row of a one-metre machine."""
+
+_MOST_COUPLED = 5
+"""Numbers of the polynomial of an equality of MuJoCo."""
+
+
+# --- MJCF -------------------------------------------------------------------------------------------------------------
+
+
+def write_mjcf(robot: Robot, path: str | Path, step: float = 1e-3) -> Path:
+    """Write a robot as MJCF; see ``Robot.to_mjcf``."""
+    if not (np.isfinite(step) and step > 0.0):
+        raise InputError(f"The step is {step}.", remedy="Pass a positive number of seconds.", step=step)
+    target = require_writable(path)
+    root = mjcf(robot, step, 2.0 * step)
+    ElementTree.indent(root)
+    write_text(target, ElementTree.tostring(root, encoding="unicode") + "\n")
+    return target
+
+
+def mjcf(
+    robot: Robot, step: float, time_constant: float, impedance: float = IMPEDANCE, integrator: str = "RK4"
+) -> ElementTree.Element:
+    """Return a robot as MJCF: joints, sites and motors by the names of the robot's joints and frames.
+
+    Args:
+        robot: the robot.
+        step: of the integration, s.
+        time_constant: of the soft constraints, s, critically damped.
+        impedance: of the soft constraints.
+        integrator: MuJoCo's name of the integrator.
+
+    Raises:
+        UnsupportedRobotError: a joint or a closure that MuJoCo has not, loads that MJCF does not say, or an open tree
+            without inertia in some direction.
+    """
+    _require_inertia(robot)
+    forces = _forces(robot)
+    model, data = robot.model, robot.model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    root = ElementTree.Element("mujoco", model=robot.name)
+    _add(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false", fusestatic="false")
+    solver = {"solver": "Newton", "tolerance": 0, "iterations": 50}
+    option = _add(root, "option", gravity=robot.gravity, timestep=step, integrator=integrator, **solver)
+    _add(option, "flag", contact="disable", warmstart="enable")
+    bodies = [_add(root, "worldbody")]
+    for index in range(1, model.njoints):
+        name, placement = str(model.names[index]), model.jointPlacements[index]
+        parent = bodies[model.parents[index]]
+        body = _add(parent, "body", name=name, pos=placement.translation, quat=_quaternion(placement.rotation))
+        _add(body, "joint", **_joint(model, data, index), **forces.get(name, {}))
+        _inertial(body, model.inertias[index])
+        bodies.append(body)
+    equality = _add(root, "equality")
+    soft = {"solref": (time_constant, 1.0), "solimp": (impedance, impedance, 0.001, 0.5, 2.0)}
+    for closure in robot.closures:
+        kind, places = constraint_of(robot, closure)
+        for number, offset in enumerate(places):
+            names = [f"{closure.name}:{number}{side}" for side in "ab"]
+            for name, frame in zip(names, (closure.frame_a, closure.frame_b), strict=True):
+                _site(bodies, model, name, frame, offset)
+            _add(equality, kind, site1=names[0], site2=names[1], **soft)
+    for coupling in robot.couplings:
+        if len(coupling.polynomial) > _MOST_COUPLED:
+            raise UnsupportedRobotError(
+                f"The coupling {coupling.name!r} has a polynomial of degree {len(coupling.polynomial) - 1}.",
+                remedy=f"MuJoCo takes degrees up to {_MOST_COUPLED - 1}.",
+                coupling=coupling.name,
+            )
+        powers = np.zeros(_MOST_COUPLED)
+        powers[: len(coupling.polynomial)] = coupling.polynomial
+        other = {"joint2": coupling.of} if coupling.of else {}
+        _add(equality, "joint", name=coupling.name, joint1=coupling.joint, **other, polycoef=powers, **soft)
+    if robot.platform is not None:
+        _site(bodies, model, f"platform:{robot.platform.frame}", robot.platform.frame, np.zeros(3))
+    motors = _add(root, "actuator")
+    for name in (*robot.actuated, *robot.carriers):
+        _add(motors, "motor", name=name, joint=name)
+    _add(_add(root, "keyframe"), "key", name="reference", qpos=_position(model, np.array(robot.q_reference)))
+    return root
+
+
+def _joint(model: pin.Model, data: pin.Data, index: int) -> dict[str, object]:
+    """Return MuJoCo's joint for one of Pinocchio's, as attributes."""
+    name, joint = str(model.names[index]), model.joints[index]
+    kind, attributes = str(joint.shortname()).removeprefix("JointModel"), {"name": name}
+    if kind == "Spherical":
+        return {**attributes, "type": "ball"}
+    if kind == "FreeFlyer" and model.parents[index] == 0 and model.jointPlacements[index].isIdentity():
+        return {**attributes, "type": "free"}
+    if joint.nv != 1:
+        raise UnsupportedRobotError(
+            f"Joint {name!r} has type {joint.shortname()}, which MuJoCo has not, or not there.",
+            remedy="Build it from hinges, slides and balls.",
+            joint=name,
+        )
+    subspace = motion_subspace(model, data, index)[:, 0]
+    turning = bool(np.abs(subspace[3:]).any())
+    described: dict[str, object] = {
+        **attributes,
+        "type": "hinge" if turning else "slide",
+        "axis": subspace[3:] if turning else subspace[:3],
+        "armature": float(model.armature[joint.idx_v]),
+    }
+    if joint.nq == 1:
+        ends = [float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit)]
+        if np.isfinite(ends).all() and ends[0] < ends[1]:
+            described["range"] = ends
+    return described
+
+
+def constraint_of(robot: Robot, closure: Closure) -> tuple[str, list[Array]]:
+    """Return MuJoCo's constraint for a closure, and the points of the frames (3,), m, it joins.
+
+    Rows that no motion of the tree can violate (z of a planar mechanism) may be added: soft constraints stand them.
+
+    Raises:
+        UnsupportedRobotError: no constraint of MuJoCo's has this mask.
+    """
+    held = set(closure.axes) | _idle(robot, closure)
+    rotations = [axis for axis in AXES[3:] if axis in held]
+    if {"x", "y", "z"} <= held:
+        if not any(axis.startswith("r") for axis in closure.axes):
+            return "connect", [np.zeros(3)]
+        if len(rotations) == 3:
+            return "weld", [np.zeros(3)]
+        if len(rotations) == 2:  # a hinge: two points on its axis
+            free = next(i for i in range(3) if AXES[3 + i] not in held)
+            return "connect", [np.zeros(3), robot.characteristic_length * np.eye(3)[free]]
+    raise UnsupportedRobotError(
+        f"The closure {closure.name!r} holds {', '.join(closure.axes)}, which no constraint of MuJoCo does.",
+        remedy="Use Exudyn, whose joints take any mask.",
+        closure=closure.name,
+    )
+
+
+def _idle(robot: Robot, closure: Closure) -> set[str]:
+    """Return the axes along which the frames cannot part, whatever the joints do."""
+    whole = ConstraintSystem(replace(robot, closures=(replace(closure, axes=AXES),), couplings=()))
+    rng = np.random.default_rng(0)
+    steps = rng.uniform(-1.0, 1.0, (_TRIALS, robot.model.nv))
+    state = whole.evaluate(np.array([pin.integrate(robot.model, np.array(robot.q_reference), d) for d in steps]))
+    moved = np.abs(state.Jc).max(axis=(0, 2)) + np.abs(state.phi).max(axis=0)
+    return {axis for axis, size in zip(AXES, moved, strict=True) if size < _STILL}
+
+
+def _require_inertia(robot: Robot) -> None:
+    """MuJoCo divides by the mass matrix of the open tree, so each joint needs inertia behind it, closures or not."""
+    upper = pin.crba(robot.model, robot.model.createData(), np.array(robot.q_reference))
+    mass = np.triu(upper) + np.triu(upper, 1).T
+    size = np.sqrt(np.diag(mass))
+    if (size > 0.0).all():
+        values, vectors = np.linalg.eigh(mass / np.outer(size, size))
+        if values[0] > LEAST_SHARE:
+            return
+        worst = int(np.abs(vectors[:, 0]).argmax())
+    else:
+        worst = int(size.argmin())
+    joints = zip(robot.model.names, robot.model.joints, strict=True)
+    name = next(str(name) for name, joint in list(joints)[1:] if joint.idx_v <= worst < joint.idx_v + joint.nv)
+    raise UnsupportedRobotError(
+        f"With the closures open, joint {name!r} moves (nearly) no mass, and MuJoCo divides by what it moves.",
+        remedy="Give its link a mass (the 2-RPR: cylinder_mass and piston_mass), or use Exudyn.",
+        joint=name,
+    )
+
+
+def _forces(robot: Robot) -> dict[str, dict[str, float]]:
+    """Return what acts in each joint, as attributes of MuJoCo's."""
+    found: dict[str, dict[str, float]] = {}
+    for load in robot.loads:
+        if isinstance(load, Payload):  # the model has it
+            continue
+        if not isinstance(load, JointForces) or load.rotor_inertia:
+            raise UnsupportedRobotError(
+                f"MJCF does not say {load!r}.", remedy="Write the robot without, and apply it as a force in MuJoCo."
+            )
+        named = {"damping": load.damping, "frictionloss": load.friction}
+        named |= {"stiffness": load.stiffness, "springref": load.rest} if load.stiffness else {}
+        have = found.setdefault(load.joint, {})
+        if "stiffness" in have and "stiffness" in named:
+            raise UnsupportedRobotError(
+                f"The joint {load.joint!r} has several springs.", remedy="Make one of them: MuJoCo has one a joint."
+            )
+        for key, value in named.items():
+            have[key] = have.get(key, 0.0) + value
+    return found
+
+
+def _inertial(body: ElementTree.Element, inertia: pin.Inertia) -> None:
+    moments, axes = np.linalg.eigh(inertia.inertia)
+    axes = axes * np.sign(np.linalg.det(axes))
+    moments, mass = np.maximum(moments, LEAST_INERTIA), max(float(inertia.mass), LEAST_INERTIA)
+    _add(body, "inertial", pos=inertia.lever, quat=_quaternion(axes), mass=mass, diaginertia=moments)
+
+
+def _site(bodies: list[ElementTree.Element], model: pin.Model, name: str, frame: str, offset: Array) -> None:
+    found = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+    place = found.placement
+    quat = _quaternion(place.rotation)
+    _add(bodies[found.parentJoint], "site", name=name, pos=place.act(offset), quat=quat)
+
+
+def _position(model: pin.Model, q: Array) -> Array:
+    """Return MuJoCo's qpos of a configuration (nq,)."""
+    parts: list[Array] = []
+    for joint in list(model.joints)[1:]:
+        own = q[joint.idx_q : joint.idx_q + joint.nq]
+        if joint.nq == 2:
+            own = np.arctan2(own[1:], own[:1])
+        elif joint.nq >= 4:  # w, x, y, z there
+            own = np.concatenate([own[:-4], own[-1:], own[-4:-1]])
+        parts.append(own)
+    return np.concatenate(parts)
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Return (w, x, y, z), MuJoCo's order."""
+    x, y, z, w = pin.Quaternion(np.array(rotation)).coeffs()
+    return np.array([w, x, y, z])
+
+
+def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
+    return ElementTree.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
+
+
+def _text(value: object) -> str:
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        return " ".join(repr(float(part)) for part in value)
+    return repr(float(value)) if isinstance(value, float) else str(value)
+
+
+# --- URDF -------------------------------------------------------------------------------------------------------------
+
+
+def write_urdf(robot: Robot, path: str | Path) -> Path:
+    """Write a robot as URDF with a declaration; see ``Robot.to_urdf``."""
+    target = require_writable(path)
+    beside = require_writable(target.with_suffix(".yaml"))
+    root = ElementTree.Element("robot", name=robot.name)
+    model, data = robot.model, robot.model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    if model.armature.any():
+        names = [str(model.names[i]) for i in range(1, model.njoints) if model.armature[model.joints[i].idx_v]]
+        raise UnsupportedRobotError(
+            f"A URDF does not say the armature of {', '.join(names)}.", remedy="Write MJCF, or make it a rotor_inertia."
+        )
+    forces = {load.joint: load for load in robot.loads if isinstance(load, JointForces)}
+    names = _link_names(robot)
+    linear = (each for each in robot.couplings if each.of and len(each.polynomial) <= 2)
+    mimics = {each.joint: (each.of, (*each.polynomial, 0.0)[:2]) for each in linear}
+    for index in range(model.njoints):
+        link = _add(root, "link", name=names[index])
+        inertia = model.inertias[index]
+        if inertia.mass or np.any(inertia.inertia):
+            _urdf_inertial(link, inertia)
+    for index in range(1, model.njoints):
+        _urdf_joint(root, model, data, index, names, forces, mimics)
+    for frame in _named_frames(robot):
+        found = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+        _add(root, "link", name=frame)
+        joint = _add(root, "joint", name=f"{frame}::fixed", type="fixed")
+        _add(joint, "parent", link=names[found.parentJoint])
+        _add(joint, "child", link=frame)
+        _origin(joint, found.placement)
+    ElementTree.indent(root)
+    write_text(target, ElementTree.tostring(root, encoding="unicode") + "\n")
+    write_text(beside, _declaration(robot, target.name))
+    return target
+
+
+def _named_frames(robot: Robot) -> list[str]:
+    frames = [name for closure in robot.closures for name in (closure.frame_a, closure.frame_b)]
+    frames += [robot.platform.frame] if robot.platform else []
+    return list(dict.fromkeys(frames))
+
+
+def _link_names(robot: Robot) -> list[str]:
+    """Return a name for the body behind each joint that no frame has; the base first."""
+    taken = set(_named_frames(robot))
+    names = ["base", *(f"{name}::body" for name in list(robot.model.names)[1:])]
+    return [name if name not in taken else f"{name}::link" for name in names]
+
+
+def _urdf_inertial(link: ElementTree.Element, inertia: pin.Inertia) -> None:
+    part, matrix = _add(link, "inertial"), inertia.inertia
+    _add(part, "origin", xyz=inertia.lever)
+    _add(part, "mass", value=float(inertia.mass))
+    entries = {f"i{a}{b}": float(matrix[i, j]) for i, a in enumerate("xyz") for j, b in enumerate("xyz") if i <= j}
+    _add(part, "inertia", **entries)
+
+
+def _urdf_joint(
+    root: ElementTree.Element,
+    model: pin.Model,
+    data: pin.Data,
+    index: int,
+    names: list[str],
+    forces: dict[str, JointForces],
+    mimics: dict[str, tuple[str, tuple[float, float]]],
+) -> None:
+    name, joint = str(model.names[index]), model.joints[index]
+    if joint.nv != 1 and not str(joint.shortname()).endswith("FreeFlyer"):
+        raise UnsupportedRobotError(
+            f"A URDF has no joint like {name!r} ({joint.shortname()}).",
+            remedy="Build it from hinges and slides, or write MJCF.",
+            joint=name,
+        )
+    kind, axis = "floating", np.zeros(3)
+    if joint.nv == 1:
+        subspace = motion_subspace(model, data, index)[:, 0]
+        turning = bool(np.abs(subspace[3:]).any())
+        axis = subspace[3:] if turning else subspace[:3]
+        kind = "continuous" if joint.nq == 2 else "revolute" if turning else "prismatic"
+    element = _add(root, "joint", name=name, type=kind)
+    _add(element, "parent", link=names[model.parents[index]])
+    _add(element, "child", link=names[index])
+    _origin(element, model.jointPlacements[index])
+    if joint.nv != 1:
+        return
+    _add(element, "axis", xyz=axis)
+    limits = {"effort": model.upperEffortLimit[joint.idx_v], "velocity": model.upperVelocityLimit[joint.idx_v]}
+    if joint.nq == 1:
+        lower, upper = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+        limits |= {"lower": lower, "upper": upper} if np.isfinite([lower, upper]).all() else {"lower": 0, "upper": 0}
+    # zeros stand for limits that are not known
+    _add(element, "limit", **{key: float(value) if np.isfinite(value) else 0.0 for key, value in limits.items()})
+    own = forces.get(name)
+    if own is not None and (own.damping or own.friction):
+        _add(element, "dynamics", damping=own.damping, friction=own.friction)
+    if name in mimics:
+        of, (offset, multiplier) = mimics[name]
+        _add(element, "mimic", joint=of, multiplier=multiplier, offset=offset)
+
+
+def _origin(parent: ElementTree.Element, place: pin.SE3) -> None:
+    yaw, pitch, roll = angles(place.rotation)
+    _add(parent, "origin", xyz=place.translation, rpy=(roll, pitch, yaw))
+
+
+def _declaration(robot: Robot, urdf: str) -> str:
+    """Return the robot.yaml that goes with the URDF."""
+    q, model = np.array(robot.q_reference), robot.model
+    positions = {}
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        if joint.nv == 1 and name not in robot.carriers:
+            positions[str(name)] = float(q[joint.idx_q] if joint.nq == 1 else np.arctan2(*q[joint.idx_q :][1::-1]))
+    data: dict[str, Any] = {"name": robot.name, "urdf": urdf, "gravity": robot.gravity.tolist()}
+    data["closures"] = [
+        {"name": each.name, "frames": [each.frame_a, each.frame_b], "axes": list(each.axes)} for each in robot.closures
+    ]
+    data["couplings"] = [
+        {
+            "name": each.name,
+            "joint": each.joint,
+            **({"of": each.of} if each.of else {}),
+            "polynomial": list(each.polynomial),
+        }
+        for each in robot.couplings
+    ]
+    data["actuated"] = list(robot.actuated)
+    data["carriers"] = [
+        {
+            "joint": name,
+            "position": [limits.lower, limits.upper],
+            **{key: value for key in ("speed", "acceleration", "force") if np.isfinite(value := getattr(limits, key))},
+        }
+        for name, limits in zip(robot.carriers, robot.carrier_limits, strict=True)
+    ]
+    if robot.platform:
+        data["independent"] = {"platform": robot.platform.frame, "axes": list(robot.platform.axes)}
+        data["reference"] = {"platform": _reference(robot), "guess": positions}
+    else:
+        free = {name: positions.pop(name) for name in robot.independent_joints}
+        data["independent"] = {"joints": list(robot.independent_joints)}
+        data["reference"] = {"joints": free, "guess": positions}
+    if robot.working_modes:
+        modes = robot.working_modes
+        data["working_modes"] = {"joints": list(modes.joints), "signs": list(modes.signs)}
+        data["working_modes"]["default"] = list(robot.working_mode)
+    data["characteristic_length"] = robot.characteristic_length
+    data |= _declared_loads(robot)
+    lines = [f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in data.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _reference(robot: Robot) -> Any:
+    system = ConstraintSystem(robot)
+    x = coordinates(robot, system.evaluate(np.array(robot.q_reference)[None]))[0]
+    if x.ndim == 1:
+        return x.tolist()
+    yaw, pitch, roll = angles(x[:3, :3])
+    return {"xyz": x[:3, 3].tolist(), "rpy": [roll, pitch, yaw]}
+
+
+def _declared_loads(robot: Robot) -> dict[str, Any]:
+    """Return what the declaration says of loads; payloads are in the masses."""
+    joints = []
+    for load in robot.loads:
+        if isinstance(load, JointForces):
+            joints.append({key: value for key, value in asdict(load).items() if value or key == "gear"})
+        elif not isinstance(load, Payload):
+            raise UnsupportedRobotError(
+                f"{load!r} is not written.", remedy="Write the robot without, and load it again."
+            )
+    return {"joint_forces": joints, "urdf_dynamics": False} if joints else {}

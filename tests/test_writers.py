@@ -1,0 +1,132 @@
+"""Robots written for other programs: MuJoCo runs its file with this package's efforts; URDFs give the same again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mjcf_models import GEARED, SPATIAL, write
+from zoo import home_of, robot_of
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError, OutputError, UnsupportedRobotError
+from redundancy_pin.robot import Robot
+from redundancy_pin.robot.loads import JointForces, Payload, Spring
+
+MOTION_TOLERANCE = 1e-5
+"""m and rad: what is asked of outside engines, without control over the whole motion."""
+
+STEP, DURATION = 5e-4, 0.4
+
+
+def efforts_of(robot: Robot, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the efforts (N, m + k) of a motion from rest, carriers parked, and its configurations (N, nq)."""
+    home = home_of(robot)
+    swing = 0.05 * robot.characteristic_length / np.arange(1, robot.n + 1)
+    wave, rate, second = (
+        1.0 - np.cos(8.0 * t), 8.0 * np.sin(8.0 * t), 64.0 * np.cos(8.0 * t)
+    )  # fmt: skip
+    motion = rp.PlatformMotion(t, home + np.outer(wave, swing), np.outer(rate, swing), np.outer(second, swing))
+    reduced = rp.RneaDynamics(robot).reduce(motion)
+    return np.concatenate([rp.distribute(reduced).tau, reduced.carrier_force], axis=1), rp.lift(robot, motion).q
+
+
+def run(robot: Robot, path: Path) -> float:
+    """Return how far MuJoCo's motion is from the planned one at the end, under efforts held over each step."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(robot.to_mjcf(path, step=STEP)))
+    data = mujoco.MjData(model)
+    t = np.linspace(0.0, DURATION, int(DURATION / STEP) + 1)
+    middle, _ = efforts_of(robot, t[:-1] + 0.5 * STEP)
+    _, q = efforts_of(robot, t)
+    at = [int(model.joint(str(name)).qposadr[0]) for name in list(robot.model.names)[1:]]
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    np.testing.assert_allclose(data.qpos[at], q[0], atol=1e-9)
+    worst = 0.0
+    for k, effort in enumerate(middle):
+        data.ctrl[:] = effort
+        mujoco.mj_step(model, data)
+        worst = max(worst, float(np.abs(data.qpos[at] - q[k + 1]).max()))
+    assert np.abs(q[-1] - q[0]).max() > 0.01
+    return worst
+
+
+@pytest.mark.parametrize("name", ["five_bar", "3rrr"])
+def test_mujoco_makes_the_planned_motion(name: str, tmp_path: Path) -> None:
+    assert run(robot_of(name), tmp_path / "robot.xml") < MOTION_TOLERANCE
+
+
+@pytest.mark.engines
+@pytest.mark.parametrize("name", ["four_bar", "2rpr", "geared"])
+def test_mujoco_makes_the_planned_motion_of_others(name: str, tmp_path: Path) -> None:
+    """With damping, armature and couplings, too."""
+    if name == "geared":
+        robot = rp.load_robot(write(tmp_path, GEARED))
+    else:
+        masses = {"cylinder_mass": 0.3, "piston_mass": 0.2, "end_effector_mass": 0.5} if name == "2rpr" else {}
+        robot = robot_of(name, **masses)
+    assert run(robot, tmp_path / "robot.xml") < MOTION_TOLERANCE
+
+
+def test_what_is_written_as_mjcf_is_read_as_the_same_robot(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    robot = rp.load_robot(write(tmp_path, GEARED))
+    again = rp.load_robot(robot.to_mjcf(tmp_path / "again.xml"), keyframe="reference")
+    np.testing.assert_allclose(again.q_reference, robot.q_reference, atol=1e-9)
+    assert again.loads == robot.loads
+    assert [each.polynomial for each in again.couplings] == [
+        pytest.approx((*each.polynomial, *(0.0,) * (5 - len(each.polynomial)))[: len(each.polynomial)])
+        for each in robot.couplings
+    ]
+    x = home_of(robot)[None]
+    motion = rp.PlatformMotion([0.0], x, np.ones_like(x), -np.ones_like(x))
+    ours, theirs = (rp.RneaDynamics(each).reduce(motion) for each in (robot, again))
+    np.testing.assert_allclose(theirs.f, ours.f, rtol=1e-9, atol=1e-9)
+    spatial = rp.load_robot(write(tmp_path, SPATIAL))  # with a ball, and a universal joint that MuJoCo has not
+    with pytest.raises(UnsupportedRobotError, match="no constraint of MuJoCo"):
+        spatial.to_mjcf(tmp_path / "spatial.xml")
+
+
+@pytest.mark.parametrize("name", ["five_bar", "gough", "geared"])
+def test_a_urdf_and_its_declaration_are_the_same_robot(name: str, tmp_path: Path) -> None:
+    plain = GEARED.replace('<joint armature="0.01"/>', "")
+    robot = rp.load_robot(write(tmp_path, plain)) if name == "geared" else robot_of(name)
+    robot = robot.loaded(
+        Payload(robot.closures[0].frame_a, 0.4, [0.1, 0.0, 0.2]),
+        JointForces(robot.actuated[0], 0.2, rotor_inertia=0.01, gear=-5.0),
+    )
+    path = robot.to_urdf(tmp_path / "written.urdf")
+    again = rp.load_robot(path.with_suffix(".yaml"))
+    np.testing.assert_allclose(again.q_reference, robot.q_reference, atol=1e-9)
+    assert (again.actuated, again.carriers, again.working_mode) == (robot.actuated, robot.carriers, robot.working_mode)
+    assert again.carrier_limits == robot.carrier_limits
+    assert again.couplings == robot.couplings
+    if "geared" not in name:
+        assert np.isfinite(again.model.lowerPositionLimit).all()
+    x = home_of(robot)[None]
+    xd = np.random.default_rng(1).normal(size=(1, robot.n))
+    motion = rp.PlatformMotion([0.0], x, xd, -2.0 * xd)
+    ours, theirs = (rp.RneaDynamics(each).reduce(motion) for each in (robot, again))
+    np.testing.assert_allclose(theirs.f, ours.f, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(theirs.W, ours.W, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(theirs.carrier_force, ours.carrier_force, rtol=1e-9, atol=1e-9)
+
+
+def test_what_files_do_not_say_is_refused_by_name(tmp_path: Path) -> None:
+    robot = robot_of("five_bar")
+    frames = robot.closures[0].frame_a, "base"
+    springy = robot.loaded(Spring(*frames, 10.0))
+    for writer in (springy.to_mjcf, springy.to_urdf):
+        with pytest.raises(UnsupportedRobotError, match="Spring"):
+            writer(tmp_path / "robot.xml")
+    with pytest.raises(UnsupportedRobotError, match="JointForces"):
+        robot.loaded(JointForces(robot.actuated[0], rotor_inertia=0.1)).to_mjcf(tmp_path / "robot.xml")
+    with pytest.raises(UnsupportedRobotError, match="armature of crank"):
+        rp.load_robot(write(tmp_path, GEARED)).to_urdf(tmp_path / "robot.urdf")
+    with pytest.raises(InputError, match=r"The step is 0\.0"):
+        robot.to_mjcf(tmp_path / "robot.xml", step=0.0)
+    with pytest.raises(OutputError):
+        robot.to_mjcf(tmp_path / "no" / "robot.xml")
+    with pytest.raises(UnsupportedRobotError, match="moves \\(nearly\\) no mass"):
+        robot_of("2rpr", end_effector_mass=0.5).to_mjcf(tmp_path / "robot.xml")
