@@ -335,7 +335,7 @@ def _urdf_joint(
     index: int,
     names: list[str],
     forces: dict[str, JointForces],
-    mimics: dict[str, tuple[str, tuple[float, float]]],
+    mimics: dict[str, tuple[str, tuple[float, ...]]],
 ) -> None:
     name, joint = str(model.names[index]), model.joints[index]
     if joint.nv != 1 and not str(joint.shortname()).endswith("FreeFlyer"):
