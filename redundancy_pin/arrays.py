@@ -244,15 +244,21 @@ def each(
         InputError: no numbers, another number of them, NaN, or one that is not positive or not finite.
     """
     text = shown(values.tolist() if isinstance(values, np.ndarray) else values)  # as a user typed it
-    wanted = f"two ends, or two for each of {shape[0]}" if len(shape) == 2 else f"one number or {shape[0]}"
+    count = f"two ends, or two for each of {shape[0]} carriers" if len(shape) == 2 else f"{shape[0]} numbers or one"
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is {text}, expected {wanted}.", name=name, value=values) from error
-    if np.isnan(numbers).any() or (above_zero and (numbers <= 0.0).any()) or (finite and np.isinf(numbers).any()):
-        kind = " and ".join(word for word, wish in (("positive", above_zero), ("finite", finite)) if wish)
-        remedy = "" if finite else "Pass inf where there is no limit."
-        raise InputError(f"{name} is {text}, expected {wanted}, {kind or 'not NaN'}.", remedy=remedy, name=name)
+        raise InputError(f"{name} is {text}, expected {count}.", name=name, value=values) from error
+    if np.isnan(numbers).any() or (finite and np.isinf(numbers).any()):
+        raise InputError(f"{name} is {text}, expected {count}, {'finite' if finite else 'no NaN'}.", name=name)
+    if above_zero and not (numbers > 0.0).all():
+        remedy = "" if finite else "Pass inf for no limit."
+        raise InputError(
+            f"{name} is {text}, but {'scales' if finite else 'limits'} must be positive.",
+            remedy=remedy,
+            name=name,
+            value=values,
+        )
     return numbers
 
 

@@ -58,7 +58,7 @@ class Limits(Frozen):
             track = np.array(each(self.track, "track", (k, 2)))
             if not (track[:, 0] < track[:, 1]).all():
                 raise InputError(
-                    f"track is {shown(track.tolist())}, but the ends of a track must increase.",
+                    f"track is {shown(np.asarray(self.track).tolist())}, but the ends of a track must increase.",
                     remedy="Give the lower end first.",
                     value=self.track,
                 )

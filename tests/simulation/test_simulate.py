@@ -244,7 +244,7 @@ REFUSED = {
     "no law": ({"duration": 1.0, "carriers": "motion"}, "carrier_motion"),
     "stop_at": ({"duration": 1.0, "stop_at": ["lunch"]}, "joint_limit"),
     "limit": ({"duration": 1.0, "effort_limit": -1.0}, "effort_limit is -1.0"),
-    "limits": ({"duration": 1.0, "carrier_force_limit": [1.0, 2.0]}, "expected one number or 3"),
+    "limits": ({"duration": 1.0, "carrier_force_limit": [1.0, 2.0]}, "expected 3 numbers or one"),
     "drive": ({"duration": 1.0, "drive": 3.0}, "given float for the drive"),
     "one answer": ({"duration": 1.0, "drive": Constantly(np.zeros(3))}, "Constantly.effort returned"),
     "short answer": ({"duration": 1.0, "drive": Constantly((np.zeros(2), np.zeros(3)))}, r"main efforts \(3,\)"),
@@ -271,7 +271,7 @@ def test_bad_starts_are_refused_by_name() -> None:
             rp.simulate(robot, start=start, duration=1.0)
     with pytest.raises(InputError, match="A robot was expected, not list"):
         rp.simulate(["3rrr"], duration=1.0)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"s is .0.1, 0.2., expected one number or 3"):
+    with pytest.raises(InputError, match=r"s is .0.1, 0.2., expected 3 numbers or one"):
         closed_state(robot, s=[0.1, 0.2])
     assert rp.simulate(robot, start=closed_state(robot, s=[0.0, 1.5, 0.0]), duration=0.01, stop_at=()).s[0, 1] == 1.5
 
