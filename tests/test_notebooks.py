@@ -89,8 +89,10 @@ def test_it_ends_with_asserted_numbers(path: Path) -> None:
     assert compared
 
 
+@pytest.mark.long_for(*(path.stem for path in NOTEBOOKS[:5] + NOTEBOOKS[6:]))
 @each_notebook
 def test_it_runs(path: Path, tmp_path: Path) -> None:
+    """One of them here: ``make docs`` runs them all, and an exception in one ends it."""
     notebook = _read(path)
     _run(notebook, tmp_path)
     outputs = [output for cell in _code(notebook) for output in cell.outputs]

@@ -27,7 +27,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("way.json").write_text(json.dumps({"points": WAY.tolist(), "t": TIMES.tolist()}))
 
 
-@pytest.mark.long_for("flags1-arguments1", "flags3-arguments3")
+@pytest.mark.long_for("flags1-arguments1", "flags3-arguments3", "flags0-arguments0")
 @pytest.mark.parametrize(
     ("flags", "arguments"),
     [

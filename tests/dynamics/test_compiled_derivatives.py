@@ -120,7 +120,7 @@ def assert_motion_derivatives(robot: Robot, seed: int, columns: int | None = Non
 # --- by the motion ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.long_for("hinge", "five_bar")
+@pytest.mark.long_for("hinge", "five_bar", "universal")
 @pytest.mark.parametrize("name", ["2rpr", "five_bar", "four_bar", *spatial_chains.CHAINS])
 def test_by_the_motion(name: str) -> None:
     assert_motion_derivatives(robot_of(name), 1)

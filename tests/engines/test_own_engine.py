@@ -93,6 +93,7 @@ def test_planned_efforts_too(engine, planned, name):
     assert np.abs(difference(own, engine(task, step=1e-3))).max() < TOLERANCE
 
 
+@pytest.mark.long
 @pytest.mark.long_for("exudyn")
 def test_a_stepwise_plan_too_whose_carriers_jump_in_acceleration_at_every_sample(engine):
     robot, trajectory = zoo.robot_of("3rrr"), rp.trajectory.reference.corner(0.025)
@@ -104,7 +105,7 @@ def test_a_stepwise_plan_too_whose_carriers_jump_in_acceleration_at_every_sample
     assert np.abs(drive.carriers(plan.t).s - plan.carriers.s).max() > 1e-3
 
 
-@pytest.mark.long_for("3rrr-projected")
+@pytest.mark.long_for("3rrr-projected", "3rrr-constraint_dynamics")
 @pytest.mark.parametrize("method", ["projected", "constraint_dynamics"])
 @pytest.mark.parametrize("name", ["2rpr", "3rrr"])
 def test_a_plan_is_followed_by_the_efforts_that_engines_get(planned, name, method):

@@ -26,7 +26,7 @@ def still(x):
     return rp.PlatformMotion(np.arange(len(x), dtype=float), x, 0 * x, 0 * x)
 
 
-@pytest.mark.long_for("1000000.0", "1000000000.0")
+@pytest.mark.long_for("1000000.0", "1000000000.0", "100.0")
 @pytest.mark.parametrize("far", [1e2, 1e6, 1e9, 1e14])
 def test_a_pose_beyond_all_reach_is_an_error_and_not_a_burden(far):
     robot = rp.load_robot("five_bar")

@@ -91,6 +91,7 @@ def test_a_marked_motion_may_start_out_of_reach() -> None:
         lift(robot, motion)
 
 
+@pytest.mark.long
 def test_a_motion_out_of_reach_throughout_is_marked_throughout() -> None:
     tree = lift(zoo.robot_of("five_bar"), line([3.0, 3.0], [4.0, 3.0], 20), mark_unreachable=True)
     assert not tree.reachable.any()
@@ -164,6 +165,7 @@ def test_a_leg_through_its_base_hinge_leaves_the_mode_and_is_named() -> None:
     assert "working mode ++" in caught.value.message
 
 
+@pytest.mark.long_for("20")
 @pytest.mark.parametrize("samples", [20, 21])
 def test_a_leg_through_its_base_hinge_is_marked_and_taken_up_in_the_mode(samples: int) -> None:
     """Of 21 samples one is at the hinge, of 20 none: behind it the branch has d < 0, the mode has d > 0."""

@@ -35,6 +35,7 @@ def when(first: float, last: float, angle: float) -> float:
 
 
 # the rank loss on a sample, between two samples, and two of them; angles are measured from the line of the base hinges
+@pytest.mark.long_for("1.2--4.0-flat2")
 @pytest.mark.parametrize(
     ("first", "last", "flat"),
     [(1.0, -1.0, [0.0]), (1.2, 3.9, [np.pi]), (1.2, -4.0, [0.0, -np.pi]), (1.2, 0.3, [])],

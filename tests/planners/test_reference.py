@@ -49,6 +49,7 @@ def inside(plan: Plan, seed: int = 0) -> Array:
     return np.sort(np.random.default_rng(seed).uniform(plan.t[0], plan.t[-1], 40))
 
 
+@pytest.mark.long_for("off_plan")
 @pytest.mark.parametrize("plan", [stepwise_plan, whole_plan, off_plan])
 def test_planned_carriers_are_one_continuous_motion(plan) -> None:
     plan = plan()

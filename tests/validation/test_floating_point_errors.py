@@ -40,6 +40,9 @@ def test_dynamics_of_a_motion(name: str, backend: type) -> None:
     assert np.isfinite(along.energy()).all()
 
 
+@pytest.mark.long_for(
+    "3-RRR out of reach-RneaDynamics", "past the base hinge-RneaDynamics", "out of reach-RneaDynamics"
+)
 @pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.VirtualWork])
 @pytest.mark.parametrize(
     ("name", "start", "end", "samples"),
@@ -68,6 +71,7 @@ def test_flat_four_bar(tmp_path: Path) -> None:
     rp.find_crossings(robot, motion)
 
 
+@pytest.mark.long
 def test_crossings_and_loci() -> None:
     robot = rp.load_robot("2rpr")
     assert rp.find_crossings(robot, rp.trajectory.reference.circle(speed=0.5))

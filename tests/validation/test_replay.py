@@ -36,6 +36,7 @@ def largest_error(run, reference):
     return platform, carriers
 
 
+@pytest.mark.long_for("True")
 @pytest.mark.parametrize("with_trajectory", [True, False])
 def test_a_whole_trajectory_plan_through_two_singular_poses(with_trajectory):
     robot, circle, plan = crossing()
@@ -56,6 +57,7 @@ def test_a_whole_trajectory_plan_through_two_singular_poses(with_trajectory):
     assert run.gap.max() < 1e-9
 
 
+@pytest.mark.long
 def test_a_whole_trajectory_plan_of_the_corner():
     robot = rp.load_robot("3rrr")
     corner = rp.trajectory.reference.corner(radius=0.025)
@@ -75,6 +77,7 @@ def test_a_stepwise_plan_as_the_continuous_motion_it_stands_for():
     np.testing.assert_allclose(run.x, corner.evaluate(np.minimum(run.t, corner.duration)).x, atol=FOLLOWED)
 
 
+@pytest.mark.long
 def test_holding_the_efforts_of_the_samples_is_another_command():
     # what a replay must not do: the samples of a stepwise plan, held over a step, lead away from the path
     robot, corner, plan = stepwise_corner()

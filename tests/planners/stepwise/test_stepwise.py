@@ -114,6 +114,7 @@ def require_true_minimum(plan, dynamics, motion, limits, target, at):
         np.testing.assert_allclose(plan.carriers.s[j], nearest, atol=PLACE, rtol=0)
 
 
+@pytest.mark.long_for("0.0-0.013", "0.5-0.025")
 @pytest.mark.parametrize(("lam", "radius"), [(0.0, 0.025), (0.5, 0.025), (0.0, 0.013), (1.0, 0.013)])
 def test_each_step_is_the_true_minimum(lam, radius):
     dynamics = dynamics_of(backend=RneaDynamics)  # the plan from one backend, the check from the other
@@ -203,6 +204,7 @@ def test_a_fraction_of_the_baseline_is_met_until_a_limit_binds():
     assert plan.diagnostics["baseline_peak"] == tuple(np.abs(baseline).max(axis=0))
 
 
+@pytest.mark.long_for("settings2")
 @pytest.mark.parametrize(
     "settings", [{}, {"lam": 0.5}, {"active": "accelerating", "lam": 0.5}, {"stop": "within"}, {"two_sided": True}]
 )

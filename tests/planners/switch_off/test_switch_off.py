@@ -243,6 +243,7 @@ def test_thesis_line(speed, threshold, efforts):
     require_exact(plan, reference.line(speed))
 
 
+@pytest.mark.long
 def test_windows_merge_where_the_return_does_not_fit_between_them():
     separate = plan_switch_off(virtual_work(), reference.circle(), threshold=50.0, return_time=0.1)
     assert len(separate.diagnostics["windows"]) == 2

@@ -174,6 +174,7 @@ def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(ro
     assert np.abs(plan.carriers.s).max() > 0.2
 
 
+@pytest.mark.long
 def test_small_changes_of_the_course_do_not_help(robot, planned):
     """To first order around the plan: efforts of the backend itself, along random changes that keep both ends."""
     plan = planned("line", "effort")

@@ -84,7 +84,7 @@ def relaxed(dynamics, limits, details, factor):
     return found
 
 
-@pytest.mark.long_for("6")
+@pytest.mark.long_for("6", "1")
 @pytest.mark.parametrize(
     "seed", [pytest.param(seed, marks=() if seed in (1, 6) else pytest.mark.long) for seed in range(16)]
 )

@@ -85,6 +85,7 @@ def test_an_objective_is_added_by_its_formula(monkeypatch):
     assert measures["fastest_carrier"](plans["fastest_carrier"]) < 0.9 * measures["fastest_carrier"](plans["effort"])
 
 
+@pytest.mark.long_for("absolute")
 @pytest.mark.parametrize("term", ["absolute", "rate"])
 def test_formulas_may_bound_and_differentiate(monkeypatch, term):
     formulas = {
