@@ -52,8 +52,13 @@ def turning(crank: np.ndarray) -> PlatformMotion:
     return PlatformMotion(t, crank[:, None], np.full(size, RATE_OF_CRANK), np.full(size, SECOND_RATE))
 
 
-@pytest.mark.parametrize("mark", [False, True])
-@pytest.mark.parametrize("modes", [False, True])
+@pytest.mark.parametrize(
+    ("modes", "mark"),
+    [
+        (True, False),
+        *(pytest.param(*both, marks=pytest.mark.long) for both in ((False, False), (False, True), (True, True))),
+    ],
+)
 @pytest.mark.parametrize("samples", SAMPLES)
 @pytest.mark.parametrize("linkage", LINKAGES)
 def test_a_four_bar_goes_through_its_flat_pose_on_its_branch(
