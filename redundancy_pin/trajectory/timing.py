@@ -347,6 +347,13 @@ class SpeedProfile(PolynomialLaw):
         up = _peak(self.ramp_length / (self.speed * self.ramp_time))
         return max(up, _peak(self.end_ramp_length / (self.speed * self.end_ramp_time))) * self.speed
 
+    def evaluate(self, t: ArrayLike) -> TimingPoint:
+        """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``. While it cruises nothing accelerates, exactly."""
+        ramps, times = super().evaluate(t), np.asarray(t, dtype=np.float64)
+        cruises = (times >= self.ramp_time) & (times <= self.ramp_time + self.cruise_time)
+        cruise = self.ramp_length + self.speed * (times - self.ramp_time), self.speed, 0.0
+        return TimingPoint(*(np.where(cruises, exact, part) for exact, part in zip(cruise, ramps, strict=True)))
+
     def scaled(self, factor: float) -> SpeedProfile:
         """Return the same profile run ``factor`` times as fast; the ramps keep their lengths."""
         faster = positive(factor, "factor", "(ratio)")

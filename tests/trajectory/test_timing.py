@@ -76,6 +76,13 @@ def test_ramps_reach_the_speed_at_their_ends():
     assert law.duration == pytest.approx(0.4 + 0.75 / 0.5 + 0.6, rel=1e-15)
 
 
+def test_nothing_accelerates_while_it_cruises():
+    law = SpeedProfile(1.0, 0.3, 0.4)
+    point = law.evaluate(np.linspace(0.4, law.duration - 0.41, 50))
+    np.testing.assert_array_equal(point.pd, 0.3)
+    np.testing.assert_array_equal(point.pdd, 0.0)
+
+
 def test_default_ramp_covers_half_the_distance_of_cruising():
     law = SpeedProfile(1.0, 0.5, 0.4)
     assert law.ramp_length == 0.1
