@@ -46,6 +46,30 @@ class Equations(NamedTuple):
     effort: Array
 
 
+class Reading(NamedTuple):
+    """What controllers read off one state: the platform, and M (ẍ, s̈) + h = (W τ, F); d = n + k.
+
+    Attributes:
+        x: (n,) platform coordinates, base frame, m and rad, or a pose (4, 4).
+        xd: (n,) their rate, m/s and rad/s.
+        mass: (d, d) M, kg, kg·m, kg·m².
+        bias: (d,) h: velocity terms and gravity, N or N·m.
+        W: (n, m) generalised force on the platform per unit of main effort.
+        regular: false at a type I pose, where mass, bias and W mean nothing.
+    """
+
+    x: Array
+    xd: Array
+    mass: Array
+    bias: Array
+    W: Array
+    regular: bool
+
+
+Reader = Callable[[Array, Array], Reading]
+"""From q (nq,), v (nv,) to what is read there; for one thread."""
+
+
 class LinearParts(NamedTuple):
     """Derivatives of the equations of motion at N states in motion; see ``simulation.derivatives.DynamicsDerivatives``.
 
@@ -177,6 +201,9 @@ class ForwardKernel(Protocol):
 
     def equations(self, q: Array, v: Array) -> Equations:
         """Return the equations of the tree and its closures at a state."""
+
+    def reader(self) -> Reader:
+        """Return what reads one state at a time."""
 
     def linear(self, q: Array, v: Array, a: Array, tau: Array) -> LinearParts:
         """Return exact derivatives at N states in motion under main efforts (N, m)."""

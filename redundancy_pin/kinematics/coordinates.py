@@ -73,7 +73,7 @@ change as the platform turns: a platform with one rotation does not tilt."""
 
 
 def difference(robot: Robot, target: Array, start: Array) -> Array:
-    """Return (N, n) the increment from ``start`` to ``target``.
+    """Return (N, n) the increment from ``start`` to ``target``, or (n,) from one to the other.
 
     Angles of the platform and of continuous joints go the short way round; between poses it is a translation of the
     origin and a world-aligned rotation vector.
@@ -86,7 +86,8 @@ def difference(robot: Robot, target: Array, start: Array) -> Array:
         return delta[:, pose_rows(robot)]
     delta = target - start
     turns = angle_columns(robot)
-    delta[:, turns] = (delta[:, turns] + np.pi) % (2.0 * np.pi) - np.pi
+    if turns:
+        delta[..., turns] = (delta[..., turns] + np.pi) % (2.0 * np.pi) - np.pi
     return delta
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -121,33 +122,56 @@ class MotionReference:
         self.efforts, self.jumps = series["loads"], series["loads"].jumps()
         self._carriers, self._platform, self._tree = (series[name] for name in ("carriers", "platform", "tree"))
         self._is_pose = is_pose
+        parts = (self._platform, self._carriers, self._tree)
+        self._cuts: list[int] = np.cumsum([part.coefficients.shape[2] for part in parts]).tolist()
 
     def loads(self, t: float) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; outside the motion those at its ends."""
-        both = self.efforts.at(t)
-        return both[: self.robot.m], both[self.robot.m :]
+        return self._loads_of(self.efforts.at(t))
 
     def carriers(self, t: float) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ (k,) at time t."""
-        s, sd, sdd = self._carriers.at(t).reshape(3, -1)
-        return s, sd, sdd
+        return self._carriers_of(self._carriers.at(t))
 
     def platform(self, t: float) -> tuple[Array, Array, Array]:
         """Return x, (n,) or a pose (4, 4), ẋ and ẍ (n,) at time t."""
-        flat = self._platform.at(t)
+        return self._platform_of(self._platform.at(t))
+
+    def tree(self, t: float) -> tuple[Array, Array, Array]:
+        """Return q (nq,), v and a (nv,) at time t."""
+        return self._tree_of(self._tree.at(t))
+
+    def at(self, t: float) -> ReferencePoint:
+        """Return everything at time t, s."""
+        flat, (a, b, c) = self._everything.at(t), self._cuts
+        return ReferencePoint(
+            t,
+            *self._platform_of(flat[:a]),
+            *self._carriers_of(flat[a:b]),
+            *self._tree_of(flat[b:c]),
+            *self._loads_of(flat[c:]),
+        )
+
+    @cached_property
+    def _everything(self) -> PiecewisePolynomial:
+        """Platform, carriers, tree and efforts side by side: one look-up in place of four."""
+        return self._platform.beside(self._carriers).beside(self._tree).beside(self.efforts)
+
+    def _loads_of(self, flat: Array) -> tuple[Array, Array]:
+        return flat[: self.robot.m], flat[self.robot.m :]
+
+    def _carriers_of(self, flat: Array) -> tuple[Array, Array, Array]:
+        k = self.robot.k
+        return flat[:k], flat[k : 2 * k], flat[2 * k :]
+
+    def _platform_of(self, flat: Array) -> tuple[Array, Array, Array]:
         n = self.robot.n
         x = flat[: -2 * n]
         return (x.reshape(4, 4) if self._is_pose else x), flat[-2 * n : -n], flat[-n:]
 
-    def tree(self, t: float) -> tuple[Array, Array, Array]:
-        """Return q (nq,), v and a (nv,) at time t."""
-        flat = self._tree.at(t)
+    def _tree_of(self, flat: Array) -> tuple[Array, Array, Array]:
         nv = self.robot.model.nv
         return flat[: -2 * nv], flat[-2 * nv : -nv], flat[-nv:]
-
-    def at(self, t: float) -> ReferencePoint:
-        """Return everything at time t, s."""
-        return ReferencePoint(t, *self.platform(t), *self.carriers(t), *self.tree(t), *self.loads(t))
 
     def tree_and_loads(self, times: Array) -> tuple[Array, Array, Array, Array]:
         """Return q (N, nq), v and a (N, nv), and main efforts and carrier forces side by side (N, m + k), at times."""

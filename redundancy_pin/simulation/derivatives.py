@@ -326,5 +326,6 @@ def state_error(robot: Robot, state: State, x: Array, xd: Array, s: Array, sd: A
         s: (k,) reference positions of the carriers, m.
         sd: (k,) their speeds, m/s.
     """
-    away = difference(robot, np.array(state.x)[None], np.array(x)[None])[0]
+    here = state.x
+    away = difference(robot, here, x) if here.ndim == 1 else difference(robot, here[None], x[None])[0]
     return np.concatenate([away, state.s - s, state.xd - xd, state.sd - sd])

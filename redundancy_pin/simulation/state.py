@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from redundancy_pin.arrays import Array, Frozen, checked, each, read_only
+from redundancy_pin.dynamics.forward import Reader
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.coordinates import velocity_scale
 from redundancy_pin.kinematics.lift import lift
@@ -79,12 +80,14 @@ class State(Frozen):
         t: time, s.
         q: (nq,) configuration.
         v: (nv,) velocity.
+        read: machine code that reads the platform off q and v; None where ``chain`` does.
     """
 
     chain: ClosedChain
     t: float
     q: Array
     v: Array
+    read: Reader | None = None
 
     @property
     def robot(self) -> Robot:
@@ -118,6 +121,8 @@ class State(Frozen):
 
     @cached_property
     def _platform(self) -> tuple[Array, Array]:
+        if self.read is not None:
+            return self.read(self.q, self.v)[:2]
         self.chain.update(self.q, self.v)
         return self.chain.platform_position(), self.chain.platform_jacobian().dot(self.v)
 

@@ -230,6 +230,71 @@ static int accelerations(const double *q, const double *v, const double *force, 
   return FINE;
 }
 
+/* What controllers read off a state, one after the other: coordinates of the platform and their rates; M and h of
+   M (x'', s'') + h = (W tau, F), (D x D) and (D) with D = N_FREEDOMS + NK; W (N_FREEDOMS x M). Returns 0 at a type I pose,
+   where the first two are all there is. */
+int rp_reading(const double *q, const double *v, double rank_tolerance, double *out) {
+  enum { D = N_FREEDOMS + NK, WIDTH = 2 * NP };
+  double trig[2 * NT + 1], K[NP * NP + 1], bias[NP + 1], mass[NV * NV], effort[NV];
+  double A[NP * WIDTH + 1], basis[NV][D + 1] = {{0.0}}, product[NV][D + 1], own[NV] = {0.0};
+  turns_of(q, trig);
+  const double *const arg[] = {q, trig, v};
+  double *const res[] = {out, out + N_COORDINATES};
+  rp_platform(arg, res);
+  out += N_COORDINATES + N_FREEDOMS;
+  rp_dynamics(q, v, K, bias, mass, effort);
+  for (int i = 0; i < NP; ++i)
+    for (int j = 0; j < WIDTH; ++j) A[i * WIDTH + j] = j < NP ? K[i + j * NP] : j - NP == i;
+  for (int k = 0; k < NP; ++k) {
+    int row = k;
+    for (int i = k + 1; i < NP; ++i)
+      if (fabs(A[i * WIDTH + k]) > fabs(A[row * WIDTH + k])) row = i;
+    double pivot = A[row * WIDTH + k];
+    if (!(fabs(pivot) > 0.0)) return 0;
+    for (int j = 0; j < WIDTH; ++j) {
+      double swap = A[row * WIDTH + j];
+      A[row * WIDTH + j] = A[k * WIDTH + j];
+      A[k * WIDTH + j] = swap / pivot;
+    }
+    for (int i = 0; i < NP; ++i) {
+      double factor = A[i * WIDTH + k];
+      if (i != k && factor != 0.0)
+        for (int j = 0; j < WIDTH; ++j) A[i * WIDTH + j] -= factor * A[k * WIDTH + j];
+    }
+  }
+  double most = 0.0;
+  for (int i = 0; i < NP; ++i) most = fmax(most, largest(A + i * WIDTH + NP, NP));
+  if (!(largest(K, NP * NP) * most * rank_tolerance <= 1.0)) return 0;
+  for (int i = 0; i < NP; ++i) {
+    for (int j = 0; j < N_FREEDOMS; ++j) basis[COLUMNS[i]][j] = A[i * WIDTH + NP + R + j];
+    for (int j = 0; j < NP; ++j) own[COLUMNS[i]] -= A[i * WIDTH + NP + j] * bias[j];
+  }
+  for (int j = 0; j < NK; ++j) basis[CARRIERS[j]][N_FREEDOMS + j] = 1.0;
+  for (int i = 0; i < NV; ++i) {
+    for (int j = 0; j < D; ++j) product[i][j] = 0.0;
+    for (int k = 0; k < NV; ++k) {
+      double m = mass[i + k * NV];
+      if (m == 0.0) continue;
+      effort[i] += m * own[k];
+      for (int j = 0; j < D; ++j) product[i][j] += m * basis[k][j];
+    }
+  }
+  for (int i = 0; i < D; ++i)
+    for (int j = 0; j < D; ++j) {
+      double sum = 0.0;
+      for (int k = 0; k < NV; ++k) sum += basis[k][i] * product[k][j];
+      *out++ = sum;
+    }
+  for (int i = 0; i < D; ++i) {
+    *out = 0.0;
+    for (int k = 0; k < NV; ++k) *out += basis[k][i] * effort[k];
+    ++out;
+  }
+  for (int i = 0; i < N_FREEDOMS; ++i)
+    for (int j = 0; j < M; ++j) *out++ = basis[ACTUATED[j]][i];
+  return 1;
+}
+
 int rp_accelerations(const double *q, const double *v, const double *force, const double *given, double rank_tolerance,
                      double least_inertia, double *a, double *inertia, double *closure_force, double *missing) {
   return accelerations(q, v, force, given, rank_tolerance, least_inertia, a, inertia, closure_force, missing);

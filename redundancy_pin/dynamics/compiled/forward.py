@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import fields
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from redundancy_pin.dynamics.compiled.build import FLAGS, built, loaded, tables,
 from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_derivatives
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
-from redundancy_pin.dynamics.forward import Accelerations, Advance, Equations, LinearParts, Loads, Rules
+from redundancy_pin.dynamics.forward import Accelerations, Advance, Equations, LinearParts, Loads, Reading, Rules
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot, Wrench
@@ -83,12 +84,14 @@ def source(robot: Robot) -> str:
         "turns": ([chain.q], [ca.vertcat(*(f(chain.q[i]) for i in chain.turning for f in (ca.cos, ca.sin)))]),
         "moved": ([chain.q, chain.step], [chain.moved]),
         "modes": (pose, [chain.mode_indicators]),
+        "platform": (motion, [chain.coordinates, chain.row_rates[chain.row_rates.numel() - robot.n :]]),
     }
     functions = [
         ca.Function(f"rp_{name}", inputs, [ca.densify(part) for part in ca.cse(outputs)])
         for name, (inputs, outputs) in definitions.items()
     ]
     text = [part for part in tables(chain, functions, "static") if not part.startswith("#define N ")]
+    text.append(f"#define N_COORDINATES {chain.coordinates.numel()}")
     text.append(f"#define N_FREEDOMS {robot.n}\n#define LENGTH {float(robot.characteristic_length)!r}")
     for name, values in {
         "int CARRIERS": robot.carrier_velocity,
@@ -165,6 +168,10 @@ class CompiledForward:
         self._dynamics(*(_address(part) for part in (*state, K, bias, mass, effort)))
         return Equations(K, bias, mass, effort)
 
+    def reader(self) -> CompiledReader:
+        """Return what reads one state at a time, for one thread."""
+        return CompiledReader(self)
+
     def linear(self, q: Array, v: Array, a: Array, tau: Array) -> LinearParts:
         """Return exact derivatives at N states in motion under main efforts (N, m)."""
         robot, samples = self.robot, len(q)
@@ -208,6 +215,36 @@ class CompiledForward:
         return CompiledIntegration(self, rules)
 
 
+class CompiledReader:
+    """Reads states, one at a time, in fixed memory; ``dynamics.forward.Reader``. Copied, it is None."""
+
+    def __init__(self, forward: CompiledForward) -> None:
+        robot = forward.robot
+        n, d, self._nq = robot.n, robot.n + robot.k, forward._nq
+        self._x: tuple[int, ...] = (4, 4) if robot.platform is not None and robot.platform.is_pose else (n,)
+        self._shapes = (d, d), (n, robot.m)
+        sizes = [16 if len(self._x) == 2 else n, n, d * d, d, n * robot.m]
+        self._ends = np.cumsum(sizes).tolist()
+        self._state, self._out = np.zeros(forward._nq + forward._nv), np.full(self._ends[-1], np.nan)
+        v = ctypes.c_void_p(self._state.ctypes.data + 8 * self._nq)
+        self._given = _address(self._state), v, ctypes.c_double(RANK_TOLERANCE), _address(self._out)
+        self._read = forward._library.rp_reading
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return nothing: the memory stays where it is."""
+        return type(None), ()
+
+    def __call__(self, q: Array, v: Array) -> Reading:
+        """Return what there is at q (nq,), v (nv,)."""
+        self._state[: self._nq], self._state[self._nq :] = q, v
+        regular = self._read(*self._given)
+        out, (a, b, c, d, e) = self._out.copy(), self._ends
+        mass, W = self._shapes
+        return Reading(
+            out[:a].reshape(self._x), out[a:b], out[b:c].reshape(mass), out[c:d], out[d:e].reshape(W), bool(regular)
+        )
+
+
 LEAST_INERTIA = 1e-8
 """As in ``simulation.forward``, where the reason is; what lies below is left to it."""
 
@@ -227,6 +264,7 @@ class CompiledIntegration:
         self.recorded = np.full((len(rules.grid), self._width), np.nan)
         self._run, self._at = _Run(), _Progress()
         self._kept: dict[str, Any] = {}
+        self._views: dict[int, Array] = {}
         self._set_method(rules.method)
         for field in fields(rules):
             if field.type == "float":
@@ -289,17 +327,21 @@ class CompiledIntegration:
             return 0
         forward = self._forward
         try:
-            state = (
-                np.frombuffer(bytearray(ctypes.string_at(part, 8 * size)))
-                for part, size in ((q, forward._nq), (v, forward._nv))
-            )
+            state = (self._memory(q, forward._nq).copy(), self._memory(v, forward._nv).copy())
             force, motion = self._asked(t, *state)
-            whole = np.concatenate([force, *(() if motion is None else motion)])
-            ctypes.memmove(out, whole.ctypes.data, whole.nbytes)
+            whole = force if motion is None else np.concatenate([force, *motion])
+            self._memory(out, len(whole))[:] = whole
         except BaseException as error:  # C cannot raise it: the caller does
             self._error = error
             return 0
-        return int(np.isfinite(whole).all())
+        return int(isfinite(sum(whole.tolist())))  # of a few numbers sooner known than by np.isfinite
+
+    def _memory(self, address: int, size: int) -> Array:
+        """Return the memory of C at an address; C hands over the same few again and again."""
+        found = self._views.get(address)
+        if found is None or len(found) != size:
+            found = self._views[address] = np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
+        return found
 
     def _point(self, name: str, values: Array) -> None:
         """Give C the address of an array, which is kept."""

@@ -61,7 +61,7 @@ class ReducedModel:
     """
 
     def __init__(self, robot: Robot, kernel: ForwardKernel | None = None) -> None:
-        self.robot, self._kernel = robot, kernel
+        self.robot, self._read = robot, None if kernel is None else kernel.reader()
         self.chain = ClosedChain(robot)
         nv = robot.model.nv
         self._columns = np.array(self.chain.pose_columns)
@@ -77,19 +77,27 @@ class ReducedModel:
             SingularPoseError: a type I pose, where platform and carriers are no coordinates.
         """
         robot, n, rows = self.robot, self.robot.n, self.chain.rows
-        system, rates, mass, at_rest = self._equations(q, v) if self._kernel is None else self._kernel.equations(q, v)
+        if self._read is not None:
+            *_, mass, bias, W, regular = self._read(q, v)
+            if not regular:
+                raise self._singular()
+            return ReducedEquations(mass, bias, W)
+        system, rates, mass, at_rest = self._equations(q, v)
         _, _, inverse, singular = lapack.dgesv(system, self._identity)
         if singular or np.abs(system).max() * np.abs(inverse).max() * RANK_TOLERANCE > 1.0:
-            raise SingularPoseError(
-                f"{robot.name} is at a type I pose: platform and carriers do not describe its motion there.",
-                remedy="Control it along a motion that keeps away from this pose.",
-            )
+            raise self._singular()
         self._basis[self._columns, :n] = inverse[:, rows:]
         self._particular[self._columns] = -inverse.dot(rates)
         effort = at_rest + mass.dot(self._particular)
         basis = self._basis
         return ReducedEquations(
             basis.T.dot(mass.dot(basis)), basis.T.dot(effort), basis[robot.actuated_velocity, :n].T.copy()
+        )
+
+    def _singular(self) -> SingularPoseError:
+        return SingularPoseError(
+            f"{self.robot.name} is at a type I pose: platform and carriers do not describe its motion there.",
+            remedy="Control it along a motion that keeps away from this pose.",
         )
 
     def _equations(self, q: Array, v: Array) -> Equations:
@@ -204,6 +212,7 @@ class ComputedTorque(Tracking):
         self._kernel = kernel_of(robot, dynamics)
         self._model = ReducedModel(robot, self._kernel)
         self._manifold = Manifold(self._model.chain)
+        self._read = None if self._kernel is None else self._kernel.reader()
         self._rows = row_scale(robot)
         if effort_scale is None:
             largest_tau = np.maximum(largest_tau, correcting_efforts(self.reference, bandwidth**2 * POSITION))
@@ -266,7 +275,7 @@ class ComputedTorque(Tracking):
         v = state.v + lead * a
         found = None if self._kernel is None else self._kernel.project(np.concatenate([q, v]), GAP)
         q, v = self._manifold.project(q, v)[:2] if found is None else np.split(found[0], [len(q)])
-        return State(self._model.chain, t + lead, q, v)
+        return State(self._model.chain, t + lead, q, v, self._read)
 
 
 def correcting_efforts(reference: MotionReference, acceleration: float) -> Array:

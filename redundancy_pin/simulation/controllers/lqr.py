@@ -34,6 +34,7 @@ from redundancy_pin.simulation.controllers.base import (
 from redundancy_pin.simulation.derivatives import linearise_along, state_error
 from redundancy_pin.simulation.state import State
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 LEAST_SHARE = 0.05
 """An actuator that a plan hardly uses may still deviate by this share of the largest of its kind."""
@@ -312,7 +313,7 @@ class TimeVaryingLqr(Tracking):
         else:
             self.t, self.riccati, self.holds_end = _sampled(self.model, self.weights, sampling)
         if sampling is None:
-            self._gain = make_interp_spline(self.t, self.riccati.K, k=1)
+            self._gain = PiecewisePolynomial.linear(self.t, self.riccati.K.reshape(len(self.t), -1))
         nothing = np.zeros(robot.m + robot.k)
         # time of the last answer of a digital controller, its δu, and the δu that acted then: δu of the sample before
         self._memory: tuple[float, Array, Array] = (np.inf, nothing, nothing)
@@ -324,16 +325,14 @@ class TimeVaryingLqr(Tracking):
             i = int(np.searchsorted(self.t, t + 1e-6 * self.sampling.period, side="right")) - 1
             gain: Array = K[min(max(i, 0), len(K) - 1)]
             return gain
-        between: Array = self._gain(min(max(t, self.t[0]), self.t[-1]))
-        return between
+        return self._gain.at(t).reshape(K.shape[1:])
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
         robot, reference = self.robot, self.reference
-        x, xd, _ = reference.platform(t)
-        s, sd, _ = reference.carriers(t)
-        error = state_error(robot, state, x, xd, s, sd)
-        planned = np.concatenate(reference.loads(t + self.lead))
+        point = reference.at(t)
+        error = state_error(robot, state, point.x, point.xd, point.s, point.sd)
+        planned = reference.efforts.at(t + self.lead)
         K = self.gain(t)
         acting = self._acting(t)
         if K.shape[1] > len(error):
