@@ -17,7 +17,7 @@ _Model = TypeVar("_Model", bound=BaseModel)
 class Schema(BaseModel):
     """A mapping with known keys; the description of a field says what is allowed there, in messages too."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 def validated(

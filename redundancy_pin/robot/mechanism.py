@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
@@ -221,6 +220,8 @@ def drawn(shapes: Mapping[str, Sequence[str]]) -> str:
     """
     if not shapes:
         return ""
+    from xml.sax.saxutils import quoteattr  # which imports http and ssl
+
     parts = ["<robot name='shapes'><link name='redundancy_pin::base'/>"]
     for number, (link, visuals) in enumerate(shapes.items()):
         parts.append(f"<link name={quoteattr(link)}>{''.join(visuals)}</link><joint name='at_{number}' type='fixed'>")
