@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol, TypeGuard, cast
+from typing import Any, Literal, NamedTuple, Protocol, TypeGuard, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -166,6 +166,9 @@ def has_expressions(along: DynamicsAlongMotion) -> TypeGuard[ExactAlongMotion]:
     return callable(getattr(along, "expressions", None))
 
 
+_Backend = TypeVar("_Backend", bound="Dynamics")
+
+
 class Dynamics(Protocol):
     """From platform and carrier motion to W τ = f. Planners know this and nothing else; a backend defines ``along``."""
 
@@ -182,16 +185,24 @@ class Dynamics(Protocol):
             WorkingModeError: the motion leaves the robot's working mode.
         """
 
-    def with_external(self, *external: Load) -> Dynamics:
+    def for_robot(self: _Backend, robot: Robot) -> _Backend:
+        """Return the same backend, with its settings, for a robot that differs in its loads.
+
+        Raises:
+            UnsupportedRobotError: a load that the backend does not cover.
+        """
+        raise UnsupportedRobotError(
+            f"{type(self).__name__} takes no loads.", remedy="Make it for a robot that has them: robot.loaded(...)."
+        )
+
+    def with_external(self: _Backend, *external: Load) -> _Backend:
         """Return the same backend for the robot with further loads (``Robot.loaded``): for planners, say.
 
         Raises:
             InputError: no load, an unknown link or joint.
             UnsupportedRobotError: a load that the backend does not cover.
         """
-        raise UnsupportedRobotError(
-            f"{type(self).__name__} takes no loads.", remedy="Make it for a robot that has them: robot.loaded(...)."
-        )
+        return self.for_robot(self.robot.loaded(*external))
 
     def reduce(
         self,

@@ -201,7 +201,7 @@ def _instants(
     among = PlatformMotion(time, x, merged(motion.xd, xd), merged(motion.xdd, xdd), check_rates=False)
     loads = tuple(_between(load, motion.t, time) for load in dynamics.robot.loads)
     if any(new is not old for new, old in zip(loads, dynamics.robot.loads, strict=True)):
-        dynamics = type(dynamics)(replace(dynamics.robot, loads=loads))  # type: ignore[call-arg]
+        dynamics = dynamics.for_robot(replace(dynamics.robot, loads=loads))
     reduced = dynamics.reduce(among, moved, unreachable=unreachable, check_track=False)
     solved = distribute(reduced, consistency_tolerance=_CONSISTENT, rank_tolerance=_AT_INSTANT)
     found = []

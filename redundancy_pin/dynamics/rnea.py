@@ -46,7 +46,7 @@ from redundancy_pin.kinematics.coordinates import column_scale, row_scale, veloc
 from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.robot import Load, Robot, RobotLike, as_robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.loads import wrench_values
 
 _SAMPLES_PER_BLOCK = 20_000
@@ -107,9 +107,9 @@ class RneaDynamics(Dynamics):
         tree = lift(self._robot, motion, mark_unreachable=marked, progress=self._progress)
         return RneaAlongMotion(tree, self._threads)
 
-    def with_external(self, *external: Load) -> RneaDynamics:
-        """Return this backend for the robot with further loads; raises like ``Robot.loaded``."""
-        return RneaDynamics(self._robot.loaded(*external), threads=self._threads, progress=self._progress)
+    def for_robot(self, robot: Robot) -> RneaDynamics:
+        """Return this backend for a robot that differs in its loads."""
+        return RneaDynamics(robot, threads=self._threads, progress=self._progress)
 
     def sample(
         self,

@@ -122,12 +122,13 @@ class MotionReference:
         self.efforts, self.jumps = series["loads"], series["loads"].jumps()
         self._carriers, self._platform, self._tree = (series[name] for name in ("carriers", "platform", "tree"))
         self._is_pose = is_pose
-        parts = (self._platform, self._carriers, self._tree)
+        parts = (self._platform, self._carriers)
         self._cuts: list[int] = np.cumsum([part.coefficients.shape[2] for part in parts]).tolist()
 
     def loads(self, t: float) -> tuple[Array, Array]:
         """Return main efforts (m,) and carrier forces (k,) at time t; outside the motion those at its ends."""
-        return self._loads_of(self.efforts.at(t))
+        both = self.efforts.at(t)
+        return both[: self.robot.m], both[self.robot.m :]
 
     def carriers(self, t: float) -> tuple[Array, Array, Array]:
         """Return s, ṡ, s̈ (k,) at time t."""
@@ -143,22 +144,19 @@ class MotionReference:
 
     def at(self, t: float) -> ReferencePoint:
         """Return everything at time t, s."""
-        flat, (a, b, c) = self._everything.at(t), self._cuts
+        flat, (a, b) = self._motion.at(t), self._cuts
         return ReferencePoint(
             t,
             *self._platform_of(flat[:a]),
             *self._carriers_of(flat[a:b]),
-            *self._tree_of(flat[b:c]),
-            *self._loads_of(flat[c:]),
+            *self._tree_of(flat[b:]),
+            *self.loads(t),
         )
 
     @cached_property
-    def _everything(self) -> PiecewisePolynomial:
-        """Platform, carriers, tree and efforts side by side: one look-up in place of four."""
-        return self._platform.beside(self._carriers).beside(self._tree).beside(self.efforts)
-
-    def _loads_of(self, flat: Array) -> tuple[Array, Array]:
-        return flat[: self.robot.m], flat[self.robot.m :]
+    def _motion(self) -> PiecewisePolynomial:
+        """Platform, carriers and tree side by side: one look-up in place of three."""
+        return self._platform.beside(self._carriers).beside(self._tree)
 
     def _carriers_of(self, flat: Array) -> tuple[Array, Array, Array]:
         k = self.robot.k

@@ -264,7 +264,16 @@ def test_what_cannot_be_said_is_refused_by_name() -> None:
     with pytest.raises(InputError, match="A load is"):
         robot.loaded("platform")  # type: ignore[arg-type]
     with pytest.raises(UnsupportedRobotError, match="takes no loads"):
-        Dynamics.with_external(VirtualWork(robot))
+        Dynamics.for_robot(VirtualWork(robot), robot)
+
+
+def test_backends_keep_their_settings_under_other_loads() -> None:
+    robot, weight = machine("2rpr"), Payload("end_effector", 1.0)
+    own = CompiledDynamics(robot, interpret=True, threads=3).with_external(weight)
+    assert not own.compiled
+    assert own._threads == 3
+    assert own.robot.loads[-1] is weight
+    assert RneaDynamics(robot, threads=2).with_external(weight)._threads == 2
 
 
 def test_symbols_hold_constant_wrenches_only() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import pickle
 from types import SimpleNamespace
 from typing import Any
 
@@ -348,12 +349,35 @@ def slow() -> rp.trajectory.Trajectory:
     return rp.trajectory.Trajectory(line, rp.trajectory.RestToRest(line.length, 0.4, "4-5-6-7"))
 
 
-def test_controllers_make_their_models_by_machine_code() -> None:
+@pytest.mark.parametrize(
+    "name", [*MACHINES, *(pytest.param(name, marks=pytest.mark.long) for name in ("gough", "hinge"))]
+)
+def test_controllers_read_platform_and_equations_off_machine_code(name: str) -> None:
+    robot = machine(name)
+    code, own = ReducedModel(robot, kernel(robot)), ReducedModel(robot)
+    for state in moving.random_states(robot, 4, 3):
+        ours, theirs = code.at(state.q, state.v), own.at(state.q, state.v)
+        for part in ("mass", "bias", "W"):
+            size = np.abs(getattr(theirs, part)).max(initial=0.0)
+            np.testing.assert_allclose(getattr(ours, part), getattr(theirs, part), atol=EQUAL * size, err_msg=part)
+        read = State(state.chain, state.t, state.q, state.v, kernel(robot).reader())
+        np.testing.assert_allclose(read.x, state.x, atol=1e-13)
+        np.testing.assert_allclose(read.xd, state.xd, atol=EQUAL * np.abs(state.xd).max())
+        assert pickle.loads(pickle.dumps(read)).read is None
+
+
+def test_type_i_poses_have_no_equations_in_machine_code_either() -> None:
     robot = moving.massive("2rpr")
     state = moving.random_states(robot, 4, 1)[0]
-    ours, theirs = (ReducedModel(robot, code).at(state.q, state.v) for code in (kernel(robot), None))
-    for part in ("mass", "bias", "W"):
-        np.testing.assert_allclose(getattr(ours, part), getattr(theirs, part), rtol=1e-11, atol=1e-12, err_msg=part)
+    q = state.q.copy()
+    q[[robot.model.joints[robot.model.getJointId(f"slide_{i}")].idx_q for i in (1, 2)]] = 0.0  # legs without length
+    for code in (kernel(robot), None):
+        with pytest.raises(SingularPoseError):
+            ReducedModel(robot, code).at(q, state.v)
+
+
+def test_controllers_make_their_models_by_machine_code() -> None:
+    robot = moving.massive("2rpr")
     reference = motion_reference(robot, slow())
     model, own = linear_model(reference, 0.1, compiled(robot)), linear_model(reference, 0.1)
     np.testing.assert_allclose(model.A, own.A, atol=1e-9 * np.abs(own.A).max())

@@ -51,7 +51,7 @@ from redundancy_pin.errors import (
     WorkingModeError,
 )
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.robot import Load, Robot, RobotLike, Wrench, as_robot
+from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
 
@@ -133,12 +133,11 @@ class CompiledDynamics(Dynamics):
         self._require_coordinates(motion)
         return CompiledAlongMotion(self, _lifted(self, motion, mark=unreachable == "mark"))
 
-    def with_external(self, *external: Load) -> CompiledDynamics:
-        """Return this backend for the robot with further loads; raises like ``Robot.loaded``.
+    def for_robot(self, robot: Robot) -> CompiledDynamics:
+        """Return this backend for a robot that differs in its loads.
 
         What is compiled for one set of loads serves all values of its wrenches.
         """
-        robot = self._robot.loaded(*external)
         shape = shape_of(robot)
         if shape not in self._loaded:
             self._loaded[shape] = CompiledDynamics(robot, threads=self._threads, interpret=self._interpret)

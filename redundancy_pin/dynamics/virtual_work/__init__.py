@@ -21,7 +21,7 @@ from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRr
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
-from redundancy_pin.robot import Load, Robot, RobotLike, as_robot
+from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, joint_ranges
 from redundancy_pin.robot.loads import wrench_values
 
@@ -56,9 +56,9 @@ class VirtualWork(Dynamics):
         """The robot."""
         return self._robot
 
-    def with_external(self, *external: Load) -> VirtualWork:
-        """Return this backend for the robot with further loads; raises like it and ``Robot.loaded``."""
-        return VirtualWork(self._robot.loaded(*external))
+    def for_robot(self, robot: Robot) -> VirtualWork:
+        """Return this backend for a robot that differs in its loads; raises like it."""
+        return VirtualWork(robot)
 
     def along(self, motion: PlatformMotion, *, unreachable: OnUnreachable = "raise") -> VirtualWorkAlongMotion:
         """Solve the kinematics of a platform motion once, for many carrier motions.
