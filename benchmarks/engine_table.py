@@ -44,7 +44,7 @@ STEPS = (1e-3, 1.25e-4)
 LOADED = next(case for case in CASES if case.name == "3-RRR turn while moving")
 """Through a type II pose, where the closures carry most."""
 
-LADDER = tuple(8e-3 / 2 ** (i / 2) for i in range(19))
+LADDER = tuple(32e-3 / 2 ** (i / 2) for i in range(23))
 """Steps of engines, s."""
 
 RTOLS = tuple(10.0 ** (-i / 2) for i in range(6, 23))
