@@ -351,8 +351,9 @@ class SpeedProfile(PolynomialLaw):
         """Return p, ṗ, p̈ at times t; see ``TimingLaw.evaluate``. While it cruises nothing accelerates, exactly."""
         ramps, times = super().evaluate(t), np.asarray(t, dtype=np.float64)
         cruises = (times >= self.ramp_time) & (times <= self.ramp_time + self.cruise_time)
-        cruise = self.ramp_length + self.speed * (times - self.ramp_time), self.speed, 0.0
-        return TimingPoint(*(np.where(cruises, exact, part) for exact, part in zip(cruise, ramps, strict=True)))
+        p = self.ramp_length + self.speed * (times - self.ramp_time)
+        exact = p, np.full(times.shape, self.speed), np.zeros(times.shape)
+        return TimingPoint(*(np.where(cruises, one, other) for one, other in zip(exact, ramps, strict=True)))
 
     def scaled(self, factor: float) -> SpeedProfile:
         """Return the same profile run ``factor`` times as fast; the ramps keep their lengths."""
