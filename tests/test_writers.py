@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from mjcf_models import GEARED, SPATIAL, write
 from zoo import home_of, robot_of
@@ -86,6 +88,21 @@ def test_what_is_written_as_mjcf_is_read_as_the_same_robot(tmp_path: Path) -> No
     spatial = rp.load_robot(write(tmp_path, SPATIAL))  # with a ball, and a universal joint that MuJoCo has not
     with pytest.raises(UnsupportedRobotError, match="no constraint of MuJoCo"):
         spatial.to_mjcf(tmp_path / "spatial.xml")
+
+
+def test_the_keyframe_turns_balls_as_the_reference_does(tmp_path: Path) -> None:
+    """The quaternion is w, x, y, z there."""
+    mujoco = pytest.importorskip("mujoco")
+    robot = dataclasses.replace(rp.load_robot(write(tmp_path, SPATIAL), keyframe="bent"), closures=())
+    model = mujoco.MjModel.from_xml_path(str(robot.to_mjcf(tmp_path / "open.xml")))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    own = robot.model.createData()
+    pin.forwardKinematics(robot.model, own, np.array(robot.q_reference))
+    for name, place in zip(list(robot.model.names)[1:], list(own.oMi)[1:], strict=True):
+        np.testing.assert_allclose(data.body(str(name)).xmat.reshape(3, 3), place.rotation, atol=1e-12)
+        np.testing.assert_allclose(data.body(str(name)).xpos, place.translation, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["five_bar", "gough", "geared"])

@@ -15,28 +15,24 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import did_you_mean, shown
-from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.mechanism import (
-    NOT_IN_FORCE,
     UNLIMITED,
     Mechanism,
     angles,
     drawn,
-    moved_to,
     placed,
     six_joints,
-    together,
 )
 from redundancy_pin.robot.mjcf_file import (
-    ORIENTATION,
     Defaults,
     Included,
     Part,
     Settings,
     about,
     from_quaternion,
-    from_z,
 )
+from redundancy_pin.robot.mjcf_forces import Forces, largest_force
+from redundancy_pin.robot.mjcf_masses import POSE, body_mass, place_of_geom, shape_of
 from redundancy_pin.robot.types import AXES, Closure, Coupling
 from redundancy_pin.robot.urdf_tree import JointEntry, LinkEntry
 from redundancy_pin.robot.xml_files import Element
@@ -46,7 +42,6 @@ _IGNORED = ("visual", "statistic", "asset", "size", "sensor", "custom", "contact
 
 _SECTIONS = (*_IGNORED, "compiler", "option", "worldbody", "equality", "actuator", "tendon")
 
-_POSE = ("pos", *ORIENTATION)
 _SOLVER = ("solref", "solimp", "margin", "gap")
 _OF_JOINT = (
     *("type", "group", "pos", "axis", "range", "limited", "ref", "user", "margin", "springref"),
@@ -54,12 +49,12 @@ _OF_JOINT = (
     *("stiffness", "damping", "frictionloss", "springdamper", "armature", "actuatorgravcomp"),
 )
 _OF_GEOM = (
-    *(*_POSE, *_SOLVER, "type", "size", "fromto", "mass", "density", "group", "rgba", "material", "contype", "user"),
+    *(*POSE, *_SOLVER, "type", "size", "fromto", "mass", "density", "group", "rgba", "material", "contype", "user"),
     *("conaffinity", "condim", "priority", "friction", "solmix", "hfield", "mesh", "fitscale", "shellinertia"),
     *("fluidshape", "fluidcoef"),
 )
-_OF_BODY = (*_POSE, "childclass", "mocap", "gravcomp", "user", "sleep")
-_OF_SITE = (*_POSE, "type", "size", "fromto", "group", "rgba", "material", "user")
+_OF_BODY = (*POSE, "childclass", "mocap", "gravcomp", "user", "sleep")
+_OF_SITE = (*POSE, "type", "size", "fromto", "group", "rgba", "material", "user")
 _OF_ACTUATOR = (
     *(
         "group",
@@ -84,14 +79,6 @@ _OF_COMPILER = (
     *("strippath", "discardvisual", "usethread", "fusestatic", "coordinate", "convexhull", "exactmeshinertia"),
     *("balanceinertia", "boundmass", "boundinertia", "settotalmass", "alignfree", "saveinertial", "fitaabb"),
 )
-_FORCES = {
-    "damping": {"damper"},
-    "frictionloss": {"frictionloss"},
-    "stiffness": {"spring"},
-    "springdamper": {"spring", "damper"},
-}
-"""Attributes of joints, and the flags that disable what they give."""
-
 _EQUALITIES = {
     "connect": ("body1", "body2", "site1", "site2", "anchor"),
     "weld": ("body1", "body2", "site1", "site2", "anchor", "relpose", "torquescale"),
@@ -147,11 +134,9 @@ class _Reader:
         self.bodies, self.sites, self.names = {"world": "world"}, dict[str, str](), dict[str, tuple[str, ...]]()
         """Links of bodies and sites, and joints made of each joint of the file, by its name."""
         self.initial: dict[str, float | Array] = {}
-        self.armature: dict[str, float] = {}
         self.shapes: dict[str, list[str]] = {}
         self.notes: list[str] = []
-        self.loads: list[JointForces] = []
-        self._forces: dict[str, list[str]] = {}
+        self.forces = Forces(self._disabled)
         self._positions: list[tuple[str, ...]] = []  # joints in the order of qpos
         self._skipped: list[tuple[int, int]] = []  # in qpos, of no joint here: before which, how many
         self._colliding = False
@@ -248,7 +233,11 @@ class _Reader:
         start = self._start()
         closures, couplings = self._equalities()
         actuated = self._actuators()
-        self._say_what_is_not_in_force()
+        for part in self._elements("tendon"):
+            self.forces.read_tendon(part)
+        if self._fluid:
+            self.forces.left_out["fluid"] = ["density or viscosity of the option"]
+        self.notes += self.forces.notes(self._colliding)
         return Mechanism(
             self.files.root.get("model") or self.files.path.stem,
             self.links,
@@ -257,8 +246,8 @@ class _Reader:
             actuated,
             self.gravity,
             start,
-            self.armature,
-            tuple(self.loads),
+            self.forces.armature,
+            tuple(self.forces.loads),
             tuple(self.notes),
             drawn(self.shapes),
             couplings=couplings,
@@ -285,7 +274,7 @@ class _Reader:
                 inner.require_known(_OF_SITE)
                 self._site(inner, link, frame)
             elif tag == "frame":
-                inner.require_known((*_POSE, "childclass"))
+                inner.require_known((*POSE, "childclass"))
                 within = frame @ inner.placement()
                 self._contents(inner, body, link, within, child.get("childclass", inherited))
             elif tag in ("joint", "freejoint", "inertial", "geom"):
@@ -302,7 +291,7 @@ class _Reader:
         if part.text("mocap", "false") != "false":
             part.refuse(f"{part} is a mocap body, which is not covered", "Make it a body without joints.")
         if part.number("gravcomp", 0.0) != 0.0:
-            self._forces.setdefault("gravcomp", []).append(part.name or "a body")
+            self.forces.left_out.setdefault("gravcomp", []).append(part.name or "a body")
         inherited = part.element.get("childclass", inherited)
         name = self._fresh(part.name or f"body_{len(self.bodies)}", part)
         if part.name in self.bodies:
@@ -310,7 +299,10 @@ class _Reader:
         place = frame @ part.placement()
         own = list(self._of_body(part, np.eye(4), inherited))
         joints = [(each, within) for each, within in own if each.tag in ("joint", "freejoint")]
-        mass = self._mass(part, name, own)
+        for geom, within in own:
+            if geom.tag == "geom" and (shape := shape_of(geom, within)):
+                self.shapes.setdefault(name, []).append(shape)
+        mass = body_mass(part, name, own)
         self.places[name] = self.places[parent] @ place
         link, rest = parent, place
         held = self._base == "fixed" and parent == "world" and self._is_floating([joint for joint, _ in joints])
@@ -360,7 +352,7 @@ class _Reader:
         name = self._fresh(part.name or f"site_{len(self.sites)}", part)
         if part.name in self.sites:
             part.refuse(f"there are two sites {part.name!r}", "Rename one.")
-        self._frame(name, link, frame @ _place_of_geom(part))
+        self._frame(name, link, frame @ place_of_geom(part))
         self.sites[part.name or name] = name
 
     # --- joints -------------------------------------------------------------------------------------------------------
@@ -374,14 +366,14 @@ class _Reader:
         name = part.name or (f"{body}_joint" if count == 1 else f"{body}_joint_{number + 1}")
         if name in self.names:
             part.refuse(f"there are two joints {name!r}", "Rename one.")
-        self._read_forces(part, name, kind)
+        self.forces.read(part, name, kind)
         if kind == "free":
             return self._free(part, name, parent, place, count)
         if part.has("armature"):
             rotor = part.number("armature", 0.0)
             if rotor < 0.0:
                 part.refuse(f"{part} has armature={rotor:g}")
-            self.armature[name] = rotor
+            self.forces.armature[name] = rotor
         anchor = within @ np.append(part.numbers("pos", 3, default="0 0 0"), 1.0)
         anchored = place @ placed(np.eye(3), anchor[:3])
         back = placed(np.eye(3), -anchor[:3])
@@ -434,67 +426,6 @@ class _Reader:
             f"{', '.join(start)}. Nothing drives it; base=fixed holds it."
         )
         return f"{name}::link", np.eye(4)
-
-    def _read_forces(self, part: Part, name: str, kind: str) -> None:
-        """Take friction and spring of a hinge or slide over; of other joints, and other laws, note them."""
-        given = {key: part.numbers(key, 1, 9) for key in _FORCES if part.tag != "freejoint" and part.has(key)}
-        law = part.numbers("springdamper", 2) if "springdamper" in given else np.zeros(2)
-        if law.any():
-            if not (law > 0.0).all():
-                part.refuse(f"{part} has springdamper={shown(part.text('springdamper'))}", "Both must be positive.")
-            # it replaces both, by values that follow from the inertia of the whole model: neither is in force here
-            given = {key: value for key, value in given.items() if key not in ("stiffness", "damping")}
-        given = {key: value for key, value in given.items() if not _FORCES[key] <= self._disabled}
-        plain = {}
-        for key, numbers in given.items():
-            if kind in ("hinge", "slide") and key != "springdamper" and not numbers[1:].any() and numbers[0] >= 0.0:
-                plain[key] = float(numbers[0])
-            elif numbers.any():
-                self._forces.setdefault(key, []).append(name)
-        if any(plain.values()):
-            unit = math.pi / 180.0 if kind == "hinge" and self.settings.degrees else 1.0
-            rest = unit * part.number("springref", 0.0)
-            damping, friction, stiffness = (plain.get(key, 0.0) for key in ("damping", "frictionloss", "stiffness"))
-            self.loads.append(JointForces(name, damping, friction, stiffness=stiffness, rest=rest))
-
-    # --- masses -------------------------------------------------------------------------------------------------------
-
-    def _mass(self, part: Part, name: str, own: list[tuple[Part, Array]]) -> LinkEntry:
-        """Return the mass of a body: its inertial element, or what its geoms add up to."""
-        inertials = [each for each in own if each[0].tag == "inertial"]
-        geoms = [each for each in own if each[0].tag == "geom"]
-        for geom, within in geoms:
-            self._draw(geom, within, name)
-        if len(inertials) > 1:
-            inertials[1][0].refuse(f"{part} has two inertials")
-        rule = self.settings.inertia_from_geom
-        if inertials and rule != "true":
-            return _inertial(*inertials[0])
-        if rule == "false":
-            return LinkEntry(name, 0.0, np.zeros(3), np.zeros((3, 3)))
-        low, high = self.settings.inertia_groups
-        counted = [(geom, within) for geom, within in geoms if low <= geom.number("group", 0.0) <= high]
-        return together(name, [_of_geom(geom, within) for geom, within in counted])
-
-    def _draw(self, geom: Part, within: Array, body: str) -> None:
-        """Note a shape for the picture; those without a plain one are not drawn."""
-        kind, size = geom.text("type", "sphere"), _sizes(geom)
-        forms = {
-            "box": ("box", {"size": " ".join(repr(2.0 * s) for s in size[:3])}),
-            "sphere": ("sphere", {"radius": repr(size[0]) if size else "0"}),
-            "cylinder": ("cylinder", {"radius": repr(size[0]), "length": repr(2.0 * size[1])} if len(size) > 1 else {}),
-            "capsule": ("capsule", {"radius": repr(size[0]), "length": repr(2.0 * size[1])} if len(size) > 1 else {}),
-        }
-        if kind not in forms or not size:
-            return
-        place = within @ _place_of_geom(geom)
-        yaw, pitch, roll = angles(place[:3, :3])
-        shape, attributes = forms[kind]
-        text = " ".join(f'{key}="{value}"' for key, value in attributes.items())
-        self.shapes.setdefault(body, []).append(
-            f'<visual><origin xyz="{" ".join(map(repr, place[:3, 3].tolist()))}" rpy="{roll!r} {pitch!r} {yaw!r}"/>'
-            f"<geometry><{shape} {text}/></geometry></visual>\n"
-        )
 
     # --- what closes loops, what drives, where it starts --------------------------------------------------------------
 
@@ -591,7 +522,7 @@ class _Reader:
             gear = abs(float(part.numbers("gear", 1, 6, default="1")[0]))
             if not gear > 0.0:
                 part.refuse(f"{part} has a gear of zero")
-            efforts[name] = efforts.get(name, 0.0) + gear * self._force(part)
+            efforts[name] = efforts.get(name, 0.0) + gear * largest_force(part)
             if part.tag in ("position", "velocity", "intvelocity"):
                 feedback.append(name)
         self.joints = [
@@ -603,22 +534,6 @@ class _Reader:
         if feedback:
             self.notes.append(f"Servos count as motors, their control law is left out: {', '.join(feedback)}.")
         return tuple(efforts)
-
-    def _force(self, part: Part) -> float:
-        """Return the largest force of an actuator, before its gear; infinite where nothing bounds it."""
-        most = math.inf
-        if part.limited("forcelimited", "forcerange"):
-            most = float(np.abs(part.numbers("forcerange", 2)).max())
-        plain = part.tag == "motor" or (
-            part.tag == "general"
-            and part.text("gaintype", "fixed") == "fixed"
-            and part.text("biastype", "none") == "none"
-            and part.text("dyntype", "none") == "none"
-        )
-        if plain and part.limited("ctrllimited", "ctrlrange"):
-            gain = 1.0 if part.tag == "motor" else float(part.numbers("gainprm", 1, 10, default="1")[0])
-            most = min(most, abs(gain) * float(np.abs(part.numbers("ctrlrange", 2)).max()))
-        return most
 
     def _start(self) -> dict[str, float | Array]:
         keys = [part for part in self._elements("keyframe") if part.tag == "key"]
@@ -650,125 +565,8 @@ class _Reader:
         """Return how many numbers of qpos a joint has, made of one joint here, or of six."""
         return 7 if len(made) > 1 else 4 if isinstance(self.initial[made[0]], np.ndarray) else 1
 
-    def _say_what_is_not_in_force(self) -> None:
-        for part in self._elements("tendon"):
-            keys = (
-                "stiffness",
-                "damping",
-                "frictionloss",
-                "limited",
-                "range",
-                "springlength",
-                "armature",
-                "actuatorfrcrange",
-            )
-            if any(part.has(key) for key in keys):
-                self._forces.setdefault("tendons", []).append(part.name or f"line {part.element.line}")
-        if self._fluid:
-            self._forces["fluid"] = ["density or viscosity of the option"]
-        said = "; ".join(f"{what} of {', '.join(names)}" for what, names in self._forces.items())
-        if said:
-            self.notes.append(f"{NOT_IN_FORCE} {said}.")
-        if self._colliding:
-            self.notes.append("Contacts between geoms are not modelled.")
-        if left_out := sorted(self._disabled & set().union(*_FORCES.values())):
-            self.notes.append(f"Disabled by flags of the model: {', '.join(left_out)}.")
-        if self.loads:
-            names = ", ".join(load.joint for load in self.loads)
-            self.notes.append(f"In force: damping, friction and springs of {names}.")
-        if self.armature:
-            self.notes.append(f"In force: armature of {', '.join(self.armature)}.")
-
 
 def _unit(wxyz: Array) -> Array:
     """Return a quaternion (4,) of length one; as MuJoCo does, that of no turn where all its numbers are zero."""
     length = float(np.linalg.norm(wxyz))
     return np.array([1.0, 0.0, 0.0, 0.0]) if length < _SMALLEST else wxyz / length
-
-
-def _inertial(part: Part, within: Array) -> LinkEntry:
-    part.require_known((*_POSE, "mass", "diaginertia", "fullinertia"))
-    if not part.has("pos") or not part.has("mass"):
-        part.refuse("an inertial without pos or mass")
-    mass = part.number("mass", 0.0)
-    if part.has("fullinertia"):
-        if any(part.has(key) for key in (*ORIENTATION, "diaginertia")):
-            part.refuse("an inertial with fullinertia and an orientation or diaginertia", "Give one of them.")
-        xx, yy, zz, xy, xz, yz = part.numbers("fullinertia", 6)
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    else:
-        turn = part.orientation()
-        inertia = turn @ np.diag(part.numbers("diaginertia", 3, default="0 0 0")) @ turn.T
-    moments = np.linalg.eigvalsh(inertia)
-    if mass < 0.0 or moments[0] < -1e-12 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6) + 1e-12:
-        part.refuse(f"an inertial with the mass {mass:g} and the moments {moments}, which no body has", "Correct it.")
-    return moved_to(within, LinkEntry("", mass, part.numbers("pos", 3), inertia))
-
-
-def _sizes(geom: Part) -> list[float]:
-    """Return the sizes of a geom; with fromto, radius or sides and half the length."""
-    size = geom.numbers("size", 0, 3).tolist() if geom.has("size") else []
-    if geom.has("fromto"):
-        ends = geom.numbers("fromto", 6)
-        half = 0.5 * float(np.linalg.norm(ends[3:] - ends[:3]))
-        kind = geom.text("type", "sphere")
-        return [*size[:1], half] if kind in ("capsule", "cylinder") else [size[0], size[0], half] if size else []
-    return [float(each) for each in size]
-
-
-def _place_of_geom(geom: Part) -> Array:
-    if not geom.has("fromto"):
-        return geom.placement()
-    ends = geom.numbers("fromto", 6)
-    along = ends[:3] - ends[3:]  # MuJoCo's z axis points from the second end to the first
-    length = float(np.linalg.norm(along))
-    if not length > 1e-12:
-        geom.refuse(f"{geom} has a fromto of length zero")
-    return placed(from_z(along / length), 0.5 * (ends[:3] + ends[3:]))
-
-
-def _of_geom(geom: Part, within: Array) -> LinkEntry:
-    """Return the mass of a geom in the frame of its body."""
-    kind = geom.text("type", "mesh" if geom.has("mesh") else "sphere")
-    nothing = LinkEntry("", 0.0, np.zeros(3), np.zeros((3, 3)))
-    given = geom.number("mass", 0.0) if geom.has("mass") else None
-    if kind in ("plane", "hfield") or given == 0.0 or (given is None and geom.number("density", 1000.0) == 0.0):
-        return nothing
-    if kind not in ("sphere", "box", "capsule", "cylinder", "ellipsoid") or geom.has("mesh"):
-        remedy = "Give the body an <inertial>, or the geom a mass of zero."
-        geom.refuse(f"{geom} is a {kind} whose mass would have to be computed from its surface", remedy)
-    if geom.text("shellinertia", "false") != "false":
-        geom.refuse(f"{geom} has shellinertia, which is not covered", "Give the body an <inertial>.")
-    size = _sizes(geom)
-    if len(size) < {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3) or any(each <= 0.0 for each in size[:1]):
-        geom.refuse(f"{geom} is a {kind} with the size {size}", "Correct it.")
-    volume, per_mass = _solid(kind, size)
-    mass = geom.number("density", 1000.0) * volume if given is None else given
-    if not mass >= 0.0:
-        geom.refuse(f"{geom} has the mass {mass:g}")
-    place = within @ _place_of_geom(geom)
-    return moved_to(place, LinkEntry("", mass, np.zeros(3), mass * np.diag(per_mass)))
-
-
-def _solid(kind: str, size: list[float]) -> tuple[float, list[float]]:
-    """Return the volume of a solid, and its moments of inertia per mass, about its centre, the axis along z."""
-    a = size[0]
-    if kind == "sphere":
-        return 4.0 / 3.0 * math.pi * a**3, [0.4 * a * a] * 3
-    b = size[1]
-    if kind == "cylinder":
-        across = (3.0 * a * a + 4.0 * b * b) / 12.0
-        return 2.0 * math.pi * a * a * b, [across, across, 0.5 * a * a]
-    if kind == "capsule":
-        height, ball, tube = 2.0 * b, 4.0 / 3.0 * a, 2.0 * b  # volumes over pi a²
-        share = ball / (ball + tube)
-        along = (1.0 - share) * 0.5 * a * a + share * 0.4 * a * a
-        # each half ball is 3/8 a beyond the end of the tube
-        halves = 0.4 * a * a + 0.25 * height * height + 0.375 * height * a
-        across = (1.0 - share) * (3.0 * a * a + height * height) / 12.0 + share * halves
-        return math.pi * a * a * (ball + tube), [across, across, along]
-    c = size[2]
-    squares = [b * b + c * c, a * a + c * c, a * a + b * b]
-    if kind == "box":
-        return 8.0 * a * b * c, [each / 3.0 for each in squares]
-    return 4.0 / 3.0 * math.pi * a * b * c, [each / 5.0 for each in squares]

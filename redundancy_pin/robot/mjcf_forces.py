@@ -1,0 +1,108 @@
+"""Forces of MJCF: friction and springs of joints, rotors, what bounds an actuator; and which are not in force."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from redundancy_pin.errors import shown
+from redundancy_pin.robot.loads import JointForces
+from redundancy_pin.robot.mechanism import NOT_IN_FORCE
+from redundancy_pin.robot.mjcf_file import Part
+
+_FORCES = {
+    "damping": {"damper"},
+    "frictionloss": {"frictionloss"},
+    "stiffness": {"spring"},
+    "springdamper": {"spring", "damper"},
+}
+"""Attributes of joints, and the flags that disable what they give."""
+
+_OF_TENDONS = (
+    "stiffness",
+    "damping",
+    "frictionloss",
+    "limited",
+    "range",
+    "springlength",
+    "armature",
+    "actuatorfrcrange",
+)
+
+
+@dataclass
+class Forces:
+    """What is gathered of forces on the way through a file.
+
+    Attributes:
+        disabled: flags of the model that are disabled.
+        loads: in force, of joints.
+        armature: by joint, kg·m² or kg.
+        left_out: names of what has a force that is not in force, by what it is.
+    """
+
+    disabled: set[str]
+    loads: list[JointForces] = field(default_factory=list)
+    armature: dict[str, float] = field(default_factory=dict)
+    left_out: dict[str, list[str]] = field(default_factory=dict)
+
+    def read(self, part: Part, name: str, kind: str) -> None:
+        """Take friction and spring of a hinge or slide over; of other joints, and other laws, note them."""
+        given = {key: part.numbers(key, 1, 9) for key in _FORCES if part.tag != "freejoint" and part.has(key)}
+        law = part.numbers("springdamper", 2) if "springdamper" in given else np.zeros(2)
+        if law.any():
+            if not (law > 0.0).all():
+                part.refuse(f"{part} has springdamper={shown(part.text('springdamper'))}", "Both must be positive.")
+            # it replaces both, by values that follow from the inertia of the whole model: neither is in force here
+            given = {key: value for key, value in given.items() if key not in ("stiffness", "damping")}
+        given = {key: value for key, value in given.items() if not _FORCES[key] <= self.disabled}
+        plain = {}
+        for key, numbers in given.items():
+            if kind in ("hinge", "slide") and key != "springdamper" and not numbers[1:].any() and numbers[0] >= 0.0:
+                plain[key] = float(numbers[0])
+            elif numbers.any():
+                self.left_out.setdefault(key, []).append(name)
+        if any(plain.values()):
+            unit = math.pi / 180.0 if kind == "hinge" and part.settings.degrees else 1.0
+            rest = unit * part.number("springref", 0.0)
+            damping, friction, stiffness = (plain.get(key, 0.0) for key in ("damping", "frictionloss", "stiffness"))
+            self.loads.append(JointForces(name, damping, friction, stiffness=stiffness, rest=rest))
+
+    def read_tendon(self, part: Part) -> None:
+        """Note a tendon that pulls."""
+        if any(part.has(key) for key in _OF_TENDONS):
+            self.left_out.setdefault("tendons", []).append(part.name or f"line {part.element.line}")
+
+    def notes(self, colliding: bool) -> list[str]:
+        """Return what is in force and what is not, in words."""
+        notes = []
+        if said := "; ".join(f"{what} of {', '.join(names)}" for what, names in self.left_out.items()):
+            notes.append(f"{NOT_IN_FORCE} {said}.")
+        if colliding:
+            notes.append("Contacts between geoms are not modelled.")
+        if disabled := sorted(self.disabled & set().union(*_FORCES.values())):
+            notes.append(f"Disabled by flags of the model: {', '.join(disabled)}.")
+        if self.loads:
+            notes.append(f"In force: damping, friction and springs of {', '.join(load.joint for load in self.loads)}.")
+        if self.armature:
+            notes.append(f"In force: armature of {', '.join(self.armature)}.")
+        return notes
+
+
+def largest_force(part: Part) -> float:
+    """Return the largest force of an actuator, before its gear; infinite where nothing bounds it."""
+    most = math.inf
+    if part.limited("forcelimited", "forcerange"):
+        most = float(np.abs(part.numbers("forcerange", 2)).max())
+    plain = part.tag == "motor" or (
+        part.tag == "general"
+        and part.text("gaintype", "fixed") == "fixed"
+        and part.text("biastype", "none") == "none"
+        and part.text("dyntype", "none") == "none"
+    )
+    if plain and part.limited("ctrllimited", "ctrlrange"):
+        gain = 1.0 if part.tag == "motor" else float(part.numbers("gainprm", 1, 10, default="1")[0])
+        most = min(most, abs(gain) * float(np.abs(part.numbers("ctrlrange", 2)).max()))
+    return most
