@@ -322,6 +322,17 @@ def test_a_squeeze_is_held_exactly_whatever_the_force_does():
     np.testing.assert_allclose(squeezed.residual, 0.0, atol=1e-9)
 
 
+def test_forces_and_torques_are_preferred_as_they_are_counted():
+    """Forces in N beside torques in N·m: Σ (τ − τ⁰)² / scale² is least where W τ = f, so (τ − τ⁰) / scale² is Wᵀ y."""
+    rng = np.random.default_rng(6)
+    W, f, preferred = rng.normal(size=(5, 2, 4)), rng.normal(size=(5, 2)), rng.normal(size=(5, 4))
+    scale = np.array([1.0, 0.2, 3.0, 1.0])
+    d = distribute(reduced(W, f, row_scale=[1.0, 0.2], column_scale=scale), preferred=preferred)
+    np.testing.assert_allclose(times(W, d.tau), f, atol=1e-9)
+    free = np.array([np.linalg.svd(one)[2][2:] for one in W])
+    np.testing.assert_allclose(times(free, (d.tau - preferred) / scale**2), 0.0, atol=1e-9)
+
+
 def test_bounds_of_a_motor_fall_with_its_speed():
     lower, upper = torque_speed_bounds([[0.0, 5.0, -5.0, 20.0]], stall=4.0, no_load=10.0)
     assert upper.tolist() == [[4.0, 2.0, 4.0, -4.0]]
