@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import zoo
 from folding import folding_four_bar
@@ -29,6 +31,29 @@ def test_a_pose_nearby_is_the_one_that_assembly_closes(shipped: Robot, many: boo
     np.testing.assert_allclose(reached.point.gamma, expected.gamma[0], rtol=0.0, atol=1e-10)
     assert reached.margin == pytest.approx(expected.projection.margin[0], rel=1e-10)
     assert reached.point.side == np.linalg.slogdet(expected.state.K[0])[0]
+
+
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("independent", [{"joints": ["a", "b"]}, {"platform": "tip", "axes": ["x", "y"]}])
+def test_a_chain_without_closures_is_followed(independent: dict[str, Any], many: bool) -> None:
+    """Two links in a plane, whose tip is where trigonometry puts it."""
+    model, joint, apart = pin.Model(), 0, pin.SE3.Identity()
+    for name in ("a", "b"):
+        joint = model.addJoint(joint, pin.JointModelRZ(), apart, name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        apart = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    model.addBodyFrame("tip", joint, pin.SE3(np.eye(3), np.array([0.8, 0.0, 0.0])), 0)
+    reference = {"guess": {"a": 0.3, "b": 0.5}, **({} if "joints" in independent else {"platform": [1.5, 0.9]})}
+    robot = Robot.from_model(model, actuated=["a", "b"], independent=independent, reference=reference)
+    follower = tracker(robot, many=many)
+    x = follower.home.x + np.array([0.02, -0.01])
+    reached = follower.towards(follower.home, x)
+    assert reached is not None
+    a, b = reached.point.q
+    tip = [np.cos(a) + 0.8 * np.cos(a + b), np.sin(a) + 0.8 * np.sin(a + b)]
+    np.testing.assert_allclose([a, b] if "joints" in independent else tip, x, atol=1e-12)
+    v, acceleration = follower.rates(reached, np.array([0.1, 0.2]), np.zeros(2))
+    assert np.isfinite([v, acceleration]).all()
 
 
 def test_a_point_that_the_branch_contradicts_is_left_to_others() -> None:
