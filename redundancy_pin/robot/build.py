@@ -22,6 +22,7 @@ from redundancy_pin.robot.declaration import CLOSED_FORMS, CarrierEntry, Declara
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.urdf import Argument, source_of
+from redundancy_pin.robot.urdf_mechanism import tree_mechanism
 from redundancy_pin.robot.urdf_tree import Tree, read_tree, require_same
 
 
@@ -45,7 +46,14 @@ def build(
     """
     _require_closed_form(declaration, parameters)
     tree = read_tree(urdf, path.parent / declaration.urdf)
-    model = built(tree, urdf, path.parent / declaration.urdf)
+    model, couplings, start = built(tree, urdf, path.parent / declaration.urdf), tree.couplings, None
+    if declaration.joint_types:
+        kinds = declaration.joint_types
+        mechanism = tree_mechanism(tree, path.parent.name, kinds=kinds, closures=(), actuated=(), shapes=urdf)
+        model, couplings = mechanism.model(declaration.urdf), mechanism.couplings
+        start = mechanism.configuration(model)
+        replaced = set(kinds) | {joint.name for joint in tree.joints if joint.kind in ("planar", "floating")}
+        tree = replace(tree, joints=tuple(joint for joint in tree.joints if joint.name not in replaced))
     model.gravity.linear = np.array(declaration.gravity if gravity is None else checked(gravity, "gravity", (3,)))
     name = path.parent.name if declaration.name is None else str(declaration.name)
     robot = put_together(
@@ -57,7 +65,8 @@ def build(
         source=source_of(path),
         mode=working_mode,
         of="URDF",
-        couplings=tree.couplings,
+        couplings=couplings,
+        start=start,
     )
     frictions, notes = _frictions(declaration, tree)
     return replace(robot.loaded(*frictions), notes=notes) if frictions or notes else robot
@@ -90,10 +99,12 @@ def put_together(
     mode: Sequence[int] | None = None,
     of: str = "model",
     couplings: Sequence[Coupling] = (),
+    start: Array | None = None,
 ) -> Robot:
     """Return the robot that a declaration makes of a Pinocchio tree, its names and roles checked.
 
-    Of the ``couplings`` of the model those count of whose joints the declaration says nothing else.
+    Of the ``couplings`` of the model those count of whose joints the declaration says nothing else. ``start`` (nq,) is
+    where joints are that the declaration's guess does not name; neutral when left out.
 
     Raises:
         DeclarationError, InputError: as ``build``.
@@ -104,7 +115,7 @@ def put_together(
     coupled = (*declaration.coupled, *(each for each in couplings if each.joint not in said))
     _check_roles(declaration, carriers, model, of)
     _check_couplings(coupled, declaration, carriers, model, of)
-    guess = _guess(model, declaration.reference.guess)
+    guess = _guess(model, declaration.reference.guess, start)
     robot = Robot(
         name=name,
         parameters=MappingProxyType(dict(parameters)),
@@ -316,8 +327,8 @@ def _mode(declaration: Declaration, wanted: Sequence[int] | None) -> tuple[int, 
     return tuple(int(sign) for sign in mode)
 
 
-def _guess(model: pin.Model, positions: Mapping[str, float]) -> Array:
-    q: Array = pin.neutral(model)
+def _guess(model: pin.Model, positions: Mapping[str, float], start: Array | None = None) -> Array:
+    q: Array = pin.neutral(model) if start is None else start.copy()
     for name, value in positions.items():
         joint = _joint(model, name)
         if joint.nq > 2:

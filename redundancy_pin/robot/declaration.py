@@ -18,6 +18,7 @@ from redundancy_pin.robot.expressions import MATHEMATICS, Budget, evaluate
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform, WorkingModes
 from redundancy_pin.robot.urdf import Argument
+from redundancy_pin.robot.urdf_mechanism import KINDS
 from redundancy_pin.robot.xml_files import FORMATS, format_of
 
 CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
@@ -264,6 +265,9 @@ class Declaration(Schema):
     requires: tuple[str, ...] = ()
     closed_form: Literal["2rpr", "3rrr"] | None = Field(None, description="one of 2rpr, 3rrr, or left out")
     gravity: Triple = (0.0, 0.0, 0.0)
+    joint_types: dict[str, Literal[KINDS]] = Field(  # type: ignore[valid-type]
+        {}, description=f"a mapping of joints of the URDF to {', '.join(KINDS)}"
+    )
     closures: Annotated[tuple[ClosureEntry, ...], Field(description="a list of mappings")] = ()
     couplings: Annotated[tuple[CouplingEntry, ...], Field(description="a list of mappings")] = ()
     actuated: Names

@@ -128,6 +128,50 @@ def test_accelerations_are_those_of_pinocchio(joints: list[J], said: dict, tmp_p
     np.testing.assert_allclose(reduced.f[0], reduced.W[0] @ tau, rtol=1e-7, atol=1e-7 * np.abs(reduced.f).max())
 
 
+def test_the_mass_matrix_is_that_of_pinocchio(tmp_path: Path) -> None:
+    """It takes joints in another order than that of the levels of the tree."""
+    robot = rp.load_robot(written(tmp_path, PLANAR, PLANAR_YAML))
+    model, data, still = robot.model, robot.model.createData(), np.zeros(robot.model.nv)
+    q = np.array(robot.q_reference)
+    mass = pin.crba(model, data, q)
+    weight = np.array(pin.rnea(model, data, q, still, still))
+    by_rnea = np.array([np.array(pin.rnea(model, data, q, still, unit)) - weight for unit in np.eye(model.nv)])
+    np.testing.assert_allclose(np.triu(mass) + np.triu(mass, 1).T, by_rnea, atol=1e-12)
+
+
+def test_a_declaration_of_ones_own_has_balls_and_universal_joints(tmp_path: Path) -> None:
+    (tmp_path / "theirs").mkdir()
+    theirs = rp.load_robot(written(tmp_path / "theirs", ANKLE, ANKLE_YAML))
+    kinds = {"cross": "universal_xy", "rod_ball": "ball", "foot_cross": "universal_zy", "held": "fixed"}
+    positions = {
+        str(name): float(theirs.q_reference[joint.idx_q])
+        for name, joint in zip(list(theirs.model.names)[1:], list(theirs.model.joints)[1:], strict=True)
+        if joint.nq == 1
+    }
+    declaration = {
+        "gravity": [0, 0, -9.81],
+        "joint_types": kinds,
+        "closures": [{"frames": [c.frame_a, c.frame_b], "axes": list(c.axes)} for c in theirs.closures],
+        "actuated": ["motor"],
+        "independent": {"joints": list(theirs.independent_joints)},
+        "reference": {
+            "joints": {name: positions[name] for name in theirs.independent_joints},
+            "guess": {name: at for name, at in positions.items() if name not in theirs.independent_joints},
+        },
+    }
+    urdf = (tmp_path / "theirs" / "robot.urdf").read_text()
+    robot = rp.load_robot(write_robot(tmp_path, urdf, declaration))
+    apart = pin.difference(robot.model, np.array(robot.q_reference), np.array(theirs.q_reference))
+    np.testing.assert_allclose(apart, 0.0, atol=1e-7)
+    x = home_of(theirs)[None]
+    motion = rp.PlatformMotion([0.0], x, np.ones_like(x), -np.ones_like(x))
+    ours, expected = (rp.RneaDynamics(each).reduce(motion) for each in (robot, theirs))
+    np.testing.assert_allclose(ours.f, expected.f, rtol=1e-7, atol=1e-7)
+    for change, message in (({"cross": "universal"}, "joint_types"), ({"crosses": "ball"}, "no joint 'crosses'")):
+        with pytest.raises(DeclarationError, match=message):
+            rp.load_robot(write_robot(tmp_path, urdf, {**declaration, "joint_types": change}))
+
+
 def test_a_weld_that_starts_turned_away_is_closed_the_right_way_round(tmp_path: Path) -> None:
     """Newton on sines ends turned over."""
     turned = [*PLANAR[:4], J("loop_A", "revolute", "rod_1", "pin", (0.35, 0, 0), (0, 0, 3.0)), PLANAR[5]]
