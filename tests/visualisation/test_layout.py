@@ -73,6 +73,7 @@ def _bars() -> Figure:
     return plot_bars("3-RRR: largest torque in every working mode", modes, "working mode", "largest |τ| [N·m]", series)
 
 
+BOX = [(-0.6, 1.1), (-1.0, 1.0)]
 FIGURES: dict[str, Callable[[], Figure]] = {
     "plan of a crossing": lambda: rp.plot.plan(crossing()),
     "plan of a corner": lambda: rp.plot.plan(corner()),
@@ -85,6 +86,8 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "snapshots of a corner": lambda: rp.plot.snapshots(rp.show(corner())),
     "comparison": lambda: rp.plot.comparison({"stepwise": corner(), "the same again": corner()}),
     "locus": lambda: rp.plot.locus(rp.singular_locus(zoo.robot_of("2rpr"))),
+    "ellipsoids": lambda: rp.plot.ellipsoids(rp.performance("five_bar", zoo.robot_of("five_bar").q_reference)),
+    "workspace": lambda: rp.plot.workspace(rp.workspace("five_bar", bounds=BOX, resolution=8, modes="all")),
     "locus of one coordinate": lambda: rp.plot.locus(rp.singular_locus(zoo.robot_of("four_bar"))),
     "side by side": lambda: plot_side_by_side(SINGULAR[0].title, dict.fromkeys(
         ("switching off", "whole trajectory: effort", "whole trajectory: smooth effort"), crossing()), "N",
