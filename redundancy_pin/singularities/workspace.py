@@ -168,7 +168,7 @@ def _free(robot: Robot, names: tuple[str, ...]) -> tuple[int, ...]:
         raise UnsupportedRobotError(
             f"The singular locus of {robot.name} cannot be drawn: its coordinates are {', '.join(names)}.",
             remedy="A locus is for two translations with at most one rotation, or a single joint; of other robots "
-            "look at the singular instants of a motion, with find_crossings.",
+            "look at the singular instants of a motion, with find_crossings, or at margins, with rp.workspace.",
         )
     return free
 
