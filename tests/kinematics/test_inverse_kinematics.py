@@ -115,6 +115,7 @@ def test_search_turns_joints_all_around_whatever_the_characteristic_length() -> 
     np.testing.assert_array_equal(working_modes(robot, q[None])[0], [-1, -1, -1])
 
 
+@pytest.mark.long_for("mode0", "mode1")
 @pytest.mark.parametrize("mode", [(-1, -1, -1, -1, -1, -1), (1, -1, 1, 1, -1, -1), (-1, 1, 1, -1, 1, 1)])
 def test_every_mode_of_six_legs_is_found_for_other_lengths(mode: tuple[int, ...]) -> None:
     """One random start in 64 falls to a given mode of six legs: they are put together leg by leg."""

@@ -173,6 +173,7 @@ def test_carriers_without_mass_are_one_clear_error(name: str, backend: type) -> 
         assert caught.value.details["carriers"] == massless.robot.carriers
 
 
+@pytest.mark.long_for("differences", "peak")
 @pytest.mark.parametrize("name", PLANNERS)
 def test_planners_work_where_numpy_raises_its_errors(name: str) -> None:
     motion, robot = (reference.corner(), "3rrr") if name == "stepwise" else (reference.line(speed=0.2), "2rpr")

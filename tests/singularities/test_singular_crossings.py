@@ -133,7 +133,7 @@ def test_any_line_through_the_base_line_is_crossed_where_it_meets_it(x, lean, ab
     assert crossing.t == pytest.approx(time_at_arc(trajectory, np.hypot(1.0, lean) * above), abs=1e-10)
 
 
-@pytest.mark.long_for("20.0", "40.0")
+@pytest.mark.long
 @pytest.mark.parametrize("direction", [20.0, 30.0, 40.0])
 def test_three_rrr_touches_full_stretch_of_its_first_leg(direction: float) -> None:
     """A circle inside the reach of leg 1 touches its border (radius 2 about the base hinge) half way round."""

@@ -38,7 +38,7 @@ def points_of(locus: SingularLocus, kind: SingularityKind) -> tuple[Array, Array
     return np.concatenate([c.points for c in curves]), np.concatenate([c.q for c in curves])
 
 
-@pytest.mark.long_for("3rrr-mode2-0.3", "five_bar-mode4-None", "five_bar-None-None")
+@pytest.mark.long_for("3rrr-mode2-0.3", "five_bar-mode4-None", "five_bar-None-None", "3rrr-None-None")
 @pytest.mark.parametrize(
     ("name", "mode", "orientation"),
     [

@@ -68,6 +68,7 @@ def test_a_whole_trajectory_plan_of_the_corner():
     assert (run.parameters["drive"], run.robot.name) == ("whole_trajectory", "3rrr")
 
 
+@pytest.mark.long
 def test_a_stepwise_plan_as_the_continuous_motion_it_stands_for():
     robot, corner, plan = stepwise_corner()
     drive = FeedForward(plan)
@@ -98,6 +99,7 @@ def test_holding_the_efforts_of_the_samples_is_another_command():
     assert away > 100 * FOLLOWED
 
 
+@pytest.mark.long
 def test_a_massless_crossing_follows_its_plan_up_to_the_singular_pose_and_says_why_not_further():
     robot = rp.load_robot("2rpr")
     circle = rp.trajectory.reference.circle(speed=0.5)
