@@ -48,19 +48,6 @@ _KINDS = "biufcU"
 """Kinds of numpy arrays that are stored: truth values, integers, floats, complex numbers, text."""
 
 
-def encode(record: object, arrays: Arrays) -> Any:
-    """Return a record as what JSON knows, and put its arrays into ``arrays``.
-
-    Args:
-        record: a dataclass; its fields hold dataclasses, enumerations, tuples of them, arrays and plain data.
-        arrays: where the arrays go, by name.
-
-    Raises:
-        InputError: something that is none of these, or stands inside a mapping and is not plain.
-    """
-    return _encode(record, "", arrays, of_record=True)
-
-
 def decode(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     """Return what ``encode`` was given; dataclasses as mappings of their fields, enumerations as their values.
 
@@ -74,28 +61,35 @@ def decode(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
         return value
     if len(value) == 1:
         (kind, content), *_ = value.items()
+        match kind:
+            case "$tuple":
+                return tuple(decode(entry, arrays) for entry in content)
+            case "$float":
+                return float(content)
+            case "$array":
+                return arrays[content]
+            case "$mapping":
+                return {decode(key, arrays): decode(entry, arrays) for key, entry in content}
         if kind.startswith(_MARK):
-            return _decode_marked(kind, content, arrays)
+            raise ValueError(f"unknown mark {shown(kind)}")
     return {key: decode(entry, arrays) for key, entry in value.items()}
 
 
-def _decode_marked(kind: str, content: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
-    if kind == "$tuple":
-        return tuple(decode(entry, arrays) for entry in content)
-    if kind == "$float":
-        return float(content)
-    if kind == "$array":
-        return arrays[content]
-    if kind == "$mapping":
-        return {decode(key, arrays): decode(entry, arrays) for key, entry in content}
-    raise ValueError(f"unknown mark {shown(kind)}")
+def encode(value: object, arrays: Arrays, name: str = "", *, of_record: bool = True) -> Any:
+    """Return a record as what JSON knows, and put its arrays into ``arrays``.
 
+    Args:
+        value: a dataclass; its fields hold dataclasses, enumerations, tuples of them, arrays and plain data.
+        arrays: where the arrays go, by name.
+        name: where the value is in the record.
+        of_record: whether dataclasses and enumerations may be there; inside mappings and lists there is plain data.
 
-def _encode(value: object, name: str, arrays: Arrays, *, of_record: bool) -> Any:
-    """Return a value as JSON knows it; dataclasses and enumerations are fields of records, not parts of plain data."""
+    Raises:
+        InputError: something that is none of these, or stands inside a mapping and is not plain.
+    """
     if of_record and is_dataclass(value) and not isinstance(value, type):
         names = {field.name: f"{name}.{field.name}" if name else field.name for field in fields(value)}
-        return {key: _encode(getattr(value, key), full, arrays, of_record=True) for key, full in names.items()}
+        return {key: encode(getattr(value, key), arrays, full) for key, full in names.items()}
     if of_record and isinstance(value, Enum) and not isinstance(value, (int, str)):
         value = value.value
     if isinstance(value, np.generic):
@@ -111,15 +105,15 @@ def _encode(value: object, name: str, arrays: Arrays, *, of_record: bool) -> Any
         return {"$array": key}
     if isinstance(value, tuple):
         part = "{}.{}" if of_record else "{}[{}]"
-        row = [_encode(each, part.format(name, i), arrays, of_record=of_record) for i, each in enumerate(value)]
+        row = [encode(each, arrays, part.format(name, i), of_record=of_record) for i, each in enumerate(value)]
         return {"$tuple": row}
     if isinstance(value, list):
-        return [_encode(each, f"{name}[{i}]", arrays, of_record=False) for i, each in enumerate(value)]
+        return [encode(each, arrays, f"{name}[{i}]", of_record=False) for i, each in enumerate(value)]
     if isinstance(value, Mapping):
-        pairs = [(key, _encode(each, f"{name}[{key!r}]", arrays, of_record=False)) for key, each in value.items()]
+        pairs = [(key, encode(each, arrays, f"{name}[{key!r}]", of_record=False)) for key, each in value.items()]
         if all(type(key) is str and not key.startswith(_MARK) for key, _ in pairs):
             return dict(pairs)
-        return {"$mapping": [[_encode(key, f"{name}, key", arrays, of_record=False), each] for key, each in pairs]}
+        return {"$mapping": [[encode(key, arrays, f"{name}, key", of_record=False), each] for key, each in pairs]}
     what = f"n array of {value.dtype}" if isinstance(value, np.ndarray) else f" {type(value).__name__}"
     raise InputError(
         f"{name} is a{what}, which a file cannot hold.",
