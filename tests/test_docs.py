@@ -47,7 +47,15 @@ OUTSIDE = ("pip", "make")
 """Programs whose commands are compared with the Makefile and pyproject.toml."""
 
 
-@pytest.mark.long_for("docs/control.md", "docs/engines.md", "docs/forward_dynamics.md", "docs/guide/viewing.md")
+@pytest.mark.long_for(
+    "docs/control.md",
+    "docs/engines.md",
+    "docs/forward_dynamics.md",
+    "docs/guide/viewing.md",
+    "docs/compiled.md",
+    "docs/guide/exchange.md",
+    "docs/whole_trajectory.md",
+)
 @pytest.mark.parametrize("name", [name for name, path in PAGES.items() if "```" in path.read_text(encoding="utf-8")])
 def test_page_runs_as_it_is_written(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

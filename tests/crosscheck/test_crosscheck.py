@@ -149,7 +149,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.long_for("f off by a millionth", "legs swapped")
+@pytest.mark.long_for("f off by a millionth", "legs swapped", "Coriolis force of the carriers forgotten")
 @pytest.mark.parametrize(
     "name",
     [

@@ -126,6 +126,7 @@ def test_by_the_motion(name: str) -> None:
     assert_motion_derivatives(robot_of(name), 1)
 
 
+@pytest.mark.long
 def test_by_a_pose() -> None:
     assert_motion_derivatives(robot_of("gough"), 2, columns=3)
 

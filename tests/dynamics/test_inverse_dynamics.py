@@ -252,7 +252,7 @@ def test_samples_without_efforts_are_a_motion_without(name: str) -> None:
     assert stays.status is EffortStatus.UNBOUNDED_EFFORT
 
 
-@pytest.mark.long_for("virtual work")
+@pytest.mark.long_for("virtual work", "rnea")
 @pytest.mark.parametrize("name", BACKENDS)
 def test_wrenches_given_at_samples_are_known_between_them(name: str) -> None:
     motion = CIRCLE.sample(0.01)

@@ -125,6 +125,7 @@ def test_states_are_projected_by_the_shortest_step(name: str) -> None:
         np.testing.assert_allclose(found[1:], (before, left), rtol=1e-3, atol=1e-13)
 
 
+@pytest.mark.long
 def test_what_has_no_acceleration_is_left_to_those_who_say_why() -> None:
     robot = zoo.robot_of("2rpr")  # massless but for its carriers, which stand at s = 0
     state = closed_state(robot, [0.25, 0.4])

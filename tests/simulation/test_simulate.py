@@ -188,6 +188,7 @@ def test_a_limit_of_forces_is_refused_where_motion_drives_the_carriers() -> None
         rp.simulate(robot, Parked(np.zeros(3), np.zeros(3)), duration=0.01, carriers="motion", carrier_force_limit=1.0)
 
 
+@pytest.mark.long
 def test_turns_are_counted_between_samples_far_apart() -> None:
     robot = chain_of("continuous")
     start = closed_state(robot, [1.0], [9.0])

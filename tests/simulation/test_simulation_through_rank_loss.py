@@ -154,7 +154,7 @@ def require_change_point(seed: int, options: Mapping[str, Any], within: float) -
     return len(of_kind(run, "closure_rank"))
 
 
-@pytest.mark.long_for("RK45", "RK45 and constraint_dynamics", "constraint_dynamics")
+@pytest.mark.long_for("RK45", "RK45 and constraint_dynamics", "constraint_dynamics", "DOP853")
 @pytest.mark.parametrize("options", ALL)
 def test_random_change_point_linkages_stay_on_their_branch(options: str) -> None:
     within = EXACT if "RK45" not in options else 1e-5

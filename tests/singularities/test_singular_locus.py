@@ -98,6 +98,7 @@ def line_determinant(robot: Robot, x: Array) -> Array:
     return np.linalg.det(rows.transpose(1, 0, 2))
 
 
+@pytest.mark.long
 def test_three_rrr_is_type_i_where_a_leg_is_stretched() -> None:
     locus = locus_of("3rrr")
     x, _ = points_of(locus, SingularityKind.TYPE_I)

@@ -76,6 +76,7 @@ def _require_cells_of_the_planner(result: FeasibilityMap, dynamics: Any, make: C
             assert cell.peak_effort == pytest.approx(plan.peak_effort.max(), rel=1e-3)
 
 
+@pytest.mark.long_for("corners")
 def test_whole_trajectory_cells_of_a_crossing_are_those_of_the_planner(circle: FeasibilityMap) -> None:
     dynamics = rp.VirtualWork(rp.load_robot("2rpr"))
     _require_cells_of_the_planner(circle, dynamics, lambda v: reference.circle(speed=v, ramp_length=0.1 * v))

@@ -76,6 +76,7 @@ def test_errors_of_the_start_have_a_stream_of_their_own():
         assert np.abs(away).max() <= most
 
 
+@pytest.mark.long
 def test_a_trial_starts_beside_its_plan_and_the_controller_sees_it(monkeypatch: pytest.MonkeyPatch):
     """With the geometry as planned, the first reading is the true start, to the steps of the encoders."""
     seen = []

@@ -416,6 +416,7 @@ def test_the_live_view_is_the_same_page(browser: Any) -> None:
         browser.execute_cdp_cmd("Network.emulateNetworkConditions", {**online, "offline": True})
 
 
+@pytest.mark.long
 def test_the_browser_would_notice(browser: Any, tmp_path: Path) -> None:
     """A page that asks the network and fails in its script is seen to: the checks above can fail."""
     file = tmp_path / "bad.html"

@@ -114,7 +114,9 @@ def _said(drawn: Figure) -> dict[str, Bbox]:
     return {name: thing.get_window_extent() for name, thing in texts.items()}  # type: ignore[attr-defined]
 
 
-@pytest.mark.long_for("path of a crossing", "snapshots of a crossing", "plan of a crossing", "one alone")
+@pytest.mark.long_for(
+    "path of a crossing", "snapshots of a crossing", "plan of a crossing", "one alone", "side by side"
+)
 @pytest.mark.parametrize("name", FIGURES)
 def test_titles_labels_and_legends_are_whole_and_apart(name: str) -> None:
     drawn = FIGURES[name]()
