@@ -273,7 +273,7 @@ def test_backends_keep_their_settings_under_other_loads() -> None:
     assert not own.compiled
     assert own._threads == 3
     assert own.robot.loads[-1] is weight
-    assert RneaDynamics(robot, threads=2).with_external(weight)._threads == 2
+    assert RneaDynamics(robot, threads=3).with_external(weight)._threads == 3
 
 
 def test_symbols_hold_constant_wrenches_only() -> None:

@@ -109,8 +109,8 @@ def test_turning_carriers_are_planned_in_one_solution_by_any_backend(robot, name
 
 
 def test_terms_of_carriers_that_slide_and_turn_are_exact(tmp_path):
-    """One of each, with gravity, far from the motions that the terms are read from."""
-    mixed = declared(tmp_path, "${'revolute' if i == 1 else 'prismatic'}", '"0 ${side*(i-1)} ${side*(2-i)}"')
+    """One of each, on an oblique axis and with gravity, far from the motions that the terms are read from."""
+    mixed = declared(tmp_path, "${'revolute' if i == 1 else 'prismatic'}", '"${2-i} ${side} ${side*(2-i)}"')
     mixed.write_text(yaml.safe_dump(yaml.safe_load(mixed.read_text()) | {"gravity": [1.0, -9.0, 0.5]}))
     robot = load_robot(mixed, **MASSES)
     rng = np.random.default_rng(1)
