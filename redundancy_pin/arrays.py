@@ -205,6 +205,15 @@ def require_few(count: float, most: int, what: str, remedy: str, **details: obje
         raise InputError(f"{message}; at most {most} are possible.", remedy=remedy, most=most, **details)
 
 
+def rows_of(values: ArrayLike, name: str, shape: tuple[int | str, int | str]) -> Array:
+    """Return what ``checked`` does of rows (N, k), of which a single one may be given as (k,)."""
+    try:
+        one = np.ndim(values) < 2
+    except ValueError:  # rows of several lengths, which the check says
+        one = False
+    return checked(np.atleast_2d(np.asarray(values)) if one else values, name, shape)
+
+
 def positive(value: float, name: str, unit: str) -> float:
     """Return ``value`` as a float after checking that it is positive and finite.
 
@@ -247,7 +256,7 @@ def each(
     count = f"two ends, or two for each of {shape[0]} carriers" if len(shape) == 2 else f"{shape[0]} numbers or one"
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is {text}, expected {count}.", name=name, value=values) from error
     if np.isnan(numbers).any() or (finite and np.isinf(numbers).any()):
         raise InputError(f"{name} is {text}, expected {count}, {'finite' if finite else 'no NaN'}.", name=name)

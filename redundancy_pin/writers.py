@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.arrays import Array, positive
+from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
@@ -38,6 +38,9 @@ _TRIALS = 5
 _STILL = 1e-12
 """Rounding of a row of a one-metre machine."""
 
+_NO_LIMIT = 1e300
+"""rad or m: Pinocchio's joints without limits have those of doubles, 1.8e308."""
+
 _MOST_COUPLED = 5
 """Numbers of the polynomial of an equality of MuJoCo."""
 
@@ -47,8 +50,7 @@ _MOST_COUPLED = 5
 
 def write_mjcf(robot: Robot, path: str | Path, step: float = 1e-3) -> Path:
     """Write a robot as MJCF; see ``Robot.to_mjcf``."""
-    if not (np.isfinite(step) and step > 0.0):
-        raise InputError(f"The step is {step}.", remedy="Pass a positive number of seconds.", step=step)
+    step = positive(step, "step", "s")
     target = require_writable(path)
     root = mjcf(robot, step, 2.0 * step)
     ElementTree.indent(root)
@@ -142,7 +144,7 @@ def _joint(model: pin.Model, data: pin.Data, index: int) -> dict[str, object]:
     }
     if joint.nq == 1:
         ends = [float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit)]
-        if np.isfinite(ends).all() and ends[0] < ends[1]:
+        if np.abs(ends).max() < _NO_LIMIT and ends[0] < ends[1]:
             described["range"] = ends
     return described
 

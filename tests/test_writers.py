@@ -150,9 +150,26 @@ def test_what_files_do_not_say_is_refused_by_name(tmp_path: Path) -> None:
         robot.loaded(JointForces(robot.actuated[0], rotor_inertia=0.1)).to_mjcf(tmp_path / "robot.xml")
     with pytest.raises(UnsupportedRobotError, match="armature of crank"):
         rp.load_robot(write(tmp_path, GEARED)).to_urdf(tmp_path / "robot.urdf")
-    with pytest.raises(InputError, match=r"The step is 0\.0"):
+    with pytest.raises(InputError, match="step is 0 s"):
         robot.to_mjcf(tmp_path / "robot.xml", step=0.0)
+    for step in ("x", None, [1.0], np.nan):
+        with pytest.raises(InputError, match="step is"):
+            robot.to_mjcf(tmp_path / "robot.xml", step=step)
+    for path in (None, 3.0, []):
+        for writer in (robot.to_mjcf, robot.to_urdf):
+            with pytest.raises(OutputError):
+                writer(path)
     with pytest.raises(OutputError):
         robot.to_mjcf(tmp_path / "no" / "robot.xml")
     with pytest.raises(UnsupportedRobotError, match="moves \\(nearly\\) no mass"):
         robot_of("2rpr", end_effector_mass=0.5).to_mjcf(tmp_path / "robot.xml")
+
+
+def test_joints_without_limits_have_none_in_mjcf(tmp_path: Path) -> None:
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "arm")  # its limits are the largest doubles
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.1, 0.0, 0.0]), 0.1 * np.eye(3)), pin.SE3.Identity())
+    path = Robot.from_model(model, actuated=["arm"], closures=[]).to_mjcf(tmp_path / "arm.xml")
+    assert "range" not in path.read_text()
+    limits = rp.load_robot(path).model
+    assert (np.abs([limits.lowerPositionLimit, limits.upperPositionLimit]) > 1e300).all()

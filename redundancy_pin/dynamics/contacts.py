@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, read_only
+from redundancy_pin.arrays import Array, Frozen, checked, each, positive, read_only, rows_of
 from redundancy_pin.dynamics.distribution import EffortRows
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, joint_reactions
-from redundancy_pin.errors import InputError, did_you_mean
+from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.motion import CarrierMotion
 
 
@@ -49,11 +49,17 @@ class ClosureForces(Frozen):
             direction: (c, r) or (r,) in the closure rows, see ``component``; differences squeeze between two contacts.
             lower: scalar or (c,) N; −inf for none.
             upper: scalar or (c,) N; inf for none.
+
+        Raises:
+            InputError: wrong shapes, or lower above upper.
         """
-        wanted = np.atleast_2d(np.asarray(direction, dtype=float))
+        wanted = rows_of(direction, "direction", ("c", len(self.names)))
+        low, high = (each(side, name, (len(wanted),)) for side, name in ((lower, "lower"), (upper, "upper")))
+        if (low > high).any():
+            raise InputError(f"lower is {low.tolist()} and upper is {high.tolist()}.", remedy="Swap or widen them.")
         moved = np.einsum("cr,Nr->Nc", wanted, self.constant)
         matrix = np.einsum("cr,Nrm->Ncm", wanted, self.matrix)
-        return EffortRows(*(read_only(part) for part in (matrix, lower - moved, upper - moved)))
+        return EffortRows(*(read_only(part) for part in (matrix, low - moved, high - moved)))
 
     def component(self, closure: str, axis: str) -> Array:
         """Return (r,) the unit vector of one closure row.
@@ -86,21 +92,22 @@ class ClosureForces(Frozen):
             least: smallest normal force, N.
 
         Raises:
-            InputError: no such closure, μ that is not positive, fewer than 3 sides.
+            InputError: no such closure, μ that is not positive, fewer than 3 sides, no number as least force.
         """
-        if not friction > 0.0 or sides < 3:
-            raise InputError(
-                f"friction is {friction} and sides are {sides}.", remedy="Pass a positive μ, and at least 3 sides."
-            )
+        mu, smallest = positive(friction, "friction", ""), float(checked(least, "least", ()))
+        if not isinstance(sides, int | np.integer) or sides < 3:
+            raise InputError(f"sides are {shown(sides)}.", remedy="Pass a whole number, at least 3.")
         push = self.component(closure, normal)
         others = [axis for axis in "xyz" if axis != normal and f"{axis} of {closure}" in self.names]
         tangents = [self.component(closure, axis) for axis in others]
-        angle = 2.0 * np.pi * np.arange(sides) / sides
-        around = np.stack([np.cos(angle), np.sin(angle)])[: len(tangents)]
-        within = friction * np.cos(np.pi / sides) if len(tangents) == 2 else friction
+        if len(tangents) < 2:  # the cone of a plane has two sides, or one that is no condition
+            sides, within, around = 2, mu, np.array([[1.0, -1.0]])[: len(tangents)]
+        else:
+            angle = 2.0 * np.pi * np.arange(sides) / sides
+            within, around = mu * np.cos(np.pi / sides), np.stack([np.cos(angle), np.sin(angle)])
         faces = within * push - np.einsum("ts,tr->sr", around, np.reshape(tangents, (len(tangents), len(push))))
         directions = np.concatenate([push[None], faces])
-        return self.rows(directions, np.array([least, *np.zeros(sides)]), np.inf)
+        return self.rows(directions, np.array([smallest, *np.zeros(int(sides))]), np.inf)
 
 
 def closure_forces(along: RneaAlongMotion, carriers: CarrierMotion | None = None) -> ClosureForces:

@@ -166,7 +166,7 @@ def expanded(target: str | Path) -> Path:
     """
     try:
         return Path(target).expanduser()
-    except RuntimeError as error:
+    except (RuntimeError, TypeError) as error:
         raise _refused(target, str(error), "Write the folder itself.") from error
 
 

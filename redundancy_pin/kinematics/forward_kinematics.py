@@ -18,9 +18,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, checked, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, positive, read_only, rows_of
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
-from redundancy_pin.kinematics.assembly import assemble, integrate, project
+from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import (
@@ -80,7 +80,8 @@ class ForwardKinematics(Frozen):
 
     Attributes:
         robot: the robot.
-        x: (N, n) coordinates of the platform or (N, 4, 4) poses, base frame, m and rad; angles go on beyond ±π.
+        x: (N, n) coordinates of the platform or (N, 4, 4) poses, base frame, m and rad; angles go on beyond ±π, and
+            count from the reference the turns that the joints do.
         xd: (N, n) their rate.
         xdd: (N, n) its rate.
         q: (N, nq) configurations, carriers at zero; pass one as ``start`` to go on from there.
@@ -145,9 +146,9 @@ def forward_kinematics(
         SingularPoseError: the start is a type II singularity, where branches meet.
     """
     robot = as_robot(robot)
-    u = checked(np.atleast_2d(np.asarray(actuated)), "actuated", ("N", robot.m))
+    u = rows_of(actuated, "actuated", ("N", robot.m))
     ud, udd = (
-        np.zeros(u.shape) if given is None else checked(np.atleast_2d(np.asarray(given)), name, u.shape)
+        np.zeros(u.shape) if given is None else rows_of(given, name, u.shape)
         for given, name in ((rates, "rates"), (accelerations, "accelerations"))
     )
     system = constraint_system(robot)
@@ -244,11 +245,33 @@ def _of_platform(system: ConstraintSystem, q: Array, v: Array, a: Array) -> tupl
     xd, xdd = np.full((2, len(q), robot.n), np.nan)
     x[known] = coordinates(robot, state)
     if not is_pose(robot) and known.any():
-        for column in angle_columns(robot):
-            x[known, column] = np.unwrap(x[known, column])
+        x[known] += _turns(system, q[known])
     xd[known] = np.einsum("ijv,iv->ij", state.Jx, v[known])
     xdd[known] = np.einsum("ijv,iv->ij", state.Jx, a[known]) + system.bias(state, v[known])[1]
     return x, xd, xdd
+
+
+def _turns(system: ConstraintSystem, q: Array) -> Array:
+    """Return (N, n) the whole turns, rad, that the platform's angles are away from (−π, π] at configurations (N, nq).
+
+    Joints that count their turns say it: of straight lines between configurations, from the reference on, each is
+    divided until no part of it can turn anything by more than a right angle. The loops may open on the way.
+    """
+    robot, columns = system.robot, angle_columns(system.robot)
+    turns = np.zeros((len(q), robot.n))
+    if not len(columns):
+        return turns
+    before = np.concatenate([np.array(robot.q_reference)[None], q[:-1]])
+    step = configuration_difference(robot.model, before, q)
+    parts = np.ceil(np.abs(step[:, turning_velocities(robot)]).sum(axis=1) / (0.5 * np.pi)).astype(int).clip(1)
+    first, last = np.repeat(before, parts, axis=0), np.cumsum(parts)
+    share = (np.arange(last[-1]) - np.repeat(last - parts, parts) + 1.0) / np.repeat(parts, parts)
+    path = integrate(robot.model, first, share[:, None] * np.repeat(step, parts, axis=0))
+    on_the_way = np.concatenate([before[:1], path])
+    x = np.concatenate([coordinates(robot, system.evaluate(on_the_way[part])) for part in blocks(len(on_the_way))])
+    for column in columns:
+        turns[:, column] = (np.unwrap(x[:, column]) - x[:, column])[last]
+    return turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,7 +318,7 @@ def assembly_modes(robot: RobotLike, actuated: ArrayLike, *, most_starts: int = 
         UnsupportedRobotError: fewer motors than freedoms.
         UnreachablePoseError: no start closes the chains.
     """
-    robot = as_robot(robot)
+    robot, most_starts = as_robot(robot), int(positive(most_starts, "most_starts", ""))
     u = np.array(checked(actuated, "actuated", (robot.m,)))
     reference, system = np.array(robot.q_reference), constraint_system(robot)
     followed = _followed(system, reference)

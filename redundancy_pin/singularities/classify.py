@@ -33,9 +33,9 @@ from redundancy_pin.arrays import (
     Array,
     BoolArray,
     Frozen,
-    checked,
     read_only,
     require_type,
+    rows_of,
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.assembly import inverses
@@ -217,8 +217,7 @@ def closed_state(robot: Robot, q: ArrayLike) -> tuple[ConstraintSystem, Constrai
     Raises:
         InputError: wrong shape, values that are not finite, or a configuration that is not closed.
     """
-    given = checked(q, "q", ("nq",)) if np.ndim(q) == 1 else q
-    configurations = checked(np.atleast_2d(given), "q", ("N", robot.model.nq))
+    configurations = rows_of(q, "q", ("N", robot.model.nq))
     system = constraint_system(robot)
     state = system.evaluate(configurations)
     gap = np.abs(state.phi).max(axis=1, initial=0.0)

@@ -25,13 +25,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, checked, read_only
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, each, read_only
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.kinematics.assembly import project
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.singularities.classify import closed_state
+
+_LARGEST = float(np.finfo(float).max)
 
 __all__ = ["Ellipsoid", "Performance", "performance", "platform_play", "platform_stiffness"]
 
@@ -149,12 +151,13 @@ def platform_stiffness(robot: RobotLike, q: ArrayLike, stiffness: ArrayLike | Ma
     robot = as_robot(robot)
     system, state = closed_state(robot, q)
     if not isinstance(stiffness, Mapping):
-        values = checked(np.broadcast_to(np.asarray(stiffness), robot.m), "stiffness", (robot.m,))
+        values = each(stiffness, "stiffness", (robot.m,), finite=True)
         stiffness = dict(zip(robot.actuated, values.tolist(), strict=True))
     springs, model = np.zeros(robot.model.nv), robot.model
     for name, value in stiffness.items():
-        joint = model.joints[model.getJointId(name)] if model.existJointName(name) else None
-        if joint is None or joint.nv != 1 or not value >= 0.0 or not np.isfinite(value):
+        joint = model.joints[model.getJointId(name)] if isinstance(name, str) and model.existJointName(name) else None
+        known = isinstance(value, int | float | np.number) and 0.0 <= value <= _LARGEST
+        if joint is None or joint.nv != 1 or not known:
             raise InputError(
                 f"stiffness of {name!r} is {value!r}; {robot.name} has springs in joints of one freedom, not negative.",
                 remedy=f"{did_you_mean(name, list(model.names)[1:])}Pass N/m or N·m/rad by joint.",
@@ -181,7 +184,7 @@ def platform_play(robot: RobotLike, q: ArrayLike, play: ArrayLike) -> Array:
     """
     robot = as_robot(robot)
     q, W = _actuation(robot, q)
-    off = checked(np.broadcast_to(np.asarray(play), robot.m), "play", (robot.m,))
+    off = each(play, "play", (robot.m,), finite=True)
     if (off < 0.0).any():
         raise InputError(f"play is {off.tolist()}.", remedy="Pass what each motor may be off by, to both sides.")
     values = _svd(scaled(W, row_scale(robot), column_scale(robot)))[1]
@@ -225,7 +228,7 @@ def _svd(matrices: Array) -> tuple[Array, Array]:
 def _positive(given: ArrayLike | None, name: str, absent: Array, robot: Robot) -> Array:
     if given is None:
         return absent
-    values = checked(np.broadcast_to(np.asarray(given), robot.m) if np.ndim(given) == 0 else given, name, (robot.m,))
+    values = each(given, name, (robot.m,), finite=True)
     if not (values > 0.0).all():
         raise InputError(f"{name} is {values.tolist()}.", remedy="Pass positive numbers, one a main actuator.")
     return values

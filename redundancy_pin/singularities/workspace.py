@@ -116,11 +116,11 @@ def default_axes(
     A coarse grid finds how far the workspace goes, however far that is up to ``_FARTHEST`` characteristic lengths;
     where it is not at an end there it is cut after ``_REACH``. A joint that turns is taken once round.
     """
-    robot = system.robot
-    half = np.pi if _turns(robot) else _REACH * robot.characteristic_length
+    robot, middle = system.robot, positions(place.x[None], place.free)[0]
+    half = _REACH * robot.characteristic_length
     if robot.platform is None:
-        return (np.linspace(place.x[0] - half, place.x[0] + half, resolution),)
-    middle = positions(place.x[None], place.free)[0]
+        far = [np.pi if unit == "rad" else half for unit in place.units]
+        return tuple(np.linspace(at - each, at + each, resolution) for at, each in zip(middle, far, strict=True))
     coarse = _COARSE if len(place.free) < 3 else _COARSE_IN_SPACE
 
     def around(far: float) -> WorkspaceGrid:

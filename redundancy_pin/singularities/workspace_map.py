@@ -14,8 +14,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, blocks, checked, frozen, read_only, require_few
-from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError, did_you_mean
+from redundancy_pin.arrays import (
+    Array,
+    BoolArray,
+    Frozen,
+    blocks,
+    checked,
+    frozen,
+    one_of,
+    read_only,
+    require_few,
+    require_type,
+)
+from redundancy_pin.errors import (
+    InputError,
+    RedundancyPinError,
+    UnsupportedRobotError,
+    WorkingModeError,
+    did_you_mean,
+    shown,
+)
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import all_working_modes, coordinates, is_pose, is_revolute
 from redundancy_pin.kinematics.lift import point_on_branch
@@ -105,29 +123,33 @@ def workspace(
     """
     robot = as_robot(robot)
     names, columns = _free(robot, free)
-    nodes = resolution or _RESOLUTION[len(columns)]
-    require_few(nodes ** len(columns), _MOST_NODES, "The grid has {} nodes", "Ask for a lower resolution.")
-    if nodes < 3 or (bounds is not None and len(bounds) != len(columns)):
+    nodes = _RESOLUTION[len(columns)] if resolution is None else resolution
+    require_type(nodes, (int, np.integer), "A number of nodes", "Pass a whole number, at least 3.")
+    require_few(float(nodes) ** len(columns), _MOST_NODES, "The grid has {} nodes", "Ask for a lower resolution.")
+    ends = np.zeros((len(columns), 2)) if bounds is None else checked(bounds, "bounds", (len(columns), 2))
+    if nodes < 3 or (bounds is not None and not (ends[:, 0] < ends[:, 1]).all()):
         raise InputError(
             f"resolution is {resolution} and bounds are {bounds!r}; the slice runs over {', '.join(names)}.",
             remedy="Pass at least 3 nodes, and one (lower, upper) pair for each of them.",
         )
-    wanted: Sequence[Sequence[int]] = (robot.working_mode,) if modes == "own" else all_working_modes(robot)
-    if not isinstance(modes, str):
-        wanted = modes
+    wanted = _modes(robot, modes)
     system = constraint_system(robot)
     home = coordinates(robot, system.evaluate(np.array(robot.q_reference)[None]))[0]
     x = np.array(home if at is None else checked(at, "at", home.shape))
-    starts = [_start(robot, tuple(int(sign) for sign in mode), x, at is None) for mode in wanted]
+    starts = [_start(robot, mode, x, at is None) for mode in wanted]
     turning = [robot.platform is None and is_revolute(robot, name) for name in names]
     units = tuple("rad" if turns else "m" for turns in turning)
     there = [(ConstraintSystem(one), Slice(names, units, columns, {}, x, q)) for one, q in starts if q is not None]
-    if bounds is not None:
-        axes = tuple(np.linspace(low, high, nodes) for low, high in bounds)
-    else:
+    if not there:
+        raise WorkingModeError(
+            f"{robot.name} can be at {x.tolist()} in none of the working modes {list(wanted)}.",
+            remedy="Pass another `at`, or other modes.",
+        )
+    if bounds is None:
         each = [default_axes(*one, nodes, within_ranges=True) for one in there]
-        ends = [(min(axis[0] for axis in same), max(axis[-1] for axis in same)) for same in zip(*each, strict=True)]
-        axes = tuple(np.linspace(low, high, nodes) for low, high in ends)
+        spans = np.array([[(axis[0], axis[-1]) for axis in one] for one in each])
+        ends = np.stack([spans[..., 0].min(axis=0), spans[..., 1].max(axis=0)], axis=1)
+    axes = tuple(np.linspace(low, high, nodes) for low, high in ends)
     grids = [solve_grid(*one, axes, islands=True) for one in there]
     shape = (len(there), *(len(axis) for axis in axes))
     reachable = np.stack([grid.reachable for grid in grids])
@@ -141,6 +163,22 @@ def workspace(
     maps = [read_only(part.reshape(shape)) for part in (reachable, in_range, *margins)]
     modes_there = tuple(one.robot.working_mode for one, _ in there)
     return Workspace(robot, names, units, tuple(map(frozen, axes)), grids[0].x, modes_there, *maps)
+
+
+def _modes(robot: Robot, modes: Sequence[Sequence[int]] | str) -> tuple[tuple[int, ...], ...]:
+    """Return the working modes that are asked for."""
+    if isinstance(modes, str):
+        one_of(modes, "modes", ("own", "all"))
+        return (robot.working_mode,) if modes == "own" else tuple(all_working_modes(robot))
+    try:
+        signs = tuple(tuple(int(sign) for sign in mode) for mode in modes)
+    except (TypeError, ValueError):
+        signs = ()
+    if not signs:
+        raise InputError(
+            f"modes is {shown(modes)}.", remedy=f"Pass 'own', 'all', or some of {all_working_modes(robot)}."
+        )
+    return signs
 
 
 def _start(robot: Robot, mode: tuple[int, ...], x: Array, home: bool) -> tuple[Robot, Array | None]:
@@ -166,7 +204,8 @@ def _free(robot: Robot, free: Sequence[str] | None) -> tuple[tuple[str, ...], tu
     """Return names and columns of the coordinates that vary."""
     known = robot.platform.axes if robot.platform else robot.independent_joints
     possible = [name for name in known if robot.platform is None or not name.startswith("r")]
-    names = tuple(possible if free is None else free)
+    require_type(free, (str, Sequence, type(None)), "Names of coordinates", f"Choose from {', '.join(possible)}.")
+    names = tuple(possible if free is None else [free] if isinstance(free, str) else map(str, free))
     if not possible or not 1 <= len(names) <= 3 or (robot.platform is None and len(names) > 2):
         raise UnsupportedRobotError(
             f"The workspace of {robot.name} has no picture over {', '.join(names) or 'no coordinate'}.",

@@ -9,10 +9,11 @@ import zoo
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.contacts import closure_forces
+from redundancy_pin.dynamics.contacts import ClosureForces, closure_forces
 from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus
 from redundancy_pin.errors import InputError
 
+EXACT = 1e-12
 OPTIMUM = 1e-5  # relative; DAQP keeps conditions to 1e-6
 
 
@@ -124,3 +125,34 @@ def test_refusals(gripping) -> None:
     ):
         with pytest.raises(InputError, match=message):
             call()
+
+
+def foot() -> ClosureForces:
+    """A point foot in a plane: what holds it are the two efforts themselves."""
+    return ClosureForces(("x of foot", "z of foot"), np.zeros((1, 2)), np.eye(2)[None])
+
+
+@pytest.mark.parametrize("sides", [3, 4, 5, 8])
+def test_a_cone_in_a_plane_is_the_same_to_both_sides_whatever_the_number_of_sides(sides: int) -> None:
+    cone = foot().friction_cone("foot", 0.5, sides=sides)
+    tangential = np.linspace(-1.0, 1.0, 401)
+    held = [bool((cone.matrix[0] @ [x, 1.0] >= cone.lower[0] - EXACT).all()) for x in tangential]
+    assert held == (np.abs(tangential) <= 0.5 + EXACT).tolist()
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"friction": "a"}, {"friction": np.inf}, {"sides": 3.5}, {"sides": "x"}, {"least": np.nan}, {"least": [1, 2]}],
+)
+def test_cones_of_no_sense_are_refused(given: dict[str, object]) -> None:
+    with pytest.raises(InputError):
+        foot().friction_cone(**{"closure": "foot", "friction": 0.5, **given})
+
+
+@pytest.mark.parametrize(
+    ("direction", "lower", "upper"),
+    [([1, 2, 3], 0, 1), ("x", 0, 1), ([1, 0], 2, 1), ([1, 0], np.nan, 1), ([1, 0], [0, 0, 0], 1), ([np.nan, 0], 0, 1)],
+)
+def test_rows_of_no_sense_are_refused(direction: object, lower: object, upper: object) -> None:
+    with pytest.raises(InputError):
+        foot().rows(direction, lower, upper)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import zoo
 
@@ -263,3 +264,33 @@ def test_refusals(five_bar: rp.Robot) -> None:
     weak = replace(five_bar, actuated=five_bar.actuated[:1], actuated_velocity=five_bar.actuated_velocity[:1])
     with pytest.raises(UnsupportedRobotError, match="1 main actuators and 2 freedoms"):
         rp.forward_kinematics(weak, home[:1])
+
+
+def test_angles_of_the_platform_count_the_turns_between_far_samples_and_from_call_to_call() -> None:
+    model = pin.Model()
+    for name, place in (("base", 0.0), ("wrist", 0.4)):
+        joint = model.addJoint(model.njoints - 1, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([place, 0, 0])), name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("tip", 2, pin.SE3.Identity(), 0)
+    robot = rp.Robot.from_model(
+        model,
+        actuated=["base", "wrist"],
+        closures=[],
+        independent={"platform": "tip", "axes": ["x", "rz"]},
+        reference={"platform": [0.4 * np.cos(0.8), 0.9], "guess": {"base": 0.8, "wrist": 0.1}},
+    )
+    u = np.array([[1.3, 3.0], [1.3, 9.5], [1.1, -4.0]])
+    found = rp.forward_kinematics(robot, u)
+    assert found.status_labels.tolist() == ["converged"] * 3
+    assert np.abs(found.x[:, 1] - u.sum(axis=1)).max() < TOLERANCE
+    again = rp.forward_kinematics(robot, u[2], start=found.q[1])
+    assert np.abs(again.x[0, 1] - u[2].sum()) < TOLERANCE
+
+
+@pytest.mark.parametrize("given", ["x", [[1, 2], [3]], [1.0], 10**400, [np.nan, 0.0]], ids=range(5))
+def test_motors_of_no_sense_are_refused(five_bar: rp.Robot, given: object) -> None:
+    for wanted in ({"actuated": given}, {"actuated": np.zeros(2), "rates": given}):
+        with pytest.raises(InputError):
+            rp.forward_kinematics(five_bar, **wanted)
+    with pytest.raises(InputError):
+        rp.assembly_modes(five_bar, np.ones(2), most_starts="x")

@@ -169,3 +169,17 @@ def test_figure_has_an_ellipse_a_pose_in_each_panel(name: str) -> None:
         assert abs(length.max() / length.min() - found.force.condition[-1]) < 1e-9
     with pytest.raises(InputError, match="A performance was expected"):
         rp.plot.ellipsoids(5)
+
+
+@pytest.mark.parametrize("given", [[], [1.0, 2.0, 3.0], [[1, 2], [3]], 10**400, "x", np.nan], ids=range(6))
+def test_numbers_of_no_sense_are_refused(poses: tuple[rp.Robot, Array, Array], given: object) -> None:
+    robot, _, q = poses
+    for question in (
+        lambda: rp.platform_stiffness(robot, q, given),
+        lambda: rp.platform_stiffness(robot, q, {robot.actuated[0]: given}),
+        lambda: rp.platform_play(robot, q, given),
+        lambda: rp.performance(robot, q, rates=given),
+        lambda: rp.performance(robot, given),
+    ):
+        with pytest.raises(InputError):
+            question()

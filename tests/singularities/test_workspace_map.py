@@ -142,3 +142,53 @@ def test_refusals() -> None:
     ):
         with pytest.raises(kind, match=message):
             call()
+
+
+def test_of_a_robot_without_platform_one_or_two_joints_span_a_workspace() -> None:
+    plain = zoo.robot_of("five_bar")
+    home = dict(zip([str(name) for name in plain.model.names][1:], np.array(plain.q_reference).tolist(), strict=True))
+    robot = rp.Robot.from_model(
+        plain.model,
+        actuated=plain.actuated,
+        carriers=[{"joint": name, "position": [-0.1, 0.1]} for name in plain.carriers],
+        closures=plain.closures,
+        independent={"joints": plain.actuated},
+        reference={
+            "joints": {name: home[name] for name in plain.actuated},
+            "guess": {name: at for name, at in home.items() if name not in (*plain.actuated, *plain.carriers)},
+        },
+    )
+    found = rp.workspace(robot, resolution=13)
+    middle = [home[name] for name in plain.actuated]
+    for axis, at in zip(found.axes, middle, strict=True):
+        assert np.abs(axis[[0, -1]] - [at - np.pi, at + np.pi]).max() < 1e-12
+    u = nodes(found)
+    ends = 0.5 * np.stack([np.cos(u), np.sin(u)], axis=-1) + np.array([[0.0, 0.0], [BASE, 0.0]])
+    apart = np.linalg.norm(ends[..., 1, :] - ends[..., 0, :], axis=-1)
+    assert not found.reachable[0][apart > 1.0].any()  # links of half a metre do not meet
+    assert found.reachable[0][apart < 1.0].mean() > 0.8
+    one = rp.workspace(robot, [plain.actuated[1]], resolution=9)
+    assert np.abs(one.axes[0][4] - middle[1]) < 1e-12
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"modes": "each"},
+        {"modes": []},
+        {"modes": [["a", "b"]]},
+        {"modes": 3},
+        {"bounds": [(1, -1), (0, 1)]},
+        {"bounds": [(np.nan, 1), (0, 1)]},
+        {"bounds": [(0, 0), (0, 1)]},
+        {"bounds": [(0,), (1,)]},
+        {"bounds": "ab"},
+        {"resolution": "x"},
+        {"resolution": 4.5},
+        {"resolution": 0},
+        {"free": 3},
+    ],
+)
+def test_slices_of_no_sense_are_refused(given: dict[str, object]) -> None:
+    with pytest.raises(InputError):
+        rp.workspace(zoo.robot_of("five_bar"), **{"resolution": 5, **given})
