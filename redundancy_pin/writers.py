@@ -38,8 +38,11 @@ _TRIALS = 5
 _STILL = 1e-12
 """Rounding of a row of a one-metre machine."""
 
-_NO_LIMIT = 1e300
-"""rad or m: Pinocchio's joints without limits have those of doubles, 1.8e308."""
+_NO_LIMIT, _FAR = 1e300, 1e10
+"""rad or m: Pinocchio's joints without limits have those of doubles, 1.8e308; what stands for one where the other end
+has a limit."""
+
+_LARGEST = float(np.finfo(float).max)
 
 _MOST_COUPLED = 5
 """Numbers of the polynomial of an equality of MuJoCo."""
@@ -144,8 +147,8 @@ def _joint(model: pin.Model, data: pin.Data, index: int) -> dict[str, object]:
     }
     if joint.nq == 1:
         ends = [float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit)]
-        if np.abs(ends).max() < _NO_LIMIT and ends[0] < ends[1]:
-            described["range"] = ends
+        if np.abs(ends).min() < _NO_LIMIT and ends[0] < ends[1]:  # of one end alone the other is far away
+            described["range"] = np.clip(ends, -_FAR, _FAR)
     return described
 
 
@@ -362,7 +365,9 @@ def _urdf_joint(
     limits = {"effort": model.upperEffortLimit[joint.idx_v], "velocity": model.upperVelocityLimit[joint.idx_v]}
     if joint.nq == 1:
         lower, upper = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
-        limits |= {"lower": lower, "upper": upper} if np.isfinite([lower, upper]).all() else {"lower": 0, "upper": 0}
+        limits |= {"lower": 0.0, "upper": 0.0}
+        if np.isfinite([lower, upper]).any():
+            limits |= {"lower": max(lower, -_LARGEST), "upper": min(upper, _LARGEST)}
     # zeros stand for limits that are not known
     _add(element, "limit", **{key: float(value) if np.isfinite(value) else 0.0 for key, value in limits.items()})
     own = forces.get(name)

@@ -173,3 +173,11 @@ def test_joints_without_limits_have_none_in_mjcf(tmp_path: Path) -> None:
     assert "range" not in path.read_text()
     limits = rp.load_robot(path).model
     assert (np.abs([limits.lowerPositionLimit, limits.upperPositionLimit]) > 1e300).all()
+    # a limit to one side is kept
+    model.lowerPositionLimit[0], model.upperPositionLimit[0] = -np.inf, 1.25
+    robot = Robot.from_model(model, actuated=["arm"], closures=[])
+    robot.to_urdf(tmp_path / "arm.urdf")
+    for path in (robot.to_mjcf(tmp_path / "arm.xml"), tmp_path / "arm.yaml"):
+        limits = rp.load_robot(path).model
+        assert limits.upperPositionLimit[0] == 1.25
+        assert limits.lowerPositionLimit[0] < -1e9
