@@ -126,7 +126,15 @@ def mjcf(
 def _joint(model: pin.Model, data: pin.Data, index: int) -> dict[str, object]:
     """Return MuJoCo's joint for one of Pinocchio's, as attributes."""
     name, joint = str(model.names[index]), model.joints[index]
-    kind, attributes = str(joint.shortname()).removeprefix("JointModel"), {"name": name}
+    armature = np.array(model.armature[joint.idx_v : joint.idx_v + joint.nv])
+    if np.ptp(armature) > 0.0:
+        raise UnsupportedRobotError(
+            f"Joint {name!r} has the armatures {armature.tolist()}; MuJoCo has one a joint.",
+            remedy="Give it the same about all axes.",
+            joint=name,
+        )
+    kind = str(joint.shortname()).removeprefix("JointModel")
+    attributes: dict[str, object] = {"name": name, "armature": float(armature[0])}
     if kind == "Spherical":
         return {**attributes, "type": "ball"}
     if kind == "FreeFlyer" and model.parents[index] == 0 and model.jointPlacements[index].isIdentity():
@@ -143,7 +151,6 @@ def _joint(model: pin.Model, data: pin.Data, index: int) -> dict[str, object]:
         **attributes,
         "type": "hinge" if turning else "slide",
         "axis": subspace[3:] if turning else subspace[:3],
-        "armature": float(model.armature[joint.idx_v]),
     }
     if joint.nq == 1:
         ends = [float(limit[joint.idx_q]) for limit in (model.lowerPositionLimit, model.upperPositionLimit)]
@@ -284,7 +291,8 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
     model, data = robot.model, robot.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     if model.armature.any():
-        names = [str(model.names[i]) for i in range(1, model.njoints) if model.armature[model.joints[i].idx_v]]
+        joints = list(enumerate(model.joints))[1:]
+        names = [str(model.names[i]) for i, at in joints if model.armature[at.idx_v : at.idx_v + at.nv].any()]
         raise UnsupportedRobotError(
             f"A URDF does not say the armature of {', '.join(names)}.", remedy="Write MJCF, or make it a rotor_inertia."
         )

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, Frozen, checked, each, positive, read_only, rows_of
+from redundancy_pin.arrays import Array, Frozen, checked, each, positive, read_only, require_type, rows_of
 from redundancy_pin.dynamics.distribution import EffortRows
 from redundancy_pin.dynamics.rnea import RneaAlongMotion, joint_reactions
 from redundancy_pin.errors import InputError, did_you_mean, shown
@@ -116,7 +116,11 @@ def closure_forces(along: RneaAlongMotion, carriers: CarrierMotion | None = None
     Args:
         along: ``RneaDynamics(robot).along(motion)``.
         carriers: carrier motion, parked when left out.
+
+    Raises:
+        InputError: ``along`` or ``carriers`` are something else.
     """
+    require_type(along, RneaAlongMotion, "RNEA dynamics along a motion", "Pass RneaDynamics(robot).along(motion).")
     m, samples = along.robot.m, len(along.motion)
     still = np.zeros((samples, m))
     none = joint_reactions(along, still, carriers).closure_force

@@ -26,7 +26,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.dynamics.allocation import fit_into_bounds, least_residual, leaves_bounds, minimum_norm
 from redundancy_pin.dynamics.base import ReducedDynamics
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, shown
 from redundancy_pin.kinematics.spectrum import null_directions, scaled, spectrum_of
 
 
@@ -374,9 +374,14 @@ def _problem(
 def _with_rows(problem: _Problem, rows: Sequence[EffortRows], column_scale: Array) -> _Problem:
     """Return the problem with further rows, made unit rows of scaled efforts."""
     samples, _, m = problem.A.shape
+    if rows is None or isinstance(rows, EffortRows):
+        raise InputError(f"rows is {shown(rows)}.", remedy="Pass a list of EffortRows, an empty one for none.")
     for one in rows:
         require_type(one, EffortRows, "Rows of efforts", "Pass EffortRows, or what dynamics.contacts makes.")
-        given = np.asarray(one.matrix, dtype=np.float64)
+        try:
+            given = np.asarray(one.matrix, dtype=np.float64)
+        except (TypeError, ValueError):
+            given = checked(one.matrix, "matrix", ("N", "c", m))  # raises, and says why
         given = np.tile(given, (samples, 1, 1)) if given.ndim == 2 else given.copy()
         c = given.shape[1] if given.ndim == 3 else 0
         if len(given) == samples:
@@ -388,6 +393,13 @@ def _with_rows(problem: _Problem, rows: Sequence[EffortRows], column_scale: Arra
             _bound(np.where(~problem.solvable[:, None], absent, values), name, absent, samples, c) / size
             for values, name, absent in ((one.lower, "lower", -math.inf), (one.upper, "upper", math.inf))
         ]
+        for k, row in np.argwhere(bounds[0] > bounds[1])[:1].tolist():
+            raise InputError(
+                f"lower is above upper in row {row} of the rows of efforts (first at sample {k}).",
+                remedy="Swap or widen them.",
+                sample=k,
+                row=row,
+            )
         problem = replace(
             problem,
             rows=np.concatenate([problem.rows, matrix / size[:, :, None]], axis=1),

@@ -156,3 +156,22 @@ def test_cones_of_no_sense_are_refused(given: dict[str, object]) -> None:
 def test_rows_of_no_sense_are_refused(direction: object, lower: object, upper: object) -> None:
     with pytest.raises(InputError):
         foot().rows(direction, lower, upper)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        None,
+        EffortRows(np.eye(4), np.zeros(4), np.ones(4)),
+        [EffortRows("x", 0, 1)],
+        [EffortRows(np.eye(4), np.ones(4), np.zeros(4))],
+        [EffortRows(np.eye(3), np.zeros(3), np.ones(3))],
+    ],
+    ids=range(5),
+)
+def test_rows_that_are_none_are_refused(gripping, rows: object) -> None:
+    robot, motion = gripping
+    with pytest.raises(InputError):
+        rp.distribute(rp.RneaDynamics(robot).reduce(motion), rows=rows)
+    with pytest.raises(InputError):
+        closure_forces(robot)
