@@ -68,7 +68,7 @@ def test_plot_is_written(tmp_path: Path) -> None:
         (("--robot", "3rrr", "--trajectory", "circle"), "moves in 3 (x, y, rz)"),
         (("--robot", "2rpr", "--plot", "locus.txt"), "picture format"),
         (("--robot", "2rpr", "--plot", "nowhere/locus.png"), "nowhere"),
-        (("--robot", "gough", "--plot", "locus.png"), "instants of a motion, with --motion."),
+        (("--robot", "gough", "--plot", "locus.png"), "instants of a motion, with --motion,"),
     ],
 )
 def test_bad_input(arguments: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

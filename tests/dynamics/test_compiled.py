@@ -186,7 +186,7 @@ def test_every_type_of_joint_is_pinocchios() -> None:
     rng = np.random.default_rng(0)
     model.armature = rng.uniform(0.1, 1.0, model.nv)
     nothing: Any = SimpleNamespace(
-        model=model, n=0, platform=None, closures=(), loads=(), independent_joints=(), working_modes=None,
+        model=model, n=0, platform=None, closures=(), couplings=(), loads=(), independent_joints=(), working_modes=None,
         characteristic_length=1.0,
         **dict.fromkeys(("carrier_position", "carrier_velocity", "actuated_velocity"), np.zeros(0, dtype=int)),
     )  # fmt: skip

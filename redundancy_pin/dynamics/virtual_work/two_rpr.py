@@ -119,6 +119,7 @@ def inverse_displacement(geometry: TwoRprGeometry, point: ArrayLike, mode: Seque
             f"point has shape {B.shape}, expected (N, 2).", remedy="Rows are samples, columns are x and y."
         )
     span = planar(B) - geometry.base_x
+    span[np.abs(span) < np.finfo(float).tiny] = 0.0  # too short to be divided by
     d = np.abs(span) * sign
     with np.errstate(divide="ignore", invalid="ignore"):  # d = 0 has no direction: NaN says so
         u = span / d
