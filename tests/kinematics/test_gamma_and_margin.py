@@ -92,6 +92,7 @@ def test_margin_is_zero_and_gamma_nan_at_a_type_i_singularity(name: str) -> None
     assert projection.margin[1] == pytest.approx(alone.margin[0])
 
 
+@pytest.mark.long
 @examples(15)
 @given(exponent=st.floats(-9.0, -3.0))
 def test_margin_falls_with_the_square_root_of_the_way_to_full_stretch(exponent: float) -> None:

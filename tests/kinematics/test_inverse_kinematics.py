@@ -32,6 +32,7 @@ def test_the_pose_is_met_in_the_working_mode(name: str, seed: int) -> None:
     assert in_working_mode(robot, state.q)[0]
 
 
+@pytest.mark.long
 def test_behind_an_obstacle_the_search_takes_over() -> None:
     """The straight way of the 2-RPR from home runs through the base hinge of leg 1, where the branch ends."""
     robot = zoo.robot_of("2rpr")

@@ -163,6 +163,7 @@ def test_optimum_is_that_of_the_full_model(planned, name, objective):
     np.testing.assert_allclose(plan.diagnostics["objective"][objective], theirs, rtol=SAME)
 
 
+@pytest.mark.long
 def test_plan_through_singularities_balances_and_is_as_good_between_the_nodes(robot, planned):
     plan = planned("circle", "effort")  # refinements would change nothing
     assert plan.status is PlanStatus.WITHIN_LIMITS

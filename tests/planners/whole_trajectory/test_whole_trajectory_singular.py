@@ -89,6 +89,7 @@ def test_passing_close_by_is_planned_as_carefully(objective, height):
     assert plan.diagnostics["dense_check"]["passed"]
 
 
+@pytest.mark.long
 def test_efforts_change_smoothly_from_a_crossing_to_a_near_miss():
     """The plan hardly depends on which side of the line the lowest point is; its nodes do (8e-3, 7e-4, 6e-5 of the
     effort at steps of 20, 10 and 5 ms)."""

@@ -40,6 +40,7 @@ def critically_damped(t, away, speed, omega):
     return (away + (speed + omega * away) * t[:, None]) * np.exp(-omega * t)[:, None]
 
 
+@pytest.mark.long
 def test_the_platform_obeys_its_error_equation_through_both_type_ii_poses():
     motion, robot = crossing(), two_rpr()
     start = perturbed(robot, motion, BEFORE, AWAY, SPEED)

@@ -63,6 +63,7 @@ def test_the_cost_to_go_is_symmetric_and_positive():
         assert control.riccati.least_eigenvalue > -1e-12
 
 
+@pytest.mark.long
 def test_the_linear_closed_loop_predicts_the_simulation():
     """δż = (A − B K) δz from the linearisation at each instant itself, not from the controller's own table."""
     motion, control = crossing(), regulator(4e-3)
