@@ -28,7 +28,7 @@ from redundancy_pin.kinematics.coordinates import (
     working_modes,
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
-from redundancy_pin.kinematics.selection import row_names, selected
+from redundancy_pin.kinematics.selection import STAYS_CLOSED, row_names, selected
 from redundancy_pin.robot import AXES, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, put_together
 from redundancy_pin.robot.changes import changed_urdf
@@ -556,7 +556,7 @@ def made(
         urdf: what shapes are drawn from.
         mode: ±1 a leg; as declared when left out.
         parameters: of the robot.
-        source: of the robot.
+        source: of the robot, where a file says what it is; its numbers may be rounded.
         drive_independent: let the joints that are chosen as independent be the main actuators, ``actuated`` first.
         couplings: those of the model, beside those of the declaration.
     """
@@ -582,7 +582,7 @@ def made(
     whole: Robot | None = None
     if loose or not data.get("independent"):
         provisional = replace(robot, platform=None, independent_joints=())
-        selection = selected(provisional, np.array(robot.q_reference), redundant=loose)
+        selection = selected(provisional, np.array(robot.q_reference), redundant=loose, rounded=bool(source))
         kept = selection.robot
         robot = replace(robot, model=kept.model, closures=kept.closures, couplings=kept.couplings)
         if selection.held:
@@ -594,7 +594,11 @@ def made(
             # rows that are left say less of the side on which a weld closes: what follows starts on the right one
             whole, robot = provisional, replace(robot, q_reference=frozen(selection.q))
             rows, opened = ", ".join(selection.left_out), selection.opened
-            rounded = f" to {opened:.1g} (m or rad) nearby, as the file's numbers are rounded" if opened > 1e-8 else ""
+            rounded = (
+                f" to {opened:.1g} (m or rad) nearby, as the file's numbers are rounded"
+                if opened > STAYS_CLOSED
+                else ""
+            )
             notes.append(f"Redundant closure rows left out, the loops stay closed in them{rounded}: {rows}.")
         if not data.get("independent"):
             robot = replace(robot, independent_joints=selection.independent)

@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, Frozen, checked, each, positive, read_only, require_type, rows_of
 from redundancy_pin.dynamics.distribution import EffortRows
-from redundancy_pin.dynamics.rnea import RneaAlongMotion, joint_reactions
+from redundancy_pin.dynamics.rnea import RneaAlongMotion, closure_multipliers
 from redundancy_pin.errors import InputError, did_you_mean, shown
+from redundancy_pin.kinematics.closure import constraint_system
 from redundancy_pin.motion import CarrierMotion
 
 
@@ -121,8 +122,12 @@ def closure_forces(along: RneaAlongMotion, carriers: CarrierMotion | None = None
         InputError: ``along`` or ``carriers`` are something else.
     """
     require_type(along, RneaAlongMotion, "RNEA dynamics along a motion", "Pass RneaDynamics(robot).along(motion).")
-    m, samples = along.robot.m, len(along.motion)
-    still = np.zeros((samples, m))
-    none = joint_reactions(along, still, carriers).closure_force
-    each = [joint_reactions(along, still + unit, carriers).closure_force - none for unit in np.eye(m)]
-    return ClosureForces(along.robot.constraint_names, none, read_only(np.stack(each, axis=2)))
+    robot, tree = along.robot, along.tree
+    efforts = np.zeros((len(along.motion), robot.model.nv, 1 + robot.m))
+    efforts[:, :, 0] = along.tree_effort(carriers).T
+    efforts[:, robot.actuated_velocity, 1 + np.arange(robot.m)] = -1.0
+    usable = tree.reachable
+    efforts[~usable] = 0.0
+    forces, _, determined = closure_multipliers(robot, constraint_system(robot).evaluate(tree.q), efforts, usable)
+    forces[~(usable & determined)] = np.nan
+    return ClosureForces(robot.constraint_names, read_only(forces[:, :, 0]), read_only(forces[:, :, 1:]))

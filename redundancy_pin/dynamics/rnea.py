@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import (
     Array,
+    BoolArray,
     Frozen,
     blocks,
     checked,
@@ -415,17 +416,12 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
     holes = np.isnan(effort).any(axis=-1, keepdims=True) if effort.ndim == 2 else np.zeros(1, dtype=bool)
     checked(np.where(holes, 0.0, effort), "tau", (len(along.motion), robot.m))
     usable = ~holes[:, 0] & tree.reachable
-    system = constraint_system(robot)
-    state = system.evaluate(tree.q)
+    state = constraint_system(robot).evaluate(tree.q)
     rest = along.tree_effort(carriers).T.copy()
     rest[:, robot.actuated_velocity] -= effort
     rest[~usable] = 0.0
-    columns = system.pose_columns
-    transposed = np.where(usable[:, None, None], state.Jc[:, :, columns], 0.0).transpose(0, 2, 1)
-    multipliers = (np.linalg.pinv(transposed) @ rest[:, columns, None])[:, :, 0]
-    scaled = transposed * (system.closure_scale / velocity_scale(robot)[columns, None])
-    determined = np.linalg.svd(scaled, compute_uv=False)[:, -1] > SINGULAR_MARGIN
-    left = rest[:, columns] - (transposed @ multipliers[:, :, None])[:, :, 0]
+    found, left, determined = closure_multipliers(robot, state, rest[:, :, None], usable)
+    multipliers = found[:, :, 0]
     forces = _closure_wrenches(robot, state, multipliers)
     loads, (q, v, a) = tree_loads(robot), along.tree_motion(carriers)
     for joint, load in ({} if loads is None else loads.bodies(along._state(q, v, a))).items():
@@ -439,8 +435,24 @@ def joint_reactions(along: RneaAlongMotion, tau: ArrayLike, carriers: CarrierMot
         joint_wrench=read_only(wrench),
         closures=robot.constraint_names,
         closure_force=read_only(multipliers),
-        residual=read_only(np.abs(left).max(axis=1, initial=0.0)),
+        residual=read_only(np.abs(left).max(axis=(1, 2), initial=0.0)),
     )
+
+
+def closure_multipliers(
+    robot: Robot, state: ConstraintState, efforts: Array, usable: BoolArray
+) -> tuple[Array, Array, BoolArray]:
+    """Return (N, r, c) λ with J_cᵀ λ = efforts, (N, nv, c), what they leave, and (N,) where the closures determine λ.
+
+    Samples that are not ``usable`` (N,) have zeros.
+    """
+    system = constraint_system(robot)
+    columns = system.pose_columns
+    transposed = np.where(usable[:, None, None], state.Jc[:, :, columns], 0.0).transpose(0, 2, 1)
+    multipliers = np.linalg.pinv(transposed) @ efforts[:, columns]
+    scaled = transposed * (system.closure_scale / velocity_scale(robot)[columns, None])
+    determined = np.linalg.svd(scaled, compute_uv=False)[:, -1] > SINGULAR_MARGIN
+    return multipliers, efforts[:, columns] - transposed @ multipliers, determined
 
 
 def _closure_wrenches(robot: Robot, state: ConstraintState, multipliers: Array) -> dict[int, Array]:

@@ -25,11 +25,11 @@ from redundancy_pin.robot import AXES, Robot
 _NEIGHBOURS, _SPREAD = 6, 0.1
 """Configurations around the reference, and how far the joints are from it, rad, or in characteristic lengths."""
 
-_STAYS_CLOSED = 1e-8
+STAYS_CLOSED = 1e-8
 """m, or rad: how far the rows that are left out may open. Newton leaves 1e-11; the false ones open by 1e-3 and more."""
 
 _ROUNDED = 2e-5
-"""m, or rad: how far they may open where the file's numbers are rounded, which is said: axes that are parallel but for
+"""m, or rad: how far they may open where a file's numbers are rounded, which is said: axes that are parallel but for
 five digits of π/2 (1.5708) open by 5e-6."""
 
 _REDUNDANT = 1e-6
@@ -60,13 +60,14 @@ class Selection(NamedTuple):
     q: Array
 
 
-def selected(robot: Robot, q: Array, *, redundant: bool) -> Selection:
+def selected(robot: Robot, q: Array, *, redundant: bool, rounded: bool) -> Selection:
     """Choose closure rows and independent joints near a configuration.
 
     Args:
         robot: a robot without independent velocities.
         q: (nq,) a configuration from which the loops can be closed.
         redundant: let rows be redundant and leave them out; else they stay, and the loader refuses them by name.
+        rounded: the robot's numbers are those of a file of another program, which may have rounded them.
 
     Raises:
         DeclarationError: the loops do not close; rows that depend on the others at the reference only; or a joint of
@@ -76,7 +77,7 @@ def selected(robot: Robot, q: Array, *, redundant: bool) -> Selection:
     left_out: tuple[str, ...] = ()
     opened = 0.0
     if redundant and (robot.closures or robot.couplings):
-        robot, left_out, opened = _without_redundant_rows(robot, q)
+        robot, left_out, opened = _without_redundant_rows(robot, q, _ROUNDED if rounded else STAYS_CLOSED)
     independent, loose = _independent(robot, q)
     held = tuple(name for name in loose if redundant and _spins(robot, name, q) is not None)
     for name in held:
@@ -144,8 +145,8 @@ def row_names(robot: Robot) -> list[str]:
     return [*closures, *(f"the coupling {coupling.name!r}" for coupling in robot.couplings)]
 
 
-def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, ...], float]:
-    """Return the robot with the rows that count, the names of the others, and how far these open."""
+def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot, tuple[str, ...], float]:
+    """Return the robot with the rows that count, the names of the others, and how far these open (at ``most``)."""
     system = ConstraintSystem(robot)
     rows = [_rows(system, each) for each in _neighbours(system, q)]
     ranks = [_rank(each) for each in rows]
@@ -159,9 +160,9 @@ def _without_redundant_rows(robot: Robot, q: Array) -> tuple[Robot, tuple[str, .
     # with these rows alone, do the others stay closed?
     again = _neighbours(ConstraintSystem(fewer), q)
     opened = np.abs(system.evaluate(again).phi).max(axis=0)
-    if opened.max() <= _ROUNDED:
+    if opened.max() <= most:
         return fewer, left_out, float(opened.max())
-    wide = [name for name, gap in zip(row_names(robot), opened, strict=True) if gap > _STAYS_CLOSED]
+    wide = [name for name, gap in zip(row_names(robot), opened, strict=True) if gap > most]
     raise DeclarationError(
         f"{robot.name} is over-constrained: {len(system.rows)} closure rows have rank {ranks[best]}, but where "
         f"{', '.join(left_out)} are left out the loops open, by {opened.max():.3g} in {', '.join(wide)}.",
