@@ -22,6 +22,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute, solved_status
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.functions import (
     PIECE_DEGREE,
@@ -39,6 +40,7 @@ from redundancy_pin.planners.limits import (
     limit_bounds,
     limits_broken,
     motion_broken,
+    ranges_left,
     require_dynamics,
 )
 from redundancy_pin.planners.plan import Plan, PlanStatus
@@ -124,7 +126,10 @@ def finish_plan(
     position = position if functions is None else functions.carriers
     if position is not None:
         exceeded = (*exceeded, *motion_broken(judged, position, reconstructed))
-    violated = _merged((*limits.violated, *at_samples, *_jerk_broken(along, carriers, parameters)), exceeded)
+    at_samples = (*limits.violated, *at_samples, *_jerk_broken(along, carriers, parameters))
+    if reduced.out_of_range is not None and reduced.out_of_range.any():
+        at_samples = (*at_samples, *ranges_left(robot, t, lift(robot, along.motion, mark_unreachable=True).q))
+    violated = _merged(at_samples, exceeded)
     overall = PlanStatus.WITHIN_LIMITS if diagnostics.get("optimal", True) else PlanStatus.STOPPED_EARLY
     if check is not None:
         findings["dense_check"] = _summary(check, tau)

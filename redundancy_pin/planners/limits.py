@@ -13,6 +13,8 @@ from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, positi
 from redundancy_pin.errors import InfeasiblePlanError, InputError, shown
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
 from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot.joint_ranges import ROUNDING as RANGE_ROUNDING
+from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 BINDING = 1e-6
@@ -198,8 +200,8 @@ class LimitEvent:
     """A stretch of time over which one limit of one carrier is touched or broken.
 
     Attributes:
-        carrier: name of the carrier joint; of the main actuator for "effort".
-        quantity: "track", "speed", "acceleration" or "force"; or "effort", N or N·m.
+        carrier: name of the carrier joint; of the main actuator for "effort", of any joint for "range".
+        quantity: "track", "speed", "acceleration" or "force"; "effort", N or N·m; or "range", of a joint's position.
         start, end: first and last sample of the stretch, s.
         worst: time of the largest value, s.
         value: the value there, with its sign: m, m/s, m/s² or N.
@@ -302,6 +304,16 @@ def _events(
         amount = max(0.0, float(excess[worst]))
         events.append(LimitEvent(carrier, quantity, *span, float(value[worst]), float(limit), amount))
     return events
+
+
+def ranges_left(robot: Robot, t: Array, q: Array) -> tuple[LimitEvent, ...]:
+    """Return where joints, passive ones too, are beyond their ranges: times (N,), s, configurations (N, nq) or NaN."""
+    events, known = [], np.isfinite(q).all(axis=1)
+    for joint in joint_ranges(robot):
+        value = joint.counted(q[known, joint.at], True)
+        for limit, excess in ((joint.lower, joint.lower - value), (joint.upper, value - joint.upper)):
+            events += _events(joint.name, "range", t[known], value, limit, excess, excess > RANGE_ROUNDING)
+    return tuple(events)
 
 
 def limits_broken(

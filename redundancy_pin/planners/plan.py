@@ -46,7 +46,7 @@ class PlanStatus(Enum):
     WITHIN_LIMITS = "within_limits"
     """Every sample has finite efforts and every limit of the carriers holds."""
     VIOLATES_LIMITS = "violates_limits"
-    """Efforts are finite, but a limit of a carrier is broken: see ``limits.violated``."""
+    """Efforts are finite, but a limit of a carrier is broken, or the range of a joint left: see ``limits.violated``."""
     UNBOUNDED_EFFORT = "unbounded_effort"
     """Some sample has no finite main effort: see ``sample_status``."""
     STOPPED_EARLY = "stopped_early"

@@ -17,6 +17,7 @@ from redundancy_pin.kinematics.coordinates import is_revolute
 from redundancy_pin.loading import load_with
 from redundancy_pin.robot import CarrierLimits, Robot
 from redundancy_pin.robot.declaration import read_declaration
+from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.model_files import is_model_file
 from redundancy_pin.robot.urdf import declaration_path, shipped_robots
 
@@ -26,7 +27,7 @@ _SAME_BODIES = 1e-9
 _SAME_REFERENCE = 1e-6
 """Deviation, m or rad, of the closed reference configuration between two machines: Newton stops far below it."""
 
-_RATES = {"track": "", "speed": "/s", "acceleration": "/s²", "jerk": "/s³"}
+_RATES = {"track": "", "range": "", "speed": "/s", "acceleration": "/s²", "jerk": "/s³"}
 """Limits of a motion, and what their units add to that of its position."""
 
 
@@ -43,7 +44,7 @@ class RobotRecord:
         working_mode: ±1 a leg.
         actuated: names of the main actuators.
         carriers: names of the carriers.
-        rotating: those of the two that rotate; the others slide.
+        rotating: those of the two, and of the other joints that have a range, that rotate; the others slide.
         carrier_limits: limits of the carriers, in the same order.
         bodies: a row of 10 for each joint of the tree: mass, kg; mass times centre, kg·m; inertia xx, xy, yy, xz, yz,
             zz about the joint, kg·m²; of the body it moves, in the frame of the joint.
@@ -90,8 +91,8 @@ class RobotRecord:
     def limit_unit(self, quantity: str, joint: str) -> str:
         """Return the unit of a limit of a joint.
 
-        ``quantity``: "track", "speed", "acceleration" or "jerk" of its motion; anything else is an effort; ``joint``:
-        name of an actuated joint or a carrier.
+        ``quantity``: "track", "range", "speed", "acceleration" or "jerk" of its motion; anything else is an effort;
+        ``joint``: name of an actuated joint, a carrier or one that has a range.
         """
         if quantity not in _RATES:
             return self.effort_unit(joint)
@@ -110,6 +111,7 @@ class RobotRecord:
 
 def robot_record(robot: Robot) -> RobotRecord:
     """Return the plain data from which a robot can be loaded again."""
+    limited = (*robot.actuated, *robot.carriers, *(joint.name for joint in joint_ranges(robot)))
     return RobotRecord(
         name=robot.name,
         source=robot.source,
@@ -118,7 +120,7 @@ def robot_record(robot: Robot) -> RobotRecord:
         working_mode=robot.working_mode,
         actuated=robot.actuated,
         carriers=robot.carriers,
-        rotating=tuple(name for name in (*robot.actuated, *robot.carriers) if is_revolute(robot, name)),
+        rotating=tuple(name for name in dict.fromkeys(limited) if is_revolute(robot, name)),
         carrier_limits=robot.carrier_limits,
         bodies=tuple(tuple(float(v) for v in body.toDynamicParameters()) for body in list(robot.model.inertias)[1:]),
         q_reference=tuple(float(q) for q in robot.q_reference),

@@ -14,6 +14,7 @@ from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import ConstraintSystem
+from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.trajectory import reference
 
 LINE = reference.line().sample(0.05)
@@ -85,11 +86,15 @@ def test_limits_that_are_none_are_none(ends: tuple[float, float]) -> None:
     assert not rp.lift(replace(free, model=model), LINE).out_of_range.any()
 
 
-def test_plans_keep_their_own_status_and_say_it_of_samples(robot: rp.Robot) -> None:
+def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp.Robot) -> None:
     both = zoo.robot_of("2rpr"), robot
     plans = [rp.plan_switch_off(rp.VirtualWork(one), reference.line(), threshold=4.0, dt=0.05) for one in both]
     plain, found = plans
-    assert found.status is plain.status
+    assert (plain.status, found.status) == (PlanStatus.WITHIN_LIMITS, PlanStatus.VIOLATES_LIMITS)
+    left = [event for event in found.limits.violated if event.quantity == "range"]
+    assert {event.limit for event in left} == set(RANGE.values())
+    assert {event.carrier for event in left} == {"swivel_1"}
+    assert found.robot.limit_unit("range", "swivel_1") == "rad"
     np.testing.assert_array_equal(found.tau, plain.tau)
     out = found.sample_status == SampleStatus.OUT_OF_RANGE
     assert (out == (beyond(plain.motion) & (plain.sample_status <= SampleStatus.SINGULAR_CONSISTENT))).all()
