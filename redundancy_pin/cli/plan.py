@@ -182,7 +182,7 @@ def _events(plan: Plan, events: tuple[LimitEvent, ...], between: str = "\n", *, 
 
 def _event(plan: Plan, event: LimitEvent, *, broken: bool) -> str:
     unit = plan.robot.limit_unit(event.quantity, event.carrier)
-    limit = event.limit if event.quantity == "track" else abs(event.limit)  # the others are limits of a size
+    limit = event.limit if event.quantity in ("track", "range") else abs(event.limit)  # the others are of a size
     much = f"by {event.amount:.3g} {unit}" if broken else f"at its limit {limit:.3g} {unit}"
     return f"{event.quantity} of {event.carrier} {much} at t = {event.worst:.4g} s"
 

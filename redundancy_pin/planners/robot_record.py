@@ -75,7 +75,10 @@ class RobotRecord:
 
     def describes(self, robot: Robot) -> bool:
         """Return whether the record is of that very robot, wherever its files are."""
-        return replace(robot_record(robot), source=self.source) == self
+        now = robot_record(robot)
+        own = {*self.actuated, *self.carriers}  # older files say of these alone which rotate
+        same = own.intersection(now.rotating) == own.intersection(self.rotating)
+        return same and replace(now, source=self.source, rotating=self.rotating) == self
 
     def saved_beside(self, path: str | Path) -> RobotRecord:
         """Return the record as it goes into the file of that path: a source in its folder as the path from there."""

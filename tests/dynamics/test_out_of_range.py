@@ -95,6 +95,7 @@ def test_plans_that_leave_a_range_violate_limits_and_say_it_of_samples(robot: rp
     assert {event.limit for event in left} == set(RANGE.values())
     assert {event.carrier for event in left} == {"swivel_1"}
     assert found.robot.limit_unit("range", "swivel_1") == "rad"
+    assert rp.plot.plan(found).get_suptitle().endswith("(range of swivel_1)")
     np.testing.assert_array_equal(found.tau, plain.tau)
     out = found.sample_status == SampleStatus.OUT_OF_RANGE
     assert (out == (beyond(plain.motion) & (plain.sample_status <= SampleStatus.SINGULAR_CONSISTENT))).all()

@@ -261,14 +261,14 @@ def numbers(values: object) -> tuple[float, ...]:
 
 
 def plan_title(plan: Plan) -> str:
-    """Return one line: robot, planner, status, and which limits of which carriers are broken."""
+    """Return one line: robot, planner, status, and which limits of which joints are broken."""
     title = curves_of_plan(plan).title
     if not plan.diagnostics.get("optimal", True):
         title = f"{title}, NOT an optimum"
     if plan.status is not PlanStatus.VIOLATES_LIMITS:
         return title
     broken: dict[str, list[str]] = {}
-    for name in plan.robot.carriers:
+    for name in dict.fromkeys((*plan.robot.carriers, *(event.carrier for event in plan.limits.violated))):
         for quantity in sorted({event.quantity for event in plan.limits.violated if event.carrier == name}):
             broken.setdefault(quantity, []).append(name)
     parts = [f"{quantity} of {', '.join(of)}" for quantity, of in broken.items()]
