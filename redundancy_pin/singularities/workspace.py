@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -38,6 +39,9 @@ to another turn by more."""
 _TRIED, _STARTS, _SEED = 60, 6, 20141
 """Nodes at which islands are looked for, random starts at each, and any fixed number."""
 
+_SLIDE = 0.6
+"""Change of a sliding joint at random starts, characteristic lengths."""
+
 
 @dataclass(frozen=True, eq=False)
 class Slice:
@@ -68,13 +72,19 @@ class WorkspaceGrid:
         axes: the grid's coordinates along each of them, increasing, m or rad.
         x: (G, n) platform coordinates of all nodes, the last axis running fastest.
         q: (G, nq) configurations, NaN where not reachable.
-        reachable: (G,) whether a closed configuration in the working mode was found.
+        part: (G,) 0 where the start reaches a closed configuration in the working mode, 1, 2, ... in parts that it does
+            not reach without leaving the grid, −1 where none was found.
     """
 
     axes: tuple[Array, ...]
     x: Array
     q: Array
-    reachable: BoolArray
+    part: IntArray
+
+    @property
+    def reachable(self) -> BoolArray:
+        """(G,) whether a closed configuration in the working mode was found."""
+        return read_only(self.part >= 0)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -114,7 +124,8 @@ def default_axes(
     """Return the grid that covers the workspace around a slice's start, or its part within the ranges of all joints.
 
     A coarse grid finds how far the workspace goes, however far that is up to ``_FARTHEST`` characteristic lengths;
-    where it is not at an end there it is cut after ``_REACH``. A joint that turns is taken once round.
+    where it is not at an end there it is cut after ``_REACH``. A joint that turns is taken once round. With
+    ``within_ranges`` islands count as well.
     """
     robot, middle = system.robot, positions(place.x[None], place.free)[0]
     half = _REACH * robot.characteristic_length
@@ -124,7 +135,8 @@ def default_axes(
     coarse = _COARSE if len(place.free) < 3 else _COARSE_IN_SPACE
 
     def around(far: float) -> WorkspaceGrid:
-        return solve_grid(system, place, tuple(np.linspace(at - far, at + far, coarse) for at in middle))
+        axes = tuple(np.linspace(at - far, at + far, coarse) for at in middle)
+        return solve_grid(system, place, axes, islands=within_ranges)
 
     def wanted(grid: WorkspaceGrid) -> BoolArray:
         kept = grid.reachable & ~out_of_range(robot, grid.q, motion=False)
@@ -179,7 +191,8 @@ def solve_grid(
     """Flood a grid from one configuration: every solved node is where its neighbours start from.
 
     Only the part of the workspace that is connected to the start (in the slice of the grid) is found; with ``islands``
-    also parts that random starts meet, where working modes tell the branches apart.
+    also parts that random starts meet. Where no working modes tell branches apart, a part that touches another one is
+    another branch there, and left out.
     """
     mesh = np.meshgrid(*axes, indexing="ij")
     nodes = np.repeat(place.x[None], mesh[0].size, axis=0)
@@ -187,10 +200,10 @@ def solve_grid(
         nodes[(slice(None), column, 3) if nodes.ndim == 3 else (slice(None), column)] = values.ravel()
     flood = _Flood(system, nodes, mesh[0].shape)
     flood.run(place.x, place.q)
-    if islands and system.robot.working_modes is not None:
-        flood.look_for_islands(place.q)
+    if islands:
+        flood.look_for_islands(place, axes)
     grid_axes = tuple(read_only(np.array(axis)) for axis in axes)
-    return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.solved)))
+    return WorkspaceGrid(grid_axes, *(read_only(part) for part in (nodes, flood.q, flood.part)))
 
 
 class _Flood:
@@ -203,6 +216,7 @@ class _Flood:
         self.q = np.full((len(nodes), system.robot.model.nq), np.nan)
         self.gamma = np.zeros((len(nodes), system.robot.model.nv, system.robot.n))
         self.solved = np.zeros(len(nodes), dtype=bool)
+        self.part = np.full(len(nodes), -1)
 
     def run(self, x: Array, q: Array) -> None:
         """Solve the nodes nearest to the start, then outward in waves until no new node closes."""
@@ -211,22 +225,46 @@ class _Flood:
         nearest = np.argsort(distance.max(axis=1), kind="stable")[: 4 ** len(self.shape)]
         count = len(nearest)
         self._spread(self._reach(nearest, x[None].repeat(count, 0), q[None].repeat(count, 0), gamma.repeat(count, 0)))
+        self.part[self.solved] = 0
 
-    def look_for_islands(self, q: Array) -> None:
-        """Try random starts about a configuration (nq,) at some nodes not reached, and spread from what closes."""
+    def look_for_islands(self, place: Slice, axes: tuple[Array, ...]) -> None:
+        """Try random starts about the start of a slice at some nodes not reached, and spread from what closes."""
+        robot, columns = self.system.robot, self.system.pose_columns
         unsolved = np.flatnonzero(~self.solved)
         targets = np.repeat(unsolved[:: max(1, len(unsolved) // _TRIED)], _STARTS)
-        model, columns = self.system.robot.model, self.system.pose_columns
-        spread = np.where(turning_velocities(self.system.robot)[columns], np.pi, 0.3)
-        steps = np.zeros((len(targets), model.nv))
+        spread = np.where(turning_velocities(robot)[columns], np.pi, _SLIDE * robot.characteristic_length)
+        steps = np.zeros((len(targets), robot.model.nv))
         steps[:, columns] = np.random.default_rng(_SEED).uniform(-1.0, 1.0, (len(targets), len(columns))) * spread
-        guess = integrate(model, np.repeat(q[None], len(targets), axis=0), steps)
+        guess = integrate(robot.model, np.repeat(place.q[None], len(targets), axis=0), steps)
+        # an island may be small in the grid: closed at random, chains are in it more often than a node is
+        closed = assemble(self.system, guess)
+        x = positions(coordinates(robot, closed.state), place.free)
+        near = [np.rint((at - axis[0]) / (axis[1] - axis[0])) for at, axis in zip(x.T, axes, strict=True)]
+        inside = np.all([(k >= 0) & (k < n) for k, n in zip(near, self.shape, strict=True)], axis=0) & closed.closed
+        hit = np.ravel_multi_index(tuple(k[inside].astype(int) for k in near), self.shape)
+        targets, guess = np.append(targets, hit), np.concatenate([guess, closed.q[inside]])
+        targets, guess = targets[~self.solved[targets]], guess[~self.solved[targets]]
         found = assemble(self.system, guess, self.nodes[targets], shortest_step=_SHORTEST_STEP)
         for k in np.flatnonzero(found.usable):
             if not self.solved[targets[k]]:
                 self.q[targets[k]], self.gamma[targets[k]] = found.q[k], found.gamma[k]
+                earlier = self.solved.copy()
                 self.solved[targets[k]] = True
                 self._spread(targets[k : k + 1])
+                self._name(np.flatnonzero(self.solved & ~earlier))
+        self.part = np.unique(np.append(self.part, -1), return_inverse=True)[1][:-1] - 1  # without gaps
+        self.q[self.part < 0] = np.nan
+
+    def _name(self, new: IntArray) -> None:
+        """Number a part that was found; one that touches another is of it, or another branch, where no modes tell."""
+        beside = self.part[self._beside(new, corners=True)[0]]
+        touched = beside[beside >= 0]
+        if not len(touched):
+            self.part[new] = self.part.max() + 1
+        elif self.system.robot.working_modes is not None:
+            self.part[new] = touched.min()
+            for other in np.unique(touched):
+                self.part[self.part == other] = touched.min()
 
     def _spread(self, front: IntArray) -> None:
         """Solve the neighbours of solved nodes, outward in waves until no new node closes."""
@@ -236,19 +274,22 @@ class _Flood:
 
     def _neighbours(self, front: IntArray) -> tuple[IntArray, IntArray]:
         """Return the unsolved neighbours of nodes, each once, and the node each is reached from."""
-        targets, sources = [], []
-        index = np.stack(np.unravel_index(front, self.shape))
-        for axis in range(len(self.shape)):
-            for step in (-1, 1):
-                moved = index.copy()
-                moved[axis] += step
-                inside = (moved[axis] >= 0) & (moved[axis] < self.shape[axis])
-                targets.append(np.ravel_multi_index(tuple(moved[:, inside]), self.shape))
-                sources.append(front[inside])
-        target, source = np.concatenate(targets), np.concatenate(sources)
+        target, source = self._beside(front)
         unsolved = ~self.solved[target]
         unique, first = np.unique(target[unsolved], return_index=True)
         return unique, source[unsolved][first]
+
+    def _beside(self, front: IntArray, *, corners: bool = False) -> tuple[IntArray, IntArray]:
+        """Return the neighbours of nodes along each axis, or at corners too, and the node each is a neighbour of."""
+        targets, sources = [], []
+        index = np.stack(np.unravel_index(front, self.shape))
+        for step in product((-1, 0, 1), repeat=len(self.shape)):
+            if any(step) and (corners or sum(map(abs, step)) == 1):
+                moved = index + np.array(step)[:, None]
+                inside = ((moved >= 0) & (moved < np.array(self.shape)[:, None])).all(axis=0)
+                targets.append(np.ravel_multi_index(tuple(moved[:, inside]), self.shape))
+                sources.append(front[inside])
+        return np.concatenate(targets), np.concatenate(sources)
 
     def _reach(self, targets: IntArray, x: Array, q: Array, gamma: Array) -> IntArray:
         """Solve nodes from configurations nearby, with a predicted step and, where that fails, without."""

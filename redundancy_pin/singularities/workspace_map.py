@@ -1,9 +1,8 @@
 """Where a platform can go, and how far from singularities it is there: slices and clouds of any robot.
 
 Nodes of a grid over two or three translations, the other coordinates held, are solved by continuation from the
-reference (``workspace``), in each working mode by itself. What is not connected to the start inside the slice is looked
-for from random starts at a few nodes that were not reached, and spread from there; without working modes, which tell
-branches apart, it is left out.
+reference (``workspace``), in each working mode by itself. Islands, which are not connected to the start inside the
+slice, are looked for from random starts at a few nodes that were not reached, and spread from there.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from redundancy_pin.arrays import (
     Array,
     BoolArray,
     Frozen,
+    IntArray,
     blocks,
     checked,
     frozen,
@@ -62,6 +62,8 @@ class Workspace(Frozen):
         in_range: (M, A, B, …) reachable with all joints within their ranges.
         margin: (M, A, B, …) signed scaled margin to type II, NaN where not reachable.
         serial_margin: (M, A, B, …) scaled margin to type I.
+        island: (M, A, B, …) 0 where the start of the mode reaches without leaving the slice, 1, 2, … in parts that it
+            does not reach, −1 where not reachable.
     """
 
     robot: Robot
@@ -74,6 +76,7 @@ class Workspace(Frozen):
     in_range: BoolArray
     margin: Array
     serial_margin: Array
+    island: IntArray
 
     @property
     def best(self) -> Array:
@@ -152,7 +155,8 @@ def workspace(
     axes = tuple(np.linspace(low, high, nodes) for low, high in ends)
     grids = [solve_grid(*one, axes, islands=True) for one in there]
     shape = (len(there), *(len(axis) for axis in axes))
-    reachable = np.stack([grid.reachable for grid in grids])
+    island = np.stack([grid.part for grid in grids])
+    reachable = island >= 0
     in_range, margins = np.zeros(reachable.shape, dtype=bool), np.full((2, *reachable.shape), np.nan)
     for k, ((one, _), grid) in enumerate(zip(there, grids, strict=True)):
         q = grid.q[grid.reachable]
@@ -160,7 +164,7 @@ def workspace(
         for part in blocks(len(q)):
             to = np.flatnonzero(grid.reachable)[part]
             margins[:, k, to] = margins_of(one, one.evaluate(q[part]))
-    maps = [read_only(part.reshape(shape)) for part in (reachable, in_range, *margins)]
+    maps = [read_only(part.reshape(shape)) for part in (reachable, in_range, *margins, island)]
     modes_there = tuple(one.robot.working_mode for one, _ in there)
     return Workspace(robot, names, units, tuple(map(frozen, axes)), grids[0].x, modes_there, *maps)
 

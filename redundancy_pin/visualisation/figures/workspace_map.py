@@ -18,16 +18,21 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_ISLAND: dict[str, Any] = {"colors": "#D55E00", "linestyles": "--", "linewidths": 1.2}
+
 
 def draw_workspace(found: Workspace) -> Figure:
     """Draw a workspace: a map for each working mode over two coordinates, a cloud over three, curves over one.
 
     The colour is the margin to type II singularities. Its top is the 95th percentile, so that one bright spot does not
-    flatten the rest; the arrow of the scale says that there is more. In a cloud the nearest points hide what is behind.
+    flatten the rest; the arrow of the scale says that there is more. Islands that the start does not reach are outlined
+    in maps. In a cloud the nearest points hide what is behind.
 
     Raises:
         InputError: no workspace.
     """
+    from matplotlib.lines import Line2D
+
     require_type(found, Workspace, "A workspace", "Pass what rp.workspace(robot) returns.")
     many = len(found.modes)
     columns = min(many, 4)
@@ -50,6 +55,8 @@ def draw_workspace(found: Workspace) -> Figure:
                 )
             elif len(found.axes) == 2:
                 image = shade(axes, found.axes, size[k], (found.reachable[k], found.in_range[k]), top)
+                if (found.island[k] > 0).any():
+                    axes.contour(*found.axes, (found.island[k] > 0).T, [0.5], **_ISLAND)
                 axes.set(
                     **{
                         f"{a}label": f"{name} [{unit}]"
@@ -62,7 +69,11 @@ def draw_workspace(found: Workspace) -> Figure:
         if image is not None:
             bar = drawn.colorbar(image, ax=list(panels), shrink=0.8, extend="max")
             bar.set_label("smallest scaled singular value of W [–]")
-        legend_below(drawn, hatched(found.reachable, found.in_range) if len(found.axes) == 2 else [])
+        marks = hatched(found.reachable, found.in_range)
+        if (found.island > 0).any():
+            look = {name[:-1]: value for name, value in _ISLAND.items()}
+            marks.append(Line2D([], [], label="not reached from the reference", **look))
+        legend_below(drawn, marks if len(found.axes) == 2 else [])
         return drawn
 
 
