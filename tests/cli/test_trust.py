@@ -33,6 +33,7 @@ MAP = ("--trajectory", "line", "--x", "speed=0.5:0.6:2", "--y", "carrier_mass=1:
 COMMANDS = {
     "info": ("info",),
     "singularities": ("singularities", "--trajectory", "line"),
+    "workspace": ("workspace", "--resolution", "3"),
     "show": ("show", "--html", "{folder}/out.html"),
     "validate": ("validate", "--samples", "5"),
     "codegen": ("codegen", "--out", "{folder}/code"),

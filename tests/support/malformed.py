@@ -358,6 +358,7 @@ def commands(dice: random.Random) -> dict[str, list[str]]:
         "plan": ["show", "--plan", "plan.npz", "--html", "a.html"],
         "study": ["study", "--draws", "0", "--jobs", "1"],
         "validate": ["validate", "--robot", robot, "--samples", "5"],
+        "workspace": ["workspace", "--robot", "2rpr", "--bounds", "0:1,1:2", "--resolution", "4", "--out", "w.csv"],
     }  # fmt: skip
 
 

@@ -1,0 +1,149 @@
+"""``redundancy-pin workspace``: where the platform can go, and how far from singularities it is there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+import numpy as np
+
+from redundancy_pin.cli import options, output
+from redundancy_pin.cli.errors import OPTIONS, in_words
+from redundancy_pin.errors import InputError, shown
+from redundancy_pin.io.files import write_text
+from redundancy_pin.kinematics.coordinates import is_pose, mode_name
+from redundancy_pin.singularities.workspace_map import Workspace
+from redundancy_pin.singularities.workspace_map import workspace as reached
+from redundancy_pin.studies.table import csv_text
+from redundancy_pin.trajectory.csv_file import checked_poses
+
+
+@click.command()
+@options.robot_options()
+@click.option("--free", metavar="NAMES", help="Coordinates that vary, such as x,z.  [default: all translations]")
+@click.option(
+    "--at",
+    metavar="X,Y,...",
+    help="Coordinates that the slice goes through; of a pose position and unit quaternion x, y, z, w.  "
+    "[default: the reference]",
+)
+@click.option(
+    "--bounds", metavar="LOW:HIGH,...", help="Of each free coordinate, m or rad.  [default: the whole workspace]"
+)
+@click.option("--resolution", type=int, metavar="N", help="Nodes along each axis.  [default: 400, 100 or 25]")
+@click.option("--all-modes", is_flag=True, help="All working modes, not the robot's own alone.")
+@click.option("--out", metavar="CSV", help="Where the nodes go.")
+@click.option("--plot", metavar="PICTURE", help="Draw it (.png, .svg or .pdf).")
+@options.json_option
+def workspace(
+    robot: options.RobotOptions,
+    free: str | None,
+    at: str | None,
+    bounds: str | None,
+    resolution: int | None,
+    all_modes: bool,
+    out: str | None,
+    plot: str | None,
+    as_json: bool,
+) -> None:
+    r"""Map where the platform can go.
+
+    One, two or three coordinates vary over a grid, the others stay as they are in the reference, or `at` another point.
+    The CSV has a row for each node and working mode: mode; x0, x1, ... (a pose: x, y, z); reachable, in_range (all
+    joints within their limits) as 0 or 1; margin to type II, serial_margin to type I, nan out of reach; island, 0 where
+    the reference reaches.
+
+    \b
+    Examples:
+      redundancy-pin workspace --robot five_bar --plot workspace.png
+      redundancy-pin workspace --robot gough --free x,z --bounds -0.4:0.4,0.2:0.9 --resolution 40 --out nodes.csv
+    """
+    if out:
+        output.require_suffix("--out", out, ".csv")
+    output.require_outputs(out, plot, ())
+    wanted: dict[str, Any] = {
+        "free": free.split(",") if free else None,
+        "at": _numbers("--at", at),
+        "bounds": None if bounds is None else [_numbers("--bounds", part, ":", 2) for part in bounds.split(",")],
+    }
+    words = {name: f"--{name}" for name in (*wanted, "resolution")}
+    with output.progress("workspace") as advance, in_words(OPTIONS.knowing(words)):
+        loaded = robot.load()
+        if wanted["at"] and len(wanted["at"]) == 7 and is_pose(loaded):
+            wanted["at"] = checked_poses(np.array([wanted["at"]]), "--at")[0]
+        advance(0, 2, "grid")
+        modes = "all" if all_modes else "own"
+        found = reached(loaded, **wanted, resolution=resolution, modes=modes)
+        advance(1, 2, "writing")
+        if out:
+            write_text(out, csv_text(_columns(found)))
+        if plot:
+            from redundancy_pin.visualisation.figures.style import save
+            from redundancy_pin.visualisation.figures.workspace_map import draw_workspace
+
+            save(draw_workspace(found), plot)
+    facts = _facts(found)
+    unit = "·".join(found.units).replace("m·m·m", "m³").replace("m·m", "m²").replace("rad·rad", "rad²")
+    rows = [
+        (f"{name} [{one}]", f"{low:.6g} to {high:.6g}")
+        for (name, (low, high)), one in zip(facts["bounds"].items(), found.units, strict=True)
+    ]
+    rows += [(f"size [{unit}]", f"{found.size:.6g}")]
+    for mode, one in facts["modes"].items():
+        parts = f", {one['islands']} island(s) not reached from the reference" if one["islands"] else ""
+        rows.append(
+            (mode or "nodes", f"{one['reachable']} of {facts['nodes']} reachable, {one['in_range']} in range{parts}")
+        )
+    rows += [("written to", path) for path in (out, plot) if path]
+    facts |= {"out": out, "plot": plot}
+    output.report(as_json, facts, output.TextTable(f"{loaded.name}: workspace over {', '.join(found.names)}", (), rows))
+
+
+def _numbers(flag: str, text: str | None, between: str = ",", count: int | None = None) -> list[float] | None:
+    """Return numbers in a row; as many as ``count`` says.
+
+    Raises:
+        InputError: they are none.
+    """
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.split(between)]
+    except ValueError:
+        numbers = []
+    if not numbers or (count and len(numbers) != count):
+        remedy = "Write LOW:HIGH for each free coordinate, such as -0.4:0.4,0.2:0.9." if count else "Write 0.1,0.2."
+        raise InputError(f"{flag} has {shown(text)}, which is not {count or 'a row of'} numbers.", remedy=remedy)
+    return numbers
+
+
+def _columns(found: Workspace) -> dict[str, Any]:
+    x = found.x[:, :3, 3] if found.x.ndim == 3 else found.x
+    many = len(found.modes)
+    return {
+        "mode": np.repeat([mode_name(mode) if mode else "" for mode in found.modes], len(x)),
+        "x": np.tile(x, (many, 1)),
+        "reachable": found.reachable.ravel().astype(int),
+        "in_range": found.in_range.ravel().astype(int),
+        "margin": found.margin.ravel(),
+        "serial_margin": found.serial_margin.ravel(),
+        "island": found.island.ravel(),
+    }
+
+
+def _facts(found: Workspace) -> dict[str, Any]:
+    parts = zip(found.modes, found.reachable, found.in_range, found.island, strict=True)
+    return {
+        "robot": found.robot.name,
+        "bounds": {name: [axis[0], axis[-1]] for name, axis in zip(found.names, found.axes, strict=True)},
+        "nodes": int(found.reachable[0].size),
+        "size": found.size,
+        "modes": {
+            mode_name(mode) if mode else "": {
+                "reachable": int(reachable.sum()),
+                "in_range": int(in_range.sum()),
+                "islands": int(island.max(initial=0)),
+            }
+            for mode, reachable, in_range, island in parts
+        },
+    }
