@@ -27,7 +27,7 @@ COMMANDS: Mapping[str, str] = {
     "singularities": "Find singularities: a map, instants of a motion.",
     "study": "Drive imperfect machines through singularities, many times.",
     "validate": "Check the dynamics on random states.",
-    "workspace": "Map where a platform can go.",
+    "workspace": "Map where the platform can go.",
 }
 """Commands, each the function of its name in the file of its name, and what the list of commands says of them."""
 
