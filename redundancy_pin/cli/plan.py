@@ -158,6 +158,8 @@ def _table(plan: Plan, facts: Mapping[str, Any]) -> output.TextTable:
         (f"rms main effort [{main}]", output.row(facts["rms_effort"])),
         (f"reversals above {100.0 * SWING:g} % of the peak", output.row(facts["reversals"])),
         (f"peak carrier effort [{moved}]", output.row(facts["peak_carrier_force"])),
+        ("peak force on the base [N]", output.number(facts["peak_base_force"])),
+        (f"its moment about {output.row(facts['base_point'])} m [N·m]", output.number(facts["peak_base_moment"])),
         ("energy, main actuators [J]", output.number(plan.main_energy)),
         ("energy, carriers [J]", output.number(plan.carrier_energy)),
         ("smallest margin", output.number(facts["smallest_margin"])),
@@ -322,7 +324,11 @@ def _run(
                 result.save(out)
     robot = task.dynamics.robot
     left = beyond_limits(robot, lift(robot, result.motion, mark_unreachable=True).q, result.t)
-    facts = {**summary(result), "joint_limits": [vars(one) for one in left], "out": out, "plot": plot}
+    point = task.parameters.get("base_point", (0.0, 0.0, 0.0))
+    base = np.linalg.norm(result.base_wrench(task.dynamics, point).reshape(-1, 2, 3), axis=2).max(axis=0)
+    base_facts = {"peak_base_force": base[0], "peak_base_moment": base[1], "base_point": np.asarray(point)}
+    joints = [vars(one) for one in left]
+    facts = {**summary(result), **base_facts, "joint_limits": joints, "out": out, "plot": plot}
     output.report(as_json, facts, _table(result, facts))
     for one in left:
         output.warning(f"{one}.")

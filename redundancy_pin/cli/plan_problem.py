@@ -19,6 +19,7 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, RedundancyPinError, shown
 from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.base_wrench import BASE
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
 from redundancy_pin.robot.urdf import shipped_robots
@@ -126,6 +127,7 @@ class Parameter:
 _MAX_SPEED = Parameter(numbers, "V[,V...]", "Limit of the carriers in place of theirs, m/s.", "--max-speed")
 _MAX_ACCELERATION = Parameter(numbers, "A[,A...]", "The same, m/s².", "--max-acceleration")
 _TRACK = Parameter(numbers, "LOWER,UPPER", "Ends of the tracks in place of theirs, m.")
+_BASE_POINT = Parameter(numbers, "X,Y,Z", "Point about which the moment on the base is taken, m.")
 _START = Parameter(numbers, "S[,S...]", "Where the carriers start, m.")
 
 SWITCH_OFF: Mapping[str, Parameter] = {
@@ -140,6 +142,10 @@ SWITCH_OFF: Mapping[str, Parameter] = {
 """Parameters of ``plan_switch_off``."""
 
 STEPWISE: Mapping[str, Parameter] = {
+    "objective": Parameter(
+        weights, "WORD[=WEIGHT]", f"What to minimise: effort, {', '.join(BASE)}; may be repeated.", multiple=True
+    ),
+    "base_point": _BASE_POINT,
     "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort to aim at, 0 to 1."),
     "active": Parameter(word, "WORD", "always, or accelerating: only while the platform accelerates."),
     "speed": _MAX_SPEED,
@@ -166,6 +172,7 @@ WHOLE_TRAJECTORY: Mapping[str, Parameter] = {
         multiple=True,
     ),
     "lam": Parameter(number, "NUMBER", "Fraction of the baseline effort that tracking aims at, 0 to 1."),
+    "base_point": _BASE_POINT,
     "start": Parameter(numbers, "S[,S...]", "Where the carriers start, m; at the datum when left out."),
     "start_speed": Parameter(numbers, "V[,V...]", "Their speeds there, m/s."),
     "end": Parameter(word, "WORD", "How they end: free, rest, datum (at rest there), or periodic."),

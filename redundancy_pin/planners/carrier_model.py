@@ -270,7 +270,7 @@ def carrier_model(along: DynamicsAlongMotion) -> CarrierModel:
     return model
 
 
-_SLIDING, _TURNING = [0, 1, 2, 3, 4], [0, 2, 4, 5, *range(7, 23)]
+SLIDING_TERMS, TURNING_TERMS = [0, 1, 2, 3, 4], [0, 2, 4, 5, *range(7, 23)]
 """The terms (``terms``) of a carrier, by how it moves."""
 
 
@@ -280,7 +280,7 @@ def turning_model(along: DynamicsAlongMotion) -> CarrierModel:
     Raises:
         UnsupportedRobotError: f has other terms too, as where a carrier carries another; carries ``deviation``.
     """
-    robot, samples, count = along.robot, len(along.motion), _TURNING[-1] + 1
+    robot, samples, count = along.robot, len(along.motion), TURNING_TERMS[-1] + 1
     parked = along.reduce(CarrierMotion.parked(samples, robot.k))
     # five angles tell the waves apart, and two rates the terms with ṡ from those with ṡ²
     at = np.stack([np.tile(0.4 * np.pi * np.arange(5), 2), np.repeat([0.0, 1.0], 5), np.zeros(10)])
@@ -294,7 +294,7 @@ def turning_model(along: DynamicsAlongMotion) -> CarrierModel:
     slopes = np.concatenate([np.imag(terms(s, sd, sdd, count, np)).T / 1e-20 for s, sd, sdd in steps])
     f_terms, force_terms = np.zeros((samples, robot.n, robot.k, count)), np.zeros((samples, robot.k, count))
     for i, turning in enumerate(turning_velocities(robot)[robot.carrier_velocity]):
-        places = _TURNING if turning else _SLIDING
+        places = TURNING_TERMS if turning else SLIDING_TERMS
         inverse = np.linalg.pinv(slopes[:, places])
         f_terms[:, :, i, places] = np.einsum("jr,rni->nij", inverse, by_f[..., i])
         force_terms[:, i, places] = np.einsum("jr,rn->nj", inverse, by_force[..., i, i])
@@ -336,16 +336,17 @@ class EffortModel:
     tau_terms: Array
 
 
-def effort_model(along: DynamicsAlongMotion, least_margin: float) -> EffortModel:
+def effort_model(along: DynamicsAlongMotion, least_margin: float, goals: int = 0) -> EffortModel:
     """Read the coefficients of the main efforts off a backend.
 
     With more actuators than freedoms the efforts are those of least norm, as ``distribute`` defines it: they too are
     linear in f.
 
-    ``least_margin`` is the smallest margin of W along the motion that is accepted.
+    ``least_margin`` is the smallest margin of W along the motion that is accepted; ``goals``: how many quantities beside
+    the efforts decide about the carriers.
     """
     robot = along.robot
-    if robot.k > robot.m or robot.m < robot.n:
+    if robot.k > robot.m + goals or robot.m < robot.n:
         message = (
             f"{robot.name} has {robot.n} freedoms, {robot.m} main actuators and {robot.k} carriers; the carriers of "
             "least effort are not determined."

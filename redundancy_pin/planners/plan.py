@@ -168,6 +168,18 @@ class Plan(Frozen):
         reduced = dynamics.along(self.platform_at(instants)).reduce(self.carriers_at(instants))
         return self.functions_of_time.efforts(reduced)
 
+    def base_wrench(self, dynamics: Dynamics, point: ArrayLike | None = None) -> Array:
+        """Return (N, 6) force, N, and moment, N·m, of the robot on its base at the samples, world axes.
+
+        Args:
+            dynamics: either backend, for the robot of the plan.
+            point: (3,) point about which the moment is taken, m; the world origin when left out.
+        """
+        from redundancy_pin.planners.base_wrench import about, point_of
+
+        require_dynamics(dynamics)
+        return about(dynamics.along(self.motion).base_wrench(self.carriers), point_of(point))
+
     @property
     def main_power(self) -> Array:
         """(N, m) power of the main actuators, W."""

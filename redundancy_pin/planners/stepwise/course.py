@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, Literal, get_args
@@ -12,6 +12,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, one_of, positive, require_few
 from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.planners.base_wrench import BASE, point_of, weights_of
 from redundancy_pin.planners.carrier_return import (
     CarrierState,
     no_return,
@@ -45,12 +46,14 @@ class Settings:
     brake_time: float
     least_margin: float
     between: int
+    objective: Mapping[str, float]
+    base_point: Array
 
     @property
     def parameters(self) -> dict[str, object]:
         """The settings as plain data, for the plan."""
         own = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
-        own |= {name: tuple(own[name].tolist()) for name in ("start", "datum")}
+        own |= {name: tuple(own[name].tolist()) for name in ("start", "datum", "base_point")}
         return {**own, **self.limits.parameters()}
 
     def box(self, end: float) -> AccelerationBox:
@@ -81,6 +84,8 @@ def checked_settings(robot: Robot, limits: Limits, **options: Any) -> Settings:
     checks: dict[str, Callable[[Any, str], object]] = {
         "lam": fraction,
         "between": partial(whole, least=0, most=1000),
+        "objective": lambda objective, name: weights_of(objective, ("effort", *BASE)),
+        "base_point": lambda point, name: point_of(point),
         "start": resolved.on_track,
         "datum": resolved.on_track,
         "return_time": return_duration,

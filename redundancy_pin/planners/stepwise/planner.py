@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal, Protocol
 
@@ -9,10 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
-from redundancy_pin.planners.carrier_model import effort_model, is_dynamics, require_carriers, target_effort
+from redundancy_pin.planners.base_wrench import BASE, base_wrench, load_at_rest
+from redundancy_pin.planners.carrier_model import (
+    EffortModel,
+    effort_model,
+    is_dynamics,
+    require_carriers,
+    target_effort,
+)
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.limits import Limits, grouped, require_dynamics, require_motion
@@ -23,6 +31,7 @@ from redundancy_pin.planners.stepwise.course import (
     RETURN,
     Active,
     Course,
+    Settings,
     Stop,
     brake,
     checked_settings,
@@ -63,6 +72,8 @@ def plan_stepwise(
     motion: PlatformMotion | SampledOnDemand,
     *,
     dt: float = 5e-3,
+    objective: str | Mapping[str, float] = "effort",
+    base_point: ArrayLike | None = None,
     lam: float = 0.0,
     baseline: Dynamics | ArrayLike | None = None,
     active: Active = "always",
@@ -96,6 +107,10 @@ def plan_stepwise(
     return to ``datum`` by a polynomial of degree seven; the next stretch takes over from the state it finds. After the
     last one, with the platform at rest, they are only braked.
 
+    Other objectives, alone or by weights beside Σ (τ − λ τ̂)², are squares of what the base feels at the sample beyond
+    the load at rest where the motion begins: "base_force", "base_moment" and "base_wrench" (both, the moment over the
+    characteristic length). What takes it to zero takes a carrier wherever that leads, to the end of its track too.
+
     The plan ends with the carriers at rest. ``stop="after"`` (the thesis's order) brakes them once the motion is over:
     samples with the platform held are added until they rest. ``stop="within"`` bounds the speeds so that they rest by
     the last sample.
@@ -108,6 +123,8 @@ def plan_stepwise(
         dynamics: either backend.
         motion: N samples of the platform motion, whose steps need not be equal; or a trajectory, which is sampled.
         dt: the time step of a trajectory, s. Jumps of its acceleration are sampled from both sides.
+        objective: what to minimise, or weights of several: "effort", "base_force", "base_moment", "base_wrench".
+        base_point: (3,) about which the moment on the base is taken, m; the world origin when left out.
         lam: λ, fraction of the baseline effort to aim at, 0 to 1.
         baseline: backend of the baseline robot, or its efforts τ̂ (N, m), N or N·m. Needed where λ > 0.
         active: "always", or "accelerating": while the reference acceleration is not zero.
@@ -156,6 +173,8 @@ def plan_stepwise(
     settings = checked_settings(
         robot,
         grouped("limits", limits, Limits, track=track, speed=speed, acceleration=acceleration),
+        objective=objective,
+        base_point=base_point,
         lam=lam,
         active=active,
         start=start,
@@ -168,8 +187,8 @@ def plan_stepwise(
         between=between,
     )
     along = dynamics.along(motion)
-    model = effort_model(along, settings.least_margin)
     target, reference = target_effort(robot, motion, settings.lam, baseline)
+    model, target = _goals(dynamics, along, settings, target)
     at = np.flatnonzero(~motion.jumps)
     problems = step_problems(model, target, at)
     moving, accelerating = _moving(motion, problems)
@@ -207,6 +226,21 @@ def plan_stepwise(
     peaks = {name: plan.tau[plan.phase == i] for i, name in enumerate(PHASES) if (plan.phase == i).any()}
     report["peak_effort"] = {name: tuple(np.abs(tau).max(axis=0).tolist()) for name, tau in peaks.items()}
     return replace(plan, diagnostics={**plan.diagnostics, **report})
+
+
+def _goals(
+    dynamics: Dynamics, along: DynamicsAlongMotion, settings: Settings, target: Array
+) -> tuple[EffortModel, Array]:
+    """Return the model of what is minimised and its target, (N, r) each: efforts and base wrench, by their weights."""
+    weights = settings.objective
+    if not set(BASE) & set(weights):
+        return effort_model(along, settings.least_margin), target
+    rest = load_at_rest(dynamics, along.motion, settings.start, settings.base_point)
+    goal, by_term = base_wrench(along, rest, settings.base_point).rows(weights, along.robot.characteristic_length)
+    model, root = effort_model(along, settings.least_margin, goal.shape[1]), weights.get("effort", 0.0) ** 0.5
+    tau0 = np.concatenate([root * model.tau0, goal], axis=1)
+    tau_terms = np.concatenate([root * model.tau_terms, by_term], axis=1)
+    return replace(model, tau0=tau0, tau_terms=tau_terms), np.pad(root * target, ((0, 0), (0, goal.shape[1])))
 
 
 def _moving(motion: PlatformMotion, problems: StepProblems) -> tuple[BoolArray, BoolArray]:

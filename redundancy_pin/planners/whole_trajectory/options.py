@@ -6,7 +6,6 @@ the same formula gives the number in ``diagnostics["objective"]``, and ``plan_wh
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, each, frozen, one_of, positive
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, optional
+from redundancy_pin.planners.base_wrench import point_of, weights_of
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.limits import Limits, ResolvedLimits, fraction, whole
 from redundancy_pin.robot import Robot
@@ -35,7 +35,8 @@ class Scales:
 
     ``s``, ``sd``, ``sdd`` (k,) of the carriers' motion, m, m/s, m/s²; ``tau``: of the main efforts, N or N·m; ``row``
     (n,) of the rows of W τ = f, N or N·m; ``force`` (k,) of the carriers' forces, N; ``power``: of the main actuators,
-    W; ``duration``: of the motion, s.
+    W; ``duration``: of the motion, s; ``base`` (6,) of force and moment on the base, N and N·m; ``length``: the
+    characteristic one, m.
     """
 
     s: Array
@@ -46,6 +47,8 @@ class Scales:
     force: Array
     power: float
     duration: float
+    base: Array
+    length: float
 
 
 class Quantities(ABC):
@@ -53,7 +56,8 @@ class Quantities(ABC):
 
     ``s``, ``sd``, ``sdd`` (M, k) motion of the carriers, m, m/s, m/s²; ``force`` (M, k) forces of the carriers'
     actuators, N; the programme has them only where something needs them; ``tau``, ``tau_target``, ``actuated_rate`` (M,
-    m) main efforts, those that "tracking" aims at, and rates of the actuators; ``scales``: sizes of all of them.
+    m) main efforts, those that "tracking" aims at, and rates of the actuators; ``base_force``, ``base_moment`` (M, 3)
+    what the base feels about ``base_point`` beyond the load at rest; ``scales``: sizes of all of them.
     """
 
     s: Any
@@ -61,6 +65,8 @@ class Quantities(ABC):
     sdd: Any
     force: Any
     tau: Any
+    base_force: Any
+    base_moment: Any
 
     def __init__(self, h: Array, scales: Scales, tau_target: Array, actuated_rate: Array) -> None:
         self.scales, self.tau_target, self.actuated_rate = scales, casadi().DM(tau_target), casadi().DM(actuated_rate)
@@ -100,12 +106,15 @@ class ObjectiveTerm:
             backends would give two plans. Such optima are finished with exact steps.
         kinked: it has kinks in products of two unknowns, far from a quadratic programme: Mehrotra's
             predictor-corrector crawls on it, and every step is refined.
+        efforts: it says something of the main efforts. Where W τ = f leaves them a choice and no objective does, the
+            smallest ones are taken.
     """
 
     formula: Callable[[Quantities], Any]
     size: Callable[[Scales], float]
     flat: bool = False
     kinked: bool = False
+    efforts: bool = True
 
 
 def _energy(q: Quantities) -> Any:
@@ -118,9 +127,22 @@ OBJECTIVES: dict[str, ObjectiveTerm] = {
     "effort": ObjectiveTerm(lambda q: q.integral(q.tau**2), lambda u: u.duration * u.tau**2),
     "peak": ObjectiveTerm(lambda q: q.largest(q.tau, q.scales.tau), lambda u: u.tau, flat=True),
     "tracking": ObjectiveTerm(lambda q: q.integral((q.tau - q.tau_target) ** 2), lambda u: u.duration * u.tau**2),
-    "carrier_force": ObjectiveTerm(lambda q: q.integral(q.force**2), lambda u: u.duration * float(u.force.max()) ** 2),
+    "carrier_force": ObjectiveTerm(
+        lambda q: q.integral(q.force**2), lambda u: u.duration * float(u.force.max()) ** 2, efforts=False
+    ),
     "carrier_acceleration": ObjectiveTerm(
-        lambda q: q.integral(q.sdd**2), lambda u: u.duration * float(u.sdd.max()) ** 2
+        lambda q: q.integral(q.sdd**2), lambda u: u.duration * float(u.sdd.max()) ** 2, efforts=False
+    ),
+    "base_force": ObjectiveTerm(
+        lambda q: q.integral(q.base_force**2), lambda u: u.duration * float(u.base[0]) ** 2, efforts=False
+    ),
+    "base_moment": ObjectiveTerm(
+        lambda q: q.integral(q.base_moment**2), lambda u: u.duration * float(u.base[3]) ** 2, efforts=False
+    ),
+    "base_wrench": ObjectiveTerm(
+        lambda q: q.integral(q.base_force**2) + q.integral((q.base_moment / q.scales.length) ** 2),
+        lambda u: u.duration * float(u.base[0]) ** 2,
+        efforts=False,
     ),
     "effort_rate": ObjectiveTerm(lambda q: q.integral_over_steps(q.rate(q.tau) ** 2), lambda u: u.tau**2 / u.duration),
     "energy": ObjectiveTerm(_energy, lambda u: u.duration * u.power, flat=True, kinked=True),
@@ -149,11 +171,13 @@ class Objective:
         weights: name of an objective (``OBJECTIVES``), or weights of several.
         lam: λ of "tracking", 0 to 1.
         baseline: backend of the robot whose efforts are τ̂.
+        base_point: (3,) point about which the moment on the base is taken, m; the world origin when left out.
     """
 
     weights: str | Mapping[str, float] = "effort"
     lam: float = 0.0
     baseline: Dynamics | None = None
+    base_point: ArrayLike | None = None
 
 
 @dataclass(frozen=True)
@@ -191,6 +215,7 @@ class Settings:
     objective: Mapping[str, float]
     lam: float
     baseline: Dynamics | None
+    base_point: Array
     limits: ResolvedLimits
     start: Array
     start_speed: Array
@@ -207,7 +232,7 @@ class Settings:
             "lam": self.lam,
             "track": [tuple(ends) for ends in self.limits.track.tolist()],
             **{name: getattr(self.limits, name).tolist() for name in LIMITS},
-            **{name: getattr(self, name).tolist() for name in ("start", "start_speed", "datum")},
+            **{name: getattr(self, name).tolist() for name in ("start", "start_speed", "datum", "base_point")},
             **{name: getattr(self.solver, name) for name in ("starts", "seconds")},
             "end": self.end,
             **asdict(self.mesh),
@@ -229,7 +254,7 @@ def checked_settings(
     """Return the settings after checking every option."""
     require_carriers(robot)
     one_of(end, "end", get_args(End))
-    weights, lam = _weights(objective.weights), fraction(objective.lam, "lam")
+    weights, lam = weights_of(objective.weights, OBJECTIVES), fraction(objective.lam, "lam")
     if "tracking" in weights and lam > 0.0 and objective.baseline is None:
         raise InputError(
             f"lam = {lam:g} asks for a fraction of the baseline effort, and there is no baseline.",
@@ -241,6 +266,7 @@ def checked_settings(
         objective=weights,
         lam=lam,
         baseline=objective.baseline,
+        base_point=point_of(objective.base_point),
         limits=resolved,
         start=park if start is None else resolved.on_track(start, "start"),
         start_speed=frozen(each(start_speed, "start_speed", (robot.k,), finite=True)),
@@ -251,19 +277,3 @@ def checked_settings(
             whole(solver.starts, "starts", 1, MOST_STARTS), positive(solver.seconds, "seconds", "s"), solver.progress
         ),
     )
-
-
-def _weights(objective: str | Mapping[str, float]) -> dict[str, float]:
-    given = {objective: 1.0} if isinstance(objective, str) else objective
-    if not isinstance(given, Mapping) or not set(given) <= set(OBJECTIVES):
-        unknown = [name for name in given if name not in OBJECTIVES] if isinstance(given, Mapping) else objective
-        raise InputError(
-            f"objective is {unknown!r}.", remedy=f"Use {', '.join(OBJECTIVES)}, or weights of them.", objective=unknown
-        )
-    for weight in given.values():
-        if not (isinstance(weight, (int, float)) and math.isfinite(weight) and weight >= 0.0):
-            raise InputError(f"A weight of the objective is {weight!r}.", remedy="Weights are positive.", weight=weight)
-    kept = {name: float(weight) for name, weight in given.items() if weight > 0.0}
-    if not kept:
-        raise InputError("Nothing to minimise: every weight is zero.", remedy="Give one objective a weight.")
-    return kept

@@ -59,6 +59,7 @@ def plan_whole_trajectory(
     objective: str | Mapping[str, float] | Objective = "effort",
     lam: float = 0.0,
     baseline: Dynamics | None = None,
+    base_point: ArrayLike | None = None,
     start: ArrayLike | None = None,
     start_speed: ArrayLike = 0.0,
     end: End = "datum",
@@ -104,9 +105,12 @@ def plan_whole_trajectory(
             ``Objective``, with ``lam`` and ``baseline``): "effort" ∫ Σ τ² dt, "peak" max |τ|,
             "tracking" ∫ Σ (τ − λ τ̂)² dt, "carrier_force" ∫ Σ F² dt, "carrier_acceleration" ∫ Σ s̈² dt,
             "effort_rate" ∫ Σ τ̇² dt (0.01 of it beside "effort" calms the efforts next to singularities), "energy"
-            ∫ Σ |τ q̇| + Σ |F ṡ| dt.
+            ∫ Σ |τ q̇| + Σ |F ṡ| dt; "base_force" ∫ |F_b|² dt, "base_moment" ∫ |M_b|² dt and "base_wrench" the sum of
+            both, the moment over the characteristic length: what the base feels beyond the load at rest where the
+            motion begins (``planners.base_wrench``).
         lam: λ of "tracking", 0 to 1.
         baseline: backend of the robot whose efforts are τ̂.
+        base_point: (3,) about which the moment on the base is taken, m; the world origin when left out.
         start: scalar or (k,) positions at the start, m; the datum when left out.
         start_speed: scalar or (k,) speeds there, m/s.
         end: "free", "rest", "datum" (at rest there), or "periodic" (s, ṡ, s̈ as at the start).
@@ -145,9 +149,9 @@ def plan_whole_trajectory(
     began = time.perf_counter()
     require_dynamics(dynamics)
     if isinstance(objective, Objective):
-        goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline)
+        goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point)
     else:
-        goal = Objective(objective, lam, baseline)
+        goal = Objective(objective, lam, baseline, base_point)
     settings = checked_settings(
         dynamics.robot,
         goal,

@@ -27,9 +27,10 @@ import numpy as np
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only, require_few
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ExactAlongMotion, has_expressions
-from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.base_wrench import BASE, BaseWrench, base_wrench, load_at_rest
 from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort, turning_model
 from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
 from redundancy_pin.trajectory import Side
@@ -182,7 +183,8 @@ class Problem:
     ``f_terms`` has two more terms, ṡ² and s s̈, in the end; ``singular``: the nodes on type II singularities;
     ``actuated_rate`` (M, m) rates of the main actuators; ``target`` (M, m) efforts that the objective "tracking" aims
     at; ``settings``: limits, ends and objective; ``scales``: sizes; ``exact``: where f has other terms, dynamics
-    whose expressions for f and the carrier forces stand in place of the polynomials of ``model``.
+    whose expressions for f and the carrier forces stand in place of the polynomials of ``model``; ``base``: the wrench
+    on the base, where an objective is about it.
     """
 
     grid: Grid
@@ -193,6 +195,7 @@ class Problem:
     settings: Settings
     scales: Scales
     exact: ExactAlongMotion | None = None
+    base: BaseWrench | None = None
 
     def carrier_force(self, carriers: CarrierMotion) -> Array:
         """Return the carrier forces (M, k) for a motion at the nodes, N."""
@@ -243,8 +246,19 @@ def read_coefficients(
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
     scales = _scales(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
+    base = None
+    if set(BASE) & set(settings.objective):
+        if around is not None:
+            raise UnsupportedRobotError(
+                f"The base wrench of {task.dynamics.robot.name} is no sum over its carriers.",
+                remedy="Balancing needs carriers that slide or turn, each on a link of its own.",
+            )
+        rest = load_at_rest(task.dynamics, motion, settings.start, settings.base_point)
+        base = base_wrench(along, rest, settings.base_point, turning=turning)
+        size = base.sizes(scales.sdd)
+        scales = replace(scales, base=size, length=task.dynamics.robot.characteristic_length)
     symbols = along if exact and has_expressions(along) else None
-    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, scales, symbols)
+    return Problem(grid, model, singular, read_only(rate), read_only(target), settings, scales, symbols, base)
 
 
 def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration: float, rate: Array) -> Scales:
@@ -260,7 +274,7 @@ def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration:
     tau = size / float(np.median(largest))
     force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., SDD]).max(axis=0) * sdd
     power = tau * (float(np.abs(rate).max()) or 1.0)
-    return Scales(s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration)
+    return Scales(s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration, np.ones(6), 1.0)
 
 
 def singular_node(

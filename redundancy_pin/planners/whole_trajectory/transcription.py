@@ -179,6 +179,33 @@ class Transcription(Quantities):
         self.equal(force - own, model.force0, self.scales.force)
         return force
 
+    @cached_property
+    def base_force(self) -> Any:
+        """The components of the force on the base that carriers change, N."""
+        return self._base[:, np.flatnonzero(self._base_rows < 3).tolist()]
+
+    @cached_property
+    def base_moment(self) -> Any:
+        """Those of the moment, N·m."""
+        return self._base[:, np.flatnonzero(self._base_rows >= 3).tolist()]
+
+    @property
+    def _base_rows(self) -> Array:
+        base = self._problem.base
+        return np.flatnonzero(base.changed) if base else np.empty(0)
+
+    @cached_property
+    def _base(self) -> Any:
+        """The wrench on the base as variables (M, r), which only an objective needs."""
+        base, at = self._problem.base, self._base_rows
+        if base is None:
+            raise ValueError("The problem has no base wrench.")
+        size = self.scales.base[at]
+        wrench = self.nlp.variable("base", (len(base.w0), len(at))) * _rows(size, (len(base.w0), len(at)))
+        carried = _polynomial(base.by_term[:, at], self.s, self.sd, self.sdd)
+        self.equal(wrench - carried, base.w0[:, at], size)
+        return wrench
+
     def equal(self, expression: Any, value: Any, size: Any) -> None:
         """Require expression = value, over a size."""
         self.nlp.within(expression / _rows(size, expression.shape), value / size, value / size)
@@ -300,6 +327,8 @@ class Transcription(Quantities):
         size = sum(weight * term.size(self.scales) for weight, term in terms)
         cost = sum(weight * term.formula(self) for weight, term in terms) / size
         gentle = self.integral(self.nlp.blocks["sdd"] ** 2) / self.scales.duration
+        if self.tau.shape[1] > self._problem.model.f0.shape[1] and not any(term.efforts for _, term in terms):
+            gentle += self.integral(self.nlp.blocks["tau"] ** 2) / self.scales.duration
         self.nlp.cost += (ELASTIC_OBJECTIVE if self._slack else 1.0) * (cost + REGULARISATION * gentle)
 
     def absolute(self, values: Any, size: float) -> Any:
@@ -327,6 +356,9 @@ class Evaluation(Quantities):
         for name, value in values.items():
             if name in KIND_OF:
                 setattr(self, name, casadi().DM(value * getattr(problem.scales, name)))
+        if problem.base is not None:
+            wrench = problem.base(problem.carriers(values))
+            self.base_force, self.base_moment = casadi().DM(wrench[:, :3]), casadi().DM(wrench[:, 3:])
 
     def absolute(self, values: Any, size: float) -> Any:
         """Return |values|."""
