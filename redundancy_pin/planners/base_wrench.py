@@ -1,8 +1,8 @@
 """The wrench on the base as planners need it: about a point, less the load at rest, by the carriers' terms.
 
 Gravity of all moving bodies less the rate of change of their momentum (``DynamicsAlongMotion.base_wrench``) is, as f
-is, a sum of ``carrier_model.terms`` over carriers that slide or turn, each on a link of its own. Its coefficients follow
-from as many carrier motions as there are terms, for any backend.
+is, a sum of ``carrier_model.terms`` over carriers that slide or turn, each on a link of its own. Its coefficients
+follow from as many carrier motions as there are terms, for any backend.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ BASE = ("base_force", "base_moment", "base_wrench")
 
 _TOLERANCE = 1e-8
 """Deviation of the terms from the backend at a random carrier motion, of the largest, that counts as rounding."""
+
 
 def weights_of(objective: str | Mapping[str, float], known: Collection[str]) -> dict[str, float]:
     """Return the weights above zero of a planner's ``known`` objectives, of which one name is a weight of one."""
@@ -123,7 +124,7 @@ def base_wrench(along: DynamicsAlongMotion, rest: Array, point: Array, *, turnin
     for i, turns in enumerate(turning_velocities(robot)[robot.carrier_velocity]):
         # nothing grows with the angle itself
         places, at = (TURNING_TERMS[1:], _TURNING) if turning and turns else (SLIDING_TERMS, _SLIDING)
-        inverse = np.linalg.pinv(np.stack(terms(*at, count, np), axis=-1)[:, places])
+        inverse = np.linalg.pinv(np.stack(terms(at[0], at[1], at[2], count, np), axis=-1)[:, places])
         unit = np.eye(robot.k)[i]
         added = np.stack([wrench(*(x * unit for x in one)) - w0 for one in at.T])
         by_term[:, :, i, places] = np.einsum("jr,rni->nij", inverse, added)

@@ -342,8 +342,8 @@ def effort_model(along: DynamicsAlongMotion, least_margin: float, goals: int = 0
     With more actuators than freedoms the efforts are those of least norm, as ``distribute`` defines it: they too are
     linear in f.
 
-    ``least_margin`` is the smallest margin of W along the motion that is accepted; ``goals``: how many quantities beside
-    the efforts decide about the carriers.
+    ``least_margin`` is the smallest margin of W along the motion that is accepted; ``goals``: how many quantities
+    beside the efforts decide about the carriers.
     """
     robot = along.robot
     if robot.k > robot.m + goals or robot.m < robot.n:

@@ -258,3 +258,16 @@ def test_efforts_that_swing_beside_singularities_are_calmed_by_what_the_plan_pro
     else:
         assert told["advice"] is None
         assert max(told["reversals"]) < 10
+
+
+def test_balancing_from_flags_says_what_the_base_feels() -> None:
+    flags = ("--set", "carrier_mass=3", "--max-speed", "5", "--max-acceleration", "20", "--track=-1,1", "--end", "free")
+    told = json.loads(
+        call(*CORNER, *flags, "--objective", "base_wrench", "--base-point", "0.866,0.5,0", "--json").stdout
+    )
+    assert told["base_point"] == [0.866, 0.5, 0.0]
+    assert max(told["peak_base_force"], told["peak_base_moment"]) < 1e-3
+    stepwise = ("plan", "stepwise", *CORNER[2:8], "--trajectory", "corner", "--step", "0.02", *flags[:6])
+    apart = [json.loads(call(*stepwise, "--objective", what, "--json").stdout) for what in ("effort", "base_force")]
+    assert apart[1]["peak_base_force"] < 0.5 * apart[0]["peak_base_force"]
+    assert "base_wrench" in refused(*stepwise, "--objective", "peak")

@@ -274,7 +274,9 @@ def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration:
     tau = size / float(np.median(largest))
     force = np.abs(model.force0).max(axis=0) + np.abs(model.force_terms[..., SDD]).max(axis=0) * sdd
     power = tau * (float(np.abs(rate).max()) or 1.0)
-    return Scales(s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration, np.ones(6), 1.0)
+    return Scales(
+        s, sd, sdd, tau, size * row_scale, np.where(force > 0.0, force, 1.0), power, duration, np.ones(6), 1.0
+    )
 
 
 def singular_node(

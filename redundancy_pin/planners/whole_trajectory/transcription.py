@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from redundancy_pin.arrays import Array, BoolArray
+from redundancy_pin.arrays import Array, BoolArray, IntArray
 from redundancy_pin.dynamics.base import ExactAlongMotion
 from redundancy_pin.planners.carrier_model import terms
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, Quantities, casadi
@@ -190,9 +190,9 @@ class Transcription(Quantities):
         return self._base[:, np.flatnonzero(self._base_rows >= 3).tolist()]
 
     @property
-    def _base_rows(self) -> Array:
+    def _base_rows(self) -> IntArray:
         base = self._problem.base
-        return np.flatnonzero(base.changed) if base else np.empty(0)
+        return np.flatnonzero(base.changed if base else [])
 
     @cached_property
     def _base(self) -> Any:

@@ -28,6 +28,7 @@ from redundancy_pin import (
     plan_whole_trajectory,
 )
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
+from redundancy_pin.planners.base_wrench import base_wrench
 from redundancy_pin.planners.carrier_model import turning_model
 from redundancy_pin.planners.plan import PlanStatus
 from redundancy_pin.planners.whole_trajectory.multistart import BALANCED
@@ -122,6 +123,12 @@ def test_terms_of_carriers_that_slide_and_turn_are_exact(tmp_path):
         np.testing.assert_allclose(model.f(s, sd, sdd), true.f, atol=1e-11 * np.abs(true.f).max())
         force = np.abs(true.carrier_force).max()
         np.testing.assert_allclose(model.carrier_force(s, sd, sdd), true.carrier_force, atol=1e-11 * force)
+        carriers, point = CarrierMotion(s, sd, sdd), np.array([0.3, -0.2, 0.1])
+        wrench = along.base_wrench(carriers)
+        ours = base_wrench(along, np.zeros((1, 6)), point, turning=True)(carriers)
+        atol = 1e-11 * np.abs(wrench).max()
+        np.testing.assert_allclose(ours[:, :3], wrench[:, :3], atol=atol)
+        np.testing.assert_allclose(ours[:, 3:] + np.cross(point, wrench[:, :3]), wrench[:, 3:], atol=atol)
 
 
 def never(*arguments, **settings):

@@ -1,0 +1,167 @@
+"""Balancing: what the base feels as an objective. Judged by the momentum, which Pinocchio computes by other means."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import zoo
+
+from redundancy_pin import PlatformMotion, RneaDynamics, VirtualWork, plan_stepwise, plan_whole_trajectory
+from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.planners.base_wrench import base_wrench
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.trajectory import reference
+
+pytest.importorskip("casadi")
+
+CENTRE = (np.sqrt(0.75), 0.5, 0.0)
+"""Of the base of the 3-RRR, m."""
+
+LIMITS = {"track": (-1.0, 1.0), "speed": 5.0, "acceleration": 20.0}
+MODE = (1, 1, 1)
+
+
+def dynamics() -> VirtualWork:
+    return VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0, working_mode=MODE))
+
+
+@functools.cache
+def plan(
+    objective: str = "base_wrench", end: str = "free", point: tuple[float, ...] = CENTRE, dt: float = 0.02
+) -> Plan:
+    return plan_whole_trajectory(
+        dynamics(), reference.corner(), objective=objective, base_point=point, end=end, dt=dt, **LIMITS
+    )
+
+
+def momentum(made: Plan, t: np.ndarray) -> np.ndarray:
+    """Momentum (N, 6) of all bodies, N·s, and its moment about the centre of the base, N·m·s, at times t."""
+    robot = dynamics().robot
+    carriers, tree = made.carriers_at(t), lift(robot, made.platform_at(t))
+    q, v = np.array(tree.q), np.array(tree.v)
+    q[:, robot.carrier_position], v[:, robot.carrier_velocity] = carriers.s, carriers.sd
+    data, rows = robot.model.createData(), []
+    for one, rate in zip(q, v, strict=True):
+        about_mass = pin.computeCentroidalMomentum(robot.model, data, one, rate)
+        turned = about_mass.angular + np.cross(data.com[0] - CENTRE, about_mass.linear)
+        rows.append(np.concatenate([about_mass.linear, turned]))
+    return np.array(rows)
+
+
+def peaks(wrench: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(wrench.reshape(-1, 2, 3), axis=2).max(axis=0)
+
+
+def test_a_balanced_plan_keeps_its_momentum() -> None:
+    """Between the nodes too: what is left there falls with the square of their distance."""
+    t = np.linspace(0.0, reference.corner().duration, 201)[1:-1]
+    made = [plan("effort"), plan(), plan(dt=0.01)]
+    changed, kept, closer = (np.ptp(momentum(each, t), axis=0) for each in made)
+    assert changed[[0, 1, 5]].min() > 1.0
+    assert kept.max() < 2e-3 * changed.max()
+    assert closer.max() < 0.3 * kept.max()
+
+
+def test_figures_of_the_corner() -> None:
+    """Without carriers, parked, balanced, and with the carriers parked again at the end, in N and N·m."""
+    bare = RneaDynamics(zoo.robot_of("3rrr", carriers=False, working_mode=MODE))
+    motion = reference.corner().sample(0.005)
+    for known, machine in (((7.06, 0.705), bare), ((20.4, 2.26), dynamics())):
+        wrench = machine.along(motion).base_wrench()
+        moved = np.concatenate([wrench[:, :3], wrench[:, 3:] - np.cross(CENTRE, wrench[:, :3])], axis=1)
+        np.testing.assert_allclose(peaks(moved), known, rtol=5e-3)
+    assert peaks(plan().base_wrench(dynamics(), CENTRE)).max() < 1e-3
+    again = plan(end="datum").base_wrench(dynamics(), CENTRE)
+    np.testing.assert_allclose(peaks(again), (3.71, 0.475), rtol=2e-2)
+
+
+def test_objectives_are_the_integrals_they_say() -> None:
+    """By the trapezoidal rule on the backend's wrench, moved by hand; weights decide between force and moment."""
+    made = plan(end="datum")
+    wrench = made.base_wrench(dynamics(), CENTRE)
+    length = dynamics().robot.characteristic_length
+    square = (wrench[:, :3] ** 2).sum(axis=1) + (wrench[:, 3:] ** 2).sum(axis=1) / length**2
+    value = made.diagnostics["objective"]["base_wrench"]
+    np.testing.assert_allclose(np.trapezoid(square, made.t), value, rtol=1e-8)
+    one, other = plan("base_force", "datum"), plan("base_moment", "datum")
+    of_one, of_other = (
+        np.trapezoid(each.base_wrench(dynamics(), CENTRE) ** 2, each.t, axis=0) for each in (one, other)
+    )
+    assert of_one[:2].sum() < of_other[:2].sum()
+    assert of_other[5] < of_one[5]
+    np.testing.assert_allclose(one.diagnostics["objective"]["base_force"], of_one[:3].sum(), rtol=1e-8)
+    np.testing.assert_allclose(other.diagnostics["objective"]["base_moment"], of_other[3:].sum(), rtol=1e-8)
+
+
+def test_the_moment_is_that_about_the_point() -> None:
+    corner = plan("base_moment", "datum", (0.0, 0.0, 0.0))
+    assert corner.parameters["base_point"] == [0.0, 0.0, 0.0]
+    here, there = (np.trapezoid(corner.base_wrench(dynamics(), p)[:, 5] ** 2, corner.t) for p in ((0, 0, 0), CENTRE))
+    best = plan("base_moment", "datum")
+    assert here < np.trapezoid(best.base_wrench(dynamics())[:, 5] ** 2, best.t)
+    assert there > np.trapezoid(best.base_wrench(dynamics(), CENTRE)[:, 5] ** 2, best.t)
+
+
+def test_effort_is_traded_for_it() -> None:
+    both = plan_whole_trajectory(
+        dynamics(), reference.corner(), objective={"effort": 1.0, "base_wrench": 1.0}, base_point=CENTRE, end="free",
+        dt=0.02, **LIMITS,
+    )  # fmt: skip
+    made = [plan("effort"), both, plan()]
+    efforts = [np.trapezoid((each.tau**2).sum(axis=1), each.t) for each in made]
+    forces = [peaks(each.base_wrench(dynamics(), CENTRE))[0] for each in made]
+    assert efforts == sorted(efforts)
+    assert forces == sorted(forces, reverse=True)
+
+
+def test_steps_balance_too() -> None:
+    """At every sample that a step ends at; the second one of a jump shows the acceleration of the step that follows."""
+    motion = reference.corner().sample(0.01)
+    made = plan_stepwise(dynamics(), motion, objective="base_wrench", base_point=CENTRE, **LIMITS)
+    ended = (made.phase == 1) & ~made.motion.jumps & (made.t > 0.0)
+    wrench = made.base_wrench(dynamics(), CENTRE)[ended]
+    assert len(wrench) > 150
+    assert np.abs(wrench).max() < 1e-7
+    apart = {"base_force": 1.0, "base_moment": dynamics().robot.characteristic_length ** -2}
+    mixed, same = (
+        plan_stepwise(dynamics(), motion, objective={"effort": 1.0, **others}, base_point=CENTRE, **LIMITS)
+        for others in ({"base_wrench": 1.0}, apart)
+    )
+    np.testing.assert_allclose(same.carriers.s, mixed.carriers.s, atol=1e-9)
+    efforts = [np.trapezoid((each.tau[ended] ** 2).sum(axis=1), each.t[ended]) for each in (made, mixed)]
+    assert efforts[1] < efforts[0]
+
+
+def test_weight_that_the_base_carries_anyway_does_not_count() -> None:
+    """Gravity across the plane: its force is constant, and carriers cannot balance it."""
+    heavy = VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0, working_mode=MODE, gravity=(0.0, 0.0, -9.81)))
+    made = plan_whole_trajectory(heavy, reference.corner(), objective="base_force", end="datum", dt=0.02, **LIMITS)
+    level = plan("base_force", "datum")
+    np.testing.assert_allclose(made.carriers.s, level.carriers.s, atol=1e-7)
+    assert peaks(made.base_wrench(heavy))[0] > 100.0
+
+
+def test_what_is_no_objective_is_named() -> None:
+    corner = reference.corner().sample(0.02)
+    for options, word in (
+        ({"objective": "peak"}, "peak"),
+        ({"objective": {"base_force": -1.0}}, "weight"),
+        ({"base_point": (0.0, 1.0)}, "base_point"),
+    ):
+        with pytest.raises(InputError, match=word):
+            plan_stepwise(dynamics(), corner, **options)
+    with pytest.raises(InputError, match="base_point"):
+        plan_whole_trajectory(dynamics(), corner, objective="base_force", base_point=(0.0, np.nan, 0.0))
+
+
+def test_other_terms_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A backend whose wrench is no sum over its carriers, as where one carries another."""
+    along = dynamics().along(PlatformMotion([0.0], [[0.9, 0.5, 0.0]], np.zeros((1, 3)), np.zeros((1, 3))))
+    true = type(along).base_wrench
+    monkeypatch.setattr(type(along), "base_wrench", lambda self, c: true(self, c) + np.prod(c.s, axis=1, keepdims=True))
+    with pytest.raises(UnsupportedRobotError, match="slide or turn"):
+        base_wrench(along, np.zeros((1, 6)), np.zeros(3))
