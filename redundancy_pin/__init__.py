@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from redundancy_pin.dynamics.compiled import CompiledDynamics
     from redundancy_pin.dynamics.compiled.symbolic import symbolic
     from redundancy_pin.dynamics.distribution import distribute
-    from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics
+    from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics, inverse_dynamics_in_blocks
     from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
     from redundancy_pin.dynamics.virtual_work import VirtualWork
     from redundancy_pin.kinematics.forward_kinematics import assembly_modes, forward_kinematics
@@ -63,6 +63,7 @@ _PLACES = {
     "find_crossings": "singularities.crossings",
     "forward_kinematics": "kinematics.forward_kinematics",
     "inverse_dynamics": "dynamics.inverse_dynamics",
+    "inverse_dynamics_in_blocks": "dynamics.inverse_dynamics",
     "joint_reactions": "dynamics.rnea",
     "lift": "kinematics.lift",
     "load_plan": "planners.plan",
@@ -106,6 +107,7 @@ __all__ = [
     "find_crossings",
     "forward_kinematics",
     "inverse_dynamics",
+    "inverse_dynamics_in_blocks",
     "joint_reactions",
     "lift",
     "load_plan",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import re
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
@@ -82,6 +84,24 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the start of a remedy that names the nearest known name; empty where none is near."""
     close = difflib.get_close_matches(str(name)[:_SHOWN], list(known), n=1)
     return f"Did you mean {shown(close[0])}? " if close else ""
+
+
+@contextmanager
+def numbered_from(first: int) -> Iterator[None]:
+    """Number the sample that an error is about from the beginning of a motion that is worked on part by part."""
+    try:
+        yield
+    except RedundancyPinError as error:
+        sample = error.details.get("sample")
+        if not first or not isinstance(sample, int):
+            raise
+        message = re.sub(
+            r"(?i)(\bsample |\bt\[|(?<=\d) to )(\d+)(?=\b(?!\.\d))",
+            lambda found: f"{found[1]}{int(found[2]) + first}",
+            error.message,
+        )
+        details = {**error.details, "sample": sample + first}
+        raise type(error)(message, remedy=error.remedy, **details) from error.__cause__
 
 
 def optional(package: str, who: str, remedy: str) -> Any:

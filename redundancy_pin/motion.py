@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from redundancy_pin.arrays import (
     Frozen,
     IntArray,
     assign,
+    blocks,
     checked,
     largest,
     read_only,
@@ -200,44 +202,60 @@ def require_consistent(motion: PlatformMotion, carriers: CarrierMotion | None = 
     more (``lift``, ``classify_motion``, ``along``) rates play no part.
 
     Raises:
-        InputError: rates that are not those of the positions; see ``_require_rates``.
+        InputError: rates that are not those of the positions; see ``Consistency``.
     """
     require_carrier_motion(carriers)
-    if not motion.check_rates:
-        return
-    _require_rates(motion.t, x=motion.x, xd=motion.xd, xdd=motion.xdd)
-    if carriers is not None and carriers.check_rates:
-        _require_rates(motion.t, s=carriers.s, sd=carriers.sd, sdd=carriers.sdd)
+    check = Consistency()
+    for part in blocks(len(motion)):
+        # slices of arrays, as a slice of a motion is checked anew
+        check.add(motion, carriers, part)
+    check.require()
 
 
-def _require_rates(t: Array, **parts: Array) -> None:
-    """Check that each part is the rate of the one before it, where the samples are dense enough to tell.
+class Consistency:
+    """Whether samples that come in parts are those of a motion: each of x, ẋ, ẍ, and of s, ṡ, s̈, the rate of the last.
 
-    What a rate, integrated by trapezoids, says is compared with what the values change by. How far the two may be
-    apart comes from the sampling: the error of the trapezoids, a tenth to a quarter of all that changes. Not told, and
-    passed: rates that are off by a constant of at most a twentieth of their size, as measured ones are; fewer than
-    eight steps; a step that is a large part of the whole, behind which anything may lie; values that jump about as
-    those of states do that have nothing to do with one another.
-
-    Args:
-        t: (N,) time, s.
-        **parts: by name the values (N, n), or (N, 4, 4) as poses, their rates (N, n), and the rates of these.
-
-    Raises:
-        InputError: naming the column, the first sample that shows it, and the factor.
+    What a rate, integrated by trapezoids, says is compared with what the values change by, where the samples are dense
+    enough to tell. How far the two may be apart comes from the sampling: the error of the trapezoids, a tenth to a
+    quarter of all that changes. Not told, and passed: rates that are off by a constant of at most a twentieth of their
+    size, as measured ones are; fewer than eight steps; a step that is a large part of the whole, behind which anything
+    may lie; values that jump about as those of states do that have nothing to do with one another. Beyond so many
+    samples both are integrated over all, and compared at every second, fourth, ... of them: memory does not grow.
     """
-    names, values = list(parts), list(parts.values())
-    found = [_compared(t, one, rate) for one, rate in pairwise(values)]
+
+    def __init__(self) -> None:
+        self._levels: dict[str, tuple[_Rates, _Rates]] = {}
+
+    def add(self, motion: PlatformMotion, carriers: CarrierMotion | None = None, part: slice = slice(None)) -> None:
+        """Take samples that follow those before."""
+        if not motion.check_rates:
+            return
+        given = {"x": (motion.x, motion.xd, motion.xdd)}
+        if carriers is not None and carriers.check_rates:
+            given["s"] = (carriers.s, carriers.sd, carriers.sdd)
+        for name, values in given.items():
+            for level, pair in zip(self._levels.setdefault(name, (_Rates(), _Rates())), pairwise(values), strict=True):
+                level.add(motion.t[part], *(value[part] for value in pair))
+
+    def require(self) -> None:
+        """Raise InputError where they are not, naming the column, the first sample that shows it, and the factor."""
+        for name, levels in self._levels.items():
+            _require_rates(name, levels, [one.compared() for one in levels])
+
+
+def _require_rates(of: str, levels: Sequence[_Rates], found: Sequence[_Compared]) -> None:
+    """Raise what ``Consistency.require`` does; levels are ``of`` and its rate, and that and its rate."""
     bad = [(level, int(k)) for level, one in enumerate(found) for k in np.flatnonzero(one.wrong)]
     if not bad:
         return
-    (level, k), (of, name) = bad[0], names[bad[0][0] : bad[0][0] + 2]
+    level, k = bad[0]
+    of, name = of + level * "d", of + (level + 1) * "d"
     one = found[level]
-    factor, sample = float(one.factor[k]), int(one.sample[k])
-    shown = f"as sample {sample} (t = {t[sample]:.6g} s) shows"
+    factor, sample, time = float(one.factor[k]), int(one.sample[k]), float(one.time[k])
+    shown = f"as sample {sample} (t = {time:.6g} s) shows"
     # other units of time show in both rates
     in_time = level == 0 and not (found[-1].moves & ~found[-1].wrong).any()
-    if not values[level + 1][:, k].any():
+    if levels[level].still[k]:
         message = f"{of}{k} moves while {name}{k} is zero, {shown}."
     elif not one.change[k]:
         message = f"{of}{k} does not change as {name}{k} says, {shown}: it stands still."
@@ -254,7 +272,7 @@ def _require_rates(t: Array, **parts: Array) -> None:
         "to stand still in, and states that are no motion, pass with check_rates=False.",
         column=f"{name}{k}",
         sample=sample,
-        time=float(t[sample]),
+        time=time,
         factor=factor,
     )
 
@@ -288,6 +306,10 @@ def _unit(factor: float, in_time: bool) -> str:
     return next((names[not in_time] for of, *names in _UNITS if abs(factor / of - 1.0) < 0.02), "")
 
 
+_COMPARED_AT = 100_000
+"""Instants at which integrals of longer motions are compared, at least."""
+
+
 class _Compared(NamedTuple):
     """What n rates say, compared with what the values change by; each (n,)."""
 
@@ -297,58 +319,133 @@ class _Compared(NamedTuple):
     similar: BoolArray
     factor: Array
     sample: IntArray
+    time: Array
 
 
-def _compared(t: Array, values: Array, rates: Array) -> _Compared:
-    n = rates.shape[1]
-    later = np.diff(t) > 0.0
-    if np.count_nonzero(later) < _FEWEST_STEPS:
-        no = np.zeros(n, dtype=bool)
-        return _Compared(no, no, no, no, np.ones(n), np.zeros(n, dtype=np.intp))
-    dt, steps, bends = np.diff(t)[:, None], _steps(values), np.diff(rates, axis=0)
-    integral = np.cumsum(0.5 * dt * (rates[:-1] + rates[1:]), axis=0)
-    change = np.cumsum(steps, axis=0)
-    # four times the error of the trapezoids, as second differences show it
-    error = (dt[1:] * np.abs(np.diff(bends, axis=0))).sum(axis=0) / 3.0
-    elapsed, most = (t[1:] - t[0])[:, None], _BIAS * _rms(rates)
+class _Rates:
+    """Sums over the samples of n values and their rates, as they come, and the integrals at some of their instants."""
 
-    def without_bias(changed: Array) -> Array:
-        """Return the integral of the rates less a constant, where a small one brings it nearer to what changes."""
-        bias = (elapsed * (integral - changed)).sum(axis=0) / (elapsed**2).sum(axis=0)
-        return np.asarray(integral - elapsed * np.where(np.abs(bias) <= most, bias, 0.0))
+    def __init__(self) -> None:
+        self._last: tuple[Array, Array, Array] | None = None
+        self._sums: dict[str, Any] = {}
+        self._ends: dict[str, Array] = {}
+        # integral of the rates, change of the values, and the same of angles written within a turn; (4, 1 + n, I)
+        self._kept: list[Array] = []
+        self._steps, self._stride = 0, 1
 
-    def tolerance(integral: Array) -> Array:
-        size = np.maximum(np.ptp(change, axis=0), np.ptp(integral, axis=0))
-        return np.asarray(np.clip(error, _LEAST_MISFIT * size, _MISFIT * size))
+    @property
+    def still(self) -> BoolArray:
+        """(n,) whether a rate is zero throughout."""
+        return np.asarray(self._ends["rate"] == 0.0)
 
-    def follows(changed: Array, integral: Array, most: Array) -> BoolArray:
-        return np.asarray(np.abs(changed - integral).max(axis=0) <= most)
+    def add(self, t: Array, values: Array, rates: Array) -> None:
+        """Take N samples: times, values (N, n) or poses (N, 4, 4), and rates (N, n)."""
+        new: dict[str, Any] = {"rate2": (rates**2).sum(axis=0), "samples": np.float64(len(t))}
+        ends = {"rate": np.abs(rates).max(axis=0)}
+        known = 0
+        if self._last is not None:
+            known = len(self._last[0])
+            t, values, rates = (np.concatenate(both) for both in zip(self._last, (t, values, rates), strict=True))
+        else:
+            self._start, zero = t[0], np.zeros((3, rates.shape[1]))
+            self._integral, self._change, self._continued = zero
+        self._last = t[-2:], values[-2:], rates[-2:]
+        first = max(known - 1, 0)
+        dt, bends = np.diff(t)[:, None], np.diff(rates, axis=0)
+        # four times the error of the trapezoids, as second differences show it
+        bent = (dt[1:] * np.abs(np.diff(bends, axis=0)))[max(known - 2, 0) :]
+        dt, bends, steps = dt[first:], bends[first:], _steps(values[first:])
+        if len(steps):
+            means = 0.5 * (rates[first:-1] + rates[first + 1 :])
+            integral = self._integral + np.cumsum(dt * means, axis=0)
+            change = self._change + np.cumsum(steps, axis=0)
+            # angles may be written within a turn
+            continued = self._continued + np.cumsum(steps - 2.0 * np.pi * np.round(steps / (2.0 * np.pi)), axis=0)
+            self._integral, self._change, self._continued = integral[-1], change[-1], continued[-1]
+            elapsed, later = (t[first + 1 :] - self._start)[:, None], dt[:, 0] > 0.0
+            new |= {
+                "error": bent.sum(axis=0) / 3.0,
+                "later": np.float64(np.count_nonzero(later)),
+                "steps": np.float64(len(steps)),
+                "bias": (elapsed * (integral - change)).sum(axis=0),
+                "bias of angles": (elapsed * (integral - continued)).sum(axis=0),
+                "elapsed2": (elapsed**2).sum(),
+                "step2": (steps[later] ** 2).sum(axis=0),
+                "bend2": (bends[later] ** 2).sum(axis=0),
+                "change": change.sum(axis=0),
+                "change2": (change**2).sum(axis=0),
+                "integral2": (integral**2).sum(axis=0),
+                "product": (change * integral).sum(axis=0),
+            }
+            ends |= {"step": np.abs(steps).max(axis=0)}
+            for name, series in (("change", change), ("integral", integral)):
+                ends |= {f"{name} up": series.max(axis=0), f"{name} down": -series.min(axis=0)}
+            self._keep(np.stack([np.hstack([t[first + 1 :, None], part]) for part in (integral, change, continued)]))
+        for name, value in new.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+        for name, value in ends.items():
+            self._ends[name] = np.maximum(self._ends.get(name, -np.inf), value)
 
-    size = np.maximum(np.ptp(change, axis=0), np.ptp(integral, axis=0))
-    apart = np.abs(change - integral) > tolerance(integral)
-    unbiased = without_bias(change)
-    fits = ~apart.any(axis=0) | follows(change, unbiased, tolerance(unbiased))
-    # angles may be written within a turn
-    continued = np.cumsum(steps - 2.0 * np.pi * np.round(steps / (2.0 * np.pi)), axis=0)
-    for rest in (integral, without_bias(continued)):
-        fits |= follows(continued, rest, np.minimum(tolerance(rest), _MISFIT * np.ptp(rest, axis=0)))
-    # a ramp between two samples is in the values, and not in rates sampled before and after it
-    dense = np.abs(steps).max(axis=0) <= _LARGEST_STEP * size
-    # what hardly changes has few digits: the seventh of the largest coordinate is rounding
-    rounding = _ROUNDED * max(1.0, float(np.abs(change).max(initial=0.0)))
-    moves, changes = size > rounding, np.ptp(change, axis=0) > rounding
-    spread = _rms(np.vstack([np.zeros(n), change]), about_mean=True)
-    rough = np.where(changes, _rms(steps[later]) > _ROUGH * spread, _rms(bends[later]) > _ROUGH * _rms(rates))
-    wrong = ~fits & dense & moves & ~rough
-    with np.errstate(divide="ignore", invalid="ignore"):
-        factor = (change * integral).sum(axis=0) / (change**2).sum(axis=0)
-        similar = np.abs(factor) * np.linalg.norm(change, axis=0) >= _SIMILAR * np.linalg.norm(integral, axis=0)
-    return _Compared(wrong, moves & dense & ~rough, changes, similar, factor, np.argmax(apart, axis=0) + 1)
+    def _keep(self, series: Array) -> None:
+        """Keep (3, N, 1 + n) integrals, with their times, at each ``stride``-th step."""
+        offset = -(self._steps + 1) % self._stride
+        self._steps += series.shape[1]
+        self._kept.append(series[:, offset :: self._stride].copy())
+        while sum(part.shape[1] for part in self._kept) > 2 * _COMPARED_AT:
+            self._kept = [np.concatenate(self._kept, axis=1)[:, 1::2].copy()]
+            self._stride *= 2
 
+    def compared(self) -> _Compared:
+        """Return what the rates say beside what the values do."""
+        sums, ends = self._sums, self._ends
+        n = len(ends["rate"])
+        if "later" not in sums or sums["later"] < _FEWEST_STEPS:
+            no = np.zeros(n, dtype=bool)
+            return _Compared(no, no, no, no, np.ones(n), np.zeros(n, dtype=np.intp), np.zeros(n))
+        kept = np.concatenate(self._kept, axis=1)
+        integral, change, continued = kept[:, :, 1:]
+        elapsed, most = kept[0, :, :1] - self._start, _BIAS * np.sqrt(sums["rate2"] / sums["samples"])
 
-def _rms(values: Array, *, about_mean: bool = False) -> Array:
-    result: Array = np.sqrt(np.mean((values - (values.mean(axis=0) if about_mean else 0.0)) ** 2, axis=0))
-    return result
+        def without_bias(bias: Array) -> Array:
+            """Return the integral of the rates less a constant, where a small one brings it nearer to what changes."""
+            bias = bias / sums["elapsed2"]
+            return np.asarray(integral - elapsed * np.where(np.abs(bias) <= most, bias, 0.0))
+
+        def ptp(name: str) -> Array:
+            return np.asarray(ends[f"{name} up"] + ends[f"{name} down"])
+
+        def tolerance(size: Array) -> Array:
+            size = np.maximum(ptp("change"), size)
+            return np.asarray(np.clip(sums["error"], _LEAST_MISFIT * size, _MISFIT * size))
+
+        def follows(changed: Array, integral: Array, most: Array) -> BoolArray:
+            return np.asarray(np.abs(changed - integral).max(axis=0) <= most)
+
+        size = np.maximum(ptp("change"), ptp("integral"))
+        apart = np.abs(change - integral) > tolerance(ptp("integral"))
+        unbiased = without_bias(sums["bias"])
+        fits = ~apart.any(axis=0) | follows(change, unbiased, tolerance(np.ptp(unbiased, axis=0)))
+        for rest in (integral, without_bias(sums["bias of angles"])):
+            over = np.ptp(rest, axis=0)
+            fits |= follows(continued, rest, np.minimum(tolerance(over), _MISFIT * over))
+        # a ramp between two samples is in the values, and not in rates sampled before and after it
+        dense = ends["step"] <= _LARGEST_STEP * size
+        # what hardly changes has few digits: the seventh of the largest coordinate is rounding
+        largest = np.maximum(ends["change up"], ends["change down"]).max(initial=0.0)
+        rounding = _ROUNDED * max(1.0, float(largest))
+        moves, changes = size > rounding, ptp("change") > rounding
+        count = sums["steps"] + 1.0
+        spread = np.sqrt(np.maximum(sums["change2"] / count - (sums["change"] / count) ** 2, 0.0))
+        over = {"step2": "later", "bend2": "later", "rate2": "samples"}
+        step, bend, rate = (np.sqrt(sums[name] / sums[of]) for name, of in over.items())
+        rough = np.where(changes, step > _ROUGH * spread, bend > _ROUGH * rate)
+        wrong = ~fits & dense & moves & ~rough
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = sums["product"] / sums["change2"]
+            similar = np.abs(factor) * np.sqrt(sums["change2"]) >= _SIMILAR * np.sqrt(sums["integral2"])
+        at = np.argmax(apart, axis=0)
+        sample = (at + 1) * self._stride
+        return _Compared(wrong, moves & dense & ~rough, changes, similar, factor, sample, kept[0, at, 0])
 
 
 def _steps(x: Array) -> Array:

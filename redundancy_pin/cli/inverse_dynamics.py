@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import click
 import numpy as np
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, blocks
 from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.dynamics.base import OnUnreachable
-from redundancy_pin.dynamics.inverse_dynamics import EffortStatus, InverseDynamics
-from redundancy_pin.dynamics.inverse_dynamics import inverse_dynamics as along_motion
+from redundancy_pin.dynamics.inverse_dynamics import (
+    EffortStatus,
+    InverseDynamics,
+    SingularInstant,
+    inverse_dynamics_in_blocks,
+)
 from redundancy_pin.errors import OutputError
 from redundancy_pin.io.files import require_writable, write_text
-from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.motion import PlatformMotion, require_consistent
 from redundancy_pin.planners.robot_record import robot_record
+from redundancy_pin.robot.joint_ranges import JointExcess
 from redundancy_pin.studies.case import BACKENDS, RNEA
 from redundancy_pin.studies.table import csv_text
+from redundancy_pin.trajectory.csv_file import BLOCK, MotionBlock, MotionFile
 
 STEP = 1e-3  # between samples of a trajectory, s
 EXIT_CODES = {EffortStatus.FINITE_EFFORT: 0, EffortStatus.UNBOUNDED_EFFORT: 3, EffortStatus.UNRESOLVED: 4}
+_WORST_FIRST = (EffortStatus.UNBOUNDED_EFFORT, EffortStatus.UNRESOLVED, EffortStatus.FINITE_EFFORT)
 _LISTED = 10  # instants that a warning names
 
 
@@ -79,20 +89,32 @@ def inverse_dynamics(
         output.progress("inverse dynamics") as advance,
         in_words(OPTIONS.knowing({"unreachable": "--unreachable", "dt": "--dt"})),
     ):
-        advance(0, 4, "reading")
         loaded = robot.load()
-        followed = motion.follow("Inverse dynamics", dt=dt)
-        sampled = followed if isinstance(followed, PlatformMotion) else followed.sample(STEP if dt is None else dt)
-        advance(1, 4, "dynamics")
-        whole = f"dynamics of {len(sampled)} samples"  # the long part: shown sample by sample
-        settings: Any = {"progress": lambda done, total: advance(done, total, whole)} if backend == RNEA else {}
-        dynamics = BACKENDS[backend](loaded, **settings)
-        result = along_motion(dynamics, sampled, motion.carriers(), unreachable=unreachable)
-        reduced, efforts = result.reduced, result.efforts
-        advance(3, 4, "writing")
-        columns: dict[str, Any] = {"t": reduced.t, "tau": efforts.tau, "carrier_force": reduced.carrier_force}
-        columns |= {"status": efforts.status_labels, "margin": efforts.margin, "residual": efforts.residual}
-        write_text(out, csv_text(columns))  # floats come back bit by bit
+        trajectory = motion.of_trajectory("Inverse dynamics", dt=dt)
+        samples: MotionFile | _Sampled
+        if trajectory is None:
+            samples = MotionFile(
+                str(motion.path),
+                check_rates=motion.check_rates,
+                progress=lambda part: advance(round(100.0 * part), 100, "reading"),
+            )
+        else:
+            samples = _Sampled(trajectory.sample(STEP if dt is None else dt))
+            require_consistent(samples.motion)
+        advance(0, len(samples), "dynamics")
+        result = _Whole()
+
+        def texts() -> Iterator[str]:
+            parts = inverse_dynamics_in_blocks(BACKENDS[backend](loaded), samples, unreachable=unreachable)
+            for part in parts:
+                reduced, efforts = part.reduced, part.efforts
+                columns: dict[str, Any] = {"t": reduced.t, "tau": efforts.tau, "carrier_force": reduced.carrier_force}
+                columns |= {"status": efforts.status_labels, "margin": efforts.margin, "residual": efforts.residual}
+                yield csv_text(columns, heading=not result.samples)  # floats come back bit by bit
+                result.add(part)
+                advance(result.samples, len(samples), "dynamics")
+
+        write_text(out, texts())  # block by block: memory does not grow with the motion
     _warn(result)
     given = {"robot": loaded.name, "backend": backend, "motion": motion.path, "trajectory": motion.trajectory}
     facts = {**given, "out": out, **_summary(result)}
@@ -105,11 +127,11 @@ def inverse_dynamics(
     if result.instants:
         rows.append(("singular at t [s]", output.row(one.t for one in result.instants)))
     rows.append(("written to", out))
-    output.report(as_json, facts, output.TextTable(f"{loaded.name}, {backend}: {len(sampled)} samples", (), rows))
+    output.report(as_json, facts, output.TextTable(f"{loaded.name}, {backend}: {result.samples} samples", (), rows))
     return EXIT_CODES[result.status]
 
 
-def _warn(result: InverseDynamics) -> None:
+def _warn(result: _Whole) -> None:
     """Print on stderr where no finite efforts are, and what the samples do not show, a line each."""
     unbounded = [one for one in result.instants if one.unbounded]
     if unbounded:
@@ -125,25 +147,87 @@ def _warn(result: InverseDynamics) -> None:
         output.warning(f"between its samples the motion cannot be followed: {result.unresolved}")
     for excess in result.joint_limits:
         output.warning(f"{excess}.")
-    efforts, without = result.efforts, np.flatnonzero(~np.isfinite(result.efforts.tau).all(axis=1))
-    if len(without):
-        first = without[0]
+    if result.without:
         output.warning(
-            f"no finite main efforts at {len(without)} of {len(efforts)} samples, first at t = "
-            f"{result.reduced.t[first]:.6g} s ({efforts.status_labels[first]})."
+            f"no finite main efforts at {result.without} of {result.samples} samples, first at {result.first_without}."
         )
 
 
-def _summary(result: InverseDynamics) -> dict[str, Any]:
-    reduced, distribution = result.reduced, result.efforts
+@dataclass(frozen=True)
+class _Sampled:
+    """Samples of a trajectory, block by block."""
 
+    motion: PlatformMotion
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+    def __iter__(self) -> Iterator[MotionBlock]:
+        return ((self.motion[part], None) for part in blocks(len(self.motion), BLOCK))
+
+
+class _Whole:
+    """What is said of a motion that came in blocks."""
+
+    def __init__(self) -> None:
+        self.samples, self.without, self.first_without, self.unresolved = 0, 0, "", ""
+        self.statuses: Counter[str] = Counter()
+        self.instants: list[SingularInstant] = []
+        self._limits: dict[tuple[str, float], JointExcess] = {}
+        self._found: set[EffortStatus] = set()
+        self.tau = self.force = np.zeros(0)
+        self.margin = self.gap = np.nan
+
+    @property
+    def status(self) -> EffortStatus:
+        """As ``InverseDynamics.status``."""
+        return next(one for one in _WORST_FIRST if one in self._found)
+
+    @property
+    def joint_limits(self) -> list[JointExcess]:
+        """As ``InverseDynamics.joint_limits``."""
+        return list(self._limits.values())
+
+    def add(self, part: InverseDynamics) -> None:
+        """Take a block."""
+        reduced, efforts = part.reduced, part.efforts
+        without = np.flatnonzero(~np.isfinite(efforts.tau).all(axis=1))
+        if len(without) and not self.without:
+            first = without[0]
+            self.first_without = f"t = {reduced.t[first]:.6g} s ({efforts.status_labels[first]})"
+        self.samples += len(efforts)
+        self.without += len(without)
+        self.statuses.update(efforts.status_counts)
+        tau, force = _largest(efforts.tau), _largest(reduced.carrier_force)
+        self.tau, self.force = (
+            (np.fmax(one, other) for one, other in ((self.tau, tau), (self.force, force)))
+            if len(self._found)
+            else (tau, force)
+        )
+        self.margin = float(np.fmin(self.margin, np.fmin.reduce(efforts.margin)))
+        self.gap = float(np.fmax(self.gap, np.fmax.reduce(reduced.gap)))
+        self._found.add(part.status)
+        self.unresolved = self.unresolved or part.unresolved
+        for one in part.instants:
+            last = self.instants[-1] if self.instants else None
+            if last and last.kind == one.kind and one.t <= last.until:  # stays singular from block to block
+                self.instants[-1] = replace(last, until=one.until, residual=max(last.residual, one.residual))
+            else:
+                self.instants.append(one)
+        for excess in part.joint_limits:
+            known = self._limits.setdefault((excess.joint, excess.limit), excess)
+            if abs(excess.value - excess.limit) > abs(known.value - known.limit):
+                self._limits[excess.joint, excess.limit] = replace(excess, t=known.t)
+
+
+def _summary(result: _Whole) -> dict[str, Any]:
     return {
-        "samples": len(distribution),
-        "statuses": distribution.status_counts,
-        "largest_tau": _largest(distribution.tau),
-        "largest_carrier_force": _largest(reduced.carrier_force),
-        "smallest_margin": float(np.fmin.reduce(distribution.margin)),
-        "largest_gap": float(np.fmax.reduce(reduced.gap)),
+        "samples": result.samples,
+        "statuses": dict(result.statuses),
+        "largest_tau": result.tau.tolist(),
+        "largest_carrier_force": result.force.tolist(),
+        "smallest_margin": result.margin,
+        "largest_gap": result.gap,
         "status": result.status.value,
         "singular_instants": [
             {**vars(one), "kind": one.kind.label, "status": one.status.label, "unbounded": one.unbounded}
@@ -154,6 +238,6 @@ def _summary(result: InverseDynamics) -> dict[str, Any]:
     }
 
 
-def _largest(values: Array) -> list[float]:
+def _largest(values: Array) -> Array:
     """Return the largest magnitude in each column, NaN left out; NaN for a column that has nothing else."""
-    return [float(value) for value in np.fmax.reduce(np.abs(values), axis=0)]
+    return np.asarray(np.fmax.reduce(np.abs(values), axis=0))

@@ -290,6 +290,10 @@ class MotionOptions:
 
     def follow(self, who: str, **settings: float | None) -> PlatformMotion | Trajectory:
         """Return the motion; ``who`` needs it, such as "A plan". Files take neither flags nor other settings."""
+        return self.of_trajectory(who, **settings) or self.read()
+
+    def of_trajectory(self, who: str, **settings: float | None) -> Trajectory | None:
+        """Return the trajectory, None where a file is named; as ``follow``."""
         if (self.trajectory is None) == (self.path is None):
             raise InputError(f"{who} needs either --trajectory or --motion.", remedy="Give one of them.")
         if self.trajectory is not None:
@@ -298,7 +302,7 @@ class MotionOptions:
         for name, value in {**self.flags, **settings}.items():
             if value is not None:
                 raise InputError(f"{flag(name)} does not apply to a motion from a file.", remedy="Leave it out.")
-        return self.read()
+        return None
 
     def read(self) -> PlatformMotion:
         """Return the motion of the file."""

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from enum import Enum
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, runs
-from redundancy_pin.dynamics.base import Dynamics, OnUnreachable, ReducedDynamics
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, frozen, runs
+from redundancy_pin.dynamics.base import (
+    Dynamics,
+    OnUnreachable,
+    ReducedDynamics,
+    require_matching_carriers,
+    require_on_track,
+)
 from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, distribute
-from redundancy_pin.errors import RedundancyPinError
-from redundancy_pin.kinematics.coordinates import difference, row_scale
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
+from redundancy_pin.kinematics.coordinates import difference, row_scale, working_modes
+from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.kinematics.spectrum import scaled
-from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.joint_ranges import JointExcess, beyond_limits
+from redundancy_pin.robot.joint_ranges import JointExcess, Turns, beyond_limits, out_of_range, turns_of
 from redundancy_pin.robot.loads import Load, Wrench
 from redundancy_pin.singularities.classify import SingularityKind, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
@@ -138,25 +145,138 @@ def inverse_dynamics(
             ``Dynamics.reduce``.
     """
     dynamics = dynamics.with_external(*external) if external else dynamics
+    require_sampled(motion)
+    require_consistent(motion, carriers)
+    return _part(dynamics, motion, carriers, unreachable, motion.check_rates, {})[0]
+
+
+def inverse_dynamics_in_blocks(
+    dynamics: Dynamics,
+    blocks: Iterable[tuple[PlatformMotion, CarrierMotion | None]],
+    *,
+    unreachable: OnUnreachable = "raise",
+) -> Iterator[InverseDynamics]:
+    """Give what ``inverse_dynamics`` returns for a motion that comes in blocks, block by block: memory does not grow.
+
+    Of files: ``inverse_dynamics_in_blocks(dynamics, rp.trajectory.MotionFile("motion.csv"))``. Each block goes on from
+    a sample shortly before its first one, on the branch that the last one has led to, so that singularities between
+    blocks are found too. Whole turns of joints are counted as in the first block. Rates are not compared with positions
+    here: ``MotionFile`` and ``require_consistent`` do that for the whole.
+
+    Args:
+        dynamics: any backend; loads sampled in time do not go in blocks.
+        blocks: samples of platform and carriers, each block following the one before.
+        unreachable: as in ``inverse_dynamics``.
+
+    Raises:
+        InputError: a load of the robot is sampled in time.
+        CarrierLimitError, UnreachablePoseError, SingularPoseError, WorkingModeError: as ``inverse_dynamics``; samples
+            are numbered from the beginning of the motion.
+    """
+    if any(_is_sampled(load) for load in dynamics.robot.loads):
+        raise InputError(
+            "A wrench sampled in time does not go with blocks of samples.",
+            remedy="Pass a function of time, or the whole motion to inverse_dynamics.",
+        )
+    before: tuple[PlatformMotion, CarrierMotion | None] | None = None
+    turns: Turns = {}
+    done = 0  # samples that have been given
+    for motion, carriers in blocks:
+        again = 0 if before is None else len(before[0])
+        whole, moved = _joined(before, (motion, carriers)) if before else (motion, carriers)
+        until = -np.inf if before is None else before[0].t[-1]
+        with numbered_from(done - again):
+            result, tree = _part(dynamics, whole, moved, unreachable, motion.check_rates, turns)
+        yield _without(result, again, until)
+        done += len(motion)
+        turns = turns or turns_of(dynamics.robot, tree.q)
+        edge = _edge(tree)
+        before = whole[edge:], None if moved is None else moved[edge:]
+        if tree.reachable[edge]:
+            dynamics = _starting_at(dynamics, tree.q[edge])
+
+
+def _part(
+    dynamics: Dynamics,
+    motion: PlatformMotion,
+    carriers: CarrierMotion | None,
+    unreachable: OnUnreachable,
+    between: bool,
+    turns: Turns,
+) -> tuple[InverseDynamics, TreeMotion]:
+    """Return the efforts along consistent samples and the motion of the tree; ``between`` looks between them."""
     robot = dynamics.robot
-    reduced = dynamics.reduce(motion, carriers, unreachable=unreachable)
-    tree = lift(robot, motion, mark_unreachable=unreachable == "mark")
+    require_on_track(robot, require_matching_carriers(robot, carriers, len(motion)), motion.t)
+    along = dynamics.along(motion, unreachable=unreachable)
+    reduced, tree = along.reduce(carriers), getattr(along, "tree", None)
+    if not isinstance(tree, TreeMotion):
+        tree = lift(robot, motion, mark_unreachable=unreachable == "mark")
+    if turns and reduced.out_of_range is not None:
+        reduced = replace(reduced, out_of_range=out_of_range(robot, tree.q, turns=turns))
     margins = signed_margin(scaled(reduced.W, reduced.row_scale, reduced.column_scale))
     crossings: list[Crossing] = []
     unresolved = ""
-    for first, stop in runs(reduced.reachable) if motion.check_rates else ():
+    for first, stop in runs(reduced.reachable) if between else ():
         part, margin = motion[first:stop], margins[first:stop]
         if part.t[-1] > part.t[0] and _may_meet(robot, part, margin, _NEAR):
             try:
-                crossings += find_crossings(robot, part)
+                crossings += find_crossings(robot, _unchecked(part))
             except RedundancyPinError as error:
                 # the samples can be followed, the motion between them cannot, or is too near a rank loss to search
                 if _may_meet(robot, part, margin, _FAR):
                     unresolved = unresolved or error.message
     met = [one for one in crossings if one.kind != SingularityKind.TYPE_I]
     instants = _instants(dynamics, motion, carriers, met, unreachable) if met else ()
-    excesses = beyond_limits(robot, tree.q, motion.t)
-    return InverseDynamics(reduced, distribute(reduced), instants, excesses, unresolved)
+    excesses = beyond_limits(robot, tree.q, motion.t, turns)
+    return InverseDynamics(reduced, distribute(reduced), instants, excesses, unresolved), tree
+
+
+def _unchecked(motion: PlatformMotion) -> PlatformMotion:
+    """Return samples whose rates have been compared with their positions."""
+    return PlatformMotion(motion.t, motion.x, motion.xd, motion.xdd, check_rates=False)
+
+
+def _joined(
+    before: tuple[PlatformMotion, CarrierMotion | None], after: tuple[PlatformMotion, CarrierMotion | None]
+) -> tuple[PlatformMotion, CarrierMotion | None]:
+    """Return the samples of both."""
+    (motion, carriers), (more, moved) = before, after
+    both = [np.concatenate([getattr(motion, name), getattr(more, name)]) for name in ("t", "x", "xd", "xdd")]
+    joined = PlatformMotion(*both, check_rates=more.check_rates)
+    if carriers is None or moved is None:
+        return joined, moved
+    both = [np.concatenate([getattr(carriers, name), getattr(moved, name)]) for name in ("s", "sd", "sdd")]
+    return joined, CarrierMotion(*both, check_rates=moved.check_rates)
+
+
+def _without(result: InverseDynamics, again: int, until: float) -> InverseDynamics:
+    """Return a part without the samples, and the instants up to a time, that the part before it has given."""
+    if not again:
+        return result
+    per_sample = ("t", "f", "W", "carrier_force", "reachable", "gap", "out_of_range")
+    of_efforts = [field.name for field in fields(result.efforts)]
+
+    def rest(whole: Any, names: Iterable[str]) -> Any:
+        parts = {name: getattr(whole, name) for name in names}
+        return replace(whole, **{name: part if part is None else part[again:] for name, part in parts.items()})
+
+    instants = tuple(one for one in result.instants if one.until > until)
+    reduced, efforts = rest(result.reduced, per_sample), rest(result.efforts, of_efforts)
+    return replace(result, reduced=reduced, efforts=efforts, instants=instants)
+
+
+def _edge(tree: TreeMotion) -> int:
+    """Return the sample of the last tenth that is farthest from losing the branch, or the last where none is closed."""
+    first = len(tree.motion) - max(1, len(tree.motion) // 10)
+    margin = np.where(tree.reachable, tree.serial_margin_bound, -1.0)[first:]
+    return first + int(np.argmax(margin)) if margin.max() > 0.0 else len(tree.motion) - 1
+
+
+def _starting_at(dynamics: Dynamics, q: Array) -> Dynamics:
+    """Return the backend with a configuration (nq,) of the branch as the reference: what follows comes from there."""
+    robot = dynamics.robot
+    mode = tuple(working_modes(robot, q[None])[0]) if robot.working_modes else robot.working_mode
+    return dynamics.for_robot(replace(robot, q_reference=frozen(q), working_mode=mode))
 
 
 def _may_meet(robot: Robot, motion: PlatformMotion, margin: Array, nearest: float) -> bool:
@@ -213,11 +333,15 @@ def _instants(
     return tuple(found)
 
 
+def _is_sampled(load: Load) -> TypeGuard[Wrench]:
+    return isinstance(load, Wrench) and isinstance(load.value, np.ndarray) and load.value.ndim == 2
+
+
 def _between(load: Load, t: Array, at: Array) -> Load:
     """Return a wrench that is given at times, at others: linear in between. Other loads are as they are."""
-    if not (isinstance(load, Wrench) and isinstance(load.value, np.ndarray) and load.value.ndim == 2):
+    if not _is_sampled(load):
         return load
-    value = np.stack([np.interp(at, t, column) for column in load.value.T], axis=1)
+    value = np.stack([np.interp(at, t, column) for column in np.asarray(load.value).T], axis=1)
     return Wrench(load.frame, value, load.reference, load.point)
 
 

@@ -14,7 +14,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -92,14 +92,22 @@ def require_writable(target: str | Path) -> Path:
     return path
 
 
-def write_text(target: str | Path, text: str) -> None:
-    """Write a UTF-8 text file, whole or not at all.
+def write_text(target: str | Path, text: str | Iterable[str]) -> None:
+    """Write a UTF-8 text file, or the parts of one as they come, whole or not at all.
 
     Raises:
         OutputError: as ``replacing_file``.
     """
-    with replacing_file(target) as temporary, refusing(Path(target)):
-        temporary.write_text(text, encoding="utf-8", newline="")
+    with replacing_file(target) as temporary:
+        parts = iter([text] if isinstance(text, str) else text)
+        with refusing(Path(target)):
+            stream = temporary.open("w", encoding="utf-8", newline="")
+        with stream:
+            for part in parts:  # what makes them may fail of itself
+                with refusing(Path(target)):
+                    stream.write(part)
+            with refusing(Path(target)):
+                stream.flush()
 
 
 @contextmanager

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -58,17 +60,29 @@ class JointRange(NamedTuple):
     lower: float
     upper: float
 
-    def excess(self, value: Array, motion: bool) -> Array:
+    def excess(self, value: Array, motion: bool, turn: float | None = None) -> Array:
         """Return (N,) how far positions are beyond, rad or m; see ``range_excess``."""
-        counted = self.counted(value, motion)
+        counted = value - (self.turn(value, motion) if turn is None else turn)
         return np.maximum(self.lower - counted, counted - self.upper)
 
-    def counted(self, value: Array, motion: bool) -> Array:
-        """Return (N,) positions, whole turns taken off where that brings them into a range within a turn."""
+    def turn(self, value: Array, motion: bool) -> Array:
+        """Return () or (N,) whole turns, rad, to be taken off where that brings positions into a range of a turn."""
         if not self.turns or self.upper - self.lower > _A_TURN or not len(value):
-            return value
+            return np.zeros(())
         middle = 0.5 * ((value.max() + value.min() if motion else 2.0 * value) - self.lower - self.upper)
-        return value - 2.0 * np.pi * np.round(middle / (2.0 * np.pi))
+        return np.asarray(2.0 * np.pi * np.round(middle / (2.0 * np.pi)))
+
+
+Turns: TypeAlias = Mapping[str, float]
+"""By joint the whole turns that are taken off its positions, rad."""
+
+
+def turns_of(robot: Robot, q: Array) -> Turns:
+    """Return what is taken off the positions of a motion (N, nq), so that its further parts are counted alike."""
+    known = q[np.isfinite(q).all(axis=1)]
+    return (
+        {joint.name: float(joint.turn(known[:, joint.at], True)) for joint in joint_ranges(robot)} if len(known) else {}
+    )
 
 
 @lru_cache(maxsize=64)
@@ -89,32 +103,35 @@ def joint_ranges(robot: Robot) -> tuple[JointRange, ...]:
     return tuple(found)
 
 
-def range_excess(robot: Robot, q: Array, *, motion: bool = True) -> Array:
+def range_excess(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = MappingProxyType({})) -> Array:
     """Return (N, joints) how far each joint of the model is beyond its range, m or rad; negative inside.
 
     A joint without limits, or of several freedoms, is −inf, and so is a configuration of NaN. A revolute joint whose
     limits are within a turn may be counted from another turn than they are: the same whole number of turns is taken
-    from all samples of a ``motion`` where that helps, from each by itself where configurations (N, nq) are none.
+    from all samples of a ``motion`` where that helps, from each by itself where configurations (N, nq) are none; the
+    ``turns`` of earlier parts of the motion where they are given.
     """
     excess = np.full((len(q), robot.model.njoints - 1), -np.inf)
     known = np.isfinite(q).all(axis=1)
     for joint in joint_ranges(robot):
-        excess[known, joint.column] = joint.excess(q[known, joint.at], motion)
+        excess[known, joint.column] = joint.excess(q[known, joint.at], motion, turns.get(joint.name))
     return excess
 
 
-def out_of_range(robot: Robot, q: Array, *, motion: bool = True) -> BoolArray:
+def out_of_range(robot: Robot, q: Array, *, motion: bool = True, turns: Turns = MappingProxyType({})) -> BoolArray:
     """Return (N,) whether some joint is beyond its range by more than rounding, as ``range_excess`` counts."""
-    return read_only(range_excess(robot, q, motion=motion).max(axis=1, initial=-np.inf) > ROUNDING)
+    excess = range_excess(robot, q, motion=motion, turns=turns)
+    return read_only(excess.max(axis=1, initial=-np.inf) > ROUNDING)
 
 
-def beyond_limits(robot: Robot, q: Array, t: Array) -> tuple[JointExcess, ...]:
+def beyond_limits(robot: Robot, q: Array, t: Array, turns: Turns = MappingProxyType({})) -> tuple[JointExcess, ...]:
     """Return the joints that are somewhere beyond a limit of position, turns counted as in ``range_excess``.
 
     Args:
         robot: the robot.
         q: (N, nq) configurations, NaN where there is none.
         t: (N,) their times, s.
+        turns: those of earlier parts of the motion.
     """
     found = []
     known = np.isfinite(q).all(axis=1)
@@ -122,7 +139,8 @@ def beyond_limits(robot: Robot, q: Array, t: Array) -> tuple[JointExcess, ...]:
         return ()
     t = t[known]
     for joint in joint_ranges(robot):
-        value = joint.counted(q[known, joint.at], True)
+        value = q[known, joint.at]
+        value = value - turns.get(joint.name, joint.turn(value, True))
         for limit, excess in ((joint.lower, joint.lower - value), (joint.upper, value - joint.upper)):
             if excess.max() > ROUNDING:
                 first, worst = int(np.argmax(excess > ROUNDING)), int(np.argmax(excess))

@@ -35,7 +35,7 @@ def _vector(values: ArrayLike, name: str) -> Array:
     return checked(values, name, (3,))
 
 
-def _number(value: float, name: str, *, least: float = -np.inf) -> float:
+def _number(value: float, name: str, *, least: float) -> float:
     number = float(checked(value, name, ()))
     if number < least:
         raise InputError(f"{name} is {number:g}.", remedy=f"It is at least {least:g}.", name=name)

@@ -149,12 +149,13 @@ def json_data(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None) -> str:
+def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None, *, heading: bool = True) -> str:
     """Return a CSV table: a row of names, then one row a sample; NaN as ``nan``.
 
     Args:
         columns: by name: (N,) numbers or texts, or (N, c) numbers, which become name0, name1, ....
         digits: significant digits of numbers; the shortest text that brings the float back when left out.
+        heading: with the row of names, which only the first part of a long table has.
     """
     names: list[str] = []
     cells: list[list[str]] = []
@@ -164,7 +165,7 @@ def csv_text(columns: Mapping[str, NDArray[Any]], digits: int | None = None) -> 
         names += [name] if array.ndim == 1 else [f"{name}{i}" for i in range(len(parts))]
         cells += [_column_texts(part, digits) for part in parts]
     out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows([names, *zip(*cells, strict=True)])
+    csv.writer(out, lineterminator="\n").writerows([*([names] if heading else []), *zip(*cells, strict=True)])
     return out.getvalue()
 
 

@@ -6,16 +6,18 @@ import csv
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import TextIOWrapper
+from itertools import islice
+from typing import TypeAlias
 
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError
+from redundancy_pin.errors import InputError, numbered_from
 from redundancy_pin.io.reading import opened
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent
+from redundancy_pin.motion import CarrierMotion, Consistency, PlatformMotion, require_consistent
 from redundancy_pin.trajectory.quaternions import poses_of
 
 _QUATERNION_TOLERANCE = 1e-6
@@ -23,6 +25,10 @@ _QUATERNION_TOLERANCE = 1e-6
 
 _LARGEST = 1e100
 """Numbers beyond it are refused as infinite: their products are."""
+
+
+BLOCK = 20_000
+"""Samples of a long motion that are worked on at a time."""
 
 
 def from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> PlatformMotion:
@@ -43,14 +49,8 @@ def from_csv(path: str | os.PathLike[str], *, check_rates: bool = True) -> Platf
             column and factor), or a motion that is not one.
     """
     table = table_of_csv(path)
-    x, xd, xdd = (_columns(table, name, path) for name in ("x", "xd", "xdd"))
-    if x.shape[1] == 7 and xd.shape[1] == 6:
-        x = checked_poses(x, path)
-    else:
-        _require_as_many(path, x=x, xd=xd)
-    _require_as_many(path, xd=xd, xdd=xdd)
+    motion = _platform(table, path, check_rates)
     with _in_file(path):
-        motion = PlatformMotion(table["t"], x, xd, xdd, check_rates=check_rates)
         require_consistent(motion)
     return motion
 
@@ -69,43 +69,134 @@ def carriers_from_csv(path: str | os.PathLike[str], *, check_rates: bool = True)
         InputError: as ``from_csv``.
     """
     table = table_of_csv(path)
-    if not any(re.fullmatch(r"s(d|dd)?\d+", name) for name in table):
-        return None
-    s, sd, sdd = (_columns(table, name, path) for name in ("s", "sd", "sdd"))
-    _require_as_many(path, s=s, sd=sd)
-    _require_as_many(path, sd=sd, sdd=sdd)
-    carriers, still = CarrierMotion(s, sd, sdd, check_rates=check_rates), np.zeros((len(s), 0))
-    if check_rates:
+    carriers = _carriers(table, path, check_rates)
+    if carriers is not None and check_rates:
+        still = np.zeros((len(carriers), 0))
         with _in_file(path):
             require_consistent(PlatformMotion(table["t"], still, still, still), carriers)
     return carriers
 
 
+MotionBlock: TypeAlias = tuple[PlatformMotion, CarrierMotion | None]
+
+
+class MotionFile:
+    """The motion of a CSV file that may be too long to be held, block by block.
+
+    It is read once to check it, as ``from_csv`` and ``carriers_from_csv`` do, and once more by whoever iterates over
+    it. Memory is that of a block, however long the file is.
+
+    Args:
+        path: of the file, as in ``from_csv``.
+        check_rates: as in ``from_csv``.
+        block: samples a block.
+        progress: called with the part of the file that has been checked.
+
+    Raises:
+        InputError: as ``from_csv`` and ``carriers_from_csv``.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        check_rates: bool = True,
+        block: int = BLOCK,
+        progress: Callable[[float], None] = lambda part: None,
+    ) -> None:
+        self._path, self._check, self._block, self._samples = path, check_rates, block, 0
+        consistency, last = Consistency(), None
+        for motion, carriers in self._blocks(progress):
+            if last is not None:  # times increase from block to block too
+                with numbered_from(self._samples - len(last)), _in_file(path):
+                    parts = ((getattr(one, name) for one in (last, motion[:1])) for name in ("t", "x", "xd", "xdd"))
+                    PlatformMotion(*(np.concatenate(tuple(part)) for part in parts))
+            last = motion[-2:]
+            self._samples += len(motion)
+            consistency.add(motion, carriers)
+        with _in_file(path):
+            consistency.require()
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return self._samples
+
+    def __iter__(self) -> Iterator[MotionBlock]:
+        """Give the motions of platform and carriers, block by block; carriers None where there are no such columns."""
+        return self._blocks()
+
+    def _blocks(self, progress: Callable[[float], None] = lambda part: None) -> Iterator[MotionBlock]:
+        first = 0
+        for table in tables_of_csv(self._path, block=self._block, progress=progress):
+            with numbered_from(first):
+                motion = _platform(table, self._path, self._check)
+                carriers = _carriers(table, self._path, self._check)
+            yield motion, carriers
+            first += len(motion)
+
+
+def _platform(table: dict[str, Array], path: str | os.PathLike[str], check_rates: bool) -> PlatformMotion:
+    x, xd, xdd = (_columns(table, name, path) for name in ("x", "xd", "xdd"))
+    if x.shape[1] == 7 and xd.shape[1] == 6:
+        x = checked_poses(x, path)
+    else:
+        _require_as_many(path, x=x, xd=xd)
+    _require_as_many(path, xd=xd, xdd=xdd)
+    with _in_file(path):
+        return PlatformMotion(table["t"], x, xd, xdd, check_rates=check_rates)
+
+
+def _carriers(table: dict[str, Array], path: str | os.PathLike[str], check_rates: bool) -> CarrierMotion | None:
+    if not any(re.fullmatch(r"s(d|dd)?\d+", name) for name in table):
+        return None
+    s, sd, sdd = (_columns(table, name, path) for name in ("s", "sd", "sdd"))
+    _require_as_many(path, s=s, sd=sd)
+    _require_as_many(path, sd=sd, sdd=sdd)
+    return CarrierMotion(s, sd, sdd, check_rates=check_rates)
+
+
 def table_of_csv(path: str | os.PathLike[str], needs: Sequence[str] = ("t",)) -> dict[str, Array]:
     """Return the columns of the file by name; InputError where it cannot be read, or lacks one of those needed."""
+    tables = list(tables_of_csv(path, needs))
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+
+
+def tables_of_csv(
+    path: str | os.PathLike[str],
+    needs: Sequence[str] = ("t",),
+    *,
+    block: int = BLOCK,
+    progress: Callable[[float], None] = lambda part: None,
+) -> Iterator[dict[str, Array]]:
+    """Give the columns of the file by name, so many rows at a time, one block at least; errors as ``table_of_csv``."""
     try:
         with TextIOWrapper(opened(os.fspath(path), InputError), "utf-8-sig", newline="") as stream:
-            reader = csv.reader(stream)
+            reader, size = csv.reader(stream), max(os.fstat(stream.fileno()).st_size, 1)
             # The row number is that of the line in the file, as an editor shows it.
-            rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+            rows = ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
+            heading = [row for _, row in islice(rows, 1)]
+            names = [name.strip() for row in heading for name in row]
+            twice = sorted(name for name, count in Counter(names).items() if count > 1)
+            some = list(islice(rows, block))
+            if not some:
+                remedy = "Give a row of column names (t, x0, ..., xd0, ..., xdd0, ...) and at least one row of numbers."
+                raise _bad(path, " has 0 rows of numbers.", remedy)
+            if twice:
+                raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
+            while some:
+                table = dict(zip(names, _numbers(names, some, path).T, strict=True))
+                for name in needs:
+                    if name not in table:
+                        raise _missing(path, name, names)
+                progress(min(stream.buffer.tell() / size, 1.0))
+                yield table
+                some = list(islice(rows, block))
     except OSError as error:
         raise InputError(
             f"Cannot read {os.fspath(path)}: {error.strerror or error}.", remedy="Check the path.", path=str(path)
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise _bad(path, f" is not a text file with columns: {error}.") from error
-    if len(rows) < 2:
-        remedy = "Give a row of column names (t, x0, ..., xd0, ..., xdd0, ...) and at least one row of numbers."
-        raise _bad(path, f" has {max(len(rows) - 1, 0)} rows of numbers.", remedy)
-    names = [name.strip() for name in rows[0][1]]
-    twice = sorted(name for name, count in Counter(names).items() if count > 1)
-    if twice:
-        raise _bad(path, f" has the column {twice[0]!r} more than once.", column=twice[0])
-    table = dict(zip(names, _numbers(names, rows[1:], path).T, strict=True))
-    for name in needs:
-        if name not in table:
-            raise _missing(path, name, names)
-    return table
 
 
 def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: str | os.PathLike[str]) -> Array:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 
 from redundancy_pin.dynamics.allocation import fit_into_bounds
-from redundancy_pin.dynamics.distribution import SampleStatus, distribute, torque_speed_bounds
+from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus, distribute, torque_speed_bounds
 from redundancy_pin.errors import InputError
 
 OPTIMUM = 1e-8
@@ -91,6 +91,15 @@ def test_residual_of_infeasible_bounds_is_the_least_within_them():
     brute = np.linalg.norm(np.einsum("Nij,bj->Nbi", W, box) - f[:, None, :], axis=2).min(axis=1)
     assert (d.residual <= brute + 1e-9).all()
     assert d.residual == pytest.approx(brute, abs=2.0 * 0.01)  # ‖W‖ times the diagonal of half a grid cell
+
+
+def test_residual_of_infeasible_rows_is_the_way_to_them():
+    # W = 1: u1 + u2 of (3, 0) is 3; to 1 and to 5 it is 2 / √2 away, to −1 it is 4 / √2
+    for (low, high), missing in {(-np.inf, 1.0): 2.0, (5.0, np.inf): 2.0, (-7.0, -1.0): 4.0}.items():
+        rows = [EffortRows(np.array([[1.0, 1.0]]), np.array([low]), np.array([high]))]
+        d = distribute(reduced([np.eye(2)], [[3.0, 0.0]]), rows=rows)
+        assert d.status[0] == SampleStatus.BOUND_INFEASIBLE
+        assert d.residual[0] == pytest.approx(missing / np.sqrt(2.0), abs=1e-5)  # the steadying weight's root
 
 
 @pytest.mark.parametrize("lower", [-2.0, 1.0])

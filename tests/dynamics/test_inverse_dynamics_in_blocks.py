@@ -1,0 +1,260 @@
+"""Motions that come in blocks: the numbers, instants, limits and errors of the whole, in memory that does not grow."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+from command_line import call, write_motion
+from folding import folding_four_bar, rocker_motion
+
+import redundancy_pin as rp
+from redundancy_pin import CarrierMotion, PlatformMotion, motion
+from redundancy_pin.dynamics.distribution import SampleStatus
+from redundancy_pin.dynamics.inverse_dynamics import InverseDynamics
+from redundancy_pin.motion import Consistency, require_consistent
+from redundancy_pin.trajectory import Line, MotionFile, RestToRest, Trajectory, from_csv, reference
+
+CIRCLE = reference.circle(speed=0.5)
+ROUNDING = 1e-10
+"""Guesses of Newton's method differ between blocks, solutions by roundings, efforts by those over the margin."""
+
+
+def cut(
+    whole: PlatformMotion, size: int, carriers: CarrierMotion | None = None
+) -> Iterator[tuple[PlatformMotion, CarrierMotion | None]]:
+    for first in range(0, len(whole), size):
+        part = slice(first, first + size)
+        yield whole[part], None if carriers is None else carriers[part]
+
+
+def together(blocks: list[InverseDynamics], of: str, name: str) -> np.ndarray:
+    return np.concatenate([getattr(getattr(block, of), name) for block in blocks])
+
+
+@pytest.mark.long_for(*(f"{name}-{size}" for name in ("RneaDynamics", "VirtualWork") for size in (1, 37, 1000)))
+@pytest.mark.parametrize("size", [1, 37, 52, 1000])  # 52: the first instant lies between two blocks
+@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.VirtualWork])
+def test_blocks_give_what_the_whole_gives(backend: type, size: int) -> None:
+    sampled = CIRCLE.sample(0.01)
+    wave = 2.0 * sampled.t[:, None] + np.arange(2)
+    carriers = CarrierMotion(0.05 * np.sin(wave), 0.1 * np.cos(wave), -0.2 * np.sin(wave))
+    dynamics = backend(zoo.robot_of("2rpr"))
+    expected = rp.inverse_dynamics(dynamics, sampled, carriers)
+    found = list(rp.inverse_dynamics_in_blocks(dynamics, cut(sampled, size, carriers)))
+    assert [len(one.efforts) for one in found] == [len(part) for part, _ in cut(sampled, size)]
+    for of, name in (("efforts", "tau"), ("reduced", "carrier_force"), ("efforts", "residual"), ("reduced", "W")):
+        np.testing.assert_allclose(
+            together(found, of, name), getattr(getattr(expected, of), name), rtol=ROUNDING, atol=ROUNDING
+        )
+    np.testing.assert_array_equal(together(found, "efforts", "status"), expected.efforts.status)
+    np.testing.assert_array_equal(together(found, "reduced", "t"), sampled.t)
+    instants = [one for block in found for one in block.instants]
+    assert len(instants) == 2
+    np.testing.assert_allclose([one.t for one in instants], [one.t for one in expected.instants], atol=1e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("size", [7, 20])
+def test_marked_samples_and_what_lies_behind_them(size: int) -> None:
+    robot = zoo.robot_of("five_bar")
+    path = Line([0.25, 1.4], [0.25, 0.2])
+    line = Trajectory(path, RestToRest(path.length, duration=2.0)).sample(0.02)
+    dynamics = rp.RneaDynamics(robot)
+    expected = rp.inverse_dynamics(dynamics, line, unreachable="mark")
+    found = list(rp.inverse_dynamics_in_blocks(dynamics, cut(line, size), unreachable="mark"))
+    status = together(found, "efforts", "status")
+    assert (status == SampleStatus.UNREACHABLE).any()
+    np.testing.assert_array_equal(status, expected.efforts.status)
+    [one] = [one for block in found for one in block.instants]
+    assert one.t == pytest.approx(expected.instants[0].t, abs=1e-8)
+
+
+def test_a_branch_goes_on_through_a_flat_pose_and_the_next_block(tmp_path: Path) -> None:
+    """Behind the pose the linkage is in another working mode than its reference: blocks start there."""
+    lengths = (0.3, 0.2, 0.3, 0.2)
+    robot = folding_four_bar(tmp_path, lengths, (1.0, 1.0, 2.0), modes=True)
+    crank = np.pi + np.linspace(-1.0, 1.0, 101)[:, None]
+    rate = np.full_like(crank, 2.0)
+    turning = PlatformMotion(0.01 * np.arange(101.0), crank, rate, 0.0 * rate)
+    angle = rocker_motion(robot, lengths, crank[:, 0], rate[:, 0], 0.0 * rate[:, 0])[1]
+    for size in (26, 51):
+        blocks = list(rp.inverse_dynamics_in_blocks(rp.RneaDynamics(robot), cut(turning, size)))
+        whole = rp.RneaDynamics(robot).reduce(turning)
+        np.testing.assert_allclose(together(blocks, "reduced", "f"), whole.f, atol=1e-7)
+    assert np.ptp(angle) > 0.0
+
+
+@pytest.mark.parametrize(("start", "turns", "leaves"), [(2.0 * np.pi + 0.1, 0.9, False), (0.1, 1.4, True)])
+def test_turns_are_those_of_the_whole_motion(start: float, turns: float, leaves: bool) -> None:
+    """Each block alone could be counted from a turn that suits it."""
+    crank = zoo.robot_of("four_bar").independent_joints[0]
+    robot = zoo.robot_of("four_bar").with_limits({crank: {"lower": 0.0, "upper": 6.2}})
+    angle = start + turns * 2.0 * np.pi * np.linspace(0.0, 1.0, 201)[:, None]
+    rate = np.full_like(angle, turns * 2.0 * np.pi)
+    turning = PlatformMotion(np.linspace(0.0, 1.0, 201), angle, rate, 0.0 * rate)
+    blocks = list(rp.inverse_dynamics_in_blocks(rp.RneaDynamics(robot), cut(turning, 25)))
+    out = together(blocks, "efforts", "status") == SampleStatus.OUT_OF_RANGE
+    np.testing.assert_array_equal(out, angle[:, 0] > 6.2 if leaves else np.zeros(201, dtype=bool))
+    assert any(block.joint_limits for block in blocks) == leaves
+
+
+def test_errors_number_samples_from_the_beginning() -> None:
+    sampled, robot = CIRCLE.sample(0.01), zoo.robot_of("2rpr")
+    away = np.zeros((len(sampled), 2))
+    away[150:, 1] = 1.0
+    off = CarrierMotion(away, 0.0 * away, 0.0 * away, check_rates=False)
+    path = Line([0.25, 0.6], [0.25, 1.9])
+    leaving = Trajectory(path, RestToRest(path.length, duration=1.0)).sample(0.01)
+    five = zoo.robot_of("five_bar")
+    cases = [(robot, sampled, off, rp.errors.CarrierLimitError), (five, leaving, None, rp.errors.RedundancyPinError)]
+    for one, samples, carriers, kind in cases:
+        with pytest.raises(kind) as expected:
+            rp.inverse_dynamics(rp.RneaDynamics(one), samples, carriers)
+        with pytest.raises(kind) as found:
+            list(rp.inverse_dynamics_in_blocks(rp.RneaDynamics(one), cut(samples, 23, carriers)))
+        assert type(found.value) is type(expected.value)
+        assert found.value.message == expected.value.message
+        assert found.value.details["sample"] == expected.value.details["sample"]
+        assert f"sample {found.value.details['sample']}" in found.value.message.lower()
+
+
+def test_loads_sampled_in_time_are_refused() -> None:
+    sampled = CIRCLE.sample(0.1)
+    dynamics = rp.RneaDynamics(zoo.robot_of("2rpr")).with_external(
+        rp.Wrench("end_effector", np.zeros((len(sampled), 6)))
+    )
+    with pytest.raises(rp.errors.InputError, match="function of time"):
+        list(rp.inverse_dynamics_in_blocks(dynamics, cut(sampled, 5)))
+
+
+# --- files ---
+
+
+def changed(path: Path, line: int, column: int, cell: str) -> Path:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    cells = lines[line].split(",")
+    cells[column] = cell
+    lines[line] = ",".join(cells)
+    other = path.with_name("changed.csv")
+    other.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return other
+
+
+@pytest.mark.parametrize(
+    ("line", "column", "cell"),
+    [(78, 3, "nan"), (78, 2, "one"), (60, 0, "0.1"), (61, 0, "0.1"), (90, 1, "1,2"), (0, 3, "xd7"), (0, 1, "x1")],
+)
+def test_a_file_is_refused_as_it_is_in_one_piece(line: int, column: int, cell: str, tmp_path: Path) -> None:
+    path = changed(write_motion(tmp_path / "motion.csv", CIRCLE, 0.01), line, column, cell)
+    with pytest.raises(rp.errors.InputError) as expected:
+        from_csv(path)
+    with pytest.raises(rp.errors.InputError) as found:
+        MotionFile(path, block=20)
+    assert str(found.value) == str(expected.value)
+    assert dict(found.value.details) == dict(expected.value.details)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 50])
+def test_rates_are_compared_over_all_blocks(size: int) -> None:
+    sampled = CIRCLE.sample(0.01)
+    for scale in ((1e3, 1.0, 1.0), (1.0, -1.0, -1.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0)):
+        parts = [factor * part for factor, part in zip(scale, (sampled.x, sampled.xd, sampled.xdd), strict=True)]
+        one, check, said = PlatformMotion(sampled.t, *parts), Consistency(), []
+        for part, _ in cut(one, size):
+            check.add(part)
+        for judge in (check.require, lambda one=one: require_consistent(one)):
+            try:
+                said.append(judge())
+            except rp.errors.InputError as error:
+                said.append(str(error))
+        assert said[0] == said[1]
+        assert (said[0] is None) == (scale == (1.0, 1.0, 1.0))
+
+
+def test_long_motions_are_compared_at_some_of_their_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    sampled = CIRCLE.sample(0.005)
+    monkeypatch.setattr(motion, "_COMPARED_AT", 20)
+    require_consistent(sampled)
+    with pytest.raises(rp.errors.InputError) as caught:
+        require_consistent(PlatformMotion(sampled.t, 1e3 * sampled.x, sampled.xd, sampled.xdd))
+    sample = caught.value.details["sample"]
+    assert sample % 4 == 0
+    assert caught.value.details["time"] == sampled.t[sample]
+    # all samples are integrated over: a rate that is wrong between those compared is seen
+    odd = np.array(sampled.xd)
+    odd[1::2] *= 3.0
+    with pytest.raises(rp.errors.InputError):
+        require_consistent(PlatformMotion(sampled.t, sampled.x, odd, sampled.xdd))
+
+
+MEASURE = """
+import resource, sys
+from redundancy_pin.cli import main
+code = main(sys.argv[1:], standalone_mode=False)
+print("peak", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, code, file=sys.stderr)
+"""
+
+
+def peak(path: Path, tmp_path: Path) -> float:
+    """Return MB at most in memory while the command works on a file."""
+    command = ["inverse-dynamics", "--robot", "2rpr", "--motion", str(path), "--out", str(tmp_path / "out.csv")]
+    done = subprocess.run([sys.executable, "-c", MEASURE, *command], capture_output=True, text=True, check=True)
+    kilobytes, code = re.search(r"peak (\d+) (\d)", done.stderr).groups()
+    assert code == "0"
+    return int(kilobytes) / (1024.0 if sys.platform != "darwin" else 1024.0**2)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform == "win32", reason="resource")
+def test_memory_does_not_grow_with_the_motion(tmp_path: Path) -> None:
+    """10⁶ samples take what 2 · 10⁵ take, but for 25 MB: series of 100,000 to 200,000 instants that are compared."""
+    path, rate, step = tmp_path / "motion.csv", np.pi, 1e-3
+    peaks, written = [], 0
+    with path.open("w", encoding="utf-8") as stream:
+        stream.write("t,x0,x1,xd0,xd1,xdd0,xdd1\n")
+        for samples in (200_000, 1_000_000):
+            while written < samples:
+                t = step * np.arange(written, written + 20_000)
+                out = np.stack([np.cos(rate * t), np.sin(rate * t)], axis=1)
+                along = np.stack([-np.sin(rate * t), np.cos(rate * t)], axis=1)
+                rows = np.hstack([t[:, None], [0.6, 0.5] + 0.05 * out, 0.05 * rate * along, -0.05 * rate**2 * out])
+                stream.writelines(",".join(map(repr, row)) + "\n" for row in rows.tolist())
+                written += len(t)
+            stream.flush()
+            peaks.append(peak(path, tmp_path))
+            with (tmp_path / "out.csv").open(encoding="utf-8") as found:
+                assert sum(1 for _ in found) == samples + 1
+    assert peaks[1] - peaks[0] < 25.0
+    assert peaks[1] < 300.0
+
+
+def test_the_command_goes_by_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tables, warnings and JSON are those of one block."""
+    path, outputs = write_motion(tmp_path / "motion.csv", CIRCLE, 0.01), []
+    for size in (20_000, 40):
+        monkeypatch.setattr(MotionFile, "__init__", _with_block(MotionFile.__init__, size))
+        done = call("inverse-dynamics", "--robot", "2rpr", "--motion", path, "--out", tmp_path / "out.csv", "--json")
+        assert done.exit_code == 3
+        outputs.append((done.stderr, json.loads(done.stdout)))
+        monkeypatch.undo()
+    (warned, one), (also_warned, other) = outputs
+    assert warned == also_warned
+    for found, expected in zip(other.pop("singular_instants"), one.pop("singular_instants"), strict=True):
+        numbers = [name for name in expected if isinstance(expected[name], float)]
+        assert [found.pop(name) for name in numbers] == pytest.approx([expected.pop(name) for name in numbers], rel=1e-6)
+        assert found == expected
+    for name in ("largest_tau", "largest_carrier_force", "smallest_margin", "largest_gap"):
+        assert other.pop(name) == pytest.approx(one.pop(name), rel=1e-9, abs=1e-12)
+    assert other == one
+
+
+def _with_block(init: object, size: int) -> object:
+    return lambda self, path, **more: init(self, path, **{**more, "block": size})
