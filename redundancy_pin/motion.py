@@ -306,7 +306,7 @@ def _unit(factor: float, in_time: bool) -> str:
     return next((names[not in_time] for of, *names in _UNITS if abs(factor / of - 1.0) < 0.02), "")
 
 
-_COMPARED_AT = 100_000
+_COMPARED_AT = 30_000
 """Instants at which integrals of longer motions are compared, at least."""
 
 

@@ -215,7 +215,7 @@ def peak(path: Path, tmp_path: Path) -> float:
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="resource")
 def test_memory_does_not_grow_with_the_motion(tmp_path: Path) -> None:
-    """10⁶ samples take what 2 · 10⁵ take, but for 25 MB: series of 100,000 to 200,000 instants that are compared."""
+    """10⁶ samples take what 2 · 10⁵ take, but for 25 MB: series of at most 60,000 instants are compared."""
     path, rate, step = tmp_path / "motion.csv", np.pi, 1e-3
     peaks, written = [], 0
     with path.open("w", encoding="utf-8") as stream:
@@ -249,7 +249,9 @@ def test_the_command_goes_by_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert warned == also_warned
     for found, expected in zip(other.pop("singular_instants"), one.pop("singular_instants"), strict=True):
         numbers = [name for name in expected if isinstance(expected[name], float)]
-        assert [found.pop(name) for name in numbers] == pytest.approx([expected.pop(name) for name in numbers], rel=1e-6)
+        assert [found.pop(name) for name in numbers] == pytest.approx(
+            [expected.pop(name) for name in numbers], rel=1e-6
+        )
         assert found == expected
     for name in ("largest_tau", "largest_carrier_force", "smallest_margin", "largest_gap"):
         assert other.pop(name) == pytest.approx(one.pop(name), rel=1e-9, abs=1e-12)
