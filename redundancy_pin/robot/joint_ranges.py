@@ -65,6 +65,10 @@ class JointRange(NamedTuple):
         counted = value - (self.turn(value, motion) if turn is None else turn)
         return np.maximum(self.lower - counted, counted - self.upper)
 
+    def counted(self, value: Array, motion: bool) -> Array:
+        """Return (N,) positions, whole turns taken off where that brings them into a range within a turn."""
+        return np.asarray(value - self.turn(value, motion))
+
     def turn(self, value: Array, motion: bool) -> Array:
         """Return () or (N,) whole turns, rad, to be taken off where that brings positions into a range of a turn."""
         if not self.turns or self.upper - self.lower > _A_TURN or not len(value):
