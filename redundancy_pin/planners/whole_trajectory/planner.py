@@ -146,7 +146,6 @@ def plan_whole_trajectory(
         RedundancyPinError: casadi is not installed.
         UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
     """
-    began = time.perf_counter()
     require_dynamics(dynamics)
     if isinstance(objective, Objective):
         goal = grouped("objective", objective, Objective, lam=lam, baseline=baseline, base_point=base_point)
@@ -173,13 +172,21 @@ def plan_whole_trajectory(
         end=end,
         datum=datum,
     )
+    return optimise(Task(dynamics, continuous_motion(motion), settings))[0]
+
+
+def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[Plan, Outcome]:
+    """Return the plan of a task, and the programme and solution it is made of; as ``plan_whole_trajectory``.
+
+    ``position``: of the carriers, to begin with in place of parked ones.
+    """
+    began = time.perf_counter()
+    dynamics, settings = task.dynamics, task.settings
     report = settings.solver.progress or (lambda line: None)
-    task = Task(dynamics, continuous_motion(motion), settings)
     judged = replace(dynamics.robot, carrier_limits=settings.limits.of_carriers)
     instants = Actuation.along(dynamics, task.source).singular_instants
     nodes = grid_of(task.source, instants, settings.mesh.dt)
     nodes = with_middles(nodes, near_singular(dynamics, task.source, nodes))
-    position: PiecewisePolynomial | None = None
     ratios: list[float] = []
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
@@ -206,7 +213,7 @@ def plan_whole_trajectory(
         nodes = with_middles(nodes, steps_around(nodes, exceeding, BESIDE))
     plan = _plan(task, result, functions, (check, broken))
     timing = {"dense_ratios": ratios, "seconds": time.perf_counter() - began}
-    return replace(plan, diagnostics={**plan.diagnostics, **timing})
+    return replace(plan, diagnostics={**plan.diagnostics, **timing}), result.best
 
 
 def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:

@@ -9,6 +9,7 @@ it is solved again from where it was. The carriers' forces become variables only
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -49,7 +50,8 @@ class Solution:
     ``values``: the variables by name, scaled; ``optimal``: whether the conditions of a minimum hold; ``feasible``:
     whether every constraint holds; ``message``: the solver's own word for how it ended; ``cost``: the scaled objective;
     ``violation``: largest violation of a scaled constraint; ``iterations``: number of iterations; ``seconds``: time
-    taken; ``point``: x and the multipliers of its bounds and of the rows, to begin from with more rows.
+    taken; ``point``: x and the multipliers of its bounds and of the rows, to begin from with more rows; ``rows``: which
+    rows these are (``NLP``).
     """
 
     values: dict[str, Array]
@@ -61,6 +63,7 @@ class Solution:
     iterations: int
     seconds: float
     point: tuple[Array, Array, Array]
+    rows: Mapping[str, Any]
 
     @property
     def infeasible(self) -> bool:
@@ -139,6 +142,7 @@ def solve_nlp(
         iterations=int(stats["iter_count"]),
         seconds=time.perf_counter() - began,
         point=(x, lam_x, lam_g),
+        rows=nlp.rows,
     )
 
 

@@ -46,13 +46,15 @@ class NLP:
     """minimise f(x) subject to l ≤ x ≤ u and b ≤ g(x) ≤ c, put together block by block.
 
     ``blocks``: the variables by name, matrices; ``cost``: the expression f, to be added to; ``derivatives``: gradient,
-    Jacobian and Hessian as options of a solver, once one has made them.
+    Jacobian and Hessian as options of a solver, once one has made them; ``rows``: the options of ``transcribe`` that
+    say which rows there are.
     """
 
     def __init__(self) -> None:
         self.blocks: dict[str, Any] = {}
         self.cost: Any = 0.0
         self.derivatives: dict[str, Any] = {}
+        self.rows: dict[str, Any] = {}
         self._rows: list[Any] = []
         self._bounds: dict[str, list[Array]] = {"lbx": [], "ubx": [], "lbg": [], "ubg": []}
 
@@ -386,6 +388,7 @@ def transcribe(
     ``limit_force``: whether the limits of the carriers' forces are held.
     """
     programme = Transcription(problem, elastic)
+    programme.nlp.rows = {"between": None if between is None else tuple(between), "limit_force": limit_force}
     programme.motion()
     programme.dynamics()
     if limit_force and np.isfinite(problem.settings.limits.carrier_force).any():

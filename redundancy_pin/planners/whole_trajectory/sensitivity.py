@@ -1,0 +1,135 @@
+"""How the optimum of a whole-trajectory plan changes with the machine: the envelope theorem.
+
+Of the least cost φ(p) of a programme with the Lagrangian L(x, λ; p) the derivative is ∂L/∂p at the optimum: what the
+plan changes adds nothing. Here p enters by the numbers of the programme alone: W, f, the carriers' forces and the rates
+of the actuators at the nodes, by the kernels' exact derivatives along the plan, and the limits that a machine has.
+L is affine in all of them, so the numbers are moved by a finite amount, and the difference is the derivative to
+rounding.
+
+At a singular instant the programme requires uᵀ (Ẇ τ − ḟ) = 0, u turning with p: uᵀ W = 0 gives δuᵀ W = −uᵀ δW, and
+with Ẇ τ − ḟ = −W τ̇ the row changes by uᵀ d/dt (δW τ − δf) along the plan. That the instant itself moves adds nothing
+more: W τ = f holds on both sides of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.errors import UnsupportedRobotError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.limits import ResolvedLimits
+from redundancy_pin.planners.whole_trajectory.multistart import Outcome
+from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, casadi
+from redundancy_pin.planners.whole_trajectory.problem import Problem, SingularNode, Task, beside
+from redundancy_pin.planners.whole_trajectory.transcription import transcribe
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+MOVED = 1e-3
+"""Part of the derivatives by which the numbers are moved: any would do, for L is affine in them."""
+
+
+class DesignSlopes(NamedTuple):
+    """Derivatives by d parameters at N samples, the motion held: of W (N, n, m, d), f (N, n, d), forces (N, k, d)."""
+
+    W: Array
+    f: Array
+    carrier_force: Array
+
+
+Slopes = Callable[[PlatformMotion, CarrierMotion], DesignSlopes]
+"""Derivatives of a backend by the parameters, along a motion."""
+
+
+def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, limits: Sequence[ResolvedLimits] = ()) -> Array:
+    """Return (d,) derivatives of the weighted objectives of an optimum by design parameters, in their units.
+
+    Args:
+        task: the task.
+        outcome: its optimum.
+        slopes: the backend's derivatives by the parameters.
+        limits: the limits of the machine for each parameter increased by ``MOVED``; those of the task when left out.
+
+    Raises:
+        UnsupportedRobotError: f is an expression, as with carriers on carriers.
+    """
+    problem, solution = outcome.problem, outcome.solution
+    if problem.exact is not None:
+        raise UnsupportedRobotError(
+            f"f of {task.dynamics.robot.name} has other terms than those of carriers that slide or turn on a link: how "
+            "the optimum changes with the machine is not known.",
+            remedy="Design with carriers that stand on links.",
+        )
+    carriers, motion = problem.carriers(solution.values), task.source.sample_at(problem.grid.t)
+    at_nodes, tau = slopes(motion, carriers), solution.tau(problem)
+    turned = [_turned(task, problem, node, carriers, tau[node.index], slopes) for node in problem.singular]
+    base = _lagrangian(outcome, problem)
+    terms = ((weight, OBJECTIVES[name]) for name, weight in problem.settings.objective.items())
+    size = sum(weight * term.size(problem.scales) for weight, term in terms)
+    gradient = np.empty(at_nodes.f.shape[-1])
+    for j in range(len(gradient)):
+        W, f, force = (MOVED * part[..., j] for part in at_nodes)
+        model = problem.model
+        moved = replace(
+            problem,
+            model=replace(model, W=model.W + W, f0=model.f0 + f, force0=model.force0 + force),
+            actuated_rate=problem.actuated_rate + np.einsum("nim,ni->nm", W, motion.xd),
+            singular=tuple(
+                replace(node, rate=replace(node.rate, f0=node.rate.f0 - MOVED * change[None, :, j]))
+                for node, change in zip(problem.singular, turned, strict=True)
+            ),
+            settings=replace(problem.settings, limits=limits[j]) if limits else problem.settings,
+        )
+        gradient[j] = size * (_lagrangian(outcome, moved) - base) / MOVED
+    return read_only(gradient)
+
+
+def _turned(
+    task: Task, problem: Problem, node: SingularNode, plan: CarrierMotion, tau: Array, slopes: Slopes
+) -> Array:
+    """Return (n, d) the rate of δW τ − δf along the plan at a singular node."""
+    h, t, i = problem.grid.h, float(problem.grid.t[node.index]), node.index
+    before = i == len(h) or h[i] == 0.0
+    edges, times = beside(task.source, t, "left" if i < len(h) and before else "right")
+    step = i - 1 if before else i  # whose jerk both sides have
+    jerk, since = (plan.sdd[step + 1] - plan.sdd[step]) / h[step], (times - t)[:, None]
+    sdd = plan.sdd[i] + since * jerk
+    sd = plan.sd[i] + since * plan.sdd[i] + 0.5 * since**2 * jerk
+    s = plan.s[i] + since * plan.sd[i] + 0.5 * since**2 * plan.sdd[i] + since**3 / 6.0 * jerk
+    motion, carriers = task.source.sample_at(times), CarrierMotion(s, sd, sdd, check_rates=False)
+    reduced, by_design = task.dynamics.along(motion).reduce(carriers), slopes(motion, carriers)
+
+    def at(values: Array) -> tuple[Array, Array]:
+        """Return a function of time at the node, and its rate."""
+        values = np.asarray(values)
+        fitted = PiecewisePolynomial.from_values(edges, values.reshape(1, len(times), -1))
+        return fitted.at(t).reshape(values.shape[1:]), fitted.derivative().at(t).reshape(values.shape[1:])
+
+    W, W_rate = at(reduced.W)
+    _, f_rate = at(reduced.f)
+    by_W, by_W_rate = at(by_design.W)
+    _, by_f_rate = at(by_design.f)
+    tau_rate = np.linalg.lstsq(W, f_rate - W_rate @ tau, rcond=1e-6)[0]
+    change: Array = np.einsum("imd,m->id", by_W_rate, tau) + np.einsum("imd,m->id", by_W, tau_rate) - by_f_rate
+    return change
+
+
+def _lagrangian(outcome: Outcome, problem: Problem) -> float:
+    """Return the Lagrangian, with the multipliers of the optimum, of a problem with other numbers."""
+    solution = outcome.solution
+    nlp = transcribe(problem, **solution.rows)
+    ca, (x, lam_x, lam_g) = casadi(), solution.point
+    functions, bounds = nlp.functions, nlp.bounds
+    cost, rows = ca.Function("rows", [functions["x"]], [functions["f"], functions["g"]])(x)
+
+    def beyond(values: Array, multipliers: Array, name: str) -> float:
+        """Return what multipliers make of the distances from the bounds that they belong to."""
+        bound = np.where(multipliers > 0.0, bounds[f"ub{name}"], bounds[f"lb{name}"])
+        near = np.isfinite(bound)
+        return float(multipliers[near] @ (values - bound)[near])
+
+    return float(cost) + beyond(np.asarray(rows).ravel(), lam_g, "g") + beyond(x, lam_x, "x")

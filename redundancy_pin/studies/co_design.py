@@ -1,0 +1,376 @@
+"""Machine and motion designed together: parameters of a robot as unknowns beside the plans of several tasks.
+
+The plans are nested: for each machine every task is planned by ``plan_whole_trajectory``, and the sum of the least
+costs is minimised over the machine, within bounds, with exact gradients
+(``whole_trajectory.sensitivity``). A machine for which a task has no plan counts as worse than any that has.
+
+Least costs have kinks, as a peak where two actuators have it. The cost is therefore modelled by the slopes of all
+machines that were tried, a bundle, beside a curvature (BFGS), within a trust region: at a kink of a convex cost the
+model has it as well, where a quasi-Newton method stalls.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, positive
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.compiled import CompiledDynamics
+from redundancy_pin.errors import (
+    DeclarationError,
+    InfeasiblePlanError,
+    InputError,
+    SingularPoseError,
+    UnreachablePoseError,
+    WorkingModeError,
+    did_you_mean,
+    shown,
+)
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.planners.limits import Limits, require_dynamics, whole
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.whole_trajectory.multistart import Outcome
+from redundancy_pin.planners.whole_trajectory.options import Mesh, Objective, Solver, checked_settings
+from redundancy_pin.planners.whole_trajectory.planner import optimise, plan_whole_trajectory
+from redundancy_pin.planners.whole_trajectory.problem import Task
+from redundancy_pin.planners.whole_trajectory.sensitivity import MOVED, DesignSlopes, design_gradient
+from redundancy_pin.planners.whole_trajectory.transcription import objective_values
+from redundancy_pin.robot import Robot
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+
+NO_MACHINE = (InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError, DeclarationError)
+"""What tells that a machine cannot carry out a task."""
+
+_STATIONARY = 3e-4
+"""Relative decrease of the cost that the model promises, within ``_LEAST`` of the ranges and more, from which a machine
+counts as best."""
+
+_LARGEST, _LEAST = 0.3, 1e-3
+"""Radius of the trust region, of the ranges: to begin with, and where the method gives up."""
+
+_DECREASE = 0.1
+"""Part of the promised decrease that a machine has to bring, to be the next one."""
+
+_STIFFEST = 20.0
+"""Largest curvature of the model, of the cost and the ranges: kinks have more, and are modelled by slopes."""
+
+_CONVEX = 0.01
+"""Curvature by which slopes of other machines are taken for less than they say, where the cost is not convex."""
+
+@dataclass(frozen=True, eq=False)
+class DesignTask(Frozen):
+    """A task of a machine.
+
+    Attributes:
+        dynamics: a backend of the machine to begin with.
+        motion: of the platform, as for ``plan_whole_trajectory``.
+        options: its keywords.
+        weight: of its least cost, over what that is for the machine to begin with.
+    """
+
+    dynamics: Dynamics
+    motion: PlatformMotion | TimedTrajectory
+    options: Mapping[str, Any] = field(default_factory=dict)
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class CoDesign(Frozen):
+    """A machine and its plans.
+
+    Attributes:
+        parameters: of the machine, by name.
+        plans: of the tasks, by this machine.
+        values: (tasks,) least costs, each in the unit of its objective.
+        before: (tasks,) the same of the machine to begin with.
+        gradient: (tasks, d) derivatives of ``values`` by the parameters.
+        at_bounds: parameters that lie on a bound which the cost presses on.
+        optimal: whether no small change within the bounds makes the machine better; else the method stopped early.
+        history: one record an accepted machine: cost (1 to begin with), and parameters.
+        rejected: how many machines were tried that a task has no plan for.
+    """
+
+    parameters: Mapping[str, float]
+    plans: tuple[Plan, ...]
+    values: Array
+    before: Array
+    gradient: Array
+    at_bounds: tuple[str, ...]
+    optimal: bool
+    history: tuple[Mapping[str, float], ...]
+    rejected: int
+
+
+def co_design(
+    tasks: Sequence[DesignTask | tuple[Any, ...]],
+    design: Mapping[str, tuple[float, float]],
+    *,
+    iterations: int = 30,
+    progress: Callable[[str], None] | None = None,
+) -> CoDesign:
+    """Design a machine and its motions together: one machine for several tasks, each planned at its best.
+
+    What is minimised is the weighted mean of the tasks' least costs, each over what it is for the machine to begin
+    with. Several optima are possible, of the plans as of the machine; begin from other machines to see.
+
+    Args:
+        tasks: ``DesignTask``, or its first fields as a tuple, such as ``(dynamics, trajectory, {"objective": "peak"})``.
+            Their robots may differ in what is not designed (payload, working mode); each must be loaded from a file.
+        design: numbers of the xacro file, with (lowest, highest) values: masses, lengths, offsets of tracks. The search
+            begins at the values of the robot of the first task, which all get.
+        iterations: most steps of the method.
+        progress: called with a line of text after each.
+
+    Raises:
+        InputError: no task, an unknown parameter, bounds that are none or do not hold the first value.
+        UnsupportedRobotError: a parameter that changes joints or their axes, a robot that was not loaded from a file.
+        InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError: the machine to begin with cannot
+            carry out a task.
+    """
+    search = _Search(_tasks(tasks), design)
+    most = whole(iterations, "iterations", 1, 1000)
+    here = search.machine(search.start)
+    before, bundle = here.values, [here]
+    hessian, history, radius, optimal = np.zeros((len(here.u),) * 2), [search.record(here)], _LARGEST, False
+    for _ in range(most):
+        if progress is not None:
+            progress(", ".join(f"{name} {value:.5g}" for name, value in history[-1].items()))
+        u, promised = _modelled(here, bundle, hessian, radius)
+        if optimal := promised <= _STATIONARY * here.cost:
+            break
+        there = search.machine_or_none(u, here)
+        if there is None:
+            radius *= 0.4
+        else:
+            bundle.append(there)
+            gained = here.cost - there.cost
+            if there.cost + float(there.slope @ (here.u - there.u)) > here.cost:
+                radius *= 0.5  # not convex: the slopes there say nothing about here
+            if gained >= _DECREASE * promised:
+                hessian = _updated(hessian, there.u - here.u, there.slope - here.slope, _STIFFEST * here.cost)
+                radius = min(_LARGEST, 2.0 * radius) if gained > 0.5 * promised else radius
+                here = there
+                history.append(search.record(here))
+        if radius < _LEAST:
+            break
+    pressed = zip(search.names, here.held, strict=True)
+    return CoDesign(
+        parameters=MappingProxyType(here.parameters),
+        plans=tuple(plan for plan, _ in here.solved),
+        values=frozen(here.values),
+        before=frozen(before),
+        gradient=frozen(here.gradients),
+        at_bounds=tuple(name for name, at in pressed if at),
+        optimal=optimal,
+        history=tuple(history),
+        rejected=search.rejected,
+    )
+
+
+class _Search:
+    """What the machines of a search have in common. ``rejected``: those that cannot carry out a task."""
+
+    def __init__(self, tasks: Sequence[DesignTask], design: Mapping[str, tuple[float, float]]) -> None:
+        first = tasks[0].dynamics.robot
+        self.tasks, self.names = tasks, tuple(design)
+        self.low, self.width, self.start = _bounds(first, design)
+        total = sum(task.weight for task in tasks)
+        self.weights = np.array([task.weight / total for task in tasks])
+        self.rejected = 0
+
+    def machine(self, u: Array, near: _Machine | None = None) -> _Machine:
+        """Plan every task with a machine, (d,) of the ranges, beginning from the plans of one that is near."""
+        parameters = dict(zip(self.names, (self.low + u * self.width).tolist(), strict=True))
+        planned = []
+        for i, task in enumerate(self.tasks):
+            robot = task.dynamics.robot.with_parameters(**parameters)
+            one = _planning_task(task, robot)
+            warm = None if near is None else near.solved[i][1]
+            planned.append((one, *optimise(one, None if warm is None else warm.solution.position(warm.problem))))
+        solved = tuple((plan, outcome) for _, plan, outcome in planned)
+        values = np.array([_value(outcome) for _, outcome in solved])
+        before = values if near is None else near.before
+        return _Machine(self, u, parameters, tuple(one for one, _, _ in planned), solved, values, before)
+
+    def machine_or_none(self, u: Array, near: _Machine) -> _Machine | None:
+        """Return a machine, None where a task has no plan by it."""
+        try:
+            return self.machine(u, near)
+        except NO_MACHINE:
+            self.rejected += 1
+            return None
+
+    def record(self, machine: _Machine) -> Mapping[str, float]:
+        return MappingProxyType({"cost": machine.cost, **machine.parameters})
+
+
+@dataclass(frozen=True, eq=False)
+class _Machine:
+    """A machine at (d,) fractions ``u`` of the ranges, with the plan and the programme of each task."""
+
+    search: _Search
+    u: Array
+    parameters: dict[str, float]
+    tasks: tuple[Task, ...]
+    solved: tuple[tuple[Plan, Outcome], ...]
+    values: Array
+    before: Array
+
+    @property
+    def cost(self) -> float:
+        """Weighted mean of the least costs, over those of the machine to begin with."""
+        return float(self.search.weights @ (self.values / self.before))
+
+    @cached_property
+    def gradients(self) -> Array:
+        """(tasks, d) derivatives of the least costs by the parameters."""
+        names = self.search.names
+        return np.stack(
+            [
+                _gradient(given, task, outcome, names)
+                for given, task, (_, outcome) in zip(self.search.tasks, self.tasks, self.solved, strict=True)
+            ]
+        )
+
+    @property
+    def slope(self) -> Array:
+        """(d,) derivatives of the cost by the fractions of the ranges."""
+        slope: Array = (self.search.weights / self.before) @ self.gradients * self.search.width
+        return slope
+
+    @property
+    def held(self) -> BoolArray:
+        """(d,) which parameters are on a bound that the cost presses on."""
+        pressed: BoolArray = ((self.u <= 0.0) & (self.slope > 0.0)) | ((self.u >= 1.0) & (self.slope < 0.0))
+        return pressed
+
+
+def _gradient(given: DesignTask, task: Task, outcome: Outcome, names: tuple[str, ...]) -> Array:
+    robot = task.dynamics.robot
+    # nothing is compiled for a machine that is soon another
+    kernels = task.dynamics if isinstance(task.dynamics, CompiledDynamics) else CompiledDynamics(robot, interpret=True)
+
+    def slopes(motion: PlatformMotion, carriers: CarrierMotion) -> DesignSlopes:
+        by = kernels.along(motion).derivatives(carriers, names)
+        return DesignSlopes(by.W.parameters, by.f.parameters, by.carrier_force.parameters)
+
+    limits = [
+        _planning_task(given, robot.with_parameters(**{name: float(robot.parameters[name]) + MOVED})).settings.limits
+        for name in names
+    ]
+    return design_gradient(task, outcome, slopes, limits)
+
+
+def _value(outcome: Outcome) -> float:
+    """Return the weighted objectives of a solution, without the regularisation."""
+    weights = outcome.problem.settings.objective
+    values = objective_values(outcome.problem, outcome.solution.values)
+    return sum(weight * values[name] for name, weight in weights.items())
+
+
+def _planning_task(task: DesignTask, robot: Robot) -> Task:
+    """Return a task of the whole-trajectory planner by another machine."""
+    rest = dict(task.options)
+    weights = rest.pop("objective", "effort")
+    groups = [kind(**{key: rest.pop(key) for key in _keys(kind) & rest.keys()}) for kind in (Limits, Mesh, Solver)]
+    objective = Objective(weights, **{key: rest.pop(key) for key in ("lam", "baseline") if key in rest})
+    settings = checked_settings(robot, objective, *groups, **rest)
+    return Task(task.dynamics.for_robot(robot), continuous_motion(task.motion), settings)
+
+
+def _keys(kind: type) -> set[str]:
+    return {one.name for one in fields(kind)}
+
+
+def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, ...]:
+    tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
+    if not tasks:
+        raise InputError("There is no task to design for.", remedy="Pass [(dynamics, trajectory, {...})].")
+    known = set(inspect.signature(plan_whole_trajectory).parameters) - {"dynamics", "motion", "limits", "mesh", "solver"}
+    for task in tasks:
+        require_dynamics(task.dynamics)
+        positive(task.weight, "weight", "")
+        for name in task.options:
+            if name not in known:
+                raise InputError(
+                    f"A task has the option {shown(name)}.",
+                    remedy=f"{did_you_mean(name, known)}Options are those of plan_whole_trajectory.",
+                    name=name,
+                )
+    return tasks
+
+
+def _bounds(robot: Robot, design: Mapping[str, tuple[float, float]]) -> tuple[Array, Array, Array]:
+    """Return (d,) lowest values, ranges, and where in them, 0 to 1, the robot is."""
+    if not design:
+        raise InputError("Nothing is to be designed.", remedy='Pass design={"carrier_mass": (0.5, 4.0)}.')
+    rows = []
+    for name, ends in design.items():
+        value = robot.parameters.get(name)
+        if value is None or isinstance(value, (bool, str)):
+            numbers = [key for key, own in robot.parameters.items() if not isinstance(own, (bool, str))]
+            raise InputError(
+                f"{robot.name} has no number {shown(name)} to design.",
+                remedy=f"{did_you_mean(name, numbers)}It has: {', '.join(numbers) or 'none'}.",
+                name=name,
+            )
+        low, high = checked(ends, f"The range of {name}", (2,)).tolist()
+        if not low < high or not low <= value <= high:
+            raise InputError(
+                f"The range of {name} is {low:g} to {high:g}; the machine to begin with has {value:g}.",
+                remedy="Pass (lowest, highest) with that value in between, or begin with another machine.",
+                name=name,
+            )
+        rows.append((low, high - low, (value - low) / (high - low)))
+    low, width, start = np.array(rows).T
+    return low, width, start
+
+
+def _modelled(here: _Machine, bundle: Sequence[_Machine], hessian: Array, radius: float) -> tuple[Array, float]:
+    """Return the best (d,) of the model within the trust region, and the decrease of the cost it promises."""
+    apart = np.array([here.u - one.u for one in bundle])
+    slopes = np.array([one.slope for one in bundle])
+    costs = np.array([one.cost for one in bundle])
+    error = np.abs(here.cost - costs - (slopes * apart).sum(axis=1))
+    error = np.maximum(error, _CONVEX * here.cost * (apart**2).sum(axis=1)) / here.cost
+    slopes = slopes / here.cost
+    curvature, size = hessian / here.cost, len(here.u)
+    ends = [(max(0.0, u - radius) - u, min(1.0, u + radius) - u) for u in here.u]
+    result = minimize(
+        lambda z: (z[-1] + 0.5 * z[:-1] @ curvature @ z[:-1], np.append(curvature @ z[:-1], 1.0)),
+        np.zeros(size + 1),
+        jac=True,
+        method="SLSQP",
+        bounds=[*ends, (None, None)],
+        constraints={
+            "type": "ineq",
+            "fun": lambda z: z[-1] + error - slopes @ z[:-1],
+            "jac": lambda z: np.column_stack([-slopes, np.ones(len(error))]),
+        },
+        options={"ftol": 1e-12, "maxiter": 200},
+    )
+    u = np.clip(here.u + result.x[:-1], 0.0, 1.0)
+    return u, -float(result.fun) * here.cost
+
+
+def _updated(hessian: Array, step: Array, change: Array, most: float) -> Array:
+    """Return the next approximation of the Hessian: BFGS, damped and bounded, so that it stays positive definite."""
+    if not hessian.any():
+        hessian = np.eye(len(step)) * max(float(step @ change) / float(step @ step), 1e-3 * most)
+    along = hessian @ step
+    curvature, measured = float(step @ along), float(step @ change)
+    if measured < 0.2 * curvature:
+        share = 0.8 * curvature / (curvature - measured)
+        change = share * change + (1.0 - share) * along
+    new = hessian - np.outer(along, along) / curvature + np.outer(change, change) / (step @ change)
+    values, vectors = np.linalg.eigh(new)
+    bounded: Array = (vectors * np.clip(values, 1e-6 * most, most)) @ vectors.T
+    return bounded
