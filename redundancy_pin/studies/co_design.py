@@ -14,7 +14,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any
 
@@ -64,6 +64,7 @@ _STIFFEST = 20.0
 
 _CONVEX = 0.01
 """Curvature by which slopes of other machines are taken for less than they say, where the cost is not convex."""
+
 
 @dataclass(frozen=True, eq=False)
 class DesignTask(Frozen):
@@ -122,7 +123,7 @@ def co_design(
     with. Several optima are possible, of the plans as of the machine; begin from other machines to see.
 
     Args:
-        tasks: ``DesignTask``, or its first fields as a tuple, such as ``(dynamics, trajectory, {"objective": "peak"})``.
+        tasks: ``DesignTask``, or its first fields as a tuple: ``(dynamics, trajectory, {"objective": "peak"})``.
             Their robots may differ in what is not designed (payload, working mode); each must be loaded from a file.
         design: numbers of the xacro file, with (lowest, highest) values: masses, lengths, offsets of tracks. The search
             begins at the values of the robot of the first task, which all get.
@@ -189,10 +190,11 @@ class _Search:
     def machine(self, u: Array, near: _Machine | None = None) -> _Machine:
         """Plan every task with a machine, (d,) of the ranges, beginning from the plans of one that is near."""
         parameters = dict(zip(self.names, (self.low + u * self.width).tolist(), strict=True))
+        own = {id(task.dynamics.robot): task.dynamics.robot for task in self.tasks}
+        robots = {key: _with(robot, parameters) for key, robot in own.items()}
         planned = []
         for i, task in enumerate(self.tasks):
-            robot = task.dynamics.robot.with_parameters(**parameters)
-            one = _planning_task(task, robot)
+            one = _planning_task(task, robots[id(task.dynamics.robot)])
             warm = None if near is None else near.solved[i][1]
             planned.append((one, *optimise(one, None if warm is None else warm.solution.position(warm.problem))))
         solved = tuple((plan, outcome) for _, plan, outcome in planned)
@@ -232,13 +234,17 @@ class _Machine:
     @cached_property
     def gradients(self) -> Array:
         """(tasks, d) derivatives of the least costs by the parameters."""
-        names = self.search.names
-        return np.stack(
-            [
-                _gradient(given, task, outcome, names)
-                for given, task, (_, outcome) in zip(self.search.tasks, self.tasks, self.solved, strict=True)
-            ]
-        )
+        names, kernels, moved = self.search.names, dict[int, CompiledDynamics](), dict[int, list[Robot]]()
+        rows = []
+        for given, task, (_, outcome) in zip(self.search.tasks, self.tasks, self.solved, strict=True):
+            robot = task.dynamics.robot
+            if id(robot) not in kernels:
+                # nothing is compiled for a machine that is soon another
+                kernels[id(robot)] = CompiledDynamics(robot, interpret=True)
+                moved[id(robot)] = [_with(robot, {name: float(robot.parameters[name]) + MOVED}) for name in names]
+            limits = [_planning_task(given, one).settings.limits for one in moved[id(robot)]]
+            rows.append(design_gradient(task, outcome, partial(_slopes, kernels[id(robot)], names), limits))
+        return np.stack(rows)
 
     @property
     def slope(self) -> Array:
@@ -253,20 +259,15 @@ class _Machine:
         return pressed
 
 
-def _gradient(given: DesignTask, task: Task, outcome: Outcome, names: tuple[str, ...]) -> Array:
-    robot = task.dynamics.robot
-    # nothing is compiled for a machine that is soon another
-    kernels = task.dynamics if isinstance(task.dynamics, CompiledDynamics) else CompiledDynamics(robot, interpret=True)
+def _with(robot: Robot, parameters: Mapping[str, Any]) -> Robot:
+    return robot.with_parameters(**parameters)
 
-    def slopes(motion: PlatformMotion, carriers: CarrierMotion) -> DesignSlopes:
-        by = kernels.along(motion).derivatives(carriers, names)
-        return DesignSlopes(by.W.parameters, by.f.parameters, by.carrier_force.parameters)
 
-    limits = [
-        _planning_task(given, robot.with_parameters(**{name: float(robot.parameters[name]) + MOVED})).settings.limits
-        for name in names
-    ]
-    return design_gradient(task, outcome, slopes, limits)
+def _slopes(
+    kernels: CompiledDynamics, names: tuple[str, ...], motion: PlatformMotion, carriers: CarrierMotion
+) -> DesignSlopes:
+    by = kernels.along(motion).derivatives(carriers, names)
+    return DesignSlopes(by.W.parameters, by.f.parameters, by.carrier_force.parameters)
 
 
 def _value(outcome: Outcome) -> float:
@@ -280,7 +281,9 @@ def _planning_task(task: DesignTask, robot: Robot) -> Task:
     """Return a task of the whole-trajectory planner by another machine."""
     rest = dict(task.options)
     weights = rest.pop("objective", "effort")
-    groups = [kind(**{key: rest.pop(key) for key in _keys(kind) & rest.keys()}) for kind in (Limits, Mesh, Solver)]
+    groups: list[Any] = [
+        kind(**{key: rest.pop(key) for key in _keys(kind) & rest.keys()}) for kind in (Limits, Mesh, Solver)
+    ]
     objective = Objective(weights, **{key: rest.pop(key) for key in ("lam", "baseline") if key in rest})
     settings = checked_settings(robot, objective, *groups, **rest)
     return Task(task.dynamics.for_robot(robot), continuous_motion(task.motion), settings)
@@ -294,7 +297,8 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
     tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
     if not tasks:
         raise InputError("There is no task to design for.", remedy="Pass [(dynamics, trajectory, {...})].")
-    known = set(inspect.signature(plan_whole_trajectory).parameters) - {"dynamics", "motion", "limits", "mesh", "solver"}
+    grouped = {"dynamics", "motion", "limits", "mesh", "solver"}
+    known = set(inspect.signature(plan_whole_trajectory).parameters) - grouped
     for task in tasks:
         require_dynamics(task.dynamics)
         positive(task.weight, "weight", "")

@@ -15,17 +15,21 @@ from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, frozen
-from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
+from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.robot import Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_declaration
+from redundancy_pin.robot.duals import Dual, derivatives_kept, read
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.urdf import declaration_path, render
+from redundancy_pin.robot.xacro_engine import expand
 
 _STEP = 0.01
 """Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and
@@ -69,10 +73,11 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
     - ``"JOINT.origin.x"``, ..., ``.rx``, ``.ry``, ``.rz``: the joint's frame moved along its parent's axes, or turned
       about its own; ``"LINK.origin.x"``, ... likewise for a link of a closure or of the platform.
 
-    The tree's own are exact. For a number of the xacro file the file is loaded seven times or less with changed
-    arguments, and placements and inertias are differenced, to order six: polynomials of the sixth degree are exact to
-    rounding, other smooth functions to 1e-14 or so. Nothing else is differenced. All other arguments are held, also
-    those whose defaults would follow.
+    The tree's own are exact, and so are numbers of the xacro file: it is expanded once with dual numbers
+    (``robot.duals``), of which placements and inertias are put together in complex steps. Where the file does more with
+    a number than has a derivative (rounds it, say, or writes it by a layout), or expands by Python alone (``trust``),
+    it is loaded seven times or less with changed arguments, and placements and inertias are differenced, to order six:
+    smooth functions to 1e-14 or so. All other arguments are held, also those whose defaults would follow.
 
     Args:
         robot: the robot.
@@ -89,7 +94,17 @@ def design_of(robot: Robot, names: Sequence[str], *, trust: bool = False) -> Des
 
 @lru_cache(maxsize=64)
 def _design(robot: Robot, names: tuple[str, ...], trust: bool) -> Design:
-    columns = [_by_xacro(robot, name, trust) if name in robot.parameters else _by_tree(robot, name) for name in names]
+    of_file = tuple(name for name in names if name in robot.parameters)
+    for name in of_file:
+        _require_number(robot, name)
+    try:
+        exact = _by_duals(robot, of_file)
+    except (RedundancyPinError, ValueError, LookupError):  # the file does more with its numbers than has derivatives
+        exact = {}
+    columns = [
+        exact[name] if name in exact else _by_xacro(robot, name, trust) if name in of_file else _by_tree(robot, name)
+        for name in names
+    ]
     own = _numbers(robot)
     placements, inertias = (
         {
@@ -101,6 +116,8 @@ def _design(robot: Robot, names: tuple[str, ...], trust: bool) -> Design:
     )
     return Design(names, MappingProxyType(placements), MappingProxyType(inertias))
 
+
+Complex = NDArray[np.complex128]
 
 _Column = tuple[dict[str, Array], dict[str, Array]]
 
@@ -174,7 +191,7 @@ def _split(name: str) -> tuple[str, str, str]:
 # --- numbers of the xacro file ----------------------------------------------------------------------------------------
 
 
-def _by_xacro(robot: Robot, name: str, trust: bool) -> _Column:
+def _require_number(robot: Robot, name: str) -> None:
     value = robot.parameters[name]
     if isinstance(value, (bool, str)):
         raise InputError(
@@ -194,6 +211,152 @@ def _by_xacro(robot: Robot, name: str, trust: bool) -> _Column:
             remedy="Name the tree's own numbers, such as JOINT.mass and JOINT.origin.x.",
             parameter=name,
         )
+
+
+def _by_duals(robot: Robot, names: tuple[str, ...]) -> dict[str, _Column]:
+    """Return exact derivatives by numbers of the xacro file, which is expanded once, with dual numbers.
+
+    Raises:
+        ValueError: a parameter changes more than places and masses, or the tree is another than the robot has.
+        ModelFileError: the file makes something of a number that has no derivative here.
+    """
+    if not names:
+        return {}
+    file = read_declaration(declaration_path(robot.source))
+    for name in names:
+        value = float(robot.parameters[name])
+        other = {**robot.parameters, name: value + _STEP * (abs(value) or 1.0)}
+        if repr(parse(file.data, other).loads) != repr(parse(file.data, robot.parameters).loads):
+            raise ValueError(name)
+    source = declaration_path(robot.source).parent / file.data["urdf"]
+    own, units = _numbers(robot), np.eye(len(names))
+    with derivatives_kept():
+        given = {
+            key: str(value).lower() if isinstance(value, bool) else str(value)
+            for key, value in robot.parameters.items()
+        } | {name: str(Dual(float(robot.parameters[name]), unit)) for name, unit in zip(names, units, strict=True)}
+        urdf, _ = expand(source, given, trust=False)
+        trees = [_marked_tree(urdf, i) for i in range(len(names))]
+    columns = {}
+    for name, (places, bodies) in zip(names, trees, strict=True):
+        if set(own.inertias) != set(bodies):
+            raise ValueError(name)
+        placements, inertias = dict[str, Array](), dict[str, Array]()
+        for key, here in own.placements.items():
+            R, p = places[key]
+            _require_same(R, here.rotation)
+            _require_same(p, here.translation)
+            turn = here.rotation.T @ R.imag / _COMPLEX
+            placements[key] = np.concatenate([p.imag / _COMPLEX, [turn[2, 1], turn[0, 2], turn[1, 0]]])
+        for key, moments in own.inertias.items():
+            _require_same(bodies[key], moments)
+            inertias[key] = bodies[key].imag / _COMPLEX
+        columns[name] = _moving(placements), _moving(inertias)
+    return columns
+
+
+_COMPLEX = 1e-30
+"""Step into the complex numbers, beside which nothing is lost: derivatives to rounding."""
+
+_SAME = 1e-9
+"""Relative difference of what two readers make of the same numbers."""
+
+_RIGID = ("axis", "mimic", "dynamics")
+"""Elements of a joint whose numbers no parameter may change."""
+
+
+def _moving(columns: dict[str, Array]) -> dict[str, Array]:
+    return {key: column for key, column in columns.items() if column.any()}
+
+
+def _require_same(one: Complex, other: Array) -> None:
+    if not np.allclose(one.real, other, rtol=_SAME, atol=_SAME):
+        raise ValueError("The tree is another than the robot's.")
+
+
+def _marked_tree(urdf: str, i: int) -> tuple[dict[str, tuple[Complex, Complex]], dict[str, Complex]]:
+    """Return placements of joints and links in the frame of the joint that carries them, and moments by joint.
+
+    Each number has its derivative by parameter ``i`` as imaginary part, times ``_COMPLEX``.
+    """
+    root = ElementTree.fromstring(urdf)
+
+    def numbers(element: ElementTree.Element | None, key: str, count: int) -> Complex:
+        texts = (element.get(key) if element is not None else None) or " ".join(["0"] * count)
+        values = [read(text) for text in texts.split()]
+        return np.array(
+            [complex(x, _COMPLEX * x.dot[i] if isinstance(x, Dual) else 0.0) for x in values if x is not None]
+        )
+
+    def origin(element: ElementTree.Element) -> tuple[Complex, Complex]:
+        at = element.find("origin")
+        (sr, sp, sy), (cr, cp, cy) = (wave(numbers(at, "rpy", 3)) for wave in (np.sin, np.cos))
+        turn = np.array(
+            [
+                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                [-sp, cp * sr, cp * cr],
+            ]
+        )
+        return turn, numbers(at, "xyz", 3)
+
+    joints = {_end(joint, "child"): joint for joint in root.findall("joint")}
+    for joint in joints.values():
+        for element in (part for tag in _RIGID for part in joint.findall(tag)):
+            if any(isinstance(read(text), Dual) for value in element.attrib.values() for text in value.split()):
+                raise ValueError(f"{joint.get('name')} changes")
+    places: dict[str, tuple[Complex, Complex]] = {}
+    carrying: dict[str, str] = {}
+
+    def placed(link: str) -> tuple[Complex, Complex]:
+        """Return where a link is in the frame of the joint that carries it."""
+        if link not in joints:
+            carrying[link] = ""
+            return places.setdefault(link, _here())
+        if link not in places:
+            joint = joints[link]
+            parent, name = _end(joint, "parent"), str(joint.get("name"))
+            R, p = placed(parent)
+            turn, offset = origin(joint)
+            at = R @ turn, p + R @ offset
+            if joint.get("type") == "fixed":
+                carrying[link], places[link] = carrying[parent], at
+            else:
+                carrying[link], places[name] = name, at
+                places[link] = _here()
+        return places[link]
+
+    bodies: dict[str, Complex] = {
+        str(joint.get("name")): np.zeros(13, complex) for joint in joints.values() if joint.get("type") != "fixed"
+    }
+    for link in root.findall("link"):
+        name, inertial = str(link.get("name")), link.find("inertial")
+        R, p = placed(name)
+        if inertial is None or not carrying[name]:
+            continue
+        turn, centre = origin(inertial)
+        (mass,) = numbers(inertial.find("mass"), "value", 1)
+        about = np.array(
+            [[numbers(inertial.find("inertia"), "i" + "".join(sorted(a + b)), 1)[0] for b in "xyz"] for a in "xyz"]
+        )
+        R, c = R @ turn, p + R @ centre
+        inertia = R @ about @ R.T + mass * (c @ c * np.eye(3) - np.outer(c, c))
+        bodies[carrying[name]] += np.concatenate([[mass], mass * c, inertia.ravel()])
+    return places, bodies
+
+
+def _here() -> tuple[Complex, Complex]:
+    return np.eye(3, dtype=np.complex128), np.zeros(3, dtype=np.complex128)
+
+
+def _end(joint: ElementTree.Element, role: str) -> str:
+    end = joint.find(role)
+    return "" if end is None else str(end.get("link"))
+
+
+def _by_xacro(robot: Robot, name: str, trust: bool) -> _Column:
+    """Return differences, for files that do more with their numbers than has derivatives."""
+    value = float(robot.parameters[name])
     # at zero to one side: a negative mass or length would be refused
     offsets = np.arange(-3, 4) if value else np.arange(_NODES + 1)
     step = _STEP * (abs(value) if value else 1.0)

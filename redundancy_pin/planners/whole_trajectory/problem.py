@@ -306,7 +306,7 @@ def singular_node(
     _require_crossing(u[:, kept:].T @ turning @ v[kept:].T / size, source, t)
     symbols = None
     if exact:
-        edges, times = beside(source, t, side)
+        edges, times = times_beside(source, t, side)
         unit = PiecewisePolynomial.from_values(edges, np.eye(len(times))[None])
         beside = dynamics.along(source.sample_at(times))
         if has_expressions(here) and has_expressions(beside):
@@ -398,7 +398,7 @@ DEGREE = 5
 
 def _rate_of_model(dynamics: Dynamics, source: ContinuousMotion, t: float, read: Reader, side: Side) -> CarrierModel:
     """Return derivatives by time of the coefficients that are read off at times around an instant."""
-    edges, times = beside(source, t, side)
+    edges, times = times_beside(source, t, side)
     model = read(dynamics.along(source.sample_at(times)))
 
     def rate(values: Array) -> Array:
@@ -409,7 +409,7 @@ def _rate_of_model(dynamics: Dynamics, source: ContinuousMotion, t: float, read:
     return CarrierModel(np.array([t]), *(rate(np.asarray(part)) for part in parts))
 
 
-def beside(source: ContinuousMotion, t: float, side: Side) -> tuple[Array, Array]:
+def times_beside(source: ContinuousMotion, t: float, side: Side) -> tuple[Array, Array]:
     """Return (2,) ends of a smooth stretch that holds an instant, s, and times in it for a polynomial."""
     kinks = source.kinks
     ahead = t == source.start or (side == "right" and t < source.end)

@@ -25,7 +25,7 @@ from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.limits import ResolvedLimits
 from redundancy_pin.planners.whole_trajectory.multistart import Outcome
 from redundancy_pin.planners.whole_trajectory.options import OBJECTIVES, casadi
-from redundancy_pin.planners.whole_trajectory.problem import Problem, SingularNode, Task, beside
+from redundancy_pin.planners.whole_trajectory.problem import Problem, SingularNode, Task, times_beside
 from redundancy_pin.planners.whole_trajectory.transcription import transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
@@ -88,13 +88,11 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, limits: Sequen
     return read_only(gradient)
 
 
-def _turned(
-    task: Task, problem: Problem, node: SingularNode, plan: CarrierMotion, tau: Array, slopes: Slopes
-) -> Array:
+def _turned(task: Task, problem: Problem, node: SingularNode, plan: CarrierMotion, tau: Array, slopes: Slopes) -> Array:
     """Return (n, d) the rate of δW τ − δf along the plan at a singular node."""
     h, t, i = problem.grid.h, float(problem.grid.t[node.index]), node.index
     before = i == len(h) or h[i] == 0.0
-    edges, times = beside(task.source, t, "left" if i < len(h) and before else "right")
+    edges, times = times_beside(task.source, t, "left" if i < len(h) and before else "right")
     step = i - 1 if before else i  # whose jerk both sides have
     jerk, since = (plan.sdd[step + 1] - plan.sdd[step]) / h[step], (times - t)[:, None]
     sdd = plan.sdd[i] + since * jerk
