@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from redundancy_pin.singularities.locus import singular_locus
     from redundancy_pin.singularities.performance import performance, platform_play, platform_stiffness
     from redundancy_pin.singularities.workspace_map import workspace
+    from redundancy_pin.studies.co_design import co_design
     from redundancy_pin.view import show
     from redundancy_pin.visualisation.figures import plots as plot
 
@@ -59,6 +60,7 @@ _PLACES = {
     "check_plan": "planners.check",
     "classify": "singularities.classify",
     "classify_motion": "singularities.classify",
+    "co_design": "studies.co_design",
     "distribute": "dynamics.distribution",
     "find_crossings": "singularities.crossings",
     "forward_kinematics": "kinematics.forward_kinematics",
@@ -103,6 +105,7 @@ __all__ = [
     "check_plan",
     "classify",
     "classify_motion",
+    "co_design",
     "distribute",
     "find_crossings",
     "forward_kinematics",

@@ -62,6 +62,9 @@ _DECREASE = 0.1
 _STIFFEST = 20.0
 """Largest curvature of the model, of the cost and the ranges: kinks have more, and are modelled by slopes."""
 
+_ON_BOUND = 1e-9
+"""Of the ranges: nearer to a bound is on it."""
+
 _CONVEX = 0.01
 """Curvature by which slopes of other machines are taken for less than they say, where the cost is not convex."""
 
@@ -182,14 +185,14 @@ class _Search:
     def __init__(self, tasks: Sequence[DesignTask], design: Mapping[str, tuple[float, float]]) -> None:
         first = tasks[0].dynamics.robot
         self.tasks, self.names = tasks, tuple(design)
-        self.low, self.width, self.start = _bounds(first, design)
+        self.low, self.high, self.start = _bounds(first, design)
         total = sum(task.weight for task in tasks)
         self.weights = np.array([task.weight / total for task in tasks])
         self.rejected = 0
 
     def machine(self, u: Array, near: _Machine | None = None) -> _Machine:
         """Plan every task with a machine, (d,) of the ranges, beginning from the plans of one that is near."""
-        parameters = dict(zip(self.names, (self.low + u * self.width).tolist(), strict=True))
+        parameters = dict(zip(self.names, ((1.0 - u) * self.low + u * self.high).tolist(), strict=True))
         own = {id(task.dynamics.robot): task.dynamics.robot for task in self.tasks}
         robots = {key: _with(robot, parameters) for key, robot in own.items()}
         planned = []
@@ -249,7 +252,7 @@ class _Machine:
     @property
     def slope(self) -> Array:
         """(d,) derivatives of the cost by the fractions of the ranges."""
-        slope: Array = (self.search.weights / self.before) @ self.gradients * self.search.width
+        slope: Array = (self.search.weights / self.before) @ self.gradients * (self.search.high - self.search.low)
         return slope
 
     @property
@@ -313,7 +316,7 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
 
 
 def _bounds(robot: Robot, design: Mapping[str, tuple[float, float]]) -> tuple[Array, Array, Array]:
-    """Return (d,) lowest values, ranges, and where in them, 0 to 1, the robot is."""
+    """Return (d,) lowest and highest values, and where between them, 0 to 1, the robot is."""
     if not design:
         raise InputError("Nothing is to be designed.", remedy='Pass design={"carrier_mass": (0.5, 4.0)}.')
     rows = []
@@ -333,9 +336,9 @@ def _bounds(robot: Robot, design: Mapping[str, tuple[float, float]]) -> tuple[Ar
                 remedy="Pass (lowest, highest) with that value in between, or begin with another machine.",
                 name=name,
             )
-        rows.append((low, high - low, (value - low) / (high - low)))
-    low, width, start = np.array(rows).T
-    return low, width, start
+        rows.append((low, high, (value - low) / (high - low)))
+    lowest, highest, start = np.array(rows).T
+    return lowest, highest, start
 
 
 def _modelled(here: _Machine, bundle: Sequence[_Machine], hessian: Array, radius: float) -> tuple[Array, float]:
@@ -361,7 +364,8 @@ def _modelled(here: _Machine, bundle: Sequence[_Machine], hessian: Array, radius
         },
         options={"ftol": 1e-12, "maxiter": 200},
     )
-    u = np.clip(here.u + result.x[:-1], 0.0, 1.0)
+    u = here.u + result.x[:-1]
+    u = np.where(u < _ON_BOUND, 0.0, np.where(u > 1.0 - _ON_BOUND, 1.0, u))
     return u, -float(result.fun) * here.cost
 
 

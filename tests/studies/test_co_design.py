@@ -1,0 +1,122 @@
+"""Machine and motion together: gradients of optima against plans made anew, machines against their neighbours."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError
+from redundancy_pin.robot import Robot
+from redundancy_pin.studies.co_design import DesignTask, _Search, co_design
+from redundancy_pin.trajectory import reference
+
+LIGHT = {"acceleration": 20.0, "dt": 0.02}
+
+
+@cache
+def circle() -> Any:
+    return reference.circle(speed=0.5, ramp_time=0.2, ramp_length=0.05)
+
+
+def crossing(**options: Any) -> DesignTask:
+    return DesignTask(rp.VirtualWork(rp.load_robot("2rpr")), circle(), {**LIGHT, **options})
+
+
+def turning(**options: Any) -> DesignTask:
+    limits = {"acceleration": 20.0, "speed": 5.0, "dt": 0.02}
+    return DesignTask(rp.VirtualWork(rp.load_robot("3rrr")), reference.corner(radius=0.025), {**limits, **options})
+
+
+def replanned(task: DesignTask, objective: str, robot: Robot) -> float:
+    plan = rp.plan_whole_trajectory(rp.VirtualWork(robot), task.motion, **task.options)
+    return float(plan.diagnostics["objective"][objective])  # type: ignore[index]
+
+
+@pytest.mark.long_for("3rrr-peak", "3rrr-effort", "2rpr-peak")
+@pytest.mark.parametrize(
+    ("name", "objective", "closeness"),
+    [
+        # the nodes move with the singular instants, and the mean value with the nodes
+        ("2rpr", "effort", {"track_offset": 1e-5, "base_distance": 2e-3, "track_half_length": 2e-4}),
+        ("2rpr", "peak", {"track_offset": 1e-3, "track_half_length": 1e-3}),
+        ("3rrr", "effort", {"carrier_mass": 1e-4, "tail_length": 1e-4, "distal_length": 1e-4}),
+        ("3rrr", "peak", {"carrier_mass": 1e-4, "tail_length": 1e-4, "proximal_length": 2e-3}),
+    ],
+    ids=["2rpr-effort", "2rpr-peak", "3rrr-effort", "3rrr-peak"],
+)  # fmt: skip
+def test_gradient_of_an_optimum(name: str, objective: str, closeness: dict[str, float]) -> None:
+    """By the envelope theorem, through two type II singularities in the first ones; against plans made anew."""
+    task = (crossing if name == "2rpr" else turning)(objective=objective)
+    robot = task.dynamics.robot
+    values = {key: float(robot.parameters[key]) for key in closeness}
+    search = _Search((task,), {key: (0.5 * value, 2.0 * value) for key, value in values.items()})
+    gradient = search.machine(search.start).gradients[0]
+    for i, (key, close) in enumerate(closeness.items()):
+        h = 1e-3 * values[key]
+        up, down = (replanned(task, objective, robot.with_parameters(**{key: values[key] + by})) for by in (h, -h))  # type: ignore[arg-type]
+        assert gradient[i] == pytest.approx((up - down) / (2.0 * h), rel=close), key
+
+
+def test_massless_machines_in_closed_form() -> None:
+    """Without other masses f is proportional to that of the carriers: effort to its square, and any less is better."""
+    result = co_design([crossing()], {"carrier_mass": (0.9, 2.0)}, iterations=2)
+    assert result.parameters == {"carrier_mass": 0.9}
+    assert result.values[0] == pytest.approx(0.81 * result.before[0], rel=1e-6)
+    assert result.gradient[0, 0] == pytest.approx(2.0 * result.values[0] / 0.9, rel=1e-6)
+    assert result.at_bounds == ("carrier_mass",)
+    assert result.optimal
+    assert result.plans[0].robot.arguments["carrier_mass"] == 0.9
+    assert result.history[0]["cost"] == 1.0
+
+
+@pytest.mark.long
+def test_no_neighbour_is_better_and_two_tasks_share_a_machine() -> None:
+    """At a kink of the least peaks, where neither task has a gradient of zero."""
+    tasks = [turning(objective="peak"), turning(objective="effort")]
+    bounds = {"carrier_mass": (0.2, 5.0), "tail_length": (0.2, 1.2)}
+    result = co_design(tasks, bounds)
+    robot = tasks[0].dynamics.robot
+
+    def cost(**numbers: float) -> float:
+        machine = robot.with_parameters(**{**result.parameters, **numbers})  # type: ignore[arg-type]
+        values = [replanned(task, str(task.options["objective"]), machine) for task in tasks]
+        return float(np.mean(np.array(values) / result.before))
+
+    here = cost()
+    assert here == pytest.approx(result.history[-1]["cost"], rel=1e-4)
+    assert here < 0.6
+    for name, (low, high) in bounds.items():
+        for by in (-0.02, 0.02):
+            at = result.parameters[name] + by * (high - low)
+            if low <= at <= high:
+                assert cost(**{name: at}) > here * (1.0 - 2e-3), (name, by)
+
+
+def test_machines_that_cannot_are_passed_over() -> None:
+    """The corner is out of reach of short proximal links."""
+    search = _Search((turning(),), {"proximal_length": (0.1, 1.0)})
+    here = search.machine(search.start)
+    assert search.machine_or_none(np.array([0.0]), here) is None
+    assert search.rejected == 1
+
+
+@pytest.mark.parametrize(
+    ("tasks", "design", "message"),
+    [
+        (lambda: [], {"carrier_mass": (0.5, 2.0)}, "no task"),
+        (lambda: [crossing()], {}, "Nothing is to be designed"),
+        (lambda: [crossing()], {"carrier_mas": (0.5, 2.0)}, "carrier_mas"),
+        (lambda: [crossing()], {"carriers": (0.0, 1.0)}, "no number"),
+        (lambda: [crossing()], {"carrier_mass": (2.0, 0.5)}, "range of carrier_mass"),
+        (lambda: [crossing()], {"carrier_mass": (2.0, 3.0)}, "has 1"),
+        (lambda: [crossing(objectiv="peak")], {"carrier_mass": (0.5, 2.0)}, "objectiv"),
+        (partial(list, [("2rpr", None)]), {"carrier_mass": (0.5, 2.0)}, "str"),
+    ],
+)
+def test_bad_input_is_named(tasks: Any, design: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        co_design(tasks(), design)
