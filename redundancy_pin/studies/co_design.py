@@ -41,7 +41,7 @@ from redundancy_pin.planners.whole_trajectory.multistart import Outcome
 from redundancy_pin.planners.whole_trajectory.options import Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.whole_trajectory.planner import optimise, plan_whole_trajectory
 from redundancy_pin.planners.whole_trajectory.problem import Task
-from redundancy_pin.planners.whole_trajectory.sensitivity import MOVED, DesignSlopes, design_gradient
+from redundancy_pin.planners.whole_trajectory.sensitivity import MOVED, DesignSlopes, Moved, design_gradient
 from redundancy_pin.planners.whole_trajectory.transcription import objective_values
 from redundancy_pin.robot import Robot
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
@@ -245,8 +245,10 @@ class _Machine:
                 # nothing is compiled for a machine that is soon another
                 kernels[id(robot)] = CompiledDynamics(robot, interpret=True)
                 moved[id(robot)] = [_with(robot, {name: float(robot.parameters[name]) + MOVED}) for name in names]
-            limits = [_planning_task(given, one).settings.limits for one in moved[id(robot)]]
-            rows.append(design_gradient(task, outcome, partial(_slopes, kernels[id(robot)], names), limits))
+            machines = [
+                Moved(_planning_task(given, one).settings.limits, one.characteristic_length) for one in moved[id(robot)]
+            ]
+            rows.append(design_gradient(task, outcome, partial(_slopes, kernels[id(robot)], names), machines))
         return np.stack(rows)
 
     @property
@@ -270,7 +272,7 @@ def _slopes(
     kernels: CompiledDynamics, names: tuple[str, ...], motion: PlatformMotion, carriers: CarrierMotion
 ) -> DesignSlopes:
     by = kernels.along(motion).derivatives(carriers, names)
-    return DesignSlopes(by.W.parameters, by.f.parameters, by.carrier_force.parameters)
+    return DesignSlopes(*(part.parameters for part in (by.W, by.f, by.carrier_force, by.base_wrench)))
 
 
 def _value(outcome: Outcome) -> float:
@@ -287,7 +289,7 @@ def _planning_task(task: DesignTask, robot: Robot) -> Task:
     groups: list[Any] = [
         kind(**{key: rest.pop(key) for key in _keys(kind) & rest.keys()}) for kind in (Limits, Mesh, Solver)
     ]
-    objective = Objective(weights, **{key: rest.pop(key) for key in ("lam", "baseline") if key in rest})
+    objective = Objective(weights, **{key: rest.pop(key) for key in ("lam", "baseline", "base_point") if key in rest})
     settings = checked_settings(robot, objective, *groups, **rest)
     return Task(task.dynamics.for_robot(robot), continuous_motion(task.motion), settings)
 

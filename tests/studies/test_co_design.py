@@ -36,17 +36,18 @@ def replanned(task: DesignTask, objective: str, robot: Robot) -> float:
     return float(plan.diagnostics["objective"][objective])  # type: ignore[index]
 
 
-@pytest.mark.long_for("3rrr-peak", "3rrr-effort", "2rpr-peak")
+@pytest.mark.long_for("3rrr-base_wrench", "3rrr-peak", "3rrr-effort", "2rpr-peak")
 @pytest.mark.parametrize(
     ("name", "objective", "closeness"),
     [
         # the nodes move with the singular instants, and the mean value with the nodes
         ("2rpr", "effort", {"track_offset": 1e-5, "base_distance": 2e-3, "track_half_length": 2e-4}),
         ("2rpr", "peak", {"track_offset": 1e-3, "track_half_length": 1e-3}),
+        ("3rrr", "base_wrench", {"carrier_mass": 1e-4, "tail_length": 1e-4, "base_radius": 1e-3}),
         ("3rrr", "effort", {"carrier_mass": 1e-4, "tail_length": 1e-4, "distal_length": 1e-4}),
         ("3rrr", "peak", {"carrier_mass": 1e-4, "tail_length": 1e-4, "proximal_length": 2e-3}),
     ],
-    ids=["2rpr-effort", "2rpr-peak", "3rrr-effort", "3rrr-peak"],
+    ids=["2rpr-effort", "2rpr-peak", "3rrr-base_wrench", "3rrr-effort", "3rrr-peak"],
 )  # fmt: skip
 def test_gradient_of_an_optimum(name: str, objective: str, closeness: dict[str, float]) -> None:
     """By the envelope theorem, through two type II singularities in the first ones; against plans made anew."""

@@ -34,25 +34,37 @@ MOVED = 1e-3
 
 
 class DesignSlopes(NamedTuple):
-    """Derivatives by d parameters at N samples, the motion held: of W (N, n, m, d), f (N, n, d), forces (N, k, d)."""
+    """Derivatives by d parameters at N samples, the motion held.
+
+    Of W (N, n, m, d), f (N, n, d), carriers' forces (N, k, d), and the wrench on the base about the world origin (N, 6,
+    d).
+    """
 
     W: Array
     f: Array
     carrier_force: Array
+    base_wrench: Array
+
+
+class Moved(NamedTuple):
+    """What else a machine with a parameter increased by ``MOVED`` has: limits and characteristic length, m."""
+
+    limits: ResolvedLimits
+    length: float
 
 
 Slopes = Callable[[PlatformMotion, CarrierMotion], DesignSlopes]
 """Derivatives of a backend by the parameters, along a motion."""
 
 
-def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, limits: Sequence[ResolvedLimits] = ()) -> Array:
+def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, machines: Sequence[Moved]) -> Array:
     """Return (d,) derivatives of the weighted objectives of an optimum by design parameters, in their units.
 
     Args:
         task: the task.
         outcome: its optimum.
         slopes: the backend's derivatives by the parameters.
-        limits: the limits of the machine for each parameter increased by ``MOVED``; those of the task when left out.
+        machines: for each parameter.
 
     Raises:
         UnsupportedRobotError: f is an expression, as with carriers on carriers.
@@ -67,12 +79,13 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, limits: Sequen
     carriers, motion = problem.carriers(solution.values), task.source.sample_at(problem.grid.t)
     at_nodes, tau = slopes(motion, carriers), solution.tau(problem)
     turned = [_turned(task, problem, node, carriers, tau[node.index], slopes) for node in problem.singular]
-    base = _lagrangian(outcome, problem)
+    at_optimum, at_length = _lagrangian(outcome, problem), task.dynamics.robot.characteristic_length
     terms = ((weight, OBJECTIVES[name]) for name, weight in problem.settings.objective.items())
     size = sum(weight * term.size(problem.scales) for weight, term in terms)
     gradient = np.empty(at_nodes.f.shape[-1])
-    for j in range(len(gradient)):
-        W, f, force = (MOVED * part[..., j] for part in at_nodes)
+    base = _of_base(task, problem, motion, at_nodes.base_wrench, slopes)
+    for j, machine in enumerate(machines):
+        W, f, force = (MOVED * part[..., j] for part in (at_nodes.W, at_nodes.f, at_nodes.carrier_force))
         model = problem.model
         moved = replace(
             problem,
@@ -82,10 +95,22 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, limits: Sequen
                 replace(node, rate=replace(node.rate, f0=node.rate.f0 - MOVED * change[None, :, j]))
                 for node, change in zip(problem.singular, turned, strict=True)
             ),
-            settings=replace(problem.settings, limits=limits[j]) if limits else problem.settings,
+            settings=replace(problem.settings, limits=machine.limits),
+            scales=replace(problem.scales, length=problem.scales.length + machine.length - at_length),
+            base=problem.base and replace(problem.base, w0=problem.base.w0 + MOVED * base[..., j]),
         )
-        gradient[j] = size * (_lagrangian(outcome, moved) - base) / MOVED
+        gradient[j] = size * (_lagrangian(outcome, moved) - at_optimum) / MOVED
     return read_only(gradient)
+
+
+def _of_base(task: Task, problem: Problem, motion: PlatformMotion, by: Array, slopes: Slopes) -> Array:
+    """Return (N, 6, d) derivatives of the wrench on the base about the point, less the load at rest."""
+    settings = problem.settings
+    still, rest = np.zeros_like(motion.xd[:1]), np.zeros((1, len(settings.start)))
+    standing = PlatformMotion(motion.t[:1], motion.x[:1], still, still)
+    less = by - slopes(standing, CarrierMotion(settings.start[None], rest, rest)).base_wrench
+    moment = less[:, 3:] - np.cross(settings.base_point, np.moveaxis(less[:, :3], 1, -1)).swapaxes(1, 2)
+    return np.concatenate([less[:, :3], moment], axis=1)
 
 
 def _turned(task: Task, problem: Problem, node: SingularNode, plan: CarrierMotion, tau: Array, slopes: Slopes) -> Array:
