@@ -364,13 +364,13 @@ def dense_check(
     floor: float,
     effort: Array,
     singular: Array,
-) -> tuple[DenseCheck, tuple[LimitEvent, ...], Array]:
+) -> tuple[DenseCheck, tuple[LimitEvent, ...], Array, Array]:
     """Look between the samples of a plan, and compare with the samples and with limits.
 
     ``robot``: with the limits of the carriers' forces that count; ``t`` (N,) and ``tau`` (N, m) samples; ``floor``:
     effort that counts as zero; ``effort`` (m,) limits, infinite for none; ``singular`` as for ``peaks_between``.
     Returned are the check, the limits that are exceeded by more than is accepted, and (p,) middles of the pieces, s,
-    in which efforts or forces exceed by more than ``MARKED`` what the samples or the limits allow.
+    in which efforts or forces exceed by more than ``MARKED`` what the samples or the limits allow, and (p,) the ratios.
     """
     peaks = peaks_between(dynamics, functions, float(t[0]), float(t[-1]), singular)
     m, size = robot.m, np.abs(peaks.value)
@@ -392,7 +392,8 @@ def dense_check(
     for j, (name, limit) in enumerate(zip((*robot.actuated, *robot.carriers), (*effort, *force), strict=True)):
         values = peaks.time[:, j], peaks.value[:, j : j + 1]
         broken += limits_broken("effort" if j < m else "force", (name,), *values, np.array([limit]), ALLOWED)
-    return check, tuple(broken), (0.5 * (peaks.left + peaks.right))[excess > MARKED]
+    marked = excess > MARKED
+    return check, tuple(broken), (0.5 * (peaks.left + peaks.right))[marked], excess[marked]
 
 
 def least_effort(reduced: ReducedDynamics) -> float:

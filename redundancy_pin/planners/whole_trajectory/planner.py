@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,9 +16,9 @@ from redundancy_pin.dynamics.base import Dynamics, has_expressions
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
-from redundancy_pin.planners.check import Between, finish_plan
-from redundancy_pin.planners.functions import SMALL, PlanFunctions, dense_check
-from redundancy_pin.planners.limits import Limits, grouped, require_dynamics
+from redundancy_pin.planners.check import finish_plan
+from redundancy_pin.planners.functions import SMALL, DenseCheck, PlanFunctions, dense_check
+from redundancy_pin.planners.limits import LimitEvent, Limits, grouped, require_dynamics
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory.multistart import (
@@ -31,6 +32,7 @@ from redundancy_pin.planners.whole_trajectory.multistart import (
 from redundancy_pin.planners.whole_trajectory.options import End, Mesh, Objective, Solver, checked_settings
 from redundancy_pin.planners.whole_trajectory.problem import (
     Grid,
+    Problem,
     Task,
     grid_of,
     near_singular,
@@ -38,7 +40,7 @@ from redundancy_pin.planners.whole_trajectory.problem import (
     steps_around,
     with_middles,
 )
-from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME, solve
+from redundancy_pin.planners.whole_trajectory.solver import OUT_OF_TIME, Solution, draft, exceeds_force, solve
 from redundancy_pin.planners.whole_trajectory.transcription import objective_values
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -48,7 +50,25 @@ BESIDE = 4
 refined steps, and the grid would follow it one step at a time."""
 
 
+TWICE = 1.08
+"""Ratio of efforts between the nodes to those at them from which steps are halved twice."""
+
 PHASES = ("optimised",)
+
+
+class _Look(NamedTuple):
+    """What is between the nodes of a solution; see ``dense_check``."""
+
+    functions: PlanFunctions
+    check: DenseCheck
+    broken: tuple[LimitEvent, ...]
+    times: Array
+    ratios: Array
+
+    @property
+    def passed(self) -> bool:
+        """Whether the nodes show the efforts, and limits hold between them."""
+        return self.check.passed and not self.broken
 
 
 @np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
@@ -183,58 +203,70 @@ def optimise(task: Task, position: PiecewisePolynomial | None = None) -> tuple[P
     began = time.perf_counter()
     dynamics, settings = task.dynamics, task.settings
     report = settings.solver.progress or (lambda line: None)
-    judged = replace(dynamics.robot, carrier_limits=settings.limits.of_carriers)
     instants = Actuation.along(dynamics, task.source).singular_instants
     nodes = grid_of(task.source, instants, settings.mesh.dt)
     nodes = with_middles(nodes, near_singular(dynamics, task.source, nodes))
     ratios: list[float] = []
     while True:
         report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
-        result = _solve(task, nodes, position)
-        problem, solution = result.best.problem, result.best.solution
-        position, tau = solution.position(problem), solution.tau(problem)
-        # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
-        preferred = PiecewisePolynomial.linear(nodes.t, tau)
-        functions = PlanFunctions(task.source, position.made_continuous(), preferred=preferred)
-        check, broken, exceeding = dense_check(
-            dynamics,
-            functions,
-            judged,
-            nodes.t,
-            tau,
-            SMALL * problem.scales.tau,
-            settings.limits.effort,
-            np.unique(nodes.t[nodes.singular]),
-        )
-        ratios.append(check.ratio)
-        report(f"peak effort {np.abs(tau).max():.4g} at the nodes, {check.peak.max():.4g} between them")
-        if (check.passed and not broken) or len(ratios) > settings.mesh.refinements or not solution.optimal:
+        problem, fitted = _read(task, nodes)
+        last = len(ratios) >= settings.mesh.refinements
+        guess, look = first_guess(problem, position, 0), None
+        begun = None if fitted else draft(problem, guess, settings.solver.seconds)
+        if begun is not None and begun.optimal and not exceeds_force(problem, begun):
+            solution, look = begun, _look_between(task, problem, begun)
+        if begun is None or look is None or look.passed or last:
+            result = _solve(task, problem, fitted, position, begun)
+            problem, solution = result.best.problem, result.best.solution
+            look = _look_between(task, problem, solution)
+        position = solution.position(problem)
+        ratios.append(look.check.ratio)
+        at_nodes = np.abs(solution.tau(problem)).max()
+        report(f"peak effort {at_nodes:.4g} at the nodes, {look.check.peak.max():.4g} between them")
+        if look.passed or last or not solution.optimal:
             break
-        nodes = with_middles(nodes, steps_around(nodes, exceeding, BESIDE))
-    plan = _plan(task, result, functions, (check, broken))
+        # on the first mesh the carriers still use what they find between the nodes, and most of it goes by itself
+        for least in (0.0, TWICE) if len(ratios) > 1 else (0.0,):
+            nodes = with_middles(nodes, steps_around(nodes, look.times[look.ratios > least], BESIDE))
+    plan = _plan(task, result, look)
     timing = {"dense_ratios": ratios, "seconds": time.perf_counter() - began}
     return replace(plan, diagnostics={**plan.diagnostics, **timing}), result.best
 
 
-def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multistart:
-    """Solve on a mesh from all first guesses, the first of which is a motion that is known."""
+def _look_between(task: Task, problem: Problem, solution: Solution) -> _Look:
+    nodes, tau, limits = problem.grid, solution.tau(problem), task.settings.limits
+    # with more actuators than coordinates the efforts nearest to the planned ones, which are linear in a step
+    preferred = PiecewisePolynomial.linear(nodes.t, tau)
+    functions = PlanFunctions(task.source, solution.position(problem).made_continuous(), preferred=preferred)
+    robot = replace(task.dynamics.robot, carrier_limits=limits.of_carriers)
+    singular, floor = np.unique(nodes.t[nodes.singular]), SMALL * problem.scales.tau
+    return _Look(functions, *dense_check(task.dynamics, functions, robot, nodes.t, tau, floor, limits.effort, singular))
+
+
+def _read(task: Task, nodes: Grid) -> tuple[Problem, bool]:
+    """Return the problem on a mesh, and whether it holds around parked carriers only."""
     for turning in (False, True):
         try:
-            problem = read_coefficients(task, nodes, turning=turning)
-            break
+            return read_coefficients(task, nodes, turning=turning), False
         except UnsupportedRobotError as error:
             if "deviation" not in error.details:
                 raise
-    else:  # f has more terms than those of carriers that slide or turn, each on a link of its own
-        at = np.tile(task.settings.start, (len(nodes.t), 1))
-        parked = CarrierMotion(at, 0.0 * at, 0.0 * at)
-        exact = has_expressions(task.dynamics.along(task.source.sample_at(nodes.t[:1])))
-        problem = read_coefficients(task, nodes, parked, exact=exact)
-        if not exact:
-            return multistart(problem, warm, partial(fit_and_solve, task, problem))
+    # f has more terms than those of carriers that slide or turn, each on a link of its own
+    at = np.tile(task.settings.start, (len(nodes.t), 1))
+    exact = has_expressions(task.dynamics.along(task.source.sample_at(nodes.t[:1])))
+    return read_coefficients(task, nodes, CarrierMotion(at, 0.0 * at, 0.0 * at), exact=exact), not exact
+
+
+def _solve(
+    task: Task, problem: Problem, fitted: bool, warm: PiecewisePolynomial | None, begun: Solution | None
+) -> Multistart:
+    """Solve from all first guesses, the first of which is a motion that is known, or a draft."""
+    if fitted:
+        return multistart(problem, warm, partial(fit_and_solve, task, problem))
+    drafts = [] if begun is None else [begun]
 
     def solve_from(guess: dict[str, Array], seconds: float) -> Outcome:
-        return Outcome(problem, solve(problem, guess, seconds))
+        return Outcome(problem, solve(problem, guess, seconds, drafts.pop() if drafts else None))
 
     result = multistart(problem, warm, solve_from)
     if result.feasible:
@@ -251,13 +283,13 @@ def _solve(task: Task, nodes: Grid, warm: PiecewisePolynomial | None) -> Multist
             "although none of the limits is known to be in the way.",
             remedy="Allow more seconds, or a longer dt." if late else "Widen the limits a little, or start elsewhere.",
             constraint="seconds",
-            time=float(nodes.t[0]),
+            time=float(problem.grid.t[0]),
             amount=seconds,
         )
     return replace(result, outcomes=(*result.outcomes, Outcome(problem, last)))
 
 
-def _plan(task: Task, result: Multistart, functions: PlanFunctions, between: Between) -> Plan:
+def _plan(task: Task, result: Multistart, look: _Look) -> Plan:
     """Let the backend judge the solution at the nodes, and report.
 
     At singular nodes the efforts are those of the solution, which W⁻¹ f tends to; elsewhere, and with as many main
@@ -295,8 +327,8 @@ def _plan(task: Task, result: Multistart, functions: PlanFunctions, between: Bet
         },
         prescribed=prescribed,
         carrier_limits=settings.limits.of_carriers,
-        functions=functions,
+        functions=look.functions,
         dynamics=task.dynamics,
-        between=between,
+        between=(look.check, look.broken),
         singular=nodes.singular,
     )

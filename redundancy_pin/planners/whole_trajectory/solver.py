@@ -284,16 +284,28 @@ AROUND = 2
 """Steps on both sides of one that leaves a limit that get rows as well: the next solution would leave it there."""
 
 
-def solve(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution:
+def draft(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution | None:
+    """Solve with limits at the nodes alone: this shows whether nodes are dense enough, in half the time.
+
+    ``guess``, ``seconds``: as for ``solve``, which goes on from there. None where that would save nothing.
+    """
+    strategy = strategies(problem)
+    if strategy.last_steps is None:
+        return None
+    nlp = transcribe(problem, between=[], limit_force=False)
+    return solve_nlp(nlp, guess, seconds, strategy.first[0], problem.settings.solver.progress)
+
+
+def solve(problem: Problem, guess: dict[str, Array], seconds: float, begun: Solution | None = None) -> Solution:
     """Solve a problem with every limit held at the nodes and between them.
 
-    ``guess``: first guess, scaled blocks by name; ``seconds``: time bound, s.
+    ``guess``: first guess, scaled blocks by name; ``seconds``: time bound, s; ``begun``: a draft from this guess.
 
     Returns:
         An optimum that keeps every limit; or where that is not reached, the outcome with all rows from the start.
     """
-    deadline = time.perf_counter() + seconds
-    attempts = [_with_needed_rows(problem, guess, deadline)]
+    deadline = time.perf_counter() + seconds - (0.0 if begun is None else begun.seconds)
+    attempts = [_with_needed_rows(problem, guess, deadline, begun)]
     # the other strategy often ends where the first one crawls
     for options in () if attempts[0].optimal else strategies(problem).later:
         left = deadline - time.perf_counter()
@@ -305,9 +317,9 @@ def solve(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution
     return _with_totals(best, attempts)
 
 
-def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float) -> Solution:
+def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float, begun: Solution | None) -> Solution:
     """Solve with rows only where they are needed; the outcome is feasible only where limits hold in between, too."""
-    attempts: list[Solution] = []
+    attempts = [] if begun is None else [begun]
 
     def attempt(nlp: NLP, options: Options, start: dict[str, Array] | Solution) -> Solution:
         left = max(deadline - time.perf_counter(), LEAST_SECONDS)
@@ -318,20 +330,22 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
     groups: list[BoolArray] = []
     limit_force = False
     start: dict[str, Array] | Solution = guess
+    # a draft is what the first one leads to
+    ways = strategy.first[len(attempts) :] if begun is None or not begun.optimal else ()
     while True:
         nlp = transcribe(problem, between=groups, limit_force=limit_force)
-        for options in (strategy.more_rows,) if isinstance(start, Solution) else strategy.first:
-            solution = attempt(nlp, options, start)
-            if solution.optimal or time.perf_counter() > deadline:
+        for options in ways:
+            if attempt(nlp, options, start).optimal or time.perf_counter() > deadline:
                 break
+        solution = attempts[-1]
         if solution.acceptable:
             solution = attempt(nlp, strategy.refined, solution)
         if not solution.optimal:
-            kept = not _leaves_limits(problem, solution).any() and not _exceeds_force(problem, solution)
+            kept = not _leaves_limits(problem, solution).any() and not exceeds_force(problem, solution)
             return _with_totals(replace(solution, feasible=solution.feasible and kept), attempts)
-        if not limit_force and _exceeds_force(problem, solution):
+        if not limit_force and exceeds_force(problem, solution):
             # more variables, so that the multipliers are of no use
-            limit_force, start = True, solution.values
+            limit_force, start, ways = True, solution.values, strategy.first
             continue
         leaves = _leaves_limits(problem, solution)
         if not leaves.any() and strategy.last_steps is not None:
@@ -347,7 +361,7 @@ def _with_needed_rows(problem: Problem, guess: dict[str, Array], deadline: float
         if len(groups) == ROUNDS or not new.any():
             return _with_totals(replace(solution, optimal=False, feasible=False), attempts)
         groups.append(new)
-        start = solution
+        start, ways = solution, (strategy.more_rows,)
 
 
 def _leaves_limits(problem: Problem, solution: Solution) -> BoolArray:
@@ -363,7 +377,7 @@ def _leaves_limits(problem: Problem, solution: Solution) -> BoolArray:
     return exceeded
 
 
-def _exceeds_force(problem: Problem, solution: Solution) -> bool:
+def exceeds_force(problem: Problem, solution: Solution) -> bool:
     """Return whether a carrier needs more force at a node than its limit."""
     carriers, (low, high) = problem.carriers(solution.values), scaled_bounds(problem)["force"]
     force = problem.carrier_force(carriers) / problem.scales.force

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import zoo
 
+import redundancy_pin.planners.whole_trajectory.planner as planner
 import redundancy_pin.planners.whole_trajectory.solver as solver
 from redundancy_pin import CarrierMotion, RneaDynamics, VirtualWork, distribute, plan_whole_trajectory
 from redundancy_pin.dynamics.distribution import SampleStatus
@@ -307,6 +308,24 @@ def test_infeasible_says_how_much_would_suffice():
     # steps of 50 ms, not refined: between the nodes the limit is far exceeded, and the plan says so
     assert enough.status is PlanStatus.VIOLATES_LIMITS
     assert {event.quantity for event in enough.limits.violated} == {"effort"}
+
+
+def test_coarse_meshes_are_not_finished(monkeypatch):
+    """Rows between the nodes and exact last steps are for the mesh that shows the efforts; it ends as exactly."""
+    solved = []
+
+    def solve(problem, *given):
+        solved.append((problem, solver.solve(problem, *given)))
+        return solved[-1][1]
+
+    monkeypatch.setattr(planner, "solve", solve)
+    plan = plan_whole_trajectory(two_rpr(), circle(), objective="peak", dt=0.05)
+    ratios = plan.diagnostics["dense_ratios"]
+    assert len(ratios) > len(solved) == 1
+    assert ratios[0] > 1.05 >= ratios[-1]
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    problem, solution = solved[0]
+    assert solver.solve(problem, {}, 60.0).cost == pytest.approx(solution.cost, rel=1e-8)
 
 
 @pytest.mark.parametrize("sense", [1.0, pytest.param(-1.0, marks=pytest.mark.long)])
