@@ -22,6 +22,9 @@ INSTALL     = { $(PIP) uv && $(BIN)/uv pip install --quiet --python $(BIN)/pytho
 STAMP      := $(VENV)/.installed
 DOCS_STAMP := $(VENV)/.installed-docs
 
+# bytecode is kept, whatever the environment says: tests start a hundred programs, and each would compile all it imports
+COMPILED := PYTHONDONTWRITEBYTECODE=
+
 # exit status 0 where a Python suits the package
 SUITS    := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 14))
 # ... and where it can make a virtual environment
@@ -42,7 +45,7 @@ test: $(STAMP) ## lint, types, import contracts, tests (seven minutes on two cor
 	@if $(BIN)/python -c '$(TYPED)'; then echo "$(BIN)/mypy --strict"; $(BIN)/mypy --strict; \
 	  else echo "mypy --strict: left out, the newest numpy for Python 3.10 has types too coarse for it"; fi
 	$(BIN)/lint-imports
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
+	$(COMPILED) OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 reproduce: $(STAMP) ## run the experiments of the thesis into OUT (default: results)
 	$(BIN)/redundancy-pin reproduce --out "$(OUT)"
@@ -52,7 +55,7 @@ validate: $(STAMP) ## long cross-check of the two backends on SAMPLES random sta
 
 long: $(STAMP) ## long lists of random cases, ten times as many examples, counts into docs/trust.md (RESUME=1: go on)
 	$(if $(RESUME),,rm -f build/promises.jsonl)
-	@status=0; EXAMPLES=10 RESUME="$(RESUME)" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+	@status=0; $(COMPILED) EXAMPLES=10 RESUME="$(RESUME)" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
 	  $(BIN)/python -m pytest -n auto -m "long or property" || status=$$?; \
 	$(BIN)/python tests/support/promises.py; exit $$status
 

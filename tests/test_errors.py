@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import pickle
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -55,14 +55,17 @@ def test_bad_arguments_are_value_errors_for_callers_who_know_python_only() -> No
         raise InputError("Wrong.")
 
 
-def _raised() -> Iterator[tuple[str, ast.Call]]:
-    """Give every place of the package where an error of ours is made."""
+@functools.cache
+def _raised() -> list[tuple[str, ast.Call]]:
+    """Return every place of the package where an error of ours is made."""
     names = {kind.__name__ for kind in KINDS}
     package = Path(errors.__file__).parent
-    for path in package.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:
-                yield f"{path.relative_to(package)}:{node.lineno}", node
+    return [
+        (f"{path.relative_to(package)}:{node.lineno}", node)
+        for path in package.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names
+    ]
 
 
 def test_every_error_is_raised_somewhere() -> None:

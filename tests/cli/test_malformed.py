@@ -13,7 +13,7 @@ from promises import Keep
 
 from redundancy_pin.cli import main
 
-SAMPLE = 8
+SAMPLE = 5
 
 COMMANDS, PARTS = 3000, 30
 """Of ``make long``."""

@@ -207,12 +207,13 @@ def test_closure_forces(name: str) -> None:
 # --- by what the machine is made of -----------------------------------------------------------------------------------
 
 
-@pytest.mark.long_for("gough-parameters3", "3rrr-parameters2", "2rpr-parameters0")
+@pytest.mark.long_for("gough-parameters4", "3rrr-parameters3", "five_bar-parameters2", "2rpr-parameters0")
 @pytest.mark.parametrize(
     ("name", "parameters"),
     [
         ("2rpr", ("track_offset", "base_distance", "end_effector_mass")),
-        ("five_bar", ("proximal_length", "distal_length", "tail_length", "carrier_mass")),
+        ("five_bar", ("proximal_length", "carrier_mass")),
+        ("five_bar", ("distal_length", "tail_length")),
         ("3rrr", ("platform_radius", "distal_length")),
         ("gough", ("base_angle", "cylinder_mass")),
     ],

@@ -45,7 +45,7 @@ def reach_of_leg(robot, x):
     return np.linalg.norm(x) / (robot.parameters["proximal_length"] + robot.parameters["distal_length"])
 
 
-@pytest.mark.long_for("301-1e-06", "301-1e-09", "3-1e-06", "301-0.001")
+@pytest.mark.long_for("301-1e-06", "301-1e-09", "3-1e-06", "301-0.001", "3-1e-09")
 @pytest.mark.parametrize("below", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("samples", [3, 30, 301])
 def test_the_elbow_stays_on_its_side_next_to_full_stretch(five_bar_without_modes, below, samples):

@@ -396,6 +396,7 @@ def test_meshes_are_seen_and_seen_through(browser: Any, tmp_path: Path) -> None:
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
 
 
+@pytest.mark.long
 def test_the_live_view_is_the_same_page(browser: Any) -> None:
     online = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
     browser.execute_cdp_cmd("Network.emulateNetworkConditions", online)
