@@ -1,8 +1,9 @@
 """Forward kinematics of a Pinocchio tree for many configurations at once.
 
-Pinocchio evaluates one configuration a call; from Python the call costs more than the arithmetic. Here the joints are
-visited in a loop and the samples are array columns. Component-major layout: vectors are (3, N), rotations (3, 3, N), so
-every operation runs over contiguous samples.
+Pinocchio evaluates one configuration a call; from Python the call costs more than the arithmetic. Here the samples are
+array columns, and joints of one kind at one depth of the tree, as the legs of a robot have them, are placed together: a
+loop visits such groups. Component-major layout: vectors are (3, L, N), rotations (3, 3, L, N) for L joints, so every
+operation runs over contiguous samples.
 
 Velocities are spatial vectors in world coordinates, (linear, angular): the velocity of the body's point that is at the
 world origin, and the angular velocity. With J_j the column of a joint's freedom j (constant in the frame of its body),
@@ -14,37 +15,103 @@ where (v, ω) × (m, μ) = (ω × m + v × μ, ω × μ); see Featherstone, "Rig
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import Array, read_only
+from redundancy_pin.arrays import Array, IntArray, read_only
 from redundancy_pin.errors import UnsupportedRobotError
 
+T = TypeVar("T")
 
-@dataclass(frozen=True, eq=False)
-class _Joint:
-    """One joint of the tree: first its translations, along ``linear``, then what turns, about ``angular``."""
-
-    index: int
-    parent: int
-    q: slice
-    v: slice
-    rotation: Array
-    translation: Array
-    linear: Array
-    """(3, t) directions of its t translations, in the joint frame."""
-    angular: Array
-    """(3, nv_joint − t) axes of its rotations, in the joint frame."""
+_Parts = tuple["Array | float | None", ...]
+"""Components of constants, one an element of a group: a number where all are equal, None where they are zero."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
-    joint: int
-    rotation: Array
-    translation: Array
+class _Source:
+    """Where the parents of a group's elements are: group and place of each; no groups where it is the world."""
+
+    groups: tuple[int, ...]
+    places: slice | IntArray
+
+    def of(self, placed: Sequence[Array]) -> Array:
+        """Return (..., L, N) what was placed, (..., L', N) a group."""
+        if len(self.groups) == 1:
+            return placed[self.groups[0]][..., self.places, :]
+        places = np.arange(len(self.groups))[self.places] if isinstance(self.places, slice) else self.places
+        return np.stack([placed[group][..., k, :] for group, k in zip(self.groups, places, strict=True)], axis=-2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fixed:
+    """L placements that do not move on their parents: of joints, before they move, or of frames."""
+
+    source: _Source
+    rotation: tuple[_Parts, ...] | None
+    """Columns; None for the identity."""
+    translation: _Parts
+    constant: tuple[Array, Array] | None
+    """(3, 3, L, 1) and (3, L, 1), where the parent is the world."""
+
+    def place(self, rotations: Sequence[Array], origins: Sequence[Array]) -> tuple[Array, Array]:
+        """Return rotations (3, 3, L, N) and origins (3, L, N), in world coordinates."""
+        if self.constant is not None:
+            return self.constant
+        rotation, origin = self.source.of(rotations), self.source.of(origins)
+        if any(part is not None for part in self.translation):
+            origin = origin + _apply(rotation, self.translation)
+        return (rotation if self.rotation is None else _times_constant(rotation, self.rotation)), origin
+
+
+@dataclass(frozen=True, eq=False)
+class _Joints:
+    """L joints of one kind at one depth of the tree: first their translations, then what turns.
+
+    Attributes:
+        fixed: where they begin.
+        q, v: (L,) indices of each coordinate and of each velocity.
+        linear, angular: directions of the translations and axes of the rotations, in the joint frames.
+        principal: number of the only component of the axis that is not zero; −1 where there are more.
+    """
+
+    fixed: _Fixed
+    q: tuple[slice | IntArray, ...]
+    v: tuple[slice | IntArray, ...]
+    linear: tuple[_Parts, ...]
+    angular: tuple[_Parts, ...]
+    principal: int
+    skew: tuple[tuple[_Parts, ...], tuple[_Parts, ...]] | None
+    """The cross product with an axis that is not principal, and its square: Rodrigues."""
+
+    def turned(self, base: Array, q: list[Array]) -> Array:
+        """Return rotations (3, 3, L, N) turned by an angle, by its cosine and sine, or by a quaternion; (L, N) each."""
+        if not q:
+            return base
+        shape = (3, 3, *q[0].shape)
+        if len(q) == 4:
+            from scipy.spatial.transform import Rotation
+
+            own = Rotation.from_quat(np.stack(q, axis=-1).reshape(-1, 4)).as_matrix().transpose(1, 2, 0).reshape(shape)
+            about: Array = np.einsum("ijln,jkln->ikln", np.broadcast_to(base, shape), own)
+            return about
+        cosine, sine = q if len(q) == 2 else (np.cos(q[0]), np.sin(q[0]))
+        if self.skew is None:
+            k = self.principal
+            i, j, sign = (k + 1) % 3, (k + 2) % 3, self.angular[0][k]
+            sine = sine if sign is None else _scaled(sine, sign)
+            turned = np.empty(shape)
+            turned[:, k] = base[:, k]
+            turned[:, i] = base[:, i] * cosine + base[:, j] * sine
+            turned[:, j] = base[:, j] * cosine - base[:, i] * sine
+            return turned
+        once, twice = (_times_constant(base, matrix) for matrix in self.skew)
+        result: Array = base + once * sine + twice * (1.0 - cosine)
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,41 +144,59 @@ class TreeKinematics:
 
     def __init__(self, model: pin.Model, frames: Sequence[str]) -> None:
         self._nv = model.nv
-        self._frames = {name: _frame(model, name) for name in frames}
-        chains = {name: [int(j) for j in model.supports[one.joint] if j > 0] for name, one in self._frames.items()}
+        at = {name: model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in frames}
+        chains = {name: [int(j) for j in model.supports[one.parentJoint] if j > 0] for name, one in at.items()}
         data = model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))
-        self._joints = tuple(_joint(model, data, j) for j in sorted(set().union(*chains.values())))
-        span = {joint.index: range(joint.v.start, joint.v.stop) for joint in self._joints}
+        joints = [_joint(model, data, j) for j in sorted(set().union(*chains.values()))]
+        span = {joint.number: joint.v for joint in joints}
         self.support = {name: tuple(column for j in chain for column in span[j]) for name, chain in chains.items()}
         """Velocity indices each frame depends on."""
+        place: dict[int, tuple[int, int]] = {}
+        self._joints: list[_Joints] = []
+        for group in _grouped(joints, lambda joint: (len(model.supports[joint.number]), *joint.kind)):
+            self._joints.append(_joints(group, place))
+            place |= {joint.number: (len(self._joints) - 1, k) for k, joint in enumerate(group)}
+        self._names = tuple(at)
+        numbers: dict[int, int] = {}  # of the frames of each joint: those of equal number are placed together
+        ends = []
+        for name, frame in at.items():
+            joint = int(frame.parentJoint)
+            numbers[joint] = numbers.get(joint, 0) + 1
+            rotation, translation = frame.placement.rotation.copy(), frame.placement.translation.copy()
+            ends.append((self._names.index(name), joint, rotation, translation, numbers[joint]))
+        kinds = _grouped(ends, lambda e: (place[e[1]][0] if e[1] else -1, e[4], bool((e[2] == np.eye(3)).all())))
+        self._ends = [([e[0] for e in group], _fixed([e[1:4] for e in group], place)) for group in kinds]
 
     def pose(self, q: Array) -> TreePose:
         """Place the frames at (N, nq) configurations."""
         columns = np.ascontiguousarray(q.T)
         samples = columns.shape[1]
-        rotations: dict[int, Array] = {0: np.broadcast_to(np.eye(3)[:, :, None], (3, 3, samples))}
-        origins: dict[int, Array] = {0: np.zeros((3, samples))}
+        rotations: list[Array] = []
+        origins: list[Array] = []
         jacobian = np.zeros((6, self._nv, samples))
-        for joint in self._joints:
-            base = _times_constant(rotations[joint.parent], joint.rotation)
-            origin = origins[joint.parent] + _apply(rotations[joint.parent], joint.translation)
-            slides = joint.linear.shape[1]
-            for place, position in enumerate(columns[joint.q][:slides]):
-                direction = _apply(base, joint.linear[:, place])
-                origin = origin + direction * position
-            rotation = _turned(base, joint.angular, columns[joint.q][slides:])
-            rotations[joint.index], origins[joint.index] = rotation, origin
-            for place, column in enumerate(range(joint.v.start, joint.v.stop)):
-                if place < slides:
-                    jacobian[:3, column] = _apply(rotation, joint.linear[:, place])
-                else:
-                    jacobian[3:, column] = axis = _apply(rotation, joint.angular[:, place - slides])
-                    cross(origin, axis, jacobian[:3, column])
-        frame_rotation, frame_origin = {}, {}
-        for name, frame in self._frames.items():
-            frame_rotation[name] = _times_constant(rotations[frame.joint], frame.rotation)
-            frame_origin[name] = origins[frame.joint] + _apply(rotations[frame.joint], frame.translation)
+        for joints in self._joints:
+            base, origin = joints.fixed.place(rotations, origins)
+            slides = len(joints.linear)
+            for direction, at in zip(joints.linear, joints.q[:slides], strict=True):
+                origin = origin + _apply(base, direction) * columns[at]
+            rotation = joints.turned(base, [columns[at] for at in joints.q[slides:]])
+            for direction, at in zip(joints.linear, joints.v[:slides], strict=True):
+                jacobian[:3, at] = _apply(rotation, direction)
+            for about, at in zip(joints.angular, joints.v[slides:], strict=True):
+                jacobian[3:, at] = axis = _apply(rotation, about)
+                jacobian[:3, at] = cross(origin, axis)
+            rotations.append(rotation)
+            origins.append(origin)
+        found: list[tuple[Array, Array]] = [(columns, columns)] * len(self._names)
+        for numbers, fixed in self._ends:
+            turned, origin = fixed.place(rotations, origins)
+            turned = np.broadcast_to(turned, (3, 3, len(numbers), samples))
+            origin = np.broadcast_to(origin, (3, len(numbers), samples))
+            for k, number in enumerate(numbers):
+                found[number] = turned[:, :, k], origin[:, k]
+        by_name = dict(zip(self._names, found, strict=True))
+        frame_rotation, frame_origin = ({name: one[k] for name, one in by_name.items()} for k in (0, 1))
         return TreePose(frame_rotation, frame_origin, jacobian, samples)
 
     def motions(self, pose: TreePose, v: Array) -> dict[str, tuple[Array, Array]]:
@@ -122,16 +207,24 @@ class TreeKinematics:
             v: (N, nv) tree velocities.
         """
         rates = np.ascontiguousarray(v.T)
-        still = np.zeros((6, pose.samples))
-        motion = {0: (still, still)}
-        for joint in self._joints:
-            own = still
-            for column in range(joint.v.start, joint.v.stop):
-                own = own + pose.jacobian[:, column] * rates[column]
-            velocity, acceleration = motion[joint.parent]
-            velocity = velocity + own
-            motion[joint.index] = velocity, acceleration + _spatial_cross(velocity, own)
-        return {name: motion[frame.joint] for name, frame in self._frames.items()}
+        velocities: list[Array] = []
+        accelerations: list[Array] = []
+        for joints in self._joints:
+            first, *others = (pose.jacobian[:, at] * rates[at] for at in joints.v)
+            own = sum(others, first)
+            if joints.fixed.constant is not None:
+                velocities.append(own)
+                accelerations.append(_spatial_cross(own, own))
+            else:
+                velocities.append(joints.fixed.source.of(velocities) + own)
+                accelerations.append(joints.fixed.source.of(accelerations) + _spatial_cross(velocities[-1], own))
+        found = [(np.zeros((6, pose.samples)),) * 2] * len(self._names)
+        for numbers, fixed in self._ends:
+            if fixed.constant is None:
+                velocity, acceleration = fixed.source.of(velocities), fixed.source.of(accelerations)
+                for k, number in enumerate(numbers):
+                    found[number] = velocity[:, k], acceleration[:, k]
+        return dict(zip(self._names, found, strict=True))
 
 
 _FEW = 300
@@ -170,15 +263,30 @@ def motion_subspace(model: pin.Model, data: pin.Data, index: int) -> Array:
     return columns
 
 
-def _frame(model: pin.Model, name: str) -> _Frame:
-    frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-    placement = frame.placement
-    return _Frame(int(frame.parentJoint), read_only(placement.rotation.copy()), read_only(placement.translation.copy()))
-
-
 _COVERED = ("JointModelR", "JointModelP", "JointModelSpherical", "JointModelFreeFlyer", "JointModelTranslation")
 """Beginnings of the names of joints whose q is translations along the subspace's linear columns, then one angle, its
 cosine and sine, or a quaternion."""
+
+
+class _Joint(NamedTuple):
+    """One joint of the tree: its number and its parent's, its indices, its place, and its translations and axes."""
+
+    number: int
+    parent: int
+    q: range
+    v: range
+    rotation: Array
+    translation: Array
+    linear: Array
+    """(3, t) directions of its t translations, in the joint frame."""
+    angular: Array
+    """(3, nv_joint − t) axes of its rotations, in the joint frame."""
+
+    @property
+    def kind(self) -> tuple[int, ...]:
+        """Coordinates, translations, and which component alone the axis of its rotation has, or −1."""
+        axis = np.flatnonzero(self.angular[:, :1])
+        return len(self.q), self.linear.shape[1], int(axis[0]) if len(axis) == 1 else -1
 
 
 def _joint(model: pin.Model, data: pin.Data, index: int) -> _Joint:
@@ -197,53 +305,89 @@ def _joint(model: pin.Model, data: pin.Data, index: int) -> _Joint:
     return _Joint(
         index,
         int(model.parents[index]),
-        slice(joint.idx_q, joint.idx_q + joint.nq),
-        slice(joint.idx_v, joint.idx_v + joint.nv),
-        read_only(placement.rotation.copy()),
-        read_only(placement.translation.copy()),
-        read_only(subspace[:3, sliding].copy()),
-        read_only(subspace[3:, turning].copy()),
+        range(joint.idx_q, joint.idx_q + joint.nq),
+        range(joint.idx_v, joint.idx_v + joint.nv),
+        placement.rotation.copy(),
+        placement.translation.copy(),
+        subspace[:3, sliding].copy(),
+        subspace[3:, turning].copy(),
     )
 
 
-def _turned(base: Array, axes: Array, q: Array) -> Array:
-    """Return rotations (3, 3, N) turned by q: an angle (1, N), its cosine and sine (2, N), a quaternion (4, N)."""
-    if len(q) == 0:
-        return base
-    if len(q) == 4:
-        from scipy.spatial.transform import Rotation
-
-        about: Array = np.einsum("ijn,njk->ikn", base, Rotation.from_quat(q.T).as_matrix())
-        return about
-    axis = axes[:, 0]
-    cosine, sine = q if len(q) == 2 else (np.cos(q[0]), np.sin(q[0]))
-    principal = np.flatnonzero(axis)
-    if len(principal) == 1:
-        k = int(principal[0])
-        i, j = (k + 1) % 3, (k + 2) % 3
-        sine = sine * axis[k]
-        turned = np.empty((3, 3, base.shape[2]))
-        turned[:, k] = base[:, k]
-        turned[:, i] = base[:, i] * cosine + base[:, j] * sine
-        turned[:, j] = base[:, j] * cosine - base[:, i] * sine
-        return turned
-    skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])  # Rodrigues
-    result: Array = base + _times_constant(base, skew) * sine + _times_constant(base, skew @ skew) * (1.0 - cosine)
-    return result
+def _grouped(elements: Iterable[T], key: Callable[[T], Any]) -> list[list[T]]:
+    """Return the elements with equal keys together, smallest key first."""
+    return [list(group) for _, group in groupby(sorted(elements, key=key), key)]
 
 
-def _apply(rotation: Array, vector: Array) -> Array:
-    """Return R v for rotations (3, 3, N) and one constant vector (3,); it may share memory with R."""
+def _joints(group: list[_Joint], place: Mapping[int, tuple[int, int]]) -> _Joints:
+    """Return joints of one kind as one; ``place`` has group and place of their parents."""
+    one, axes = group[0], np.stack([joint.angular for joint in group], axis=-1)
+    principal, skew = one.kind[-1], None
+    if axes.shape[1] == 1 and principal < 0:
+        matrices = np.array([[[0, -z, y], [z, 0, -x], [-y, x, 0]] for x, y, z in axes[:, 0].T])
+        skew = _columns(matrices), _columns(matrices @ matrices)
+    return _Joints(
+        _fixed([(joint.parent, joint.rotation, joint.translation) for joint in group], place),
+        tuple(_index([joint.q[k] for joint in group]) for k in range(len(one.q))),
+        tuple(_index([joint.v[k] for joint in group]) for k in range(len(one.v))),
+        tuple(_parts(directions) for directions in np.stack([joint.linear for joint in group], axis=-1).swapaxes(0, 1)),
+        tuple(_parts(each) for each in axes.swapaxes(0, 1)),
+        principal,
+        skew,
+    )
+
+
+def _fixed(elements: list[tuple[int, Array, Array]], place: Mapping[int, tuple[int, int]]) -> _Fixed:
+    """Return placements: the joint each is on, its rotation, its translation. All are on the world, or none is."""
+    rotation, translation = np.stack([e[1] for e in elements]), np.stack([e[2] for e in elements], axis=-1)
+    constant = None
+    on = [place[e[0]] for e in elements if e[0]]
+    if not on:
+        constant = read_only(rotation.transpose(1, 2, 0)[..., None].copy()), read_only(translation[..., None].copy())
+    groups = tuple(group for group, _ in on)
+    source = _Source(groups[:1] if len({*groups}) == 1 else groups, _index([k for _, k in on]) if on else slice(0))
+    same = bool((rotation == np.eye(3)).all())
+    return _Fixed(source, None if same else _columns(rotation), _parts(translation), constant)
+
+
+def _index(numbers: list[int]) -> slice | IntArray:
+    """Return numbers as a slice where they are equally spaced: it makes a view and no copy."""
+    step = numbers[1] - numbers[0] if len(numbers) > 1 else 1
+    if step > 0 and numbers == list(range(numbers[0], numbers[0] + step * len(numbers), step)):
+        return slice(numbers[0], numbers[-1] + 1, step)
+    return np.array(numbers, dtype=np.intp)
+
+
+def _parts(vectors: Array) -> _Parts:
+    """Return the components of L constant vectors (3, L)."""
+
+    def part(values: Array) -> Array | float | None:
+        if (values != values[0]).any():
+            return read_only(values[:, None].copy())
+        return float(values[0]) or None
+
+    return tuple(map(part, vectors))
+
+
+def _columns(matrices: Array) -> tuple[_Parts, ...]:
+    """Return the columns of L constant matrices (L, 3, 3)."""
+    return tuple(_parts(matrices[:, :, k].T) for k in range(3))
+
+
+def _scaled(values: Array, factor: Array | float) -> Array:
+    return values if isinstance(factor, float) and factor == 1.0 else values * factor
+
+
+def _apply(rotation: Array, parts: _Parts) -> Array:
+    """Return R v for rotations (3, 3, L, N) and L constant vectors; it may share memory with R."""
     result: Array | None = None
-    for k, component in enumerate(vector.tolist()):
-        if component != 0.0:
-            part = rotation[:, k] if component == 1.0 else rotation[:, k] * component
+    for k, component in enumerate(parts):
+        if component is not None:
+            part = _scaled(rotation[:, k], component)
             result = part if result is None else result + part
-    return np.zeros((3, rotation.shape[2])) if result is None else result
+    return np.zeros((3, *rotation.shape[2:])) if result is None else result
 
 
-def _times_constant(rotation: Array, constant: Array) -> Array:
-    """Return R C for rotations (3, 3, N) and one constant matrix (3, 3)."""
-    if (constant == np.eye(3)).all():
-        return rotation
-    return np.stack([_apply(rotation, constant[:, k]) for k in range(3)], axis=1)
+def _times_constant(rotation: Array, columns: tuple[_Parts, ...]) -> Array:
+    """Return R C for rotations (3, 3, L, N) and L constant matrices."""
+    return np.stack([_apply(rotation, parts) for parts in columns], axis=1)
