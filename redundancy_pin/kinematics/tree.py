@@ -34,17 +34,18 @@ _Parts = tuple["Array | float | None", ...]
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """Where the parents of a group's elements are: group and place of each; no groups where it is the world."""
+    """Where the parents of a group's elements are: group and place of each, none where it is the world."""
 
-    groups: tuple[int, ...]
+    parents: list[tuple[int, int]]
     places: slice | IntArray
+    """Of them, where all are in one group."""
 
     def of(self, placed: Sequence[Array]) -> Array:
         """Return (..., L, N) what was placed, (..., L', N) a group."""
-        if len(self.groups) == 1:
-            return placed[self.groups[0]][..., self.places, :]
-        places = np.arange(len(self.groups))[self.places] if isinstance(self.places, slice) else self.places
-        return np.stack([placed[group][..., k, :] for group, k in zip(self.groups, places, strict=True)], axis=-2)
+        first = self.parents[0][0]
+        if all(group == first for group, _ in self.parents):
+            return placed[first][..., self.places, :]
+        return np.stack([placed[group][..., k, :] for group, k in self.parents], axis=-2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,13 +187,11 @@ class TreeKinematics:
             for about, at in zip(joints.angular, joints.v[slides:], strict=True):
                 jacobian[3:, at] = axis = _apply(rotation, about)
                 jacobian[:3, at] = cross(origin, axis)
-            rotations.append(rotation)
-            origins.append(origin)
+            rotations.append(_wide(rotation, samples))
+            origins.append(_wide(origin, samples))
         found: list[tuple[Array, Array]] = [(columns, columns)] * len(self._names)
         for numbers, fixed in self._ends:
-            turned, origin = fixed.place(rotations, origins)
-            turned = np.broadcast_to(turned, (3, 3, len(numbers), samples))
-            origin = np.broadcast_to(origin, (3, len(numbers), samples))
+            turned, origin = (_wide(part, samples) for part in fixed.place(rotations, origins))
             for k, number in enumerate(numbers):
                 found[number] = turned[:, :, k], origin[:, k]
         by_name = dict(zip(self._names, found, strict=True))
@@ -256,10 +255,8 @@ def motion_subspace(model: pin.Model, data: pin.Data, index: int) -> Array:
         data: its data, after ``pin.computeJointJacobians``.
         index: index of the joint.
     """
-    joint = model.joints[index]
-    jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL)
-    # for a tree of one freedom the binding returns a vector
-    columns: Array = np.reshape(jacobian, (6, model.nv))[:, joint.idx_v : joint.idx_v + joint.nv]
+    # as the joint has it, exact: a Jacobian has come back from the world with rounding
+    columns: Array = np.reshape(data.joints[index].S, (6, model.joints[index].nv))
     return columns
 
 
@@ -344,8 +341,7 @@ def _fixed(elements: list[tuple[int, Array, Array]], place: Mapping[int, tuple[i
     on = [place[e[0]] for e in elements if e[0]]
     if not on:
         constant = read_only(rotation.transpose(1, 2, 0)[..., None].copy()), read_only(translation[..., None].copy())
-    groups = tuple(group for group, _ in on)
-    source = _Source(groups[:1] if len({*groups}) == 1 else groups, _index([k for _, k in on]) if on else slice(0))
+    source = _Source(on, _index([k for _, k in on]) if on else slice(0))
     same = bool((rotation == np.eye(3)).all())
     return _Fixed(source, None if same else _columns(rotation), _parts(translation), constant)
 
@@ -372,6 +368,11 @@ def _parts(vectors: Array) -> _Parts:
 def _columns(matrices: Array) -> tuple[_Parts, ...]:
     """Return the columns of L constant matrices (L, 3, 3)."""
     return tuple(_parts(matrices[:, :, k].T) for k in range(3))
+
+
+def _wide(array: Array, samples: int) -> Array:
+    """Return what is the same at all samples, (..., 1), as (..., N)."""
+    return array if array.shape[-1] == samples else np.broadcast_to(array, (*array.shape[:-1], samples))
 
 
 def _scaled(values: Array, factor: Array | float) -> Array:

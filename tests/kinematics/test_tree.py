@@ -64,14 +64,22 @@ UNSUPPORTED = {
 }
 
 
-def chain(joints: list[pin.JointModel], seed: int = 0) -> pin.Model:
-    """Return an open chain of the joints, with skew placements, and a frame off the last body's origin."""
+def chain(joints: list[pin.JointModel], seed: int = 0, parents: list[int] | None = None) -> pin.Model:
+    """Return an open chain of the joints, with skew placements, and a frame off the last body's origin.
+
+    With ``parents`` a tree: each joint is on the body of that number, or on the world for −1; some placements are the
+    identity, and some bodies have a second frame.
+    """
     rng = np.random.default_rng(seed)
     model = pin.Model()
-    parent = 0
     for index, joint in enumerate(joints):
-        parent = model.addJoint(parent, joint, random_placement(rng), f"joint_{index}")
-        model.addBodyFrame(f"body_{index}", parent, random_placement(rng), 0)
+        parent = index - 1 if parents is None else parents[index]
+        straight = parents is not None and rng.random() < 0.3
+        placement = pin.SE3.Identity() if straight else random_placement(rng)
+        number = model.addJoint(parent + 1, joint, placement, f"joint_{index}")
+        model.addBodyFrame(f"body_{index}", number, pin.SE3.Identity() if straight else random_placement(rng), 0)
+        if parents is not None and rng.random() < 0.3:
+            model.addBodyFrame(f"second_{index}", number, random_placement(rng), 0)
     return model
 
 
@@ -129,6 +137,16 @@ def test_each_joint_type_between_two_hinges(kind: str) -> None:
 def test_any_chain_of_joints(kinds: list[str], seed: int) -> None:
     model = chain([JOINTS[kind] for kind in kinds], seed)
     assert_agrees_with_pinocchio(model, [f"body_{len(kinds) - 1}"], seed, count=3)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_any_tree_with_many_joints_of_a_kind(seed: int) -> None:
+    """Joints of one kind at one depth are placed together, whatever kinds their parents have."""
+    rng = np.random.default_rng(seed)
+    kinds = rng.choice(rng.choice(sorted(JOINTS), 3, replace=False), 10).tolist()
+    model = chain([JOINTS[kind] for kind in kinds], seed, [int(rng.integers(-1, min(k, 5))) for k in range(10)])
+    bodies = [str(frame.name) for frame in model.frames if frame.type == pin.FrameType.BODY]
+    assert_agrees_with_pinocchio(model, rng.permutation(bodies)[: len(bodies) - seed % 4].tolist(), seed, count=2)
 
 
 def test_shipped_robots_on_open_chains(shipped: Robot) -> None:
