@@ -1,0 +1,509 @@
+"""One plan a tick over the path known ahead, from where the carriers are."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, one_of, positive
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.carrier_model import require_carriers
+from redundancy_pin.planners.limits import Limits, ResolvedLimits, grouped, require_dynamics
+from redundancy_pin.planners.receding_horizon.linearised import ZONE, Linearised, extended, nodes_from
+from redundancy_pin.planners.receding_horizon.preview import Preview, Source
+from redundancy_pin.planners.receding_horizon.programme import SOLVERS, Programme, Values
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+Goal = Literal["effort", "peak"]
+
+NEAR = 0.25
+"""A singular instant nearer than this, in steps, is reached by the last plan; the new one begins there."""
+
+SETTLED = 2.0
+"""Steps before a singular instant in which a plan begins where the last one is, and not where the carriers are."""
+
+EXTRA = 8
+"""Nodes beyond those of even steps, for the finer ones around singular instants."""
+
+BEYOND = 1e-6
+"""Room in an elastic programme for a start that is on its limit, m."""
+
+CONVERGED = 2.5
+"""Steps before a singular instant in which a tick has two rounds: what is left of uᵀ f there is magnified by W⁻¹."""
+
+SMALLEST = 0.05
+"""Efforts count as of size one from this fraction of those of parked carriers."""
+
+FIRST_ROUNDS = 3
+"""Programmes of the first tick, each about the plan of the one before."""
+
+REGULAR = 1e-3
+"""Smallest over largest singular value of W from which W⁻¹ f is the effort; nearer to a pose it magnifies rounding."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Of the terms of the objective, all of size one: mean square of τ, square of its peak, mean square of s̈, squares of
+    the last s and ṡ, and of the force left out of W τ = f in an elastic programme."""
+
+    effort: float = 1.0
+    peak: float = 1.0
+    acceleration: float = 0.1
+    jerk: float = 0.3
+    end: float = 0.1
+    end_speed: float = 0.1
+    missing: float = 1e4
+
+
+GOALS = {"peak": Weights(), "effort": Weights(peak=0.0)}
+
+
+class PlanningStatus(Enum):
+    """What a tick brought."""
+
+    PLANNED = "planned"
+    """A plan that keeps every limit, over the whole horizon or to the end of the preview."""
+    ELASTIC = "elastic"
+    """No such plan: that which misses W τ = f least, or lets out the limits that the carriers are beyond."""
+    FALLBACK = "fallback"
+    """No plan at all, or it came too late: the last one goes on, to its end and then in place."""
+    REFUSED = "refused"
+    """The preview leads where the machine cannot go, at the time ``reason`` says: a plan up to there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Command(Frozen):
+    """What the carriers and the main actuators are to do from a tick on. m main actuators, k carriers.
+
+    Attributes:
+        t: the tick, s.
+        status: what the tick brought.
+        reason: why, where it is not ``PLANNED``.
+        carriers: positions (k,), m, as functions of time to the end of the horizon; s̈ is linear between nodes.
+        efforts: main efforts (m,) as functions of time, N or N·m: W⁻¹ f for three steps, the planned ones after.
+        residual: largest |W τ − f| at the nodes of the plan, N, rotations over the characteristic length.
+        peak: largest |τ| of the plan at its nodes, N or N·m.
+        singular: (r,) singular instants ahead, s.
+        known_until: until when the plan has the platform's motion, s.
+        seconds: time taken, s.
+        solver_seconds: of which by the solver.
+    """
+
+    t: float
+    status: PlanningStatus
+    reason: str
+    carriers: PiecewisePolynomial
+    efforts: PiecewisePolynomial
+    residual: float
+    peak: float
+    singular: Array
+    known_until: float
+    seconds: float
+    solver_seconds: float
+
+    def motion_at(self, t: float) -> tuple[Array, Array, Array]:
+        """Return s, ṡ, s̈ (k,) at a time, m, m/s, m/s²; held after the end of the plan."""
+        motion = extended(self.carriers, np.array([t]))
+        return motion.s[0], motion.sd[0], motion.sdd[0]
+
+    @property
+    def sdd(self) -> Array:
+        """(k,) acceleration of the carriers at the tick, m/s²."""
+        return self.motion_at(self.t)[2]
+
+    @property
+    def tau(self) -> Array:
+        """(m,) main efforts at the tick, N or N·m."""
+        return self.efforts.at(self.t)
+
+
+class RecedingHorizon:
+    """Plans the carriers and the efforts again and again, over the path known for a short time ahead.
+
+    Each tick solves one convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, fixed in time, with s̈ linear in
+    between, W τ = f linear about the last plan, and the limits of the carriers between the nodes too. W⁻¹ is never formed:
+    type II singularities ahead become nodes with what makes τ finite and continuous there (``linearised``). At the end
+    of the horizon the carriers can still stop on their tracks.
+
+    Args:
+        dynamics: a backend; ``CompiledDynamics`` is the fastest by far.
+        horizon: how far ahead it plans, s.
+        step: between nodes, s; half of it around singular instants.
+        objective: "peak" max |τ| over the horizon, beside the mean square, or "effort", that alone; or ``Weights``.
+        track, speed, acceleration, jerk, effort, carrier_force: limits as of ``plan_whole_trajectory``.
+        limits: these as one group.
+        solver: of the programmes: "piqp" or one of casadi's (``SOLVERS``).
+
+    Attributes:
+        limits: in force from the next tick on; may be set between ticks.
+
+    Raises:
+        InputError: a setting out of its domain.
+        UnsupportedRobotError: no carriers.
+        RedundancyPinError: the solver is not installed.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        *,
+        horizon: float = 0.5,
+        step: float = 0.02,
+        objective: Goal | Weights = "peak",
+        track: ArrayLike | None = None,
+        speed: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        jerk: ArrayLike | None = None,
+        effort: ArrayLike | None = None,
+        carrier_force: ArrayLike | None = None,
+        limits: Limits | None = None,
+        solver: str = "piqp",
+    ) -> None:
+        require_dynamics(dynamics)
+        robot = dynamics.robot
+        require_carriers(robot)
+        one_of(solver, "solver", SOLVERS)
+        if not isinstance(objective, Weights):
+            one_of(objective, "objective", GOALS)
+        self.dynamics, self.robot = dynamics, robot
+        self.step, self.horizon = positive(step, "step", "s"), positive(horizon, "horizon", "s")
+        if not 2.0 * step <= horizon <= 200.0 * step:
+            raise InputError(
+                f"The horizon of {horizon:g} s has {horizon / step:g} steps of {step:g} s.", remedy="Have 2 to 200."
+            )
+        self.weights = objective if isinstance(objective, Weights) else GOALS[objective]
+        flat = dict(
+            track=track, speed=speed, acceleration=acceleration, jerk=jerk, effort=effort, carrier_force=carrier_force
+        )
+        self.limits = grouped("limits", limits, Limits, **flat)
+        self._count = round(horizon / step) + EXTRA
+        self._programme = Programme(robot.n, robot.m, robot.k, self._count, solver)
+        self._source: object = None
+        self._preview: Preview | None = None
+        self._last: Command | None = None
+        self._sizes: _Sizes | None = None
+
+    @property
+    def limits(self) -> ResolvedLimits:
+        """Limits of the plans."""
+        return self._limits
+
+    @limits.setter
+    def limits(self, limits: Limits) -> None:
+        self._limits = limits.resolved(self.robot)
+
+    def update(
+        self, t: float, preview: Source, s: ArrayLike | None = None, sd: ArrayLike | None = None
+    ) -> Command:
+        """Return what to do from a time on.
+
+        Args:
+            t: the tick, s; not before the one before.
+            preview: the platform's motion ahead; a trajectory or samples that are passed again are read once.
+            s: scalar or (k,) where the carriers are, m; where the last plan has them when left out, at first 0. Within
+                two steps of a singular instant the last plan goes on all the same.
+            sd: the same for their speeds, m/s.
+
+        Raises:
+            InputError: values that are not finite, a preview that is none, a time before the last one.
+            InfeasiblePlanError: no plan at the first tick, with none before it to go on with.
+        """
+        began = time.perf_counter()
+        if self._preview is None or preview is not self._source:
+            self._preview, self._source = Preview.of(preview), preview
+        if not np.isfinite(t) or (self._last is not None and t < self._last.t):
+            raise InputError(f"The tick is at t = {t} s, after one at {self._last and self._last.t} s.")
+        given = tuple(
+            None if part is None else each(part, name, (self.robot.k,), finite=True)
+            for part, name in ((s, "s"), (sd, "sd"))
+        )
+        for _ in range(self._rounds(t)):
+            command = self._plan(t, self._preview, given, self._last)
+            self._last = command = replace(command, seconds=time.perf_counter() - began)
+        return command
+
+    def _rounds(self, t: float) -> int:
+        if self._last is None:
+            return FIRST_ROUNDS
+        roots = self._last.singular
+        return 2 if ((roots > t) & (roots < t + CONVERGED * self.step)).any() else 1
+
+    def _plan(self, t: float, preview: Preview, given: tuple[Array | None, ...], last: Command | None) -> Command:
+        step, k = self.step, self.robot.k
+        roots = preview.singular_instants(self.dynamics, t - ZONE * step, t + step * (self._count + 1), step)
+        ahead = roots[roots > t]
+        near = len(ahead) and ahead[0] <= t + NEAR * step and last is not None
+        start = float(ahead[0]) if near else t
+        nodes, singular = nodes_from(start, step, self._count + 1, roots)
+        if last is None:
+            s, sd = (np.zeros(k) if part is None else part for part in given)
+            at = CarrierMotion(*(np.tile(part, (len(nodes), 1)) for part in (s, sd, np.zeros(k))), check_rates=False)
+            first, free = (s, sd, np.zeros(k)), True
+        else:
+            at = extended(last.carriers, nodes)
+            settled = len(ahead) and ahead[0] <= t + SETTLED * step
+            s, sd = (own if part is None or settled else part for part, own in zip(given, (at.s[0], at.sd[0]), strict=True))
+            first, free = (s, sd, at.sdd[0]), last.carriers.start >= t
+        lin = Linearised.about(self.dynamics, preview, nodes, singular, at)
+        if self._sizes is None:
+            self._sizes = _Sizes.of(lin)
+        sizes = self._sizes
+        if last is not None:
+            share = min(max(last.peak / sizes.tau, SMALLEST), 1.0)
+            sizes = _Sizes(share * sizes.tau, sizes.row)
+        jerk = None if last is None else last.carriers.derivative(3)(nodes[:1], "left")[0]
+        return _Tick(self, lin, first, free, jerk, sizes).command(t, last, roots, preview)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sizes:
+    """What unknowns and rows are divided by: ``tau``, N or N·m; ``row`` (n,), N or N·m."""
+
+    tau: float
+    row: Array
+
+    @staticmethod
+    def of(lin: Linearised) -> _Sizes:
+        W, f = lin.W[lin.known] / lin.row_scale[:, None], lin.f[lin.known] / lin.row_scale
+        largest = float(np.median(np.linalg.norm(W, ord=2, axis=(1, 2)))) if len(W) else 1.0
+        # where the platform rests, what a carrier's acceleration of 1 m/s² asks for
+        wanted = max(float(np.abs(f).max(initial=0.0)), 0.1 * float(np.abs(lin.slopes[2]).max(initial=0.0)), 1e-6)
+        return _Sizes(wanted / largest, wanted * lin.row_scale)
+
+
+class _Tick:
+    """One programme: its numbers, its solution, and the command it makes."""
+
+    def __init__(
+        self,
+        planner: RecedingHorizon,
+        lin: Linearised,
+        first: tuple[Array, ...],
+        free: bool,
+        jerk: Array | None,
+        sizes: _Sizes,
+    ) -> None:
+        self._planner, self._lin, self._first, self._free, self._jerk, self._sizes = planner, lin, first, free, jerk, sizes
+        limits = planner.limits
+        width = np.diff(limits.track, axis=1)[:, 0]
+        self._u = (
+            np.where(np.isfinite(width), 0.5 * width, 1.0),
+            np.where(np.isfinite(limits.speed), limits.speed, 1.0),
+            np.where(np.isfinite(limits.acceleration), limits.acceleration, 10.0),
+        )
+        # with everything at its start given, the efforts there are decided; but for what W loses at a singular instant
+        self._counts = lin.known.copy()
+        self._counts[0] &= free or (0 in lin.singular)
+
+    def _equations(self) -> dict[str, tuple[Array, Array]]:
+        lin, (us, ud, ua), ut, row = self._lin, self._u, self._sizes.tau, self._sizes.row
+        count, n = lin.f.shape
+        h, k = np.diff(lin.nodes)[:, None], len(us)
+        one, none = np.ones((count - 1, k)), np.zeros((count - 1) * k)
+        position = np.stack([one, h * ud / us, h**2 / 3.0 * ua / us, h**2 / 6.0 * ua / us, -one], axis=-1)
+        speed = np.stack([one, 0.5 * h * ua / ud, 0.5 * h * ua / ud, -one], axis=-1)
+        motion = tuple(zip(lin.slopes, (lin.at.s, lin.at.sd, lin.at.sdd), self._u, strict=True))
+        wide = np.concatenate([lin.W * ut, *(-part * unit for part, _, unit in motion)], axis=2) / row[:, None]
+        right = (lin.f - sum(np.einsum("nik,nk->ni", part, at) for part, at, _ in motion)) / row
+        if len(lin.singular) and lin.singular[0] == 0 and not self._free:
+            # all but the direction that W loses: what the given start leaves of f there is beyond this plan
+            u = lin.lost[0] * row / np.linalg.norm(lin.lost[0] * row)
+            wide[0] -= np.outer(u, u @ wide[0])
+            right[0] -= u * (u @ right[0])
+        wide = np.concatenate([wide, np.ones((count, n, 1))], axis=2).reshape(count * n, -1)
+        before, after = np.zeros((2, count, wide.shape[1] + k))
+        start, value, active = np.zeros((1, wide.shape[1])), np.zeros(count), np.zeros(count, dtype=bool)
+        q, m = lin.singular, lin.W.shape[2]
+        if len(q):
+            size = ut * np.maximum(np.abs(lin.W_rate).max(axis=1), 1e-12)[:, None]
+            *slopes, by_jerk = lin.slope_rates
+            at = zip(slopes, (lin.at.s, lin.at.sd, lin.at.sdd), self._u, strict=True)
+            parts = [(part, part * unit, own[q]) for part, own, unit in at]
+            base = np.concatenate([lin.W_rate * ut, *(-scaled for _, scaled, _ in parts)], axis=1) / size
+            value[q] = (lin.f_rate - sum((part * own).sum(axis=1) for part, _, own in parts)) / size[:, 0]
+            active[q] = lin.known[q]
+            share = by_jerk * ua / size
+            for side, table, steps in ((1.0, before, q - 1), (-1.0, after, np.minimum(q, count - 2))):
+                rate = side * share / h[steps]  # s⃛ is ± (s̈ here − s̈ there) / h
+                table[q, : m + 3 * k] = base
+                table[q, m + 2 * k : m + 3 * k] -= rate
+                table[q, m + 3 * k : -1] = rate
+                table[q, -1] = 1.0
+            if q[0] == 0 and self._jerk is not None:
+                start[0, :-1], start[0, -1] = base[0], 1.0
+                value_at_start = value[0] + by_jerk[0] @ self._jerk / size[0, 0]
+        first = active[:1] & (self._jerk is not None)
+        return {
+            "position": (position.reshape(-1, 5), none),
+            "speed": (speed.reshape(-1, 4), none),
+            "dynamics": _counting(np.repeat(self._counts, n), wide, right.ravel()),
+            "before": _counting(active[1:], before[1:], value[1:]),
+            "start": _counting(first, start, np.array([value_at_start if first[0] else 0.0])),
+            "after": _counting(active[:-1], after[:-1], value[:-1]),
+        }
+
+    def _inequalities(self, low: Array, high: Array, speed: Array) -> dict[str, tuple[Array, Array, Array]]:
+        lin, limits, (us, ud, ua) = self._lin, self._planner.limits, self._u
+        count, m = len(lin.nodes), lin.W.shape[2]
+        h, one = np.diff(lin.nodes)[:, None], np.ones((count - 1, len(us)))
+        there = np.repeat(self._counts, m)[:, None]
+        none = np.zeros(count * m)
+        low, high, most = low / us, high / us, speed / ud
+
+        def hull(share: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+            """Return rows of a point of the Bézier hull of each step, and their bounds."""
+            return np.stack([one, share * one], axis=-1).reshape(-1, 2), lower, upper
+
+        # no parabola leaves a chord: ṡ² ≤ ṡ_max |ṡ|
+        stop = np.stack([one[0], np.where(np.isfinite(limits.acceleration), limits.speed / (2.0 * limits.acceleration), 0.0) * ud / us], axis=-1)
+        return {
+            "above": (there * [1.0, -1.0], none - np.inf, none),
+            "below": (there * [1.0, 1.0], none, none + np.inf),
+            "hull_left": hull(h / 3.0 * ud / us, low[:-1], high[:-1]),
+            "hull_right": hull(-h / 3.0 * ud / us, low[1:], high[1:]),
+            "hull_speed": hull(0.5 * h * ua / ud, -most[:-1], most[:-1]),
+            "stop": (stop, low[-1], high[-1]),
+            "stop_back": (stop * [1.0, -1.0], low[-1], high[-1]),
+        }
+
+    def values(self, elastic: bool) -> Values:
+        """Return the numbers of the programme; an elastic one lets out what the start is beyond."""
+        programme, lin, limits, w = self._planner._programme, self._lin, self._planner.limits, self._planner.weights
+        (us, ud, ua), ut, (s, sd, sdd) = self._u, self._sizes.tau, self._first
+        each_node = np.ones((len(lin.nodes), 1))
+        low, high, speed = limits.track[:, 0] * each_node, limits.track[:, 1] * each_node, limits.speed * each_node
+        if elastic:
+            # room for a start beyond a limit, and for going back with half the acceleration
+            after, most = (lin.nodes - lin.nodes[0])[:, None], limits.acceleration
+            turn = 1.5 * most * (lin.nodes[1] - lin.nodes[0])
+            high = np.maximum(high, s + (sd + turn) * after - 0.25 * most * after**2 + BEYOND)
+            low = np.minimum(low, s + (sd - turn) * after + 0.25 * most * after**2 - BEYOND)
+            speed = np.maximum(speed, np.abs(sd) + turn - 0.5 * most * after)
+        lower, upper = np.full((2, programme.variables), [[-np.inf], [np.inf]])
+        for at, least, most in (
+            (programme.s, low / us, high / us),
+            (programme.sd, -speed / ud, speed / ud),
+            (programme.sdd, -limits.acceleration / ua, limits.acceleration / ua),
+            (programme.tau, -limits.effort / ut, limits.effort / ut),
+        ):
+            lower[at], upper[at] = least, most
+        for at, value, unit in zip((programme.s, programme.sd, programme.sdd), self._first, self._u, strict=True):
+            if at is not programme.sdd or not self._free:
+                lower[at[0]] = upper[at[0]] = value / unit
+        if not self._counts[0]:
+            lower[programme.tau[0]], upper[programme.tau[0]] = 0.0, 0.0
+        if not elastic:
+            lower[programme.missing], upper[programme.missing] = 0.0, 0.0
+        step = np.diff(lin.nodes, prepend=lin.nodes[0], append=lin.nodes[-1])
+        share = (step[:-1] + step[1:])[:, None] / (lin.nodes[-1] - lin.nodes[0])
+        P = np.full(programme.variables, 1e-8)
+        P[programme.tau] = w.effort * share
+        P[programme.sdd] = w.acceleration * share
+        P[programme.s[-1]] += 2.0 * w.end
+        P[programme.sd[-1]] += 2.0 * w.end_speed
+        P[programme.missing] = w.missing
+        P[programme.peak] = 2.0 * w.peak + 1e-8
+        # jerks, over one that brings s̈ to its limit in a step
+        jerk = w.jerk * (self._planner.step / np.diff(lin.nodes))[:, None] / self._planner._count * np.ones(len(us))
+        P[programme.sdd[:-1]] += 2.0 * jerk
+        P[programme.sdd[1:]] += 2.0 * jerk
+        P = programme.hessian(P, -2.0 * jerk)
+        A, b = programme.equal.values(self._equations())
+        within = programme.within.values(self._inequalities(low, high, speed))
+        return Values(P, np.zeros(programme.variables), A, b, *within, lower, upper)
+
+    def command(self, t: float, last: Command | None, roots: Array, preview: Preview) -> Command:
+        programme, lin = self._planner._programme, self._lin
+        began, status, reason = time.perf_counter(), PlanningStatus.PLANNED, ""
+        x, solved = programme.solve(self.values(elastic=False))
+        if not solved:
+            x, solved = programme.solve(self.values(elastic=True))
+            status = PlanningStatus.ELASTIC
+            reason = "no plan keeps every limit"
+        seconds = time.perf_counter() - began
+        if not solved:
+            if last is None:
+                raise InfeasiblePlanError(
+                    f"No plan was found at t = {t:.6g} s.", remedy="Start elsewhere, or widen the limits.", time=t
+                )
+            reason = "the solver found none"
+            return replace(last, t=t, status=PlanningStatus.FALLBACK, reason=reason, solver_seconds=seconds)
+        s, sd, sdd = self._first
+        a = x[programme.sdd] * self._u[2]
+        h = np.diff(lin.nodes)[:, None]
+        # integrated once more: the solver's own are off by its tolerance
+        speeds = sd + np.concatenate([0.0 * a[:1], np.cumsum(0.5 * h * (a[:-1] + a[1:]), axis=0)])
+        moved = np.cumsum(h * speeds[:-1] + h**2 / 6.0 * (2.0 * a[:-1] + a[1:]), axis=0)
+        carriers = PiecewisePolynomial.linear(lin.nodes, s + np.concatenate([0.0 * a[:1], moved]), speeds, a)
+        carriers = PiecewisePolynomial.joined([carriers, *self._stop(carriers.end, carriers, speeds[-1])])
+        efforts, residual, peak = self._efforts(carriers, x[programme.tau] * self._sizes.tau)
+        if lin.nodes[0] > t and last is not None:  # to the singular instant by the last plan
+            carriers, efforts = (
+                PiecewisePolynomial.joined([_from(old, t, lin.nodes[0]), new])
+                for old, new in ((last.carriers, carriers), (last.efforts, efforts))
+            )
+        unknown = np.flatnonzero(~lin.known)
+        known_until = float(lin.nodes[unknown[0] - 1]) if len(unknown) else float(lin.nodes[-1])
+        if len(unknown) and lin.nodes[unknown[0]] <= preview.end:
+            status = PlanningStatus.REFUSED
+            reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go"
+        return Command(
+            t, status, reason, carriers, efforts, residual, peak, frozen(roots), known_until, 0.0, seconds
+        )
+
+    def _stop(self, t: float, carriers: PiecewisePolynomial, sd: Array) -> list[PiecewisePolynomial]:
+        """Return the stop after the horizon, for which there is room: every carrier slows down evenly, all as long."""
+        longest = float((np.abs(sd) / self._planner.limits.acceleration).max())
+        duration = longest if longest > 1e-6 else 0.0
+        if not duration:
+            return []
+        place = carriers(np.array([t]), "left")
+        ends = np.array([t, t + duration])
+        return [PiecewisePolynomial.taylor(ends, *(np.tile(part, (2, 1)) for part in (place[0], sd, -sd / duration)))]
+
+    def _efforts(self, carriers: PiecewisePolynomial, tau: Array) -> tuple[PiecewisePolynomial, float, float]:
+        """Return the efforts as functions of time, the residual at the nodes and the largest effort there."""
+        lin = self._lin
+        exact = lin.of_plan(carriers)
+        W, f = np.nan_to_num(exact.W), np.nan_to_num(exact.f)
+        counts = self._counts.copy()
+        counts[-1] = False  # there the stop begins
+        left = np.einsum("nij,nj->ni", W[lin.places], tau) - f[lin.places]
+        residual = float(np.abs(left[counts] / lin.row_scale).max(initial=0.0))
+        inside = lin.inside
+        scaled = W[inside] / lin.row_scale[:, None]
+        singular_values = np.linalg.svd(scaled, compute_uv=False)
+        fine = singular_values[:, -1] > REGULAR * singular_values[:, 0]
+        inside = inside[fine]
+        own = np.einsum("nij,nj->ni", np.linalg.pinv(W[inside]), f[inside])
+        t = exact.t
+        rest = counts & ~np.isin(lin.places, inside)
+        times, values = np.append(t[inside], lin.nodes[rest]), np.concatenate([own, tau[rest]])
+        if not len(times):
+            times, values = lin.nodes[:1], tau[:1]
+        order = np.argsort(times)
+        times, values = times[order], values[order]
+        if len(times) == 1:
+            times, values = np.append(times, times + self._planner.step), np.repeat(values, 2, axis=0)
+        peak = float(np.abs(tau[counts]).max(initial=0.0))
+        return PiecewisePolynomial.linear(times, values), residual, peak
+
+
+def _counting(counts: BoolArray, entries: Array, right: Array) -> tuple[Array, Array]:
+    """Return the equations of a block: (r, e) entries and (r,) right sides, zero where a row does not count."""
+    return entries * counts[:, None], np.where(counts, right, 0.0)
+
+
+def _from(function: PiecewisePolynomial, start: float, end: float) -> PiecewisePolynomial:
+    """Return a function between two times, s."""
+    edges = function.edges[(function.edges > start) & (function.edges < end)]
+    times: Any = np.concatenate([[start], edges, [end]])
+    order = len(function.coefficients)
+    return PiecewisePolynomial.taylor(times, *(function.derivative(i)(times) for i in range(order)))

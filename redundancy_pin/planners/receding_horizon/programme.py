@@ -1,0 +1,166 @@
+"""The convex quadratic programme of one tick: s, ṡ, s̈ and τ at each node, with W τ = f linear about the last plan.
+
+Its pattern never changes, so that a solver is set up once; equations that do not count at a tick are rows of zeros.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, IntArray
+from redundancy_pin.errors import optional
+
+CASADI = {
+    "piqp": {"piqp": {"max_iter": 60}},
+    "proxqp": {"proxqp": {"max_iter": 400}},
+    "osqp": {"osqp": {"eps_abs": 1e-5, "eps_rel": 1e-5, "max_iter": 4000, "verbose": False}},
+    "hpipm": {},
+    "daqp": {},
+    "qrqp": {},
+}
+SOLVERS = ("piqp", *(f"casadi.{name}" for name in CASADI))
+
+
+class Rows:
+    """Rows of a sparse matrix of a fixed pattern, put together from blocks."""
+
+    def __init__(self) -> None:
+        self.blocks: dict[str, int] = {}
+        self._columns: list[IntArray] = []
+
+    def add(self, name: str, *columns: Any) -> None:
+        """Add rows with entries in columns: arrays (r,) of one entry a row, or (r, e) of several."""
+        if len(columns) > 1:
+            columns = (np.stack([np.ravel(part) for part in np.broadcast_arrays(*columns)], axis=1),)
+        self.blocks[name] = len(columns[0])
+        self._columns.append(columns[0])
+
+    def finish(self, variables: int) -> None:
+        """Order the entries by column, as solvers want them."""
+        entries = np.concatenate([np.full(len(part), part.shape[1]) for part in self._columns])
+        rows, columns = np.repeat(np.arange(len(entries)), entries), np.concatenate([p.ravel() for p in self._columns])
+        order = np.lexsort((rows, columns))
+        self.order, self.rows = order, rows[order]
+        self.starts = np.searchsorted(columns[order], np.arange(variables + 1))
+        self.shape = len(entries), variables
+
+    def values(self, blocks: dict[str, tuple[Array, ...]]) -> list[Array]:
+        """Return entries in order, and what else comes with the rows of each block (right sides or bounds)."""
+        entries, *rest = zip(*(blocks[name] for name in self.blocks), strict=True)
+        data = np.concatenate([part.ravel() for part in entries])[self.order]
+        return [data, *(np.concatenate([np.ravel(part) for part in parts]) for parts in rest)]
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Numbers of one programme: ½ xᵀ P x + qᵀ x, A x = b, low ≤ G x ≤ high, lower ≤ x ≤ upper."""
+
+    P: Array
+    q: Array
+    A: Array
+    b: Array
+    G: Array
+    low: Array
+    high: Array
+    lower: Array
+    upper: Array
+
+
+class Solve(Protocol):
+    def __call__(self, values: Values) -> tuple[Array, bool]: ...
+
+
+class Programme:
+    """Which variable and which row stands where.
+
+    Variables, all over their sizes: s, ṡ, s̈ (k each), τ (m) and what is missing of W τ = f (n + 2) at each of the
+    nodes; the peak.
+    """
+
+    def __init__(self, n: int, m: int, k: int, steps: int, solver: str) -> None:
+        width = 3 * k + m + n + 2
+        self.variables = (steps + 1) * width + 1
+        at, carrier = np.arange(steps + 1)[:, None] * width, np.arange(k)
+        self.s, self.sd, self.sdd = s, sd, sdd = tuple(at + j * k + carrier for j in range(3))
+        self.tau = tau = at + 3 * k + np.arange(m)
+        self.missing = missing = at + 3 * k + m + np.arange(n + 2)
+        self.peak = self.variables - 1
+        first, last = slice(0, -1), slice(1, None)
+        wide = np.concatenate([tau, s, sd, sdd], axis=1)
+        self.equal, self.within = equal, within = Rows(), Rows()
+        equal.add("position", s[first], sd[first], sdd[first], sdd[last], s[last])
+        equal.add("speed", sd[first], sdd[first], sdd[last], sd[last])
+        equal.add("dynamics", np.concatenate([np.repeat(wide, n, axis=0), missing[:, :n].reshape(-1, 1)], axis=1))
+        equal.add("before", np.concatenate([wide[last], sdd[first], missing[last, n : n + 1]], axis=1))
+        equal.add("start", np.concatenate([wide[:1], missing[:1, n : n + 1]], axis=1))
+        equal.add("after", np.concatenate([wide[first], sdd[last], missing[first, n + 1 :]], axis=1))
+        within.add("above", tau, self.peak)
+        within.add("below", tau, self.peak)
+        within.add("hull_left", s[first], sd[first])
+        within.add("hull_right", s[last], sd[last])
+        within.add("hull_speed", sd[first], sdd[first])
+        within.add("stop", s[-1], sd[-1])
+        within.add("stop_back", s[-1], sd[-1])
+        for rows in (equal, within):
+            rows.finish(self.variables)
+        upper = np.concatenate([sdd[first].ravel(), sdd[last].ravel()]), np.concatenate([sdd[last].ravel(), sdd[first].ravel()])
+        rows, columns = (np.concatenate([np.arange(self.variables), part]) for part in upper)
+        self._order = np.lexsort((rows, columns))
+        self.pattern = rows[self._order], np.searchsorted(columns[self._order], np.arange(self.variables + 1))
+        self.solve: Solve = _piqp(self) if solver == "piqp" else _casadi(self, solver.removeprefix("casadi."))
+
+
+    def hessian(self, diagonal: Array, beside: Array) -> Array:
+        """Return the entries of P: its diagonal, and (M, k) those of s̈ at two nodes that follow each other."""
+        return np.concatenate([diagonal, beside.ravel(), beside.ravel()])[self._order]
+
+
+def _piqp(programme: Programme) -> Solve:
+    import piqp
+    from scipy.sparse import csc_matrix
+
+    solver = piqp.SparseSolver()
+    solver.settings.max_iter = 60
+    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = 1e-8
+    solver.settings.preconditioner_reuse_on_update = False
+    rows, starts = programme.pattern
+    H = csc_matrix((np.ones(len(rows)), rows, starts), shape=(programme.variables,) * 2)
+    A, G = (csc_matrix((np.ones(len(r.rows)), r.rows, r.starts), shape=r.shape) for r in (programme.equal, programme.within))
+    begun = False
+
+    def solve(v: Values) -> tuple[Array, bool]:
+        nonlocal begun
+        H.data, A.data, G.data = v.P, v.A, v.G
+        (solver.update if begun else solver.setup)(H, v.q, A, v.b, G, v.low, v.high, v.lower, v.upper)
+        begun = True
+        status = solver.solve()
+        solve.iter = solver.result.info.iter
+        return np.array(solver.result.x), status == piqp.PIQP_SOLVED
+
+    return solve
+
+
+def _casadi(programme: Programme, name: str) -> Solve:
+    ca = optional("casadi", "On-line planning needs", "Install it with `pip install 'redundancy_pin[optimal]'`.")
+    e, w = programme.equal, programme.within
+    both = [ca.Sparsity(*r.shape, r.starts.tolist(), r.rows.tolist()) for r in (e, w)]
+    rows = np.concatenate([e.rows, e.shape[0] + w.rows])
+    columns = np.concatenate([np.repeat(np.arange(programme.variables), np.diff(r.starts)) for r in (e, w)])
+    order, pattern = np.lexsort((rows, columns)), ca.vertcat(*both)
+    H = ca.Sparsity(programme.variables, programme.variables, programme.pattern[1].tolist(), programme.pattern[0].tolist())
+    options = {"error_on_fail": False, "print_time": False, **CASADI[name]}
+    if name == "hpipm":
+        options.pop("error_on_fail")
+    solver = ca.conic("tick", name, {"h": H, "a": pattern}, options)
+
+    def solve(v: Values) -> tuple[Array, bool]:
+        entries = np.concatenate([v.A, v.G])[order]
+        low, high = np.concatenate([v.b, v.low]), np.concatenate([v.b, v.high])
+        result = solver(h=ca.DM(H, v.P), g=v.q, a=ca.DM(pattern, entries), lba=low, uba=high, lbx=v.lower, ubx=v.upper)
+        x = np.asarray(result["x"]).ravel()
+        return x, bool(solver.stats()["success"]) and bool(np.isfinite(x).all())
+
+    return solve
