@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from redundancy_pin.motion import CarrierMotion, PlatformMotion
     from redundancy_pin.planners.check import check_plan
     from redundancy_pin.planners.plan import Plan, load_plan, load_robot_of
+    from redundancy_pin.planners.receding_horizon import RecedingHorizon
     from redundancy_pin.planners.stepwise.planner import plan_stepwise
     from redundancy_pin.planners.switch_off.planner import plan_switch_off
     from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
@@ -52,6 +53,7 @@ _PLACES = {
     "Plan": "planners.plan",
     "PlatformMotion": "motion",
     "Robot": "robot",
+    "RecedingHorizon": "planners.receding_horizon",
     "RneaDynamics": "dynamics.rnea",
     "Spring": "robot.loads",
     "VirtualWork": "dynamics.virtual_work",
@@ -96,6 +98,7 @@ __all__ = [
     "Payload",
     "Plan",
     "PlatformMotion",
+    "RecedingHorizon",
     "RneaDynamics",
     "Robot",
     "Spring",

@@ -154,6 +154,12 @@ class PiecewisePolynomial(Frozen):
         edges = np.append(self.edges[:last], min(end, self.end))
         return PiecewisePolynomial(read_only(edges), self.coefficients[:, : len(edges) - 1])
 
+    def between(self, start: float, end: float) -> PiecewisePolynomial:
+        """Return the function between two times, s, of which the first may lie inside a piece."""
+        times = np.concatenate([[start], self.edges[(self.edges > start) & (self.edges < end)], [end]])
+        orders = range(len(self.coefficients))
+        return PiecewisePolynomial.taylor(times, *(self.derivative(order)(times) for order in orders))
+
     @staticmethod
     def constant(value: Array, start: float, end: float) -> PiecewisePolynomial:
         """Return the values (C,) from one time to another, s."""

@@ -36,7 +36,7 @@ FIRST = 3
 
 
 def nodes_from(start: float, step: float, count: int, roots: Array) -> tuple[Array, IntArray]:
-    """Return (count,) nodes from a start on a grid that is fixed in time, s, and which of them are singular instants."""
+    """Return (count,) nodes, s, from a start on a grid that is fixed in time, and which are singular instants."""
     end = start + step * count
     fine = 0.5 * step * np.arange(np.ceil(2.0 * start / step), np.floor(2.0 * end / step) + 1)
     around = np.abs(fine[:, None] - roots).min(axis=1, initial=np.inf) < ZONE * step
@@ -102,9 +102,7 @@ class Linearised:
     inside: IntArray
 
     @staticmethod
-    def about(
-        dynamics: Dynamics, preview: Preview, nodes: Array, singular: IntArray, at: CarrierMotion
-    ) -> Linearised:
+    def about(dynamics: Dynamics, preview: Preview, nodes: Array, singular: IntArray, at: CarrierMotion) -> Linearised:
         """Read the coefficients off a backend: its kinematics are solved once, its dynamics and their slopes once."""
         q, count, shift = len(singular), len(nodes), np.repeat([-DIFFERENCE, DIFFERENCE], len(singular))[:, None]
         parts = np.arange(1, INSIDE) / INSIDE
@@ -112,7 +110,11 @@ class Linearised:
         times = np.concatenate([nodes, nodes[np.tile(singular, 2)] + shift[:, 0], inner])
         times, order = np.unique(np.minimum(times, preview.end), return_inverse=True)
         beside = [np.tile(part[singular], (2, 1)) for part in (at.s, at.sd, at.sdd)]
-        s, sd, sdd = beside[0] + shift * beside[1] + 0.5 * shift**2 * beside[2], beside[1] + shift * beside[2], beside[2]
+        s, sd, sdd = (
+            beside[0] + shift * beside[1] + 0.5 * shift**2 * beside[2],
+            beside[1] + shift * beside[2],
+            beside[2],
+        )
         place = order[: count + 2 * q]
         motion = []
         for own, other in ((at.s, s), (at.sd, sd), (at.sdd, sdd)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,13 +15,16 @@ from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.limits import Limits, ResolvedLimits, grouped, require_dynamics
-from redundancy_pin.planners.receding_horizon.linearised import ZONE, Linearised, extended, nodes_from
+from redundancy_pin.planners.limits import Limits, grouped, require_dynamics
+from redundancy_pin.planners.receding_horizon.linearised import FIRST, ZONE, Linearised, extended, nodes_from
 from redundancy_pin.planners.receding_horizon.preview import Preview, Source
 from redundancy_pin.planners.receding_horizon.programme import SOLVERS, Programme, Values
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Goal = Literal["effort", "peak"]
+
+SAME = 1e-9
+"""Times that differ by less are one, s."""
 
 NEAR = 0.25
 """A singular instant nearer than this, in steps, is reached by the last plan; the new one begins there."""
@@ -31,6 +34,12 @@ SETTLED = 2.0
 
 EXTRA = 8
 """Nodes beyond those of even steps, for the finer ones around singular instants."""
+
+FORCE_KEPT = 0.98
+"""Share of the limit of the carriers' forces that the nodes use: between them they are a little larger."""
+
+NO_BOUND = 1e4
+"""In place of an infinite bound of a row that does not count."""
 
 BEYOND = 1e-6
 """Room in an elastic programme for a start that is on its limit, m."""
@@ -50,19 +59,32 @@ REGULAR = 1e-3
 
 @dataclass(frozen=True)
 class Weights:
-    """Of the terms of the objective, all of size one: mean square of τ, square of its peak, mean square of s̈, squares of
-    the last s and ṡ, and of the force left out of W τ = f in an elastic programme."""
+    """Weights of the squares that a programme minimises, each over the size of its quantity.
 
-    effort: float = 1.0
+    Attributes:
+        effort: mean square of τ over the horizon, over the peak of the last plan.
+        peak: its largest |τ|.
+        memory: share of the largest |τ| so far up to which that costs nothing.
+        acceleration: mean square of s̈, over its limit: without it the motion between the nodes swings.
+        jerk: of s⃛, over that which reaches this limit in a step.
+        centre: of s, over half the track: room for what comes after the horizon.
+        end, end_speed: of s and ṡ at the end of the horizon.
+        missing: of what an elastic programme leaves out of W τ = f.
+    """
+
+    effort: float = 0.1
     peak: float = 1.0
+    memory: float = 0.9
     acceleration: float = 0.1
     jerk: float = 0.3
+    centre: float = 0.1
     end: float = 0.1
     end_speed: float = 0.1
     missing: float = 1e4
 
 
-GOALS = {"peak": Weights(), "effort": Weights(peak=0.0)}
+GOALS = {"peak": Weights(), "effort": Weights(effort=1.0, peak=0.0)}
+"""By the names of ``plan_whole_trajectory``."""
 
 
 class PlanningStatus(Enum):
@@ -88,7 +110,8 @@ class Command(Frozen):
         reason: why, where it is not ``PLANNED``.
         carriers: positions (k,), m, as functions of time to the end of the horizon; s̈ is linear between nodes.
         efforts: main efforts (m,) as functions of time, N or N·m: W⁻¹ f for three steps, the planned ones after.
-        residual: largest |W τ − f| at the nodes of the plan, N, rotations over the characteristic length.
+        residual: largest |W τ − f| at the first nodes of the plan, N, rotations over the characteristic length: what is
+            missing there in an elastic one, and else what the next tick will correct.
         peak: largest |τ| of the plan at its nodes, N or N·m.
         singular: (r,) singular instants ahead, s.
         known_until: until when the plan has the platform's motion, s.
@@ -127,10 +150,10 @@ class Command(Frozen):
 class RecedingHorizon:
     """Plans the carriers and the efforts again and again, over the path known for a short time ahead.
 
-    Each tick solves one convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, fixed in time, with s̈ linear in
-    between, W τ = f linear about the last plan, and the limits of the carriers between the nodes too. W⁻¹ is never formed:
-    type II singularities ahead become nodes with what makes τ finite and continuous there (``linearised``). At the end
-    of the horizon the carriers can still stop on their tracks.
+    Each tick solves one convex quadratic programme: s, ṡ, s̈ and τ at nodes 20 ms apart, fixed in time, with s̈ linear
+    in between, W τ = f linear about the last plan, and the limits of the carriers between the nodes too. W⁻¹ is not
+    formed: type II singularities ahead become nodes with what makes τ finite and continuous there (``linearised``). At
+    the end of the horizon the carriers can still stop on their tracks, so there always is a motion within their limits.
 
     Args:
         dynamics: a backend; ``CompiledDynamics`` is the fastest by far.
@@ -142,7 +165,8 @@ class RecedingHorizon:
         solver: of the programmes: "piqp" or one of casadi's (``SOLVERS``).
 
     Attributes:
-        limits: in force from the next tick on; may be set between ticks.
+        limits: in force from the next tick on; may be set between ticks. ``resolved`` has them as arrays.
+        largest: largest |τ| so far, N or N·m.
 
     Raises:
         InputError: a setting out of its domain.
@@ -179,29 +203,32 @@ class RecedingHorizon:
                 f"The horizon of {horizon:g} s has {horizon / step:g} steps of {step:g} s.", remedy="Have 2 to 200."
             )
         self.weights = objective if isinstance(objective, Weights) else GOALS[objective]
-        flat = dict(
-            track=track, speed=speed, acceleration=acceleration, jerk=jerk, effort=effort, carrier_force=carrier_force
-        )
-        self.limits = grouped("limits", limits, Limits, **flat)
+        flat = {"track": track, "speed": speed, "acceleration": acceleration}
+        flat |= {"jerk": jerk, "effort": effort, "carrier_force": carrier_force}
         self._count = round(horizon / step) + EXTRA
-        self._programme = Programme(robot.n, robot.m, robot.k, self._count, solver)
+        self._solver = solver
+        self._bounded: tuple[bool, ...] = ()
+        self.limits = grouped("limits", limits, Limits, **flat)
         self._source: object = None
         self._preview: Preview | None = None
         self._last: Command | None = None
         self._sizes: _Sizes | None = None
+        self.largest = 0.0
 
     @property
-    def limits(self) -> ResolvedLimits:
-        """Limits of the plans."""
-        return self._limits
+    def limits(self) -> Limits:
+        """Limits as they were given."""
+        return self._given_limits
 
     @limits.setter
     def limits(self, limits: Limits) -> None:
-        self._limits = limits.resolved(self.robot)
+        robot, self._given_limits, self.resolved = self.robot, limits, limits.resolved(self.robot)
+        bounded = tuple(bool(np.isfinite(part).any()) for part in (self.resolved.jerk, self.resolved.carrier_force))
+        if self._bounded != bounded:
+            self._bounded = bounded
+            self._programme = Programme(robot.n, robot.m, robot.k, self._count, self._solver, *bounded)
 
-    def update(
-        self, t: float, preview: Source, s: ArrayLike | None = None, sd: ArrayLike | None = None
-    ) -> Command:
+    def update(self, t: float, preview: Source, s: ArrayLike | None = None, sd: ArrayLike | None = None) -> Command:
         """Return what to do from a time on.
 
         Args:
@@ -226,8 +253,19 @@ class RecedingHorizon:
         )
         for _ in range(self._rounds(t)):
             command = self._plan(t, self._preview, given, self._last)
+            self.largest = max(self.largest, float(np.abs(command.efforts(np.linspace(t, t + self.step, 5))).max()))
             self._last = command = replace(command, seconds=time.perf_counter() - began)
         return command
+
+    def skip(self, t: float) -> Command:
+        """Return what to do where a tick is missed: the last plan goes on, to its end and to the stop behind it.
+
+        Raises:
+            InputError: there is no plan yet.
+        """
+        if self._last is None:
+            raise InputError("There is no plan to go on with.", remedy="Call update first.")
+        return replace(self._last, t=t, status=PlanningStatus.FALLBACK, reason="the tick was missed")
 
     def _rounds(self, t: float) -> int:
         if self._last is None:
@@ -237,8 +275,9 @@ class RecedingHorizon:
 
     def _plan(self, t: float, preview: Preview, given: tuple[Array | None, ...], last: Command | None) -> Command:
         step, k = self.step, self.robot.k
-        roots = preview.singular_instants(self.dynamics, t - ZONE * step, t + step * (self._count + 1), step)
-        ahead = roots[roots > t]
+        before = t if preview.changing else t - ZONE * step  # for the nodes around one that is past
+        roots = preview.singular_instants(self.dynamics, before, t + step * (self._count + 1), step)
+        ahead = roots[roots > t - SAME]
         near = len(ahead) and ahead[0] <= t + NEAR * step and last is not None
         start = float(ahead[0]) if near else t
         nodes, singular = nodes_from(start, step, self._count + 1, roots)
@@ -249,7 +288,9 @@ class RecedingHorizon:
         else:
             at = extended(last.carriers, nodes)
             settled = len(ahead) and ahead[0] <= t + SETTLED * step
-            s, sd = (own if part is None or settled else part for part, own in zip(given, (at.s[0], at.sd[0]), strict=True))
+            s, sd = (
+                own if part is None or settled else part for part, own in zip(given, (at.s[0], at.sd[0]), strict=True)
+            )
             first, free = (s, sd, at.sdd[0]), last.carriers.start >= t
         lin = Linearised.about(self.dynamics, preview, nodes, singular, at)
         if self._sizes is None:
@@ -290,8 +331,15 @@ class _Tick:
         jerk: Array | None,
         sizes: _Sizes,
     ) -> None:
-        self._planner, self._lin, self._first, self._free, self._jerk, self._sizes = planner, lin, first, free, jerk, sizes
-        limits = planner.limits
+        self._planner, self._lin, self._first, self._free, self._jerk, self._sizes = (
+            planner,
+            lin,
+            first,
+            free,
+            jerk,
+            sizes,
+        )
+        limits = planner.resolved
         width = np.diff(limits.track, axis=1)[:, 0]
         self._u = (
             np.where(np.isfinite(width), 0.5 * width, 1.0),
@@ -322,7 +370,8 @@ class _Tick:
         start, value, active = np.zeros((1, wide.shape[1])), np.zeros(count), np.zeros(count, dtype=bool)
         q, m = lin.singular, lin.W.shape[2]
         if len(q):
-            size = ut * np.maximum(np.abs(lin.W_rate).max(axis=1), 1e-12)[:, None]
+            size = np.abs(lin.W[q]).max(axis=(1, 2)) / self._planner.horizon  # where the motion only touches it
+            size = ut * np.maximum(np.abs(lin.W_rate).max(axis=1), 0.1 * size)[:, None]
             *slopes, by_jerk = lin.slope_rates
             at = zip(slopes, (lin.at.s, lin.at.sd, lin.at.sdd), self._u, strict=True)
             parts = [(part, part * unit, own[q]) for part, own, unit in at]
@@ -350,7 +399,7 @@ class _Tick:
         }
 
     def _inequalities(self, low: Array, high: Array, speed: Array) -> dict[str, tuple[Array, Array, Array]]:
-        lin, limits, (us, ud, ua) = self._lin, self._planner.limits, self._u
+        programme, lin, limits, (us, ud, ua) = self._planner._programme, self._lin, self._planner.resolved, self._u
         count, m = len(lin.nodes), lin.W.shape[2]
         h, one = np.diff(lin.nodes)[:, None], np.ones((count - 1, len(us)))
         there = np.repeat(self._counts, m)[:, None]
@@ -362,38 +411,55 @@ class _Tick:
             return np.stack([one, share * one], axis=-1).reshape(-1, 2), lower, upper
 
         # no parabola leaves a chord: ṡ² ≤ ṡ_max |ṡ|
-        stop = np.stack([one[0], np.where(np.isfinite(limits.acceleration), limits.speed / (2.0 * limits.acceleration), 0.0) * ud / us], axis=-1)
-        return {
+        fastest = np.minimum(limits.speed, np.sqrt(2.0 * limits.acceleration * np.diff(limits.track)[:, 0]))
+        stop = np.stack(
+            [one[0], np.where(np.isfinite(fastest), fastest / (2.0 * limits.acceleration), 0.0) * ud / us], axis=-1
+        )
+        lowest, highest = np.minimum(low[:-1], low[1:]), np.maximum(high[:-1], high[1:])
+        rows = {
             "above": (there * [1.0, -1.0], none - np.inf, none),
             "below": (there * [1.0, 1.0], none, none + np.inf),
-            "hull_left": hull(h / 3.0 * ud / us, low[:-1], high[:-1]),
-            "hull_right": hull(-h / 3.0 * ud / us, low[1:], high[1:]),
+            "hull_left": hull(h / 3.0 * ud / us, lowest, highest),
+            "hull_right": hull(-h / 3.0 * ud / us, lowest, highest),
             "hull_speed": hull(0.5 * h * ua / ud, -most[:-1], most[:-1]),
             "stop": (stop, low[-1], high[-1]),
             "stop_back": (stop * [1.0, -1.0], low[-1], high[-1]),
         }
+        if "jerk" in programme.within.blocks:
+            most = limits.jerk * h / ua
+            rows["jerk"] = (np.stack([-one, one], axis=-1).reshape(-1, 2), -most, most)
+        if "force" in programme.within.blocks:
+            motion = zip(lin.force_slopes, (lin.at.s, lin.at.sd, lin.at.sdd), self._u, strict=True)
+            parts = [(part * unit, np.einsum("nik,nk->ni", part, at)) for part, at, unit in motion]
+            size = np.where(np.isfinite(limits.carrier_force), limits.carrier_force, 1.0)
+            base = (lin.force - sum(own for _, own in parts)) / size
+            wide = np.concatenate([part for part, _ in parts], axis=2) / size[:, None] * lin.known[:, None, None]
+            most = np.where(lin.known[:, None] & np.isfinite(limits.carrier_force), FORCE_KEPT, NO_BOUND)
+            rows["force"] = (wide.reshape(-1, wide.shape[2]), -most - base, most - base)
+        return rows
 
     def values(self, elastic: bool) -> Values:
         """Return the numbers of the programme; an elastic one lets out what the start is beyond."""
-        programme, lin, limits, w = self._planner._programme, self._lin, self._planner.limits, self._planner.weights
-        (us, ud, ua), ut, (s, sd, sdd) = self._u, self._sizes.tau, self._first
+        programme, lin, limits, w = self._planner._programme, self._lin, self._planner.resolved, self._planner.weights
+        (us, ud, ua), ut, (s, sd, _) = self._u, self._sizes.tau, self._first
         each_node = np.ones((len(lin.nodes), 1))
         low, high, speed = limits.track[:, 0] * each_node, limits.track[:, 1] * each_node, limits.speed * each_node
         if elastic:
             # room for a start beyond a limit, and for going back with half the acceleration
-            after, most = (lin.nodes - lin.nodes[0])[:, None], limits.acceleration
+            after, most = (lin.nodes - lin.nodes[0])[:, None], np.minimum(limits.acceleration, 1e3)
             turn = 1.5 * most * (lin.nodes[1] - lin.nodes[0])
             high = np.maximum(high, s + (sd + turn) * after - 0.25 * most * after**2 + BEYOND)
             low = np.minimum(low, s + (sd - turn) * after + 0.25 * most * after**2 - BEYOND)
             speed = np.maximum(speed, np.abs(sd) + turn - 0.5 * most * after)
         lower, upper = np.full((2, programme.variables), [[-np.inf], [np.inf]])
-        for at, least, most in (
+        bounds = (
             (programme.s, low / us, high / us),
             (programme.sd, -speed / ud, speed / ud),
             (programme.sdd, -limits.acceleration / ua, limits.acceleration / ua),
             (programme.tau, -limits.effort / ut, limits.effort / ut),
-        ):
-            lower[at], upper[at] = least, most
+        )
+        for at, least, largest in bounds:
+            lower[at], upper[at] = least, largest
         for at, value, unit in zip((programme.s, programme.sd, programme.sdd), self._first, self._u, strict=True):
             if at is not programme.sdd or not self._free:
                 lower[at[0]] = upper[at[0]] = value / unit
@@ -405,6 +471,8 @@ class _Tick:
         share = (step[:-1] + step[1:])[:, None] / (lin.nodes[-1] - lin.nodes[0])
         P = np.full(programme.variables, 1e-8)
         P[programme.tau] = w.effort * share
+        P[programme.s] += w.centre * share
+        lower[programme.peak] = w.memory * self._planner.largest / ut
         P[programme.sdd] = w.acceleration * share
         P[programme.s[-1]] += 2.0 * w.end
         P[programme.sd[-1]] += 2.0 * w.end_speed
@@ -416,8 +484,8 @@ class _Tick:
         P[programme.sdd[1:]] += 2.0 * jerk
         P = programme.hessian(P, -2.0 * jerk)
         A, b = programme.equal.values(self._equations())
-        within = programme.within.values(self._inequalities(low, high, speed))
-        return Values(P, np.zeros(programme.variables), A, b, *within, lower, upper)
+        G, least, largest = programme.within.values(self._inequalities(low, high, speed))
+        return Values(P, np.zeros(programme.variables), A, b, G, least, largest, lower, upper)
 
     def command(self, t: float, last: Command | None, roots: Array, preview: Preview) -> Command:
         programme, lin = self._planner._programme, self._lin
@@ -435,7 +503,7 @@ class _Tick:
                 )
             reason = "the solver found none"
             return replace(last, t=t, status=PlanningStatus.FALLBACK, reason=reason, solver_seconds=seconds)
-        s, sd, sdd = self._first
+        s, sd, _ = self._first
         a = x[programme.sdd] * self._u[2]
         h = np.diff(lin.nodes)[:, None]
         # integrated once more: the solver's own are off by its tolerance
@@ -444,9 +512,9 @@ class _Tick:
         carriers = PiecewisePolynomial.linear(lin.nodes, s + np.concatenate([0.0 * a[:1], moved]), speeds, a)
         carriers = PiecewisePolynomial.joined([carriers, *self._stop(carriers.end, carriers, speeds[-1])])
         efforts, residual, peak = self._efforts(carriers, x[programme.tau] * self._sizes.tau)
-        if lin.nodes[0] > t and last is not None:  # to the singular instant by the last plan
+        if lin.nodes[0] > t + SAME and last is not None:  # to the singular instant by the last plan
             carriers, efforts = (
-                PiecewisePolynomial.joined([_from(old, t, lin.nodes[0]), new])
+                PiecewisePolynomial.joined([old.between(t, float(lin.nodes[0])), new])
                 for old, new in ((last.carriers, carriers), (last.efforts, efforts))
             )
         unknown = np.flatnonzero(~lin.known)
@@ -454,13 +522,11 @@ class _Tick:
         if len(unknown) and lin.nodes[unknown[0]] <= preview.end:
             status = PlanningStatus.REFUSED
             reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go"
-        return Command(
-            t, status, reason, carriers, efforts, residual, peak, frozen(roots), known_until, 0.0, seconds
-        )
+        return Command(t, status, reason, carriers, efforts, residual, peak, frozen(roots), known_until, 0.0, seconds)
 
     def _stop(self, t: float, carriers: PiecewisePolynomial, sd: Array) -> list[PiecewisePolynomial]:
         """Return the stop after the horizon, for which there is room: every carrier slows down evenly, all as long."""
-        longest = float((np.abs(sd) / self._planner.limits.acceleration).max())
+        longest = float((np.abs(sd) / self._planner.resolved.acceleration).max())
         duration = longest if longest > 1e-6 else 0.0
         if not duration:
             return []
@@ -474,7 +540,7 @@ class _Tick:
         exact = lin.of_plan(carriers)
         W, f = np.nan_to_num(exact.W), np.nan_to_num(exact.f)
         counts = self._counts.copy()
-        counts[-1] = False  # there the stop begins
+        counts[FIRST + 1 :] = False
         left = np.einsum("nij,nj->ni", W[lin.places], tau) - f[lin.places]
         residual = float(np.abs(left[counts] / lin.row_scale).max(initial=0.0))
         inside = lin.inside
@@ -499,11 +565,3 @@ class _Tick:
 def _counting(counts: BoolArray, entries: Array, right: Array) -> tuple[Array, Array]:
     """Return the equations of a block: (r, e) entries and (r,) right sides, zero where a row does not count."""
     return entries * counts[:, None], np.where(counts, right, 0.0)
-
-
-def _from(function: PiecewisePolynomial, start: float, end: float) -> PiecewisePolynomial:
-    """Return a function between two times, s."""
-    edges = function.edges[(function.edges > start) & (function.edges < end)]
-    times: Any = np.concatenate([[start], edges, [end]])
-    order = len(function.coefficients)
-    return PiecewisePolynomial.taylor(times, *(function.derivative(i)(times) for i in range(order)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -27,6 +27,12 @@ POINTS = 13
 
 TOUCH = 1e-3
 """|det W| at a dip, relative to the largest, below which the motion counts as touching the singularity."""
+
+STILL = 1e-9
+"""Speed at the end of a motion, over its largest, up to which the platform rests there."""
+
+FOR_EVER = 1e6
+"""How long it is held there, s."""
 
 AT_REST = 1e-9
 """Fraction of the largest |det W| below which it counts as zero: motions that stop there."""
@@ -57,14 +63,12 @@ class Preview(Frozen):
         """
         if isinstance(source, Preview):
             return source
-        if isinstance(source, ContinuousMotion) or isinstance(source, PlatformMotion) or is_timed(source):
+        if isinstance(source, (ContinuousMotion, PlatformMotion)) or is_timed(source):
             known = source if isinstance(source, ContinuousMotion) else continuous_motion(source)
-            last = known.sample_at(np.array([known.end]))
-            rests = not last.xd.any() and not known.sample_at(np.array([known.end])).xdd.any()
-            polynomials = ContinuousMotion(
-                known.polynomials, known.start, known.end, known.moves_until, known.breaks, known.knots, known.exact
-            )
-            held = polynomials.prolonged_until(known.end + 1e6) if rests else polynomials
+            ends = known.sample_at(np.linspace(known.start, known.end, 9)).xd
+            rests = np.abs(ends[-1]).max() <= STILL * np.abs(ends).max()
+            polynomials = replace(known, source=known.polynomials)
+            held = polynomials.prolonged_until(known.end + FOR_EVER) if rests else polynomials
             return Preview(held.sample_at, known.start, held.end)
         if callable(source):
             return Preview(source, -np.inf, np.inf, changing=True)
@@ -98,7 +102,10 @@ class Preview(Frozen):
 
     def determinant(self, dynamics: Dynamics, times: Array) -> Array:
         """Return det W (N,) at (N,) increasing times, s."""
-        return np.asarray(np.linalg.det(dynamics.along(self.motion(times)).reduce().W))
+        reduced = dynamics.along(self.motion(times), unreachable="mark").reduce()
+        determinant = np.full(len(times), np.nan)
+        determinant[reduced.reachable] = np.linalg.det(reduced.W[reduced.reachable])
+        return determinant
 
 
 @dataclass(eq=False)
@@ -113,7 +120,7 @@ class _Scanned:
 
 def _roots(determinant: Callable[[Array], Array], edges: Array, seen: _Scanned) -> Array:
     value = determinant(edges)
-    seen.largest = largest = max(seen.largest, float(np.abs(value).max()))
+    seen.largest = largest = max(seen.largest, float(np.nanmax(np.abs(value), initial=0.0)))
     size, zero = np.abs(value), np.abs(value) <= AT_REST * largest
     brackets = [(a, a + 1) for a in np.flatnonzero((value[:-1] * value[1:] < 0.0) & ~zero[:-1] & ~zero[1:])]
     inner = np.arange(1, len(edges) - 1)

@@ -5,23 +5,22 @@ Its pattern never changes, so that a solver is set up once; equations that do no
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.errors import optional
 
-CASADI = {
+SOLVERS: dict[str, dict[str, Any]] = {
     "piqp": {"piqp": {"max_iter": 60}},
     "proxqp": {"proxqp": {"max_iter": 400}},
     "osqp": {"osqp": {"eps_abs": 1e-5, "eps_rel": 1e-5, "max_iter": 4000, "verbose": False}},
-    "hpipm": {},
-    "daqp": {},
-    "qrqp": {},
+    "qrqp": {"print_iter": False, "print_header": False},
 }
-SOLVERS = ("piqp", *(f"casadi.{name}" for name in CASADI))
+"""Solvers of casadi that take the programme, and their options; ``benchmarks/online.py`` compares them."""
 
 
 class Rows:
@@ -47,7 +46,7 @@ class Rows:
         self.starts = np.searchsorted(columns[order], np.arange(variables + 1))
         self.shape = len(entries), variables
 
-    def values(self, blocks: dict[str, tuple[Array, ...]]) -> list[Array]:
+    def values(self, blocks: Mapping[str, tuple[Array, ...]]) -> list[Array]:
         """Return entries in order, and what else comes with the rows of each block (right sides or bounds)."""
         entries, *rest = zip(*(blocks[name] for name in self.blocks), strict=True)
         data = np.concatenate([part.ravel() for part in entries])[self.order]
@@ -69,8 +68,8 @@ class Values:
     upper: Array
 
 
-class Solve(Protocol):
-    def __call__(self, values: Values) -> tuple[Array, bool]: ...
+Solve: TypeAlias = Callable[[Values], tuple[Array, bool]]
+"""From a programme to its variables, and whether they are an optimum."""
 
 
 class Programme:
@@ -80,7 +79,7 @@ class Programme:
     nodes; the peak.
     """
 
-    def __init__(self, n: int, m: int, k: int, steps: int, solver: str) -> None:
+    def __init__(self, n: int, m: int, k: int, steps: int, solver: str, jerk: bool, force: bool) -> None:
         width = 3 * k + m + n + 2
         self.variables = (steps + 1) * width + 1
         at, carrier = np.arange(steps + 1)[:, None] * width, np.arange(k)
@@ -104,43 +103,21 @@ class Programme:
         within.add("hull_speed", sd[first], sdd[first])
         within.add("stop", s[-1], sd[-1])
         within.add("stop_back", s[-1], sd[-1])
+        if jerk:
+            within.add("jerk", sdd[first], sdd[last])
+        if force:
+            within.add("force", np.repeat(np.concatenate([s, sd, sdd], axis=1), k, axis=0))
         for rows in (equal, within):
             rows.finish(self.variables)
-        upper = np.concatenate([sdd[first].ravel(), sdd[last].ravel()]), np.concatenate([sdd[last].ravel(), sdd[first].ravel()])
-        rows, columns = (np.concatenate([np.arange(self.variables), part]) for part in upper)
-        self._order = np.lexsort((rows, columns))
-        self.pattern = rows[self._order], np.searchsorted(columns[self._order], np.arange(self.variables + 1))
-        self.solve: Solve = _piqp(self) if solver == "piqp" else _casadi(self, solver.removeprefix("casadi."))
-
+        pair, every = [sdd[first].ravel(), sdd[last].ravel()], np.arange(self.variables)
+        down, across = np.concatenate([every, *pair]), np.concatenate([every, *pair[::-1]])
+        self._order = np.lexsort((down, across))
+        self.pattern = down[self._order], np.searchsorted(across[self._order], np.arange(self.variables + 1))
+        self.solve: Solve = _casadi(self, solver)
 
     def hessian(self, diagonal: Array, beside: Array) -> Array:
         """Return the entries of P: its diagonal, and (M, k) those of s̈ at two nodes that follow each other."""
         return np.concatenate([diagonal, beside.ravel(), beside.ravel()])[self._order]
-
-
-def _piqp(programme: Programme) -> Solve:
-    import piqp
-    from scipy.sparse import csc_matrix
-
-    solver = piqp.SparseSolver()
-    solver.settings.max_iter = 60
-    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = 1e-8
-    solver.settings.preconditioner_reuse_on_update = False
-    rows, starts = programme.pattern
-    H = csc_matrix((np.ones(len(rows)), rows, starts), shape=(programme.variables,) * 2)
-    A, G = (csc_matrix((np.ones(len(r.rows)), r.rows, r.starts), shape=r.shape) for r in (programme.equal, programme.within))
-    begun = False
-
-    def solve(v: Values) -> tuple[Array, bool]:
-        nonlocal begun
-        H.data, A.data, G.data = v.P, v.A, v.G
-        (solver.update if begun else solver.setup)(H, v.q, A, v.b, G, v.low, v.high, v.lower, v.upper)
-        begun = True
-        status = solver.solve()
-        solve.iter = solver.result.info.iter
-        return np.array(solver.result.x), status == piqp.PIQP_SOLVED
-
-    return solve
 
 
 def _casadi(programme: Programme, name: str) -> Solve:
@@ -150,10 +127,10 @@ def _casadi(programme: Programme, name: str) -> Solve:
     rows = np.concatenate([e.rows, e.shape[0] + w.rows])
     columns = np.concatenate([np.repeat(np.arange(programme.variables), np.diff(r.starts)) for r in (e, w)])
     order, pattern = np.lexsort((rows, columns)), ca.vertcat(*both)
-    H = ca.Sparsity(programme.variables, programme.variables, programme.pattern[1].tolist(), programme.pattern[0].tolist())
-    options = {"error_on_fail": False, "print_time": False, **CASADI[name]}
-    if name == "hpipm":
-        options.pop("error_on_fail")
+    H = ca.Sparsity(
+        programme.variables, programme.variables, programme.pattern[1].tolist(), programme.pattern[0].tolist()
+    )
+    options = {"error_on_fail": False, "print_time": False, **SOLVERS[name]}
     solver = ca.conic("tick", name, {"h": H, "a": pattern}, options)
 
     def solve(v: Values) -> tuple[Array, bool]:

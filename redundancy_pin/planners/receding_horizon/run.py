@@ -9,13 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Frozen, positive
+from redundancy_pin.dynamics.distribution import distribute
+from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.planners.receding_horizon.planner import Command, PlanningStatus, RecedingHorizon, _from
-from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
-from redundancy_pin.motion import PlatformMotion
-from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.planners.receding_horizon.planner import REGULAR, Command, PlanningStatus, RecedingHorizon
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
+
+SAMPLES = 0.0025
+"""Between samples of the plan of a run, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +57,13 @@ def run_online(
         motion: the whole motion.
         tick: between plans, s; a step when left out.
         start: scalar or (k,) where the carriers are at the start, m.
+
+    Returns:
+        Its plan has efforts that are linear in time where W is next to singular, and W⁻¹ f elsewhere; ``diagnostics``
+        say how much of f is missing there (``missing_force``, N), how the ticks went and how long they took.
+
+    Raises:
+        InfeasiblePlanError: a tick was refused; carries how far the motion is possible.
     """
     tick = planner.step if tick is None else positive(tick, "tick", "s")
     source = continuous_motion(motion)
@@ -58,22 +71,72 @@ def run_online(
     commands, pieces = [], []
     for i, (t, until) in enumerate(zip(times[:-1].tolist(), times[1:].tolist(), strict=True)):
         commands.append(planner.update(t, motion, *((start, 0.0) if i == 0 else ())))
-        pieces.append(_from(commands[-1].carriers, t, until))
+        if commands[-1].status is PlanningStatus.REFUSED:
+            raise InfeasiblePlanError(
+                f"The planner refuses to go on at t = {t:.6g} s: {commands[-1].reason}.",
+                remedy="Lead the platform along another path.",
+                constraint="preview",
+                time=commands[-1].known_until,
+            )
+        pieces.append(commands[-1].carriers.between(t, until))
     position = PiecewisePolynomial.joined(pieces)
-    functions = PlanFunctions(source, position.made_continuous())
-    singular = np.unique(np.concatenate([command.singular for command in commands]))
-    nodes = np.unique(np.concatenate([np.arange(source.start, source.end, 0.005), times]))
-    nodes = nodes[(np.abs(nodes[:, None] - singular) > 1e-6).all(axis=1)]
+    carriers = position.made_continuous()
+    nodes = np.unique(np.concatenate([np.arange(source.start, source.end, SAMPLES), times]))
+    decided = _through(planner, source, carriers, commands)
+    for part, _ in decided:  # of what is narrower than a sample the continuous motion is judged
+        short = part.end - part.start < SAMPLES
+        nodes = nodes[~((nodes > part.start) & (nodes < part.end) & short)]
+    functions = PlanFunctions(source, carriers, prescribed=tuple(part for part, _ in decided))
+    prescribed = np.full((len(nodes), planner.robot.m), np.nan)
+    for part, _ in decided:
+        inside = (nodes >= part.start) & (nodes <= part.end)
+        prescribed[inside] = part(nodes[inside])
+    counts = Counter(command.status.value for command in commands)
     plan = finish_plan(
         planner.dynamics.along(source.sample_at(nodes)),
         functions.carriers_at(nodes),
         planner="receding_horizon",
         phase=np.zeros(len(nodes), dtype=np.intp),
         phases=("on line",),
-        parameters={"horizon": planner.horizon, "step": planner.step, "tick": tick, **planner.limits.parameters()},
-        diagnostics={"singular_instants": singular.tolist()},
-        carrier_limits=planner.limits.of_carriers,
+        parameters={
+            "horizon": planner.horizon,
+            "step": planner.step,
+            "tick": tick,
+            **planner.resolved.parameters(),
+            "effort": tuple(planner.resolved.effort.tolist()),
+        },
+        diagnostics={
+            "ticks": {status.value: counts[status.value] for status in PlanningStatus},
+            "singular_instants": np.unique(np.concatenate([command.singular for command in commands])).tolist(),
+            "missing_force": max((missing for _, missing in decided), default=0.0),
+            "seconds": [command.seconds for command in commands],
+        },
+        prescribed=prescribed,
+        carrier_limits=planner.resolved.of_carriers,
         functions=functions,
         dynamics=planner.dynamics,
     )
     return OnLineRun(plan, tuple(commands))
+
+
+def _through(
+    planner: RecedingHorizon, source: ContinuousMotion, carriers: PiecewisePolynomial, commands: list[Command]
+) -> list[tuple[PiecewisePolynomial, float]]:
+    """Return the efforts where W⁻¹ f magnifies what is left of f, linear in time, and the force missing there, N."""
+    dynamics, parts = planner.dynamics, []
+    if planner.robot.n != planner.robot.m:
+        return []
+    for window in Actuation.along(dynamics, source).windows("condition", 1.0 / REGULAR):
+        ends = np.array([window.start, window.end])
+        reduced = dynamics.along(source.sample_at(ends)).reduce(carriers_at(carriers, ends))
+        tau = np.array(distribute(reduced).tau)
+        latest = [max((c for c in commands if c.t <= t), key=lambda c: c.t, default=commands[0]) for t in ends]
+        planned = np.array([command.efforts.at(t) for command, t in zip(latest, ends, strict=True)])
+        inner = (ends > source.start) & (ends < source.end) & np.isfinite(tau).all(axis=1)
+        tau = np.where(inner[:, None], tau, planned)
+        part = PiecewisePolynomial.linear(ends, tau)
+        times = np.linspace(float(ends[0]), float(ends[1]), 9)
+        inside = dynamics.along(source.sample_at(times)).reduce(carriers_at(carriers, times))
+        left = (np.einsum("nij,nj->ni", inside.W, part(times)) - inside.f) / inside.row_scale
+        parts.append((part, float(np.abs(left).max())))
+    return parts
