@@ -51,18 +51,24 @@ _MOST_COUPLED = 5
 # --- MJCF -------------------------------------------------------------------------------------------------------------
 
 
-def write_mjcf(robot: Robot, path: str | Path, step: float = 1e-3) -> Path:
+def write_mjcf(robot: Robot, path: str | Path, step: float = 1e-3, *, reflected: bool = False) -> Path:
     """Write a robot as MJCF; see ``Robot.to_mjcf``."""
     step = positive(step, "step", "s")
     target = require_writable(path)
-    root = mjcf(robot, step, 2.0 * step)
+    root = mjcf(robot, step, 2.0 * step, reflected=reflected)
     ElementTree.indent(root)
     write_text(target, ElementTree.tostring(root, encoding="unicode") + "\n")
     return target
 
 
 def mjcf(
-    robot: Robot, step: float, time_constant: float, impedance: float = IMPEDANCE, integrator: str = "RK4"
+    robot: Robot,
+    step: float,
+    time_constant: float,
+    impedance: float = IMPEDANCE,
+    integrator: str = "RK4",
+    *,
+    reflected: bool = False,
 ) -> ElementTree.Element:
     """Return a robot as MJCF: joints, sites and motors by the names of the robot's joints and frames.
 
@@ -72,13 +78,14 @@ def mjcf(
         time_constant: of the soft constraints, s, critically damped.
         impedance: of the soft constraints.
         integrator: MuJoCo's name of the integrator.
+        reflected: see ``Robot.to_mjcf``.
 
     Raises:
         UnsupportedRobotError: a joint or a closure that MuJoCo has not, loads that MJCF does not say, or an open tree
             without inertia in some direction.
     """
     _require_inertia(robot)
-    forces = _forces(robot)
+    forces, armature = _forces(robot, reflected=reflected)
     model, data = robot.model, robot.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     root = ElementTree.Element("mujoco", model=robot.name)
@@ -91,7 +98,7 @@ def mjcf(
         name, placement = str(model.names[index]), model.jointPlacements[index]
         parent = bodies[model.parents[index]]
         body = _add(parent, "body", name=name, pos=placement.translation, quat=_quaternion(placement.rotation))
-        _add(body, "joint", **_joint(model, data, index), **forces.get(name, {}))
+        _add(body, "joint", **_joint(model, data, index, armature), **forces.get(name, {}))
         _inertial(body, model.inertias[index])
         bodies.append(body)
     equality = _add(root, "equality")
@@ -123,10 +130,10 @@ def mjcf(
     return root
 
 
-def _joint(model: pin.Model, data: pin.Data, index: int) -> dict[str, object]:
-    """Return MuJoCo's joint for one of Pinocchio's, as attributes."""
+def _joint(model: pin.Model, data: pin.Data, index: int, armatures: Array) -> dict[str, object]:
+    """Return MuJoCo's joint for one of Pinocchio's, as attributes; armatures (nv,)."""
     name, joint = str(model.names[index]), model.joints[index]
-    armature = np.array(model.armature[joint.idx_v : joint.idx_v + joint.nv])
+    armature = armatures[joint.idx_v : joint.idx_v + joint.nv]
     if np.ptp(armature) > 0.0:
         raise UnsupportedRobotError(
             f"Joint {name!r} has the armatures {armature.tolist()}; MuJoCo has one a joint.",
@@ -215,26 +222,49 @@ def _require_inertia(robot: Robot) -> None:
     )
 
 
-def _forces(robot: Robot) -> dict[str, dict[str, float]]:
-    """Return what acts in each joint, as attributes of MuJoCo's."""
+def _forces(robot: Robot, *, reflected: bool) -> tuple[dict[str, dict[str, float]], Array]:
+    """Return what acts in each joint, as attributes of MuJoCo's, and the armature (nv,), that of rotors in it."""
     found: dict[str, dict[str, float]] = {}
+    model, armature = robot.model, np.array(robot.model.armature)
     for load in robot.loads:
         if isinstance(load, Payload):  # the model has it
             continue
-        if not isinstance(load, JointForces) or load.rotor_inertia:
+        if not isinstance(load, JointForces):
             raise UnsupportedRobotError(
                 f"MJCF does not say {load!r}.", remedy="Write the robot without, and apply it as a force in MuJoCo."
             )
-        named = {"damping": load.damping, "frictionloss": load.friction}
-        named |= {"stiffness": load.stiffness, "springref": load.rest} if load.stiffness else {}
-        have = found.setdefault(load.joint, {})
-        if "stiffness" in have and "stiffness" in named:
+        index = model.getJointId(load.joint)
+        if load.rotor_inertia and not reflected and _turns_with_its_rotor(model, index):
             raise UnsupportedRobotError(
-                f"The joint {load.joint!r} has several springs.", remedy="Make one of them: MuJoCo has one a joint."
+                f"The rotor of joint {load.joint!r} is carried by a link that turns about its axis, and MJCF's armature "
+                "leaves out what the two do to each other (gear · inertia of the rotor, both ways).",
+                remedy="Pass reflected=True to write gear² · inertia, which is right where the gear is high.",
+                joint=load.joint,
             )
-        for key, value in named.items():
-            have[key] = have.get(key, 0.0) + value
-    return found
+        armature[model.joints[index].idx_v] += load.gear**2 * load.rotor_inertia
+        have = found.setdefault(load.joint, {"damping": 0.0, "frictionloss": 0.0})
+        have["damping"] += load.damping
+        have["frictionloss"] += load.friction
+        if load.stiffness:  # springs side by side are one
+            before, rest = have.get("stiffness", 0.0), have.get("springref", 0.0)
+            have["stiffness"] = before + load.stiffness
+            have["springref"] = (before * rest + load.stiffness * load.rest) / have["stiffness"]
+    return found, armature
+
+
+def _turns_with_its_rotor(model: pin.Model, index: int) -> bool:
+    """Return whether what carries a joint can turn about the joint's axis."""
+    data, rng = model.createData(), np.random.default_rng(0)
+    for _ in range(_TRIALS):
+        pin.computeJointJacobians(model, data, pin.integrate(model, pin.neutral(model), rng.uniform(-1, 1, model.nv)))
+        own, carrying = (
+            pin.getJointJacobian(model, data, int(k), pin.LOCAL_WORLD_ALIGNED) for k in (index, model.parents[index])
+        )
+        column = own[:, model.joints[index].idx_v]
+        axis = column[3:] if column[3:].any() else column[:3]
+        if np.abs(axis @ carrying[3:]).max() > _STILL:
+            return True
+    return False
 
 
 def _inertial(body: ElementTree.Element, inertia: pin.Inertia) -> None:
@@ -296,7 +326,9 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
         raise UnsupportedRobotError(
             f"A URDF does not say the armature of {', '.join(names)}.", remedy="Write MJCF, or make it a rotor_inertia."
         )
-    forces = {load.joint: load for load in robot.loads if isinstance(load, JointForces)}
+    forces: dict[str, Array] = {}  # damping and friction
+    for load in (each for each in robot.loads if isinstance(each, JointForces)):
+        forces[load.joint] = forces.get(load.joint, np.zeros(2)) + (load.damping, load.friction)
     names = _link_names(robot)
     linear = (each for each in robot.couplings if each.of and len(each.polynomial) <= 2)
     mimics = {each.joint: (each.of, (*each.polynomial, 0.0)[:2]) for each in linear}
@@ -347,7 +379,7 @@ def _urdf_joint(
     data: pin.Data,
     index: int,
     names: list[str],
-    forces: dict[str, JointForces],
+    forces: dict[str, Array],
     mimics: dict[str, tuple[str, tuple[float, ...]]],
 ) -> None:
     name, joint = str(model.names[index]), model.joints[index]
@@ -378,9 +410,9 @@ def _urdf_joint(
             limits |= {"lower": max(lower, -_LARGEST), "upper": min(upper, _LARGEST)}
     # zeros stand for limits that are not known
     _add(element, "limit", **{key: float(value) if np.isfinite(value) else 0.0 for key, value in limits.items()})
-    own = forces.get(name)
-    if own is not None and (own.damping or own.friction):
-        _add(element, "dynamics", damping=own.damping, friction=own.friction)
+    damping, friction = forces.get(name, np.zeros(2)).tolist()
+    if damping or friction:
+        _add(element, "dynamics", damping=damping, friction=friction)
     if name in mimics:
         of, (offset, multiplier) = mimics[name]
         _add(element, "mimic", joint=of, multiplier=multiplier, offset=offset)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,11 @@ def efforts_of(robot: Robot, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([rp.distribute(reduced).tau, reduced.carrier_force], axis=1), rp.lift(robot, motion).q
 
 
+def elbow_of(robot: Robot) -> str:
+    """Return a joint behind another one."""
+    return next(str(name) for name in list(robot.model.names)[1:] if str(name) not in robot.actuated)
+
+
 def run(robot: Robot, path: Path) -> float:
     """Return how far MuJoCo's motion is from the planned one at the end, under efforts held over each step."""
     mujoco = pytest.importorskip("mujoco")
@@ -57,6 +63,22 @@ def run(robot: Robot, path: Path) -> float:
 @pytest.mark.parametrize("name", ["five_bar", "3rrr"])
 def test_mujoco_makes_the_planned_motion(name: str, tmp_path: Path) -> None:
     assert run(robot_of(name), tmp_path / "robot.xml") < MOTION_TOLERANCE
+
+
+def test_mujoco_has_the_rotors_and_the_springs_of_joints(tmp_path: Path) -> None:
+    """Several loads on a joint add up; what gears reflect is armature where the motors stand still."""
+    robot = robot_of("five_bar")
+    first, second = robot.actuated
+    loads = (
+        JointForces(first, 0.1, rotor_inertia=2e-3, gear=-12.0),
+        JointForces(first, 0.2, stiffness=3.0, rest=0.4),
+        JointForces(first, stiffness=1.0, rest=-0.8),
+        JointForces(second, rotor_inertia=1e-3, gear=30.0),
+    )
+    loaded = robot.loaded(*loads)
+    assert run(loaded, tmp_path / "robot.xml") < MOTION_TOLERANCE
+    with pytest.raises(UnsupportedRobotError, match="reflected=True"):
+        loaded.loaded(JointForces(elbow_of(robot), rotor_inertia=1e-3)).to_mjcf(tmp_path / "robot.xml")
 
 
 @pytest.mark.engines
@@ -142,6 +164,17 @@ def test_a_urdf_and_its_declaration_are_the_same_robot(name: str, tmp_path: Path
     np.testing.assert_allclose(theirs.carrier_force, ours.carrier_force, rtol=1e-9, atol=1e-9)
 
 
+def test_a_urdf_has_what_all_loads_of_a_joint_add_up_to(tmp_path: Path) -> None:
+    robot = robot_of("five_bar")
+    joint = robot.actuated[0]
+    robot = robot.loaded(JointForces(joint, 0.2), JointForces(joint, 0.3, 0.5), JointForces(joint, rotor_inertia=0.01))
+    path = robot.to_urdf(tmp_path / "written.urdf")
+    dynamics = ElementTree.parse(path).find(f"joint[@name='{joint}']/dynamics")
+    assert dynamics is not None
+    assert {key: float(value) for key, value in dynamics.attrib.items()} == {"damping": 0.5, "friction": 0.5}
+    assert rp.load_robot(path.with_suffix(".yaml")).loads == robot.loads
+
+
 def test_what_files_do_not_say_is_refused_by_name(tmp_path: Path) -> None:
     robot = robot_of("five_bar")
     frames = robot.closures[0].frame_a, "base"
@@ -149,8 +182,9 @@ def test_what_files_do_not_say_is_refused_by_name(tmp_path: Path) -> None:
     for writer in (springy.to_mjcf, springy.to_urdf):
         with pytest.raises(UnsupportedRobotError, match="Spring"):
             writer(tmp_path / "robot.xml")
-    with pytest.raises(UnsupportedRobotError, match="JointForces"):
-        robot.loaded(JointForces(robot.actuated[0], rotor_inertia=0.1)).to_mjcf(tmp_path / "robot.xml")
+    elbow = elbow_of(robot)
+    with pytest.raises(UnsupportedRobotError, match="carried by a link that turns about its axis"):
+        robot.loaded(JointForces(elbow, rotor_inertia=0.1)).to_mjcf(tmp_path / "robot.xml")
     with pytest.raises(UnsupportedRobotError, match="armature of crank"):
         rp.load_robot(write(tmp_path, GEARED)).to_urdf(tmp_path / "robot.urdf")
     with pytest.raises(InputError, match="step is 0 s"):

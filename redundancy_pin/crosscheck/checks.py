@@ -195,10 +195,7 @@ def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Dev
     rnea = RneaDynamics(robot).along(motion)
     reduced = dynamics.along(motion).reduce(carriers)
     tau, solvable = _efforts(reduced)
-    # the bound falls with the number of joints: of a humanoid's legs it is low everywhere
-    margin = rnea.tree.serial_margin_bound
-    typical = float(np.median(margin[margin > 0.0])) if (margin > 0.0).any() else 0.0
-    keep = np.flatnonzero(solvable & (margin > min(NEAR_SINGULAR_MARGIN, 0.3 * typical)))
+    keep = np.flatnonzero(solvable & _regular(rnea.tree.serial_margin_bound))
     q, v, a = rnea.tree_motion(carriers)
     effort = np.zeros_like(v)
     effort[robot.actuated_velocity] = tau.T
@@ -247,8 +244,13 @@ def _apart(t: Array) -> Array:
 
 
 def _away(case: Case, t: Array) -> BoolArray:
-    tree = RneaDynamics(case.robot).along(case.motion(t)).tree
-    return np.asarray(tree.serial_margin_bound > NEAR_SINGULAR_MARGIN)
+    return _regular(RneaDynamics(case.robot).along(case.motion(t)).tree.serial_margin_bound)
+
+
+def _regular(margin: Array) -> BoolArray:
+    """Return (N,) where a motion keeps away from type I; the bound falls with joints: of legs it is low everywhere."""
+    typical = float(np.median(margin[margin > 0.0])) if (margin > 0.0).any() else 0.0
+    return np.asarray(margin > min(NEAR_SINGULAR_MARGIN, 0.3 * typical))
 
 
 def _efforts(reduced: ReducedDynamics) -> tuple[Array, BoolArray]:

@@ -13,13 +13,14 @@ the tangent it came with. See ``carry``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, IntArray, blocks
-from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project, rates
+from redundancy_pin.kinematics.assembly import Assembly, assemble, configuration_difference, integrate, project, rates
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates, difference, mode_indicator, moved, row_scale
 from redundancy_pin.kinematics.inverse_kinematics import multistart
@@ -44,6 +45,12 @@ _MOST_ANCHORS = 20_000
 
 NEAR_RANK_LOSS = 3e-3
 """Scaled margin below which rounding shows: it costs velocities 1e-16 / margin², accelerations 1e-16 / margin³."""
+
+_USUAL_PART = 0.1
+"""Part of a robot's usual margin above which nothing is near a rank loss: short levers, gears and many joints make
+margins of 1e-3 and less everywhere (Cassie), where no rank is lost."""
+_SOME, _AROUND = 8, 0.2
+"""Configurations around the reference that say what is usual, and how far their joints are off, rad or m."""
 
 _NODES = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
 _NODE_SPACINGS = (1e-2, 2.5e-3)
@@ -306,6 +313,27 @@ class Carried(NamedTuple):
     gap: Array
 
 
+@lru_cache(maxsize=64)
+def closed_around(system: ConstraintSystem) -> Assembly:
+    """Return the reference configuration and some around it, the chains closed again where Newton's method can."""
+    model, q = system.robot.model, np.array(system.robot.q_reference)
+    steps = np.random.default_rng(0).normal(0.0, _AROUND, (1 + _SOME, model.nv))
+    steps[0] = 0.0
+    return assemble(system, integrate(model, np.repeat(q[None], len(steps), axis=0), steps))
+
+
+@lru_cache(maxsize=64)
+def near_rank_loss(system: ConstraintSystem) -> float:
+    """Return the margin below which a pose counts as near a rank loss, ``NEAR_RANK_LOSS`` but for robots of small ones.
+
+    The usual margin is the largest of the reference's and of some configurations around it: a rank loss is left behind
+    by all but every change, small margins throughout are not.
+    """
+    around = closed_around(system)
+    usual = float(around.projection.margin.max(where=around.closed, initial=0.0))
+    return min(NEAR_RANK_LOSS, _USUAL_PART * usual) if usual > 0.0 else NEAR_RANK_LOSS
+
+
 def carry(
     system: ConstraintSystem, here: Point, x: Array, xd: Array, xdd: Array, along: Array | None = None
 ) -> Carried | None:
@@ -367,10 +395,11 @@ def _carried_to(system: ConstraintSystem, here: Point, target: Array) -> Point |
     """Return the point at a target where the closures lose rank; None where they do not, or no branch goes through."""
     step = here.gamma @ difference(system.robot, target[None], here.x[None])[0]
     guess = system.evaluate(integrate(system.robot.model, here.q[None], step[None]))
-    if project(system, guess).margin[0] > 10.0 * NEAR_RANK_LOSS:
+    near = near_rank_loss(system)
+    if project(system, guess).margin[0] > 10.0 * near:
         return None
     solution = assemble(system, guess.q, target[None])
-    if solution.closed[0] and solution.projection.margin[0] > NEAR_RANK_LOSS:
+    if solution.closed[0] and solution.projection.margin[0] > near:
         return None
     still = np.zeros((1, system.robot.n))
     result = carry(system, here, target[None], still, still)

@@ -30,6 +30,7 @@ from redundancy_pin.kinematics.continuation import (
     crosses,
     follow,
     initial_guess,
+    near_rank_loss,
     reacquire,
 )
 from redundancy_pin.kinematics.coordinates import (
@@ -226,6 +227,8 @@ def _carry(motion: PlatformMotion, solved: _Lifted, start: Point | None) -> None
     """Replace the samples at and beside a rank loss of the closures that the branch goes through."""
     system, carried = solved.system, solved.carried
     near = (solved.gap < _ALMOST_CLOSED) & (solved.margin < NEAR_RANK_LOSS)
+    if near.any():
+        near &= solved.margin < near_rank_loss(system)
     parts = solved.q, solved.gamma, solved.v, solved.a, solved.gap
     unit = row_scale(system.robot)
     for first, stop in runs(near):

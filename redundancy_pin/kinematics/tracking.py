@@ -21,7 +21,14 @@ from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array
 from redundancy_pin.kinematics.assembly import SETTLED_STEP, TURNED_OVER, project, projection_scale
 from redundancy_pin.kinematics.chain import ClosedChain
 from redundancy_pin.kinematics.closure import PlacedRows
-from redundancy_pin.kinematics.continuation import ANCHOR_SPACING, CONTINUITY, NEAR_RANK_LOSS, ROUNDING, Point
+from redundancy_pin.kinematics.continuation import (
+    ANCHOR_SPACING,
+    CONTINUITY,
+    NEAR_RANK_LOSS,
+    ROUNDING,
+    Point,
+    near_rank_loss,
+)
 from redundancy_pin.kinematics.coordinates import angle_columns, is_pose, mode_indicators, pose_rows, row_scale
 from redundancy_pin.robot import Robot
 
@@ -141,7 +148,7 @@ class Tracker:
         allowed = CONTINUITY * _largest(predicted) + ROUNDING
         if (
             not gap < CLOSURE_TOLERANCE
-            or not size < 1.0 / NEAR_RANK_LOSS
+            or not (size < 1.0 / NEAR_RANK_LOSS or size < 1.0 / near_rank_loss(self.chain.system))
             or not _largest(missed) <= allowed
             or new.side * here.side < 0.0
             or not self._in_mode(q, here.q)

@@ -283,7 +283,7 @@ class Robot(Frozen):
         model = carrying(self.model, payloads) if payloads else self.model
         return replace(self, model=model, loads=self.loads + added)
 
-    def to_mjcf(self, path: str | Path, *, step: float = 1e-3) -> Path:
+    def to_mjcf(self, path: str | Path, *, step: float = 1e-3, reflected: bool = False) -> Path:
         """Write the robot as MJCF that MuJoCo runs: loops, couplings, motors, damping, and its reference as a keyframe.
 
         Joints and motors have the names of the robot's, main actuators first: ``data.ctrl`` are efforts. MuJoCo's
@@ -292,6 +292,8 @@ class Robot(Frozen):
         Args:
             path: the file.
             step: of the integration, s.
+            reflected: write the inertia of every rotor as armature, gear² · inertia. MJCF has no other, and it is all of
+                it where what carries the rotor cannot turn about its axis; other rotors are refused without this.
 
         Returns:
             The path that was written.
@@ -300,7 +302,8 @@ class Robot(Frozen):
             UnsupportedRobotError: a joint, closure or load that MJCF does not say; a joint that moves no mass.
             OutputError: the file cannot be written.
         """
-        written: Path = importlib.import_module("redundancy_pin.writers").write_mjcf(self, path, step)
+        writers = importlib.import_module("redundancy_pin.writers")
+        written: Path = writers.write_mjcf(self, path, step, reflected=reflected)
         return written
 
     def to_urdf(self, path: str | Path) -> Path:
