@@ -9,8 +9,9 @@ import numpy as np
 from rich.table import Table
 from scipy.optimize import brentq
 
-from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray
+from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray
 from redundancy_pin.crosscheck.cases import Case
+from redundancy_pin.crosscheck.closed_forward import ClosedForward, held_in_planes, not_covered
 from redundancy_pin.crosscheck.load_power import load_efforts, load_energy, load_power
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
@@ -18,6 +19,7 @@ from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import RedundancyPinError
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
+from redundancy_pin.robot import Robot
 from redundancy_pin.simulation.system import ConstraintDynamics, has_point_closures
 
 Deviation = tuple[str, Array, float]
@@ -187,22 +189,26 @@ def check_leg_momentum(case: Case, dynamics: Dynamics, label: str) -> Iterator[D
 
 
 def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
-    """Efforts from inverse dynamics, given to Pinocchio's constrained forward dynamics, return the accelerations."""
+    """Efforts from inverse dynamics, given to Pinocchio's constrained forward dynamics, return the accelerations.
+
+    Its solver knows points in space and in machines that are plane; for other closures ``ClosedForward`` stands in.
+    """
     robot = case.robot
-    if not has_point_closures(robot):
-        return  # the solver knows point closures only
+    if not_covered(robot):
+        return
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     rnea = RneaDynamics(robot).along(motion)
     reduced = dynamics.along(motion).reduce(carriers)
-    tau, solvable = _efforts(reduced)
+    driven, tau, solvable = _efforts(robot, reduced)
     keep = np.flatnonzero(solvable & _regular(rnea.tree.serial_margin_bound))
     q, v, a = rnea.tree_motion(carriers)
     effort = np.zeros_like(v)
-    effort[robot.actuated_velocity] = tau.T
+    effort[driven] = tau.T
     effort[robot.carrier_velocity] = reduced.carrier_force.T
     if robot.loads:  # Pinocchio's solver knows none
         effort -= load_efforts(robot, motion, q, v, a)
-    solve = ConstraintDynamics(case.robot)
+    pointed = has_point_closures(robot) and held_in_planes(robot, q[:, 0], v[:, 0])
+    solve = ConstraintDynamics(robot) if pointed else ClosedForward(robot)
     forward = np.array([solve(q[:, k], v[:, k], effort[:, k]) for k in keep]).reshape(len(keep), len(v))
     yield f"inverse -> forward ({label})", relative(forward, a.T[keep]), ROUND_TRIP
 
@@ -253,13 +259,19 @@ def _regular(margin: Array) -> BoolArray:
     return np.asarray(margin > min(NEAR_SINGULAR_MARGIN, 0.3 * typical))
 
 
-def _efforts(reduced: ReducedDynamics) -> tuple[Array, BoolArray]:
-    """Return minimum-norm efforts where W has full row rank by a margin, and which samples those are."""
+def _efforts(robot: Robot, reduced: ReducedDynamics) -> tuple[IntArray, Array, BoolArray]:
+    """Return driven velocities, their minimum-norm efforts where W has full row rank by a margin, and where it has.
+
+    With fewer motors than freedoms the independent joints are driven, whose efforts are f.
+    """
+    if robot.m < robot.n and robot.platform is None:
+        joints = (robot.model.joints[robot.model.getJointId(name)] for name in robot.independent_joints)
+        return np.array([each.idx_v for each in joints]), reduced.f, np.isfinite(reduced.f).all(axis=1)
     singular = np.linalg.svd(reduced.W, compute_uv=False)
-    solvable: BoolArray = singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0]
+    solvable: BoolArray = (singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0]) & (robot.m >= robot.n)
     safe = np.where(solvable[:, None, None], reduced.W, np.eye(*reduced.W.shape[1:]))
     tau: Array = (np.linalg.pinv(safe) @ reduced.f[:, :, None])[:, :, 0]
-    return tau, solvable
+    return robot.actuated_velocity, tau, solvable
 
 
 # --- report --------------------------------------------------------------------------------------------------------

@@ -1,0 +1,109 @@
+"""Forward dynamics of a closed tree by definition: M a + h = τ + Jᵀ λ, J a + J̇ v = 0, from Pinocchio's frames.
+
+For what ``simulation.system.ConstraintDynamics`` does not take: closures that hold directions, couplings, points held
+in a plane that is one but for rounding. With r from the origin of frame a to that of b, and ω, α of frame a, a row
+along its axis e holds e·r = 0, so that with ė = ω × e
+
+    e·r̈ + 2 ė·ṙ + (α × e + ω × ė)·r = 0,
+
+and one about it e·(ω_b − ω) = 0, so that e·(α_b − α) + ė·(ω_b − ω) = 0, which is what two or three such rows say (what
+is left free is a turn about one fixed axis, or none). Nothing of ``kinematics`` is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from redundancy_pin.arrays import Array
+from redundancy_pin.robot import AXES, Closure, Robot
+
+_IDLE = 1e-12
+"""Rounding of a row of a one-metre machine."""
+
+
+def not_covered(robot: Robot) -> str:
+    """Return the name of a closure about a single axis, whose row is no turn; empty if there is none."""
+    return next((each.name for each in robot.closures if sum(axis in AXES[3:] for axis in each.axes) == 1), "")
+
+
+def held_in_planes(robot: Robot, q: Array, v: Array) -> bool:
+    """Return whether points that are held along x and y cannot leave that plane at all, as in a plane machine.
+
+    A third row that only rounding makes independent would be a constraint of its own for Pinocchio's solver.
+    """
+    third = [replace(each, axes=("z",)) for each in robot.closures if "z" not in each.axes]
+    rows, _ = ClosedForward(replace(robot, closures=tuple(third), couplings=())).rows(q, v)
+    return not np.abs(rows).max(initial=0.0) > _IDLE
+
+
+class ClosedForward:
+    """Accelerations of one robot under generalised forces, one state at a time.
+
+    Args:
+        robot: the robot; see ``not_covered``.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot, self._model, self._data = robot, robot.model, robot.model.createData()
+
+    def __call__(self, q: Array, v: Array, force: Array) -> Array:
+        """Return the accelerations (nv,) at q (nq,), v (nv,) under generalised forces (nv,)."""
+        model, data = self._model, self._data
+        upper = pin.crba(model, data, q)
+        mass = np.triu(upper) + np.triu(upper, 1).T
+        J, bias = self.rows(q, v)
+        # unit rows, so that neither short levers nor gears look like a loss of rank
+        size = np.linalg.norm(J, axis=1)
+        J, bias = J / size[:, None], bias / size
+        heavy = np.abs(mass).max()
+        matrix = np.block([[mass / heavy, -J.T], [J, np.zeros((len(J), len(J)))]])
+        rest = np.concatenate([(force - pin.nonLinearEffects(model, data, q, v)) / heavy, -bias])
+        solution: Array = np.linalg.solve(matrix, rest)
+        solution += np.linalg.solve(matrix, rest - matrix @ solution)
+        return solution[: model.nv]
+
+    def rows(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return J (r, nv) and J̇ v (r,) of closures and couplings."""
+        model, data, found = self._model, self._data, []
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        pin.computeJointJacobians(model, data)
+        for closure in self._robot.closures:
+            found += self._closure(closure)
+        for each in self._robot.couplings:
+            powers = np.polynomial.Polynomial(each.polynomial)
+            row, own = np.zeros(model.nv), model.joints[model.getJointId(each.joint)]
+            row[own.idx_v], bend = 1.0, 0.0
+            if each.of:
+                other = model.joints[model.getJointId(each.of)]
+                row[other.idx_v] -= powers.deriv()(q[other.idx_q])
+                bend = -float(powers.deriv(2)(q[other.idx_q])) * v[other.idx_v] ** 2
+            found.append((row, bend))
+        return np.array([row for row, _ in found]), np.array([bias for _, bias in found])
+
+    def _closure(self, closure: Closure) -> list[tuple[Array, float]]:
+        model, data, world = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
+        ids = [model.getFrameId(name, pin.FrameType.BODY) for name in (closure.frame_a, closure.frame_b)]
+        places = [pin.updateFramePlacement(model, data, each) for each in ids]
+        jacobians = [pin.getFrameJacobian(model, data, each, world) for each in ids]
+        speeds = [pin.getFrameVelocity(model, data, each, world) for each in ids]
+        seconds = [pin.getFrameClassicalAcceleration(model, data, each, world) for each in ids]
+        (first, second), (Ja, Jb) = places, jacobians
+        r = second.translation - first.translation
+        omega, alpha = speeds[0].angular, seconds[0].angular
+        found = []
+        for axis in closure.axes:
+            place = AXES.index(axis)
+            e = first.rotation[:, place % 3]
+            turned = np.cross(omega, e)
+            if place < 3:
+                row = e @ (Jb - Ja)[:3] + np.cross(e, r) @ Ja[3:]
+                bias = e @ (seconds[1].linear - seconds[0].linear) + 2.0 * turned @ (speeds[1].linear - speeds[0].linear)
+                bias += (np.cross(alpha, e) + np.cross(omega, turned)) @ r
+            else:
+                row = e @ (Jb - Ja)[3:]
+                bias = e @ (seconds[1].angular - alpha) + turned @ (speeds[1].angular - omega)
+            found.append((row, float(bias)))
+        return found
