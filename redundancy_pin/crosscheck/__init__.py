@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 from redundancy_pin.arrays import require_few
 from redundancy_pin.crosscheck.cases import Case, Masses, batches, random_case
@@ -18,6 +19,7 @@ from redundancy_pin.crosscheck.checks import (
     check_round_trip,
     checked_row,
     merged,
+    round_trip_needs,
 )
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
@@ -94,7 +96,19 @@ def _checked(name: str, index: int, samples: int, seed: int, vary: bool, massles
     masses, carriers = (Masses.ZERO_STAYS_ZERO, True) if massless else (Masses.ALL, None)
     case = random_case(name, samples, seed, index, vary=vary, carriers=carriers, masses=masses, trust=trust)
     deviations = _massless_deviations(case) if massless else _deviations(case)
-    return [checked_row(case.robot.name, *deviation) for deviation in deviations]
+    rows = [checked_row(case.robot.name, *deviation) for deviation in deviations]
+    if vary:  # the shipped ones have states for every check
+        return rows
+    why = round_trip_needs(case.robot)
+    missing = [
+        replace(row, note=(why if row.check.startswith("inverse") else "") or "no state is far enough from singularities")
+        for row in rows
+        if not row.samples
+    ]
+    if case.left_out:
+        note = "out of reach, or next to a singularity, and drawn again"
+        missing.append(CheckRow(case.robot.name, "random motions", case.left_out, 0.0, 0.0, True, note))
+    return [row for row in rows if row.samples] + missing
 
 
 def _deviations(case: Case) -> Iterator[Deviation]:

@@ -73,12 +73,14 @@ class Case:
         t: (N,) times at which it is looked at, s.
         path: motion of the independent coordinates (three translations and two angles for poses).
         tracks: motion of the carriers.
+        left_out: motions that were drawn before and left out: out of reach, or next to a singularity.
     """
 
     robot: Robot
     t: Array
     path: Wave
     tracks: Wave
+    left_out: int = 0
 
     def motion(self, t: Array) -> PlatformMotion:
         """Return the platform motion at strictly increasing times (N,)."""
@@ -138,7 +140,7 @@ def random_case(
         except RedundancyPinError as error:
             failure = error  # the swing leaves the workspace: draw again, smaller
             continue
-        return case
+        return replace(case, left_out=attempt)
     raise UnreachablePoseError(
         f"No random motion of {source} stays reachable after {_TRIES} draws; the last one failed with: {failure}",
         remedy="Check the robot's reference and its workspace.",

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 from scipy.optimize import brentq
 
@@ -193,8 +194,9 @@ def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Dev
 
     Its solver knows points in space and in machines that are plane; for other closures ``ClosedForward`` stands in.
     """
-    robot = case.robot
-    if not_covered(robot):
+    robot, name = case.robot, f"inverse -> forward ({label})"
+    if round_trip_needs(robot):
+        yield name, np.zeros(0), ROUND_TRIP
         return
     motion, carriers = case.motion(case.t), case.carriers(case.t)
     rnea = RneaDynamics(robot).along(motion)
@@ -210,7 +212,15 @@ def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Dev
     pointed = has_point_closures(robot) and held_in_planes(robot, q[:, 0], v[:, 0])
     solve = ConstraintDynamics(robot) if pointed else ClosedForward(robot)
     forward = np.array([solve(q[:, k], v[:, k], effort[:, k]) for k in keep]).reshape(len(keep), len(v))
-    yield f"inverse -> forward ({label})", relative(forward, a.T[keep]), ROUND_TRIP
+    yield name, relative(forward, a.T[keep]), ROUND_TRIP
+
+
+def round_trip_needs(robot: Robot) -> str:
+    """Return why there is no round trip for a robot; empty if there is one."""
+    if robot.m < robot.n and robot.platform is not None:
+        return "fewer motors than freedoms of the platform"
+    about_one = not_covered(robot)
+    return f"the closure {about_one} is about one axis" if about_one else ""
 
 
 def check_derivatives(case: Case, along: DynamicsAlongMotion, label: str) -> Iterator[Deviation]:
@@ -268,7 +278,7 @@ def _efforts(robot: Robot, reduced: ReducedDynamics) -> tuple[IntArray, Array, B
         joints = (robot.model.joints[robot.model.getJointId(name)] for name in robot.independent_joints)
         return np.array([each.idx_v for each in joints]), reduced.f, np.isfinite(reduced.f).all(axis=1)
     singular = np.linalg.svd(reduced.W, compute_uv=False)
-    solvable: BoolArray = (singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0]) & (robot.m >= robot.n)
+    solvable: BoolArray = singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0]
     safe = np.where(solvable[:, None, None], reduced.W, np.eye(*reduced.W.shape[1:]))
     tau: Array = (np.linalg.pinv(safe) @ reduced.f[:, :, None])[:, :, 0]
     return robot.actuated_velocity, tau, solvable
@@ -288,6 +298,7 @@ class CheckRow:
         worst: largest deviation, relative to the size of what was compared.
         tolerance: largest deviation that passes.
         passed: whether it does; false for a check without samples or with NaN.
+        note: what was left out, and why; such a row is no check and does not count.
     """
 
     robot: str
@@ -296,6 +307,7 @@ class CheckRow:
     worst: float
     tolerance: float
     passed: bool
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -307,8 +319,10 @@ class CrossCheckReport:
 
     @property
     def passed(self) -> bool:
-        """Whether there are rows and every one of them passes."""
-        return bool(self.rows) and all(row.passed for row in self.rows)
+        """Whether there are checks of every robot, and every one of them passes."""
+        checks = [row for row in self.rows if not row.note]
+        robots = {row.robot for row in self.rows}
+        return bool(checks) and robots == {row.robot for row in checks} and all(row.passed for row in checks)
 
     def as_dict(self) -> dict[str, object]:
         """Return plain numbers, for JSON."""
@@ -320,6 +334,9 @@ class CrossCheckReport:
         for heading in ("states", "worst", "allowed", ""):
             table.add_column(heading, justify="right")
         for row in self.rows:
+            if row.note:
+                table.add_row(row.robot, f"{row.check}: {escape(row.note)}", str(row.samples), "", "", "left out")
+                continue
             verdict = "[green]ok[/green]" if row.passed else "[red]FAILED[/red]"
             cells = (str(row.samples), f"{row.worst:.1e}", f"{row.tolerance:.0e}", verdict)
             table.add_row(row.robot, row.check, *cells)
@@ -340,7 +357,8 @@ def merged(rows: Iterable[CheckRow]) -> tuple[CheckRow, ...]:
         samples = row.samples + (before.samples if before is not row else 0)
         worst = float(np.maximum(before.worst, row.worst))
         passed = samples > 0 and worst <= row.tolerance
-        total[row.robot, row.check] = CheckRow(row.robot, row.check, samples, worst, row.tolerance, passed)
+        note = row.note and before.note  # one batch with states is a check
+        total[row.robot, row.check] = CheckRow(row.robot, row.check, samples, worst, row.tolerance, passed, note)
     return tuple(total.values())
 
 

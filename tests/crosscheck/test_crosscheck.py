@@ -1,21 +1,31 @@
 """The cross-check itself: it passes on what is right and fails on every fault put into a backend."""
 
+import io
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from examples import FACTOR
+from mjcf_models import GEARED, write
+from rich.console import Console
 
 from redundancy_pin import crosscheck
 from redundancy_pin.crosscheck import checks as physics
 from redundancy_pin.crosscheck.cases import Masses, Wave, random_case
 from redundancy_pin.crosscheck.checks import CheckRow, CrossCheckReport, checked_row, merged, relative
+from redundancy_pin.crosscheck.closed_forward import ClosedForward, held_in_planes
 from redundancy_pin.dynamics import virtual_work
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.tree_loads import TreeLoads
 from redundancy_pin.errors import InputError, ModelFileError, UnreachablePoseError
+from redundancy_pin.kinematics import continuation
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, closed_around, near_rank_loss
+from redundancy_pin.loading import load_robot
 from redundancy_pin.robot import JointForces, Spring, Wrench
+from redundancy_pin.simulation.system import ConstraintDynamics
 
 
 def failed(report):
@@ -117,6 +127,95 @@ def test_power_and_round_trip_judge_what_loads_ask_of_joints(monkeypatch, load, 
     assert (deviations() < 1.0).all()
     monkeypatch.setattr(TreeLoads, "efforts", lambda *a, **k: 1.001 * efforts(*a, **k))
     assert (deviations() > 1.0).all()
+
+
+CASSIE = Path(pin.__file__).parents[4] / "share/example-robot-data/robots/cassie_description/robots"
+needs_cassie = pytest.mark.skipif(not CASSIE.is_dir(), reason="example-robot-data is not installed")
+
+
+@needs_cassie
+def test_small_margins_throughout_are_no_rank_loss():
+    """Cassie's margin is 3.6e-4 everywhere, an order below that of a rank loss."""
+    system = constraint_system(load_robot(CASSIE / "cassie_reduced.sdf"))
+    margin = closed_around(system).projection.margin
+    assert margin.max() < 0.2 * NEAR_RANK_LOSS
+    assert near_rank_loss(system) < 0.2 * margin.min()
+    five_bar = load_robot("five_bar")
+    assert near_rank_loss(constraint_system(five_bar)) == NEAR_RANK_LOSS
+    # a reference at a rank loss does not make a rank loss usual
+    flat = replace(five_bar, q_reference=np.zeros(five_bar.model.nq))
+    assert near_rank_loss(constraint_system(flat)) == NEAR_RANK_LOSS
+
+
+@needs_cassie
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cassie_reduced",
+        *(pytest.param(f"cassie{more}", marks=pytest.mark.long) for more in ("_v2", "_simple", "_wo_gearbox_spring")),
+    ],
+)
+def test_cassie_is_checked_in_bounded_time(monkeypatch, name):
+    """Twenty draws at most, no rank loss crossed, and every check has states."""
+    monkeypatch.setattr(continuation, "carry", lambda *_, **__: pytest.fail("a rank loss"))
+    report = crosscheck.run([str(CASSIE / f"{name}.sdf")], samples=2)
+    assert report.passed
+    assert {row.check for row in report.rows if not row.note} == {"power balance (rnea)", "inverse -> forward (rnea)"}
+
+
+def test_what_could_not_be_checked_is_named_and_does_not_fail():
+    case = random_case("gough", 2, 0)
+    closure = replace(case.robot.closures[0], axes=("x", "y", "z", "rz"))
+    awkward = replace(case.robot, closures=(closure, *case.robot.closures[1:]))
+    assert "is about one axis" in physics.round_trip_needs(awkward)
+    assert not physics.round_trip_needs(case.robot)
+    note = CheckRow("robot", "inverse -> forward", 0, 0.0, 1.0, False, "a closure [red]is[/red] about one axis")
+    good = CheckRow("robot", "power", 3, 0.1, 1.0, True)
+    assert CrossCheckReport((good, note), 0).passed
+    assert not CrossCheckReport((note,), 0).passed
+    assert not CrossCheckReport((good, replace(note, robot="other")), 0).passed
+    shown = io.StringIO()
+    Console(file=shown, width=150).print(CrossCheckReport((good, note), 0).table())
+    assert "a closure [red]is[/red] about one axis" in shown.getvalue()
+    assert "FAILED" not in shown.getvalue()
+    # one batch with states makes it a check
+    assert merged([note, replace(note, samples=2, worst=0.5, note="")])[0] == replace(
+        note, samples=2, worst=0.5, passed=True, note=""
+    )
+
+
+@pytest.mark.parametrize("name", ["gough", "five_bar"])
+def test_forward_dynamics_by_definition_is_pinocchios(name):
+    """Points in space, and in a plane."""
+    robot = random_case(name, 2, 0, masses=Masses.ALL).robot
+    q, rng = np.array(robot.q_reference), np.random.default_rng(1)
+    J, _ = ClosedForward(robot).rows(q, np.zeros(robot.model.nv))
+    v = rng.normal(size=robot.model.nv)
+    v -= np.linalg.pinv(J) @ (J @ v)  # a rate that keeps the closures
+    force = rng.normal(size=robot.model.nv)
+    ours, theirs = ClosedForward(robot)(q, v, force), ConstraintDynamics(robot)(q, v, force)
+    np.testing.assert_allclose(ours, theirs, atol=1e-7 * np.abs(theirs).max())
+    assert held_in_planes(robot, q, v)
+
+
+@pytest.mark.parametrize("name", ["geared", "hinged"])
+def test_rows_of_hinges_and_couplings_are_derivatives_of_one_another(tmp_path, name):
+    """J of a moving machine, differenced: d(J v) / dt = J a + J̇ v at any state, closed or not."""
+    if name == "geared":
+        robot = load_robot(write(tmp_path, GEARED))
+    else:
+        robot = load_robot("gough")
+        robot = replace(
+            robot, closures=tuple(replace(each, axes=("x", "y", "z", "rx", "rz")) for each in robot.closures)
+        )
+    rng, step = np.random.default_rng(0), 1e-5
+    q, v, a = (rng.normal(size=robot.model.nv) for _ in range(3))
+    solve = ClosedForward(robot)
+    J, bias = solve.rows(q, v)
+    ahead, behind = (
+        solve.rows(q + h * v + 0.5 * h * h * a, v + h * a)[0] @ (v + h * a) for h in (step, -step)
+    )
+    np.testing.assert_allclose((ahead - behind) / (2 * step), J @ a + bias, atol=1e-6)
 
 
 class Tampered:
