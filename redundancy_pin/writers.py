@@ -236,8 +236,8 @@ def _forces(robot: Robot, *, reflected: bool) -> tuple[dict[str, dict[str, float
         index = model.getJointId(load.joint)
         if load.rotor_inertia and not reflected and _turns_with_its_rotor(model, index):
             raise UnsupportedRobotError(
-                f"The rotor of joint {load.joint!r} is carried by a link that turns about its axis, and MJCF's armature "
-                "leaves out what the two do to each other (gear · inertia of the rotor, both ways).",
+                f"The rotor of joint {load.joint!r} is carried by a link that turns about its axis, and the "
+                "armature of MJCF leaves out what the two do to each other (gear · inertia of the rotor, both ways).",
                 remedy="Pass reflected=True to write gear² · inertia, which is right where the gear is high.",
                 joint=load.joint,
             )
@@ -328,7 +328,7 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
         )
     forces: dict[str, Array] = {}  # damping and friction
     for load in (each for each in robot.loads if isinstance(each, JointForces)):
-        forces[load.joint] = forces.get(load.joint, np.zeros(2)) + (load.damping, load.friction)
+        forces[load.joint] = forces.get(load.joint, np.zeros(2)) + np.array([load.damping, load.friction])
     names = _link_names(robot)
     linear = (each for each in robot.couplings if each.of and len(each.polynomial) <= 2)
     mimics = {each.joint: (each.of, (*each.polynomial, 0.0)[:2]) for each in linear}

@@ -53,5 +53,7 @@ def validate(
         return 0
     checks = [row for row in report.rows if not row.note]
     failed = sum(not row.passed for row in checks)
-    click.echo(f"error: {failed} of {len(checks)} checks failed." if checks else "error: nothing could be checked.", err=True)
+    click.echo(
+        f"error: {failed} of {len(checks)} checks failed." if checks else "error: nothing could be checked.", err=True
+    )
     return FAILED_CHECK

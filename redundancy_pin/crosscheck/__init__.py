@@ -101,7 +101,7 @@ def _checked(name: str, index: int, samples: int, seed: int, vary: bool, massles
         return rows
     why = round_trip_needs(case.robot)
     missing = [
-        replace(row, note=(why if row.check.startswith("inverse") else "") or "no state is far enough from singularities")
+        replace(row, note=(why if row.check.startswith("inverse") else "") or "all states are next to singularities")
         for row in rows
         if not row.samples
     ]

@@ -276,7 +276,7 @@ def _efforts(robot: Robot, reduced: ReducedDynamics) -> tuple[IntArray, Array, B
     """
     if robot.m < robot.n and robot.platform is None:
         joints = (robot.model.joints[robot.model.getJointId(name)] for name in robot.independent_joints)
-        return np.array([each.idx_v for each in joints]), reduced.f, np.isfinite(reduced.f).all(axis=1)
+        return np.array([each.idx_v for each in joints]), reduced.f, np.asarray(np.isfinite(reduced.f).all(axis=1))
     singular = np.linalg.svd(reduced.W, compute_uv=False)
     solvable: BoolArray = singular[:, -1] > NEAR_SINGULAR_MARGIN * singular[:, 0]
     safe = np.where(solvable[:, None, None], reduced.W, np.eye(*reduced.W.shape[1:]))

@@ -100,7 +100,9 @@ class ClosedForward:
             turned = np.cross(omega, e)
             if place < 3:
                 row = e @ (Jb - Ja)[:3] + np.cross(e, r) @ Ja[3:]
-                bias = e @ (seconds[1].linear - seconds[0].linear) + 2.0 * turned @ (speeds[1].linear - speeds[0].linear)
+                bias = e @ (seconds[1].linear - seconds[0].linear) + 2.0 * turned @ (
+                    speeds[1].linear - speeds[0].linear
+                )
                 bias += (np.cross(alpha, e) + np.cross(omega, turned)) @ r
             else:
                 row = e @ (Jb - Ja)[3:]

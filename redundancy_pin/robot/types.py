@@ -292,8 +292,8 @@ class Robot(Frozen):
         Args:
             path: the file.
             step: of the integration, s.
-            reflected: write the inertia of every rotor as armature, gear² · inertia. MJCF has no other, and it is all of
-                it where what carries the rotor cannot turn about its axis; other rotors are refused without this.
+            reflected: write the inertia of every rotor as armature, gear² · inertia. MJCF has no other, which is
+                all there is to it where what carries the rotor cannot turn about its axis; others are refused without.
 
         Returns:
             The path that was written.

@@ -212,9 +212,7 @@ def test_rows_of_hinges_and_couplings_are_derivatives_of_one_another(tmp_path, n
     q, v, a = (rng.normal(size=robot.model.nv) for _ in range(3))
     solve = ClosedForward(robot)
     J, bias = solve.rows(q, v)
-    ahead, behind = (
-        solve.rows(q + h * v + 0.5 * h * h * a, v + h * a)[0] @ (v + h * a) for h in (step, -step)
-    )
+    ahead, behind = (solve.rows(q + h * v + 0.5 * h * h * a, v + h * a)[0] @ (v + h * a) for h in (step, -step))
     np.testing.assert_allclose((ahead - behind) / (2 * step), J @ a + bias, atol=1e-6)
 
 
