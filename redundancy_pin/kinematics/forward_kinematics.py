@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -51,6 +52,11 @@ _SAME_MODE = 1e-6
 """Configurations whose frames are nearer than this, in characteristic lengths, are the same mode."""
 
 _SEED = 20141
+
+_FEW_TURNS, _MOST_TURNS = 3, 100
+"""Turns between samples that are followed as they are; of several motors at most, which takes seconds."""
+_SAME_TURN = 1e-6
+"""rad or m; configurations this near, turns apart, are one."""
 
 
 class ForwardStatus(IntEnum):
@@ -141,7 +147,7 @@ def forward_kinematics(
         start: (nq,) a closed configuration; ``robot.q_reference`` when left out.
 
     Raises:
-        InputError: wrong shapes, a start that is not closed.
+        InputError: wrong shapes, a start that is not closed, hundreds of turns of several motors between samples.
         UnsupportedRobotError: fewer motors than freedoms.
         SingularPoseError: the start is a type II singularity, where branches meet.
     """
@@ -171,21 +177,31 @@ def forward_kinematics(
     u0 = coordinates(driven, home.state)
     before = u0, np.zeros(u0.shape), np.zeros(u0.shape)  # the motors come from the start
     path = [np.concatenate([first, part[:, followed]]) for first, part in zip(before, (u, ud, udd), strict=True)]
-    motion = PlatformMotion(np.arange(len(path[0])), *path, check_rates=False)
+    way = _without_whole_turns(driven, path[0])
+    rate, second = np.zeros((2, *way.u.shape))
+    rate[way.places], second[way.places] = path[1:]
+    motion = PlatformMotion(np.arange(len(way.u)), way.u, rate, second, check_rates=False)
     tree = lift(driven, motion, mark_unreachable=True, start=Point(u0[0], q0, home.gamma[0]))
-    q, v, a, gamma, gap, margin = (
-        part[1:].copy() for part in (tree.q, tree.v, tree.a, tree.gamma, tree.gap, tree.serial_margin_bound)
+    places = way.places[1:]
+    v, a, gamma, gap, margin = (
+        part[places] for part in (tree.v, tree.a, tree.gamma, tree.gap, tree.serial_margin_bound)
     )
-    good = tree.reachable[1:]
-    end = len(good) if good.all() else int(np.argmin(good))
+    good = np.logical_and.accumulate(tree.reachable)
+    branch = np.where(good[:, None], tree.q, np.nan)  # what lift takes up again behind a gap is on any branch
+    end = int(good[places].sum())
     status: IntArray = np.full(len(u), int(ForwardStatus.CONVERGED))
-    if end < len(u):  # what lift takes up again behind a gap is on any branch
-        q[end:], v[end:], a[end:], gamma[end:] = np.nan, np.nan, np.nan, np.nan
-        _judge_rest(motors, motion.x[1 + end :], tree.q[end], (q[end:], status[end:], gap[end:], margin[end:]))
-    x, xd, xdd = _of_platform(system, q, v, a)
+    q = branch[places]
+    if end < len(u):
+        v[end:], a[end:], gamma[end:] = np.nan, np.nan, np.nan
+        rest = q[end:], status[end:], gap[end:], margin[end:]
+        _judge_rest(motors, way.u[places[end:]], tree.q[way.places[end]], rest)
+        branch[places[end:]] = q[end:]
+    x = _platform_at(system, branch)
+    xd, xdd = _platform_rates(system, q, v, a)
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
+    q, x = way.turned(robot, branch, q), x[places] if is_pose(robot) else way.turned(robot, x, x[places])
     gap = np.fmax(gap, _contradiction(system, followed, u, q))
     status[(status == ForwardStatus.CONVERGED) & (gap > _AGREE)] = ForwardStatus.OUT_OF_REACH
     excess = range_excess(robot, q)
@@ -238,17 +254,88 @@ def _judge_rest(motors: ConstraintSystem, u: Array, last: Array, rest: tuple[Arr
     q[:passed], gap[:], margin[:] = solved.q[:passed], solved.gap, np.where(singular, 0.0, np.nan)
 
 
-def _of_platform(system: ConstraintSystem, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+class _Way(NamedTuple):
+    """Positions u (A, n) of the motors that are followed, and ``places`` (N + 1,) of the samples, the start first.
+
+    ``jumps`` say where whole turns are left out: places before and behind one turn, and how many more follow.
+    """
+
+    u: Array
+    places: IntArray
+    jumps: tuple[tuple[int, int, int], ...]
+
+    def turned(self, robot: Robot, along: Array, values: Array) -> Array:
+        """Return values (N, d) at the samples with the whole turns that were left out, from values (A, d) on the way.
+
+        Raises:
+            InputError: a turn of the motor does not lead back.
+        """
+        result = np.array(values)
+        for before, behind, count in self.jumps:
+            step = along[behind] - along[before]
+            once = 2.0 * np.pi * np.round(step / (2.0 * np.pi))
+            if np.abs(step - once).max() > _SAME_TURN:
+                raise _too_far(robot, count, "and a turn of its motor does not lead back to the same configuration")
+            result[self.places[1:] >= behind] += count * np.where(np.isfinite(once), once, 0.0)
+        return result
+
+
+def _without_whole_turns(driven: Robot, u: Array) -> _Way:
+    """Return the way along positions of motors (N + 1, n), the start first, in bounded length.
+
+    One motor that turns comes to the same place after a turn, if it does after the first: all but this one and the last
+    are left out. What several motors do has no such period.
+
+    Raises:
+        InputError: several motors turn too often between samples.
+    """
+    model, plain = driven.model, _Way(u, np.arange(len(u)), ())
+    joints = [model.joints[model.getJointId(name)] for name in driven.independent_joints]
+    turning = np.array([bool(turning_velocities(driven)[each.idx_v]) and each.nq == 1 for each in joints])
+    whole = (np.abs(np.diff(u, axis=0)) // (2.0 * np.pi)).astype(int) * turning
+    if whole.max(initial=0) < _FEW_TURNS:
+        return plain
+    if driven.n > 1 or model.nq != model.nv:
+        if whole.max(axis=1).sum() > _MOST_TURNS:
+            raise _too_far(driven, int(whole.max(axis=1).sum()), "which has to be followed turn by turn")
+        return plain
+    way, places, jumps, away = [u[0]], [0], [], 0.0
+    for target, last, count in zip(u[1:], u[:-1], whole[:, 0].tolist(), strict=True):
+        if count >= _FEW_TURNS:
+            turn = np.copysign(2.0 * np.pi, target - last)
+            jumps.append((len(way) - 1, len(way), count - 1))
+            way.append(way[-1] + turn)
+            away = away + (count - 1) * turn
+        way.append(target - away)
+        places.append(len(way) - 1)
+    return _Way(np.array(way), np.array(places), tuple(jumps))
+
+
+def _too_far(robot: Robot, turns: int, why: str) -> InputError:
+    return InputError(
+        f"The motors of {robot.name} make {turns} whole turns between samples, {why}.",
+        remedy="Pass samples in between, or take whole turns off.",
+        turns=turns,
+    )
+
+
+def _platform_at(system: ConstraintSystem, q: Array) -> Array:
+    """Return (N, n) coordinates or (N, 4, 4) poses of the platform at configurations, NaN where these are."""
     robot, known = system.robot, np.isfinite(q).all(axis=1)
-    state = system.evaluate(q[known])
     x = np.full((len(q), 4, 4) if is_pose(robot) else (len(q), robot.n), np.nan)
-    xd, xdd = np.full((2, len(q), robot.n), np.nan)
-    x[known] = coordinates(robot, state)
+    x[known] = coordinates(robot, system.evaluate(q[known]))
     if not is_pose(robot) and known.any():
         x[known] += _turns(system, q[known])
+    return x
+
+
+def _platform_rates(system: ConstraintSystem, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    robot, known = system.robot, np.isfinite(q).all(axis=1)
+    state = system.evaluate(q[known])
+    xd, xdd = np.full((2, len(q), robot.n), np.nan)
     xd[known] = np.einsum("ijv,iv->ij", state.Jx, v[known])
     xdd[known] = np.einsum("ijv,iv->ij", state.Jx, a[known]) + system.bias(state, v[known])[1]
-    return x, xd, xdd
+    return xd, xdd
 
 
 def _turns(system: ConstraintSystem, q: Array) -> Array:

@@ -287,6 +287,58 @@ def test_angles_of_the_platform_count_the_turns_between_far_samples_and_from_cal
     assert np.abs(again.x[0, 1] - u[2].sum()) < TOLERANCE
 
 
+def test_thousands_of_turns_of_one_motor_take_no_longer_than_three() -> None:
+    """Against small steps over all turns, and by the period of the linkage."""
+    robot = zoo.robot_of("four_bar")
+    home = motors(robot, robot.q_reference)
+    wanted = home + np.array([0.3, 40.2 * np.pi, 39.0 * np.pi, -22.5 * np.pi])[:, None]
+    far = rp.forward_kinematics(robot, wanted, rates=np.ones((4, 1)))
+    small = np.concatenate([np.linspace(a, b, 400)[1:] for a, b in zip([home, *wanted], wanted, strict=False)])
+    step = rp.forward_kinematics(robot, small, rates=np.ones(small.shape))
+    at = [398, 797, 1196, 1595]
+    np.testing.assert_allclose(far.q, step.q[at], atol=1e-9)
+    np.testing.assert_allclose(far.x, wanted, atol=1e-9)
+    np.testing.assert_allclose(far.jacobian, step.jacobian[at], atol=1e-9)
+    assert (far.status == step.status[at]).all()
+    many = rp.forward_kinematics(robot, home + 2e4 * np.pi + 0.3)
+    np.testing.assert_allclose(many.q[0, 1:] - far.q[0, 1:], 0.0, atol=1e-9)  # coupler and rocker swing
+    assert many.q[0, 0] == pytest.approx(home[0] + 2e4 * np.pi + 0.3, abs=1e-9)
+    assert many.status_labels.tolist() == ["out_of_range"]
+
+
+@pytest.mark.parametrize(("ratio", "turns_back"), [(2.0, True), (-3.0, True), (0.5, False)])
+def test_what_turns_with_the_motor_turns_as_often(ratio: float, turns_back: bool) -> None:
+    """A gear of ratio 1 : 2 is back after a turn of the motor; with 2 : 1 a turn leads to another configuration."""
+    model = pin.Model()
+    for name in ("motor", "geared"):
+        joint = model.addJoint(model.njoints - 1, pin.JointModelRZ(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("tip", 2, pin.SE3.Identity(), 0)
+    robot = rp.Robot.from_model(
+        model,
+        actuated=["motor"],
+        closures=[],
+        couplings=[rp.robot.Coupling("gears", "geared", "motor", (0.0, ratio))],
+        independent={"platform": "tip", "axes": ["rz"]},
+        reference={"platform": [0.1 * (1.0 + ratio)], "guess": {"motor": 0.1, "geared": 0.1 * ratio}},
+    )
+    u = np.array([[0.7], [20_001.3], [19_990.2]])
+    if not turns_back:
+        with pytest.raises(InputError, match="does not lead back"):
+            rp.forward_kinematics(robot, u)
+        return
+    found = rp.forward_kinematics(robot, u)
+    np.testing.assert_allclose(found.q, u * [1.0, ratio], rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(found.x, u * (1.0 + ratio), rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("turns", [5000, -1e6])
+def test_thousands_of_turns_of_several_motors_are_refused(five_bar: rp.Robot, turns: float) -> None:
+    home = motors(five_bar, five_bar.q_reference)
+    with pytest.raises(InputError, match="whole turns between samples"):
+        rp.forward_kinematics(five_bar, home + 2.0 * np.pi * turns)
+
+
 @pytest.mark.parametrize("given", ["x", [[1, 2], [3]], [1.0], 10**400, [np.nan, 0.0]], ids=range(5))
 def test_motors_of_no_sense_are_refused(five_bar: rp.Robot, given: object) -> None:
     for wanted in ({"actuated": given}, {"actuated": np.zeros(2), "rates": given}):
