@@ -18,6 +18,7 @@ import engine_table
 import planners_stepwise
 import planners_switch_off
 import planners_whole
+import published_table
 import simulation
 import start_up
 from plain_loop import PlainLoop, seconds, smooth_motion
@@ -165,6 +166,7 @@ def main():
     rows += simulation.rows()
     rows += engine_table.rows()
     rows += start_up.rows()
+    rows += published_table.rows()
     if len(sys.argv) > 1:
         Path(sys.argv[1]).write_text(json.dumps(rows, indent=2) + "\n")
 

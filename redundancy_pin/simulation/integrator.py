@@ -21,7 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-from scipy.integrate import DOP853, RK45, OdeSolver
+from scipy.integrate import DOP853, RK45, OdeSolver, Radau
 from scipy.optimize import brentq
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
@@ -45,9 +45,12 @@ from redundancy_pin.simulation.state import GAP
 from redundancy_pin.simulation.system import Machine
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
-INTEGRATORS = {"DOP853": DOP853, "RK45": RK45}
-"""Explicit Runge-Kutta methods of scipy of order 8 and 5. The lower order is cheaper where a sampled controller makes
-every step short."""
+INTEGRATORS = {"DOP853": DOP853, "RK45": RK45, "Radau": Radau}
+"""Runge-Kutta methods of scipy: explicit ones of order 8 and 5, of which the latter is cheaper where a sampled controller
+makes every step short; and the implicit Radau IIA of order 5 for stiff springs and dampers."""
+
+EXPLICIT = ("DOP853", "RK45")
+"""Those that machine code has."""
 
 SAME = 1e-9
 """Instants closer than this fraction of a sampling period, or of the interval of the result's samples, are one."""
@@ -56,6 +59,9 @@ SHORTEST = 1e-8
 """s; a machine whose motion takes steps shorter than this, many in a row, is not one."""
 
 _MOST_SHORT = 20
+
+_DIFFERENCE = 1e-7
+"""Step of the differences that an implicit integrator takes its Jacobian from, m, rad, m/s, rad/s; of large ones a share."""
 
 _LITTLE_INERTIA = 1e-3
 """Share of the largest inertia below which an inertia is blamed for a motion that blows up."""
@@ -210,7 +216,8 @@ def integrate(
     record, commands, hold = Record(), [first], None
     progress = Progress(float(grid[0]), y, values, sheet)
     parts = stretches(float(grid[0]), float(grid[-1]), problem.breaks, problem.sampling)
-    ordinary = None if machine.kernel is None else OrdinarySteps(machine.kernel, problem, parts)
+    compiled = machine.kernel is not None and problem.method in EXPLICIT
+    ordinary = OrdinarySteps(machine.kernel, problem, parts) if compiled else None
     with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
         for stretch in parts:
             if progress.t >= stretch.end:
@@ -248,6 +255,12 @@ class _Rate:
             # a controller may have no answer to the state of a trial step that is too long
             self.failure = error
             return np.full(len(y), np.nan)
+
+    def jacobian(self, t: float, y: Array) -> Array:
+        """Return ∂ẏ/∂y by differences; scipy's own step grows without bound where nothing depends on a coordinate."""
+        here, steps = self(t, y), _DIFFERENCE * np.maximum(1.0, np.abs(y))
+        columns = [(self(t, y + step * e) - here) / step for step, e in zip(steps, np.eye(len(y)), strict=True)]
+        return np.nan_to_num(np.stack(columns, axis=1))  # without an answer: Newton fails, and the step is shortened
 
 
 class OrdinarySteps:
@@ -344,8 +357,9 @@ def _integrate_stretch(
                 break
         rate = _Rate(problem.machine, hold, stretch.end, progress.sheet)
         step = None if progress.next_step is None else min(progress.next_step, stretch.end - progress.t)
+        implicit = {} if problem.method in EXPLICIT else {"jac": rate.jacobian}
         solver = INTEGRATORS[problem.method](
-            rate, progress.t, progress.y, stretch.end, first_step=step, **problem.settings
+            rate, progress.t, progress.y, stretch.end, first_step=step, **implicit, **problem.settings
         )
         progress = replace(progress, restarts=progress.restarts + 1)
         again = None

@@ -70,7 +70,7 @@ def simulate(
     atol: float = ATOL,
     max_step: float = np.inf,
     max_steps: int = 200_000,
-    integrator: Literal["DOP853", "RK45"] = "DOP853",
+    integrator: Literal["DOP853", "RK45", "Radau"] = "DOP853",
     restart_at: Literal["breaks", "jumps"] = "breaks",
     method: Method = "projected",
     way: Method | None = None,
@@ -101,14 +101,16 @@ def simulate(
         atol: its absolute tolerance, m, rad, m/s and rad/s.
         max_step: longest step, s.
         max_steps: number of steps after which it is given up.
-        integrator: explicit Runge-Kutta method of scipy: of order 8, or of order 5.
+        integrator: explicit Runge-Kutta method of scipy: of order 8, or of order 5; or the implicit "Radau" of order 5,
+            for machines with stiff springs or dampers, whose steps are not bound by them.
         restart_at: where integration starts anew: at all breaks of the controller, where its efforts jump or kink, so
             that the integrator keeps its order; or at the jumps only, so that steps may be longer than those of a plan,
             which pays where tolerances are loose. At tight ones the step control grinds at the kinks.
         method: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
         way: the name of ``method`` in version 0.1.0; deprecated.
         dynamics: a backend of this robot whose forward dynamics are machine code (``CompiledDynamics``), which then
-            takes the ordinary steps: many times as fast, the same to the tolerances. Others make no difference.
+            takes the ordinary steps of explicit integrators: many times as fast, the same to the tolerances. Others make
+            no difference.
 
     Returns:
         A ``Simulation``. What goes wrong on the way is said by its status: an event at which it stopped, or a failure

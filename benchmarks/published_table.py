@@ -1,0 +1,23 @@
+"""Published problems: digits and processor times, into docs/published_problems.md (``make bench`` does it too).
+
+python benchmarks/published_table.py
+"""
+
+from pathlib import Path
+
+import published
+
+PAGE = Path(__file__).parents[1] / "docs" / "published_problems.md"
+BEGIN, END = "<!-- table: `make bench` writes it -->\n", "<!-- end of table -->"
+
+
+def rows():
+    found = published.rows()
+    text = PAGE.read_text(encoding="utf-8")
+    before, rest = text.split(BEGIN)
+    PAGE.write_text(f"{before}{BEGIN}{published.table(found)}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    return found
+
+
+if __name__ == "__main__":
+    rows()
