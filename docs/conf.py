@@ -103,6 +103,7 @@ TOPICS = (
     "codegen",
     "robustness",
     "engines",
+    "published_problems",
 )
 """Order of the pages beside this file; others follow."""
 

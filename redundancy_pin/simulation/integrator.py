@@ -46,8 +46,8 @@ from redundancy_pin.simulation.system import Machine
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45, "Radau": Radau}
-"""Runge-Kutta methods of scipy: explicit ones of order 8 and 5, of which the latter is cheaper where a sampled controller
-makes every step short; and the implicit Radau IIA of order 5 for stiff springs and dampers."""
+"""Runge-Kutta methods of scipy: explicit ones of order 8 and 5, the latter cheaper where a sampled controller makes every
+step short; and the implicit Radau IIA of order 5 for stiff springs and dampers."""
 
 EXPLICIT = ("DOP853", "RK45")
 """Those that machine code has."""
@@ -61,7 +61,7 @@ SHORTEST = 1e-8
 _MOST_SHORT = 20
 
 _DIFFERENCE = 1e-7
-"""Step of the differences that an implicit integrator takes its Jacobian from, m, rad, m/s, rad/s; of large ones a share."""
+"""Step of the differences that an implicit integrator takes its Jacobian from, m, rad, m/s, rad/s, or a share of them."""
 
 _LITTLE_INERTIA = 1e-3
 """Share of the largest inertia below which an inertia is blamed for a motion that blows up."""

@@ -109,8 +109,8 @@ def simulate(
         method: "projected" or "constraint_dynamics": Pinocchio's solver, for point closures and bodies with mass.
         way: the name of ``method`` in version 0.1.0; deprecated.
         dynamics: a backend of this robot whose forward dynamics are machine code (``CompiledDynamics``), which then
-            takes the ordinary steps of explicit integrators: many times as fast, the same to the tolerances. Others make
-            no difference.
+            takes the ordinary steps of explicit integrators: many times as fast, the same to the tolerances. Others
+            make no difference.
 
     Returns:
         A ``Simulation``. What goes wrong on the way is said by its status: an event at which it stopped, or a failure

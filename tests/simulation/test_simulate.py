@@ -236,7 +236,7 @@ REFUSED = {
     "zero step": ({"duration": 1.0, "dt": 0.0}, "dt is 0"),
     "tolerance": ({"duration": 1.0, "rtol": 0.0}, "rtol is 0"),
     "absolute tolerance": ({"duration": 1.0, "atol": -1.0}, "atol is -1"),
-    "integrator": ({"duration": 1.0, "integrator": "Euler"}, "DOP853, RK45"),
+    "integrator": ({"duration": 1.0, "integrator": "Euler"}, "DOP853, RK45, Radau"),
     "max_steps": ({"duration": 1.0, "max_steps": 0}, "max_steps is 0"),
     "part of a step": ({"duration": 1.0, "max_steps": 0.5}, "max_steps is 0.5"),
     "max_step": ({"duration": 1.0, "max_step": np.nan}, "max_step is nan"),
