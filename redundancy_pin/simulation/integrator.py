@@ -46,8 +46,8 @@ from redundancy_pin.simulation.system import Machine
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 INTEGRATORS = {"DOP853": DOP853, "RK45": RK45, "Radau": Radau}
-"""Runge-Kutta methods of scipy: explicit ones of order 8 and 5, the latter cheaper where a sampled controller makes every
-step short; and the implicit Radau IIA of order 5 for stiff springs and dampers."""
+"""Runge-Kutta methods of scipy: explicit ones of order 8 and 5, the latter cheaper where a sampled controller makes
+every step short; and the implicit Radau IIA of order 5 for stiff springs and dampers."""
 
 EXPLICIT = ("DOP853", "RK45")
 """Those that machine code has."""
@@ -61,7 +61,7 @@ SHORTEST = 1e-8
 _MOST_SHORT = 20
 
 _DIFFERENCE = 1e-7
-"""Step of the differences that an implicit integrator takes its Jacobian from, m, rad, m/s, rad/s, or a share of them."""
+"""Step of the differences for the Jacobian of an implicit integrator, m, rad, m/s, rad/s, or as a share."""
 
 _LITTLE_INERTIA = 1e-3
 """Share of the largest inertia below which an inertia is blamed for a motion that blows up."""
@@ -216,8 +216,8 @@ def integrate(
     record, commands, hold = Record(), [first], None
     progress = Progress(float(grid[0]), y, values, sheet)
     parts = stretches(float(grid[0]), float(grid[-1]), problem.breaks, problem.sampling)
-    compiled = machine.kernel is not None and problem.method in EXPLICIT
-    ordinary = OrdinarySteps(machine.kernel, problem, parts) if compiled else None
+    kernel = machine.kernel if problem.method in EXPLICIT else None
+    ordinary = None if kernel is None else OrdinarySteps(kernel, problem, parts)
     with np.errstate(all="ignore"):  # trial steps that overflow are given up for shorter ones
         for stretch in parts:
             if progress.t >= stretch.end:
@@ -260,7 +260,8 @@ class _Rate:
         """Return ∂ẏ/∂y by differences; scipy's own step grows without bound where nothing depends on a coordinate."""
         here, steps = self(t, y), _DIFFERENCE * np.maximum(1.0, np.abs(y))
         columns = [(self(t, y + step * e) - here) / step for step, e in zip(steps, np.eye(len(y)), strict=True)]
-        return np.nan_to_num(np.stack(columns, axis=1))  # without an answer: Newton fails, and the step is shortened
+        J: Array = np.nan_to_num(np.stack(columns, axis=1))  # no answer: Newton fails, and the step is shortened
+        return J
 
 
 class OrdinarySteps:
