@@ -41,6 +41,7 @@ EXIT_CODES = {PlanStatus.WITHIN_LIMITS: 0, PlanStatus.STOPPED_EARLY: NOT_OPTIMAL
 _FINER = {
     "whole_trajectory": "allow more --refinements, or a shorter --dt",
     "stepwise": "use a shorter --step, or both sides of each jump",
+    "receding_horizon": "use a shorter --step",
     "switch_off": "use --scheme integration, or a shorter --dt",
 }
 """What helps a planner whose samples do not show its efforts."""

@@ -110,6 +110,7 @@ class Command(Frozen):
         reason: why, where it is not ``PLANNED``.
         carriers: positions (k,), m, as functions of time to the end of the horizon; s̈ is linear between nodes.
         efforts: main efforts (m,) as functions of time, N or N·m: W⁻¹ f for three steps, the planned ones after.
+        forces: those of the carriers' actuators (k,), N, for these three steps.
         residual: largest |W τ − f| at the first nodes of the plan, N, rotations over the characteristic length: what is
             missing there in an elastic one, and else what the next tick will correct.
         peak: largest |τ| of the plan at its nodes, N or N·m.
@@ -124,6 +125,7 @@ class Command(Frozen):
     reason: str
     carriers: PiecewisePolynomial
     efforts: PiecewisePolynomial
+    forces: PiecewisePolynomial
     residual: float
     peak: float
     singular: Array
@@ -511,7 +513,7 @@ class _Tick:
         moved = np.cumsum(h * speeds[:-1] + h**2 / 6.0 * (2.0 * a[:-1] + a[1:]), axis=0)
         carriers = PiecewisePolynomial.linear(lin.nodes, s + np.concatenate([0.0 * a[:1], moved]), speeds, a)
         carriers = PiecewisePolynomial.joined([carriers, *self._stop(carriers.end, carriers, speeds[-1])])
-        efforts, residual, peak = self._efforts(carriers, x[programme.tau] * self._sizes.tau)
+        efforts, forces, residual, peak = self._efforts(carriers, x[programme.tau] * self._sizes.tau)
         if lin.nodes[0] > t + SAME and last is not None:  # to the singular instant by the last plan
             carriers, efforts = (
                 PiecewisePolynomial.joined([old.between(t, float(lin.nodes[0])), new])
@@ -522,7 +524,9 @@ class _Tick:
         if len(unknown) and lin.nodes[unknown[0]] <= preview.end:
             status = PlanningStatus.REFUSED
             reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go"
-        return Command(t, status, reason, carriers, efforts, residual, peak, frozen(roots), known_until, 0.0, seconds)
+        return Command(
+            t, status, reason, carriers, efforts, forces, residual, peak, frozen(roots), known_until, 0.0, seconds
+        )
 
     def _stop(self, t: float, carriers: PiecewisePolynomial, sd: Array) -> list[PiecewisePolynomial]:
         """Return the stop after the horizon, for which there is room: every carrier slows down evenly, all as long."""
@@ -534,8 +538,10 @@ class _Tick:
         ends = np.array([t, t + duration])
         return [PiecewisePolynomial.taylor(ends, *(np.tile(part, (2, 1)) for part in (place[0], sd, -sd / duration)))]
 
-    def _efforts(self, carriers: PiecewisePolynomial, tau: Array) -> tuple[PiecewisePolynomial, float, float]:
-        """Return the efforts as functions of time, the residual at the nodes and the largest effort there."""
+    def _efforts(
+        self, carriers: PiecewisePolynomial, tau: Array
+    ) -> tuple[PiecewisePolynomial, PiecewisePolynomial, float, float]:
+        """Return efforts and carriers' forces as functions of time, the residual at the nodes, the largest effort."""
         lin = self._lin
         exact = lin.of_plan(carriers)
         W, f = np.nan_to_num(exact.W), np.nan_to_num(exact.f)
@@ -544,6 +550,7 @@ class _Tick:
         left = np.einsum("nij,nj->ni", W[lin.places], tau) - f[lin.places]
         residual = float(np.abs(left[counts] / lin.row_scale).max(initial=0.0))
         inside = lin.inside
+        forces = PiecewisePolynomial.linear(exact.t[inside], np.nan_to_num(exact.carrier_force[inside]))
         scaled = W[inside] / lin.row_scale[:, None]
         singular_values = np.linalg.svd(scaled, compute_uv=False)
         fine = singular_values[:, -1] > REGULAR * singular_values[:, 0]
@@ -559,7 +566,7 @@ class _Tick:
         if len(times) == 1:
             times, values = np.append(times, times + self._planner.step), np.repeat(values, 2, axis=0)
         peak = float(np.abs(tau[counts]).max(initial=0.0))
-        return PiecewisePolynomial.linear(times, values), residual, peak
+        return PiecewisePolynomial.linear(times, values), forces, residual, peak
 
 
 def _counting(counts: BoolArray, entries: Array, right: Array) -> tuple[Array, Array]:

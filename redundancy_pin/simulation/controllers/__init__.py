@@ -6,6 +6,7 @@ from redundancy_pin.simulation.controllers.by_name import NoisyAmplifier, contro
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque
 from redundancy_pin.simulation.controllers.encoders import Encoders, JointFriction
 from redundancy_pin.simulation.controllers.lqr import LqrWeights, TimeVaryingLqr, bryson_weights
+from redundancy_pin.simulation.controllers.online import OnlinePlanning
 
 __all__ = [
     "Allocation",
@@ -17,6 +18,7 @@ __all__ = [
     "JointFriction",
     "LqrWeights",
     "NoisyAmplifier",
+    "OnlinePlanning",
     "Sampling",
     "TimeVaryingLqr",
     "Tracking",

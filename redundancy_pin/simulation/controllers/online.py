@@ -1,0 +1,150 @@
+"""A controller that plans while the machine moves: the receding horizon inside the loop, computed torque around it."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, positive
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners import receding_horizon as planning
+from redundancy_pin.planners.limits import fraction
+from redundancy_pin.planners.reference import MotionReference, ReferencePoint
+from redundancy_pin.robot import Robot
+from redundancy_pin.simulation.controllers.base import Command, Sampling
+from redundancy_pin.simulation.controllers.computed_torque import HISTORY, ComputedTorque
+from redundancy_pin.simulation.state import State
+from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times
+
+PIECE = 0.01
+"""Longest piece of the polynomials that stand for the platform and the tree, s."""
+
+
+class OnlineReference(MotionReference):
+    """The platform's motion with the carriers and efforts of the latest plan."""
+
+    def __init__(self, robot: Robot, motion: TimedTrajectory) -> None:
+        source = continuous_motion(motion)
+        own = np.unique(np.concatenate([source.kinks, np.arange(source.start, source.end, PIECE)]))
+        edges = own[np.append(np.diff(own) > 1e-6, True)]
+        times = chebyshev_times(edges)
+        platform, parked = source.sample_at(times), CarrierMotion.parked(len(times), robot.k)
+        tree = lift(robot, platform).with_carriers(parked)
+
+        def polynomials(*parts: Array) -> PiecewisePolynomial:
+            values = np.concatenate([part.reshape(len(times), -1) for part in parts], axis=1)
+            return PiecewisePolynomial.from_values(edges, values.reshape(len(edges) - 1, -1, values.shape[1]))
+
+        def still(count: int) -> PiecewisePolynomial:
+            return PiecewisePolynomial.constant(np.zeros(count), source.start, source.end)
+
+        series = {
+            "loads": still(robot.m + robot.k),
+            "carriers": polynomials(parked.s, parked.sd, parked.sdd),
+            "platform": polynomials(platform.x, platform.xd, platform.xdd),
+            "tree": polynomials(tree.q, tree.v, tree.a),
+        }
+        super().__init__(robot, edges, series, platform.is_pose, np.zeros(robot.k), float("nan"))
+        self.plan: planning.Command | None = None
+
+    def carriers(self, t: float) -> tuple[Array, Array, Array]:
+        """Return s, ṡ, s̈ (k,) of the latest plan at time t; parked before the first."""
+        return super().carriers(t) if self.plan is None else self.plan.motion_at(t)
+
+    def loads(self, t: float) -> tuple[Array, Array]:
+        """Return its main efforts (m,) and carrier forces (k,) at time t."""
+        return super().loads(t) if self.plan is None else (self.plan.efforts.at(t), self.plan.forces.at(t))
+
+    def tree(self, t: float) -> tuple[Array, Array, Array]:
+        """Return q (nq,), v and a (nv,) at time t."""
+        robot, (s, sd, sdd) = self.robot, self.carriers(t)
+        q, v, a = (np.array(part) for part in super().tree(t))
+        q[robot.carrier_position], v[robot.carrier_velocity], a[robot.carrier_velocity] = s, sd, sdd
+        return q, v, a
+
+    def at(self, t: float) -> ReferencePoint:
+        """Return everything at time t, s."""
+        return ReferencePoint(t, *self.platform(t), *self.carriers(t), *self.tree(t), *self.loads(t))
+
+
+class OnlinePlanning(ComputedTorque):
+    """Computed torque along plans that are made while the machine moves.
+
+    At every tick ``RecedingHorizon`` plans over the next half second, from where the carriers will be once the plan is
+    there: on their last plan, and beside it by a share of what they are measured to be beside it now. Until then the
+    last plan goes on. Nothing beyond the horizon is looked at.
+
+    Args:
+        planner: new, before its first tick; its robot is the model that the controller knows.
+        motion: the platform's motion, of which each tick sees what its horizon reaches.
+        sampling: of the simulation.
+        tick: between plans, s.
+        delay: from reading the state to the plan that comes of it, s: at least the time that planning takes.
+        correction: share of the carriers' distance from their plan that a new plan takes over, 0 to 1.
+        effort_scale, carrier_scale: as of ``ComputedTorque``.
+        others: further settings of ``ComputedTorque``.
+
+    Attributes:
+        plans: the latest commands of the planner.
+    """
+
+    def __init__(
+        self,
+        planner: planning.RecedingHorizon,
+        motion: TimedTrajectory,
+        sampling: Sampling,
+        *,
+        tick: float = 0.02,
+        delay: float = 5e-3,
+        correction: float = 0.2,
+        effort_scale: ArrayLike,
+        carrier_scale: ArrayLike = 1.0,
+        dynamics: Dynamics | None = None,
+        **others: ArrayLike | float | None,
+    ) -> None:
+        if not isinstance(sampling, Sampling):
+            raise InputError("On-line planning is for a digital controller.", remedy="Pass sampling=Sampling(1e-3).")
+        self._live = OnlineReference(planner.robot, motion)
+        settings: dict[str, object] = {"effort_scale": effort_scale, "carrier_scale": carrier_scale, **others}
+        super().__init__(self._live, sampling=sampling, dynamics=dynamics, **settings)  # type: ignore[arg-type]
+        self.planner, self._motion = planner, motion
+        self.tick, self.planning_delay = positive(tick, "tick", "s"), float(delay)
+        if not 0.0 <= delay < tick:
+            raise InputError(
+                f"The delay of {delay:g} s is not within a tick of {tick:g} s.", remedy="Have longer ticks."
+            )
+        self.correction = fraction(correction, "correction")
+        self.plans: deque[planning.Command] = deque(maxlen=HISTORY)
+        self._coming: planning.Command | None = None
+        self._next = -np.inf
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Ticks by status."""
+        return dict(Counter(plan.status.value for plan in self.plans))
+
+    def effort(self, t: float, state: State) -> Command:
+        """Return main efforts (m,) and carrier forces (k,) at time t; call it in order of time."""
+        if self._live.plan is None:  # the machine stands, and has time
+            self._live.plan = self._plan(t, state.s, state.sd)
+            self._next = t + self.tick
+        elif t >= self._next - 1e-9:
+            self._next += self.tick
+            starts = t + self.planning_delay
+            (s, sd, _), (s_then, sd_then, _) = self._live.carriers(t), self._live.carriers(starts)
+            beside = self.correction * (state.s - s), self.correction * (state.sd - sd)
+            self._coming = self._plan(starts, s_then + beside[0], sd_then + beside[1])
+        if self._coming is not None and t >= self._coming.t - 1e-9:
+            self._live.plan, self._coming = self._coming, None
+        return super().effort(t, state)
+
+    def _plan(self, t: float, s: Array, sd: Array) -> planning.Command:
+        command = self.planner.update(t, self._motion, s, sd)
+        self.plans.append(command)
+        return command

@@ -1,0 +1,31 @@
+"""``redundancy-pin online``."""
+
+import json
+
+import numpy as np
+from command_line import call, refused
+
+import redundancy_pin as rp
+
+MASSES = ("--set", "end_effector_mass=0.5", "--set", "cylinder_mass=0.3")
+LINE = ("--trajectory", "line:speed=0.4,ramp_time=0.2")
+
+
+def test_a_motion_is_planned_tick_by_tick(tmp_path):
+    out = tmp_path / "online.npz"
+    points = tmp_path / "points.csv"
+    points.write_text("t,x,y\n0,0.2,0.06\n0.3,0.23,0.0\n0.6,0.28,-0.05\n")
+    result = call("online", "--robot", "2rpr", *MASSES, "--trajectory", str(points), "--out", str(out), "--json")
+    facts = json.loads(result.stdout)
+    plan = rp.load_plan(out)
+    assert result.exit_code in (0, 4), result.stderr
+    assert facts["ticks"]["planned"] == sum(facts["ticks"].values()) == 30
+    assert len(facts["diagnostics"]["singular_instants"]) == 1
+    np.testing.assert_allclose(facts["peak_effort"], plan.peak_effort)
+    assert 0.0 < facts["milliseconds"]["p50"] <= facts["milliseconds"]["p99"]
+
+
+def test_mistakes_are_one_line():
+    assert "--horizon" in refused("online", "--robot", "2rpr", *MASSES, "--trajectory", "circle", "--horizon", "soon")
+    assert "no carriers" in refused("online", "--robot", "four_bar", "--trajectory", "circle")
+    assert "objective is" in refused("online", "--robot", "2rpr", "--trajectory", "circle", "--objective", "beauty")

@@ -1,0 +1,67 @@
+"""Plans made inside the loop, from what encoders see of a machine that is not as planned."""
+
+import numpy as np
+import pytest
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InputError
+from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, OnlinePlanning, Sampling, joint_friction
+from redundancy_pin.simulation.state import closed_state
+from redundancy_pin.studies.trial import MASSES, Imperfections, draw
+from redundancy_pin.trajectory import SpeedProfile, Trajectory
+from redundancy_pin.trajectory.paths import circle_path
+
+ARC = circle_path((0.25, 0.05), 0.09, start_angle=np.pi, sweep=np.pi)
+ACROSS = Trajectory(ARC, SpeedProfile(ARC.length, 0.45, 0.2))
+
+ASKED = 2e-3
+"""m."""
+
+
+def closed_loop(number: int, duration: float) -> tuple[float, OnlinePlanning]:
+    """Drive an imperfect machine of the robustness study; return how far it was off, and its controller."""
+    bounds, nominal, sampling = Imperfections(), rp.load_robot("2rpr", **MASSES), Sampling(1e-3, 1e-3)
+    dynamics, drawn = rp.CompiledDynamics(nominal), draw(nominal, bounds, 0, number)
+    planner = rp.RecedingHorizon(dynamics, track=(-0.16, 0.16))
+    control = OnlinePlanning(planner, ACROSS, sampling, effort_scale=2.0, dynamics=dynamics)
+    machine = rp.load_robot("2rpr", **{**MASSES, **drawn.arguments})
+    point = control.reference.at(0.0)
+    home = closed_state(machine, point.x, point.xd, point.s, point.sd).q - point.q
+    seen = Encoders(control, control.reference, period=1e-3, phase=drawn.phase, home=home)
+    beside = (point.x + drawn.x, point.xd + drawn.xd, point.s + drawn.s, point.sd + drawn.sd)
+    run = rp.simulate(
+        machine,
+        NoisyAmplifier(seen, drawn.random, bounds.noise),
+        start=closed_state(machine, *beside),
+        duration=duration,
+        dt=1e-3,
+        sampling=sampling,
+        external=joint_friction(machine, prismatic_coulomb=0.1, prismatic_viscous=0.2),
+        rtol=1e-6,
+        atol=1e-8,
+        integrator="RK45",
+    )
+    assert run.status.value == "completed"
+    planned = np.array([control.reference.platform(float(t))[0] for t in run.t])
+    return float(np.linalg.norm(run.x - planned, axis=1).max()), control
+
+
+@pytest.mark.parametrize(
+    ("number", "duration"), [(0, 0.25), *(pytest.param(i, 0.828, marks=pytest.mark.long) for i in range(1, 6))]
+)
+def test_an_imperfect_machine_crosses_by_plans_made_on_the_way(number, duration):
+    away, control = closed_loop(number, duration)
+    assert away < ASKED
+    assert set(control.counts) == {"planned"}
+    assert len(control.plans) == int(np.ceil(duration / control.tick))
+    # plans begin a delay after what they come of, and where the carriers are by then
+    starts = np.array([plan.t for plan in control.plans])[1:]
+    np.testing.assert_allclose(starts, control.tick * np.arange(1, len(starts) + 1) + control.planning_delay, atol=1e-9)
+
+
+def test_settings_that_make_no_sense_are_refused():
+    planner = rp.RecedingHorizon(rp.CompiledDynamics(rp.load_robot("2rpr", **MASSES)))
+    with pytest.raises(InputError, match="is not within a tick"):
+        OnlinePlanning(planner, ACROSS, Sampling(1e-3), effort_scale=1.0, delay=0.03)
+    with pytest.raises(InputError, match="digital"):
+        OnlinePlanning(planner, ACROSS, None, effort_scale=1.0)
