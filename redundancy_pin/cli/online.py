@@ -70,7 +70,7 @@ def online(
     if out:
         output.require_suffix("--out", out, ".npz")
         require_writable(out)
-    settings = {name: number(options.flag(name), given[name]) for name in ("horizon", "step")}
+    settings: dict[str, Any] = {name: number(options.flag(name), given[name]) for name in ("horizon", "step")}
     names = {name: name.removeprefix("max_") for name in _LIMITS}
     flags = {names[name]: options.flag(name) for name in _LIMITS} | {"horizon": "--horizon", "objective": "--objective"}
     with output.progress("online") as advance, in_words(OPTIONS.knowing(flags)):
