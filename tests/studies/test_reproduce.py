@@ -24,7 +24,8 @@ from redundancy_pin.studies.reproduce import Reproduction, html
 from redundancy_pin.visualisation.figures import style
 from redundancy_pin.visualisation.figures.style import save
 
-reproduce = functools.partial(job.reproduce, extent=replace(FULL, chapters=()), samples=4)
+ALONE = replace(FULL, chapters=(), jobs=1)
+reproduce = functools.partial(job.reproduce, extent=ALONE, samples=4)
 """The job without chapters, which are run once in ``quick_results``; the cross-check has tests of its own."""
 
 SLOW_CHAPTERS = [pytest.param(name, marks=pytest.mark.long) for name in CHAPTERS]
@@ -105,8 +106,8 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("names", [NAMES[:1], pytest.param(NAMES, marks=pytest.mark.long)])
 def test_the_same_run_gives_the_same_bytes(names: tuple[str, ...], done: Reproduction, tmp_path: Path) -> None:
-    """Of one motion the files of its own, of all of them summary and report too."""
-    again = reproduce(tmp_path / "again", [motion(name) for name in names])
+    """Of one motion the files of its own; of all of them summary and report too, and by several processes."""
+    again = reproduce(tmp_path / "again", [motion(name) for name in names], extent=replace(ALONE, jobs=len(names)))
     same = [path for path in done.folder.iterdir() if names == NAMES or path.name.startswith(names[0])]
     assert len(same) >= 5
     for path in same:
