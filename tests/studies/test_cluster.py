@@ -26,7 +26,7 @@ from redundancy_pin.studies.robustness import robustness_study
 from redundancy_pin.studies.trial import SCENARIOS, Scenario
 from redundancy_pin.workers import cluster, parallel
 
-pytest.importorskip("distributed")
+distributed = pytest.importorskip("distributed")
 
 HERE = Path(__file__).resolve().parent
 
@@ -89,6 +89,18 @@ def stored(path: Path) -> int:
     return int(count)
 
 
+def test_a_map_of_a_cluster_is_that_of_one_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feasibility, "compute", small_maps.quick)
+    seen: list[int] = []
+    options: dict[str, Any] = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as local, cluster(local.scheduler_address):
+        there = mapped(tmp_path / "store.sqlite", seen.append)
+    assert seen == list(range(19))
+    assert stored(tmp_path / "store.sqlite") == 18
+    assert there.as_dict() == feasibility_map(small_maps.corner(), jobs=1).as_dict()
+
+
+@pytest.mark.long
 def test_a_map_of_a_cluster_that_loses_a_worker_is_that_of_one_machine(
     machines: Machines, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
