@@ -99,6 +99,7 @@ def test_a_plan_through_a_singularity_is_saved_and_told(tmp_path: Path) -> None:
     assert len(told["diagnostics"]["singular_instants"]) == 2
 
 
+@pytest.mark.long
 def test_a_problem_file_gives_the_plan_of_the_flags(tmp_path: Path) -> None:
     one, other, problem = tmp_path / "one.npz", tmp_path / "other.npz", tmp_path / "p.yaml"
     data = {
@@ -146,6 +147,7 @@ def test_a_plan_that_stopped_early_is_never_an_optimum(tmp_path: Path) -> None:
     assert (told["status"], told["optimal"]) == ("stopped_early", False)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("restless")
 def test_the_picture_of_a_plan_that_stopped_early_says_so() -> None:
     pytest.importorskip("matplotlib")

@@ -214,7 +214,7 @@ def assert_same(name: str, motion: rp.PlatformMotion, carriers: rp.CarrierMotion
     return want.status.tolist()
 
 
-@pytest.mark.long_for("1-universal")
+@pytest.mark.long_for("1-universal", "1-more actuators", "1-four_bar")
 @pytest.mark.parametrize("name", [*SMALL, LARGE])
 @pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 1, pytest.param(2, marks=pytest.mark.long)])
 def test_smooth_motions(name: str, seed: int) -> None:
@@ -222,7 +222,9 @@ def test_smooth_motions(name: str, seed: int) -> None:
     assert_same(name, zoo.smooth_motion(robot, seed).at(t), zoo.carriers_at(robot, t, seed))
 
 
-@pytest.mark.parametrize("name", ["2rpr", "3rrr", "universal"])
+@pytest.mark.parametrize(
+    "name", ["3rrr", *(pytest.param(name, marks=pytest.mark.long) for name in ("2rpr", "universal"))]
+)
 def test_samples_in_any_order(name: str) -> None:
     robot, t = robot_of(name), np.linspace(0.0, 2.0, 120)
     order = np.random.default_rng(2).permutation(len(t))

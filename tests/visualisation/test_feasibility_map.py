@@ -146,6 +146,7 @@ def test_letters_tell_what_is_in_the_way_and_a_question_mark_what_is_not_known()
     assert sorted(_texts(panel)) == ["?", "E", "T"]
 
 
+@pytest.mark.long
 def test_the_legend_tells_only_what_there_is() -> None:
     one = (Tile(0, 1, 0, 1, "feasible", 1.0), Tile(1, 2, 0, 1, "infeasible", mark="T"))
     two = (Tile(0, 1, 0, 1, "stopped_early", 1.0), Tile(1, 2, 0, 1, "failed"))

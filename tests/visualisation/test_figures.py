@@ -109,7 +109,7 @@ def test_comparison_shows_each_case_with_its_peak() -> None:
     assert drawn.axes[1].get_legend_handles_labels()[1] == ["a: peak 2 N·m", "b: peak 4 N·m"]
 
 
-@pytest.mark.long_for(".png", ".pdf")
+@pytest.mark.long_for(".png", ".svg")
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_saving_twice_gives_the_same_bytes(suffix: str, tmp_path: Path) -> None:
     for name in ("a", "b"):

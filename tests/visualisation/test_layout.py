@@ -115,7 +115,15 @@ def _said(drawn: Figure) -> dict[str, Bbox]:
 
 
 @pytest.mark.long_for(
-    "path of a crossing", "snapshots of a crossing", "plan of a crossing", "one alone", "side by side"
+    "path of a crossing",
+    "snapshots of a crossing",
+    "plan of a crossing",
+    "one alone",
+    "side by side",
+    "path of a corner",
+    "snapshots of a corner",
+    "workspace",
+    "condition",
 )
 @pytest.mark.parametrize("name", FIGURES)
 def test_titles_labels_and_legends_are_whole_and_apart(name: str) -> None:

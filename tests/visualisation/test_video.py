@@ -57,6 +57,7 @@ def test_a_gif_shows_the_carriers_where_they_are(tmp_path: Path) -> None:
     np.testing.assert_allclose(pixels, scale * steps, atol=3.0)
 
 
+@pytest.mark.long
 def test_speed_and_rate_decide_on_the_frames(tmp_path: Path) -> None:
     scene = rp.show(zoo.robot_of("gough")).scene  # 2 s
     counts = []
