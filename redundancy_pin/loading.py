@@ -394,6 +394,12 @@ def _check_mobility(system: ConstraintSystem) -> None:
     robot = system.robot
     rows, velocities = len(system.rows), len(system.pose_columns)
     freedoms = velocities - rows
+    if not robot.n and freedoms <= 0:
+        raise DeclarationError(
+            f"{robot.name} does not move: {velocities} joint velocities less {rows} closure rows leave {freedoms} freedoms.",
+            remedy="Add a joint, or take a closure, or axes of one, out.",
+            freedoms=freedoms,
+        )
     if freedoms == robot.n:
         return
     rank, redundant = _rank(system, assemble(system, np.array(robot.q_reference)[None]).state)

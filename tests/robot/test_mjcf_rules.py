@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from mjcf_models import write
+from mjcf_models import FOUR_BAR, write
 
-from redundancy_pin.errors import ModelFileError
+from redundancy_pin import load_robot
+from redundancy_pin.errors import DeclarationError, ModelFileError
 from redundancy_pin.robot.mechanism import NOT_IN_FORCE
 from redundancy_pin.robot.mjcf import read_mjcf
 
@@ -35,6 +36,15 @@ def _refused(text):
     except ValueError:
         return True
     return False
+
+
+def test_a_model_that_does_not_move_is_refused(tmp_path):
+    # two hinges, and a pin that takes both freedoms
+    text = FOUR_BAR.replace('<joint name="elbow" class="main"/>', "")
+    with pytest.raises(
+        DeclarationError, match="four_bar does not move: 2 joint velocities less 2 closure rows leave 0"
+    ):
+        load_robot(write(tmp_path, text))
 
 
 def _spring_and_damper(text, q, v):

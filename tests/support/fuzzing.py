@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import io
 import json
 import math
 import random
@@ -19,8 +20,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import forked
+import mjcf_models
 import mutated
 import numpy as np
+import pinocchio as pin
 from random_plans import difference
 
 import redundancy_pin as rp
@@ -33,6 +36,9 @@ from redundancy_pin.robot import Robot
 
 CLOSED = 1e-9
 """m and rad; the rounding that Newton's method leaves of closures of about a metre."""
+
+SAME_READING = 1e-6
+"""N, N·m, m: MuJoCo makes what it is given of single precision here and there, and normalises quaternions."""
 
 SAME_MASS = 1e-9
 """Relative; sums of the same numbers in another order."""
@@ -109,6 +115,57 @@ def load_urdf(folder: Path) -> str | None:
     return wrong_robot(robot)
 
 
+def load_mjcf(folder: Path) -> str | None:
+    """Load the robot, and compare its bodies and what holds it against gravity with MuJoCo's own reading."""
+    notes = io.StringIO()
+    with contextlib.redirect_stderr(notes):  # what is not in force is said
+        robot = rp.load_robot(folder / "model.xml")
+    if any("Not in force" not in line for line in notes.getvalue().splitlines()):
+        return f"accepted: with {notes.getvalue()!r}"
+    try:
+        import mujoco
+
+        mujoco.set_mju_user_warning(lambda text: None)
+        engine = mjcf_models.Engine(folder / "model.xml")
+        engine.set(robot, robot.q_reference)
+    except (ValueError, KeyError, IndexError, ImportError):
+        return wrong_robot(robot)  # nobody to compare with
+    model, data = robot.model, robot.model.createData()
+    held = pin.computeGeneralizedGravity(model, data, np.array(robot.q_reference))
+    pin.framesForwardKinematics(model, data, np.array(robot.q_reference))
+    expected = np.array(engine.data.qfrc_bias)[engine.columns(robot)]
+    if not np.abs(held - expected).max() <= SAME_READING * max(1.0, float(np.abs(expected).max())):
+        return f"accepted: held by {held.round(6).tolist()}, MuJoCo says {expected.round(6).tolist()}"
+    sites = {engine.model.site(i).name for i in range(engine.model.nsite)}
+    for i in range(1, engine.model.nbody):
+        name = engine.model.body(i).name
+        # the first of a site and a body of one name keeps it
+        if name and name not in sites and model.existFrame(name, pin.FrameType.BODY):
+            place = data.oMf[model.getFrameId(name, pin.FrameType.BODY)].translation
+            if not np.abs(place - engine.data.xpos[i]).max() <= SAME_READING * max(1.0, float(np.abs(place).max())):
+                return f"accepted: {name} is at {place.tolist()}, MuJoCo says {engine.data.xpos[i].tolist()}"
+    return wrong_robot(robot)
+
+
+def load_sdf(folder: Path) -> str | None:
+    """Load the robot, and compare its mass with that of the file."""
+    robot = rp.load_robot(folder / "machine.sdf")
+    try:
+        root = ElementTree.fromstring((folder / "machine.sdf").read_bytes())
+        masses = [float(one.text or "") for one in root.iterfind(".//link/inertial/mass")]
+        poses = [[float(word) for word in (one.text or "").split()] for one in root.iter("pose")]
+    except (ValueError, ElementTree.ParseError) as error:
+        return f"accepted: an SDF with what is no number: {error}"
+    if any(len(pose) not in (0, 6, 7) or not all(map(math.isfinite, pose)) for pose in poses):
+        return "accepted: a pose that is none"
+    found = sum(inertia.mass for inertia in robot.model.inertias)
+    # a link without an inertial has 1 kg in SDF
+    bare = sum(one.find("inertial/mass") is None for one in root.iter("link"))
+    if not any(abs(found - sum(masses) - more) <= SAME_MASS * max(1.0, sum(masses)) for more in (0.0, float(bare))):
+        return f"accepted: a mass of {found:g} kg, the file has {sum(masses):g} kg"
+    return wrong_robot(robot)
+
+
 def read_motion(folder: Path) -> str | None:
     """Read a CSV and compare the columns with what Python's own reader gives."""
     motion = rp.trajectory.from_csv(folder / "motion.csv")
@@ -166,7 +223,7 @@ def read_problem_file(folder: Path) -> str | None:
 
 @dataclass(frozen=True)
 class Kind:
-    """Files that are malformed, what is done with them, and how many of 10,000 are of this kind."""
+    """Files that are malformed, what is done with them, and how many of them."""
 
     make: Callable[[random.Random], mutated.Files]
     action: forked.Action
@@ -181,6 +238,8 @@ KINDS = {
     "plans (npz)": Kind(mutated.archives, read_plan, 1500),
     "JSON": Kind(mutated.texts, read_json_text, 500),
     "problems (YAML)": Kind(mutated.problems, read_problem_file, 1000),
+    "MJCF": Kind(mutated.mjcfs, load_mjcf, 1000),
+    "SDF": Kind(mutated.sdfs, load_sdf, 500),
 }
 
 

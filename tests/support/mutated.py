@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import mjcf_models
 import numpy as np
 import yaml
 import zoo
@@ -373,10 +374,9 @@ FOREIGN = '<!ENTITY f SYSTEM "file:///etc/passwd">'
 
 def _rare_xml(text: str, dice: Dice) -> bytes:
     body = text[text.index("<robot") :]
-    bomb = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
     return dice.choice(
         (
-            lambda: f'<!DOCTYPE r [<!ENTITY a0 "x">{bomb}]>{body.replace("</robot>", "&a11;</robot>")}'.encode(),
+            lambda: f'<!DOCTYPE r [<!ENTITY a0 "x">{_BOMB}]>{body.replace("</robot>", "&a11;</robot>")}'.encode(),
             lambda: f"<!DOCTYPE r [{FOREIGN}]>{body.replace('</robot>', '&f;</robot>')}".encode(),
             lambda: (f"<!-- {'x' * 30_000_000} -->" + body).encode(),
             lambda: chain(dice.choice((300, 3000, 30_000))).encode(),
@@ -406,6 +406,100 @@ def urdfs(dice: Dice) -> Files:
     else:
         spoiled = _rare_xml(text, dice)
     return {"robot.yaml": plain_declaration(name).encode(), "robot.urdf": spoiled}
+
+
+_BOMB = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
+FOREIGN_XML = (
+    '<!DOCTYPE r [<!ENTITY f SYSTEM "file:///etc/passwd">]>',
+    f'<!DOCTYPE r [<!ENTITY a0 "x">{_BOMB}]>',
+    f"<!-- {'x' * 30_000_000} -->", '<?xml version="1.0" encoding="utf-7"?>', "\ufeff", "\x00",
+)  # fmt: skip
+"""What stands before a model that is none of its own."""
+
+MJCF = (
+    '<include file="model.xml"/>', '<include file="settings.xml"/>', '<include file="/etc/passwd"/>',
+    '<include file="../../../../../../etc/passwd"/>', '<include file=""/>', '<include file="link.xml"/>', "<include/>",
+    '<default class="a"><default class="a"/></default>', '<default class="main"><joint range="nan 1"/></default>',
+    '<worldbody><replicate count="1000000000" offset="1 0 0"><body/></replicate></worldbody>',
+    '<worldbody><composite type="grid" count="1000 1000 1000"/></worldbody>',
+    '<worldbody><body childclass="nobody"><joint/></body></worldbody>', '<compiler eulerseq="xyzxyz"/>',
+    '<compiler angle="turns"/>', '<compiler meshdir="/etc"/>', '<compiler inertiafromgeom="true" balanceinertia="true"/>',
+    '<asset><mesh name="m" file="/etc/passwd"/></asset><worldbody><geom type="mesh" mesh="m"/></worldbody>',
+    '<equality><joint joint1="crank" joint2="crank" polycoef="0 1"/></equality>',
+    '<equality><connect body1="crank" anchor="1e308 0 0"/></equality>', '<equality><weld body1="crank"/></equality>',
+    '<keyframe><key qpos="1 2"/><key qpos="nan nan nan"/></keyframe>', '<option gravity="nan 0 0"/>',
+    '<option gravity="0 0 -1e308"/>', "<frame>" * 20_000 + "</frame>" * 20_000,
+    "<worldbody>" + '<body><joint axis="0 0 1"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>' * 3_000
+    + "</body>" * 3_000 + "</worldbody>", f'<worldbody><geom size="{"1 " * 1_000_000}"/></worldbody>',
+    '<worldbody><body><joint name="crank"/></body></worldbody>', '<contact><pair geom1="a" geom2="b"/></contact>',
+    '<extension><plugin plugin="x"/></extension>', '<worldbody><body mocap="true"/></worldbody>',
+    '<tendon><fixed><joint joint="crank" coef="1"/></fixed></tendon>',
+    '<actuator><motor joint="crank" gear="1e308"/></actuator>', '<actuator><motor joint="nobody"/></actuator>',
+    '<default><joint axis="0 0 0"/></default>', '<default><geom density="-1"/></default>',
+)  # fmt: skip
+"""Elements of MuJoCo's models that deceive, explode, or lead out of the folder."""
+
+
+def mjcfs(dice: Dice) -> Files:
+    """A model of MuJoCo that is spoiled, and the file that it includes."""
+    text = dice.choice((mjcf_models.FOUR_BAR, mjcf_models.GEARED, mjcf_models.SPATIAL, mjcf_models.WELD))
+    text = text.replace("{weld}", dice.choice(("", 'torquescale="2"', 'relpose="0 0 0 1 0 0 0"')))
+    settings = mjcf_models.SETTINGS.encode()
+    if dice.random() < 0.1:
+        settings = spoiled_xml(mjcf_models.SETTINGS, dice)
+    return {"model.xml": _spoiled_model(text, "</mujoco>", MJCF, dice), "settings.xml": settings}
+
+
+SDF = (
+    "<include><uri>file:///etc/passwd</uri></include>", "<include><uri>model://../../etc</uri></include>",
+    "<include><uri>machine.sdf</uri></include>", '<frame name="a" attached_to="b"/><frame name="b" attached_to="a"/>',
+    '<frame name="a"><pose relative_to="a">0 0 0 0 0 0</pose></frame>', '<model name="machine"><link name="base"/></model>',
+    '<link name="far"><pose relative_to="far">1 0 0 0 0 0</pose></link>', "<model>" * 20_000 + "</model>" * 20_000,
+    '<plugin name="x" filename="/bin/sh"/>', '<joint name="x" type="revolute2"><parent>base</parent><child>rod</child></joint>',
+    '<joint name="self" type="revolute"><parent>rod</parent><child>rod</child></joint>', "<static>true</static>",
+    '<joint name="g" type="gearbox"><parent>crank</parent><child>rocker</child><gearbox_ratio>nan</gearbox_ratio></joint>',
+    '<pose degrees="true">0 0 0 90 0 0</pose>', '<pose rotation_format="quat_xyzw">0 0 0 0 0 0 0</pose>',
+    '<link name="l"><visual name="v"><geometry><mesh><uri>/etc/passwd</uri></mesh></geometry></visual></link>',
+    '<link name="crank"/>', "".join(f'<link name="n{i}"/>' for i in range(5_000)), "<self_collide>x</self_collide>",
+    '<joint name="y" type="revolute"><parent>world</parent><child>rod</child><axis><xyz>0 0 0</xyz></axis></joint>',
+)  # fmt: skip
+"""The same of SDF."""
+
+
+def sdfs(dice: Dice) -> Files:
+    """A model in SDF that is spoiled."""
+    return {"machine.sdf": _spoiled_model(sdf_model(), "</model></sdf>", SDF, dice)}
+
+
+def sdf_model() -> str:
+    """Return a four-bar whose rod has two parents."""
+
+    def link(name: str, pose: str, mass: float) -> str:
+        inertia = "<inertia><ixx>0.02</ixx><iyy>0.03</iyy><izz>0.04</izz><ixy>0.001</ixy></inertia>"
+        inertial = f"<inertial><pose>0.1 0.02 0.03 0.1 0.2 0.3</pose><mass>{mass}</mass>{inertia}</inertial>"
+        return f'<link name="{name}"><pose>{pose}</pose>{inertial}</link>'
+
+    def joint(name: str, parent: str, child: str, pose: str = "0 0 0 0 0 0") -> str:
+        ends = f"<pose>{pose}</pose><parent>{parent}</parent><child>{child}</child>"
+        axis = "<axis><xyz>0 0 1</xyz><limit><lower>-3</lower><upper>3</upper><effort>9</effort></limit></axis>"
+        return f'<joint name="{name}" type="revolute">{ends}{axis}</joint>'
+
+    links = link("base", "0 0 0.1 0 0 0", 1.0) + link("crank", "0 0 0.1 0 0 1.5707963267948966", 1.0)
+    links += link("rod", "0 0.2 0.1 0 0 0", 0.5) + link("rocker", "0.5 0 0.1 0 0 1.5707963267948966", 0.7)
+    joints = joint("crank", "base", "crank") + joint("elbow", "crank", "rod") + joint("foot", "base", "rocker")
+    pin = joint("pin", "rod", "rocker", "0.2 0 0 0 0 0")
+    return f'<sdf version="1.6"><model name="machine">{links}{joints}{pin}</model></sdf>'
+
+
+def _spoiled_model(text: str, end: str, more: tuple[str, ...], dice: Dice) -> bytes:
+    kind = dice.random()
+    if kind < 0.65:
+        return spoiled_xml(text, dice)
+    if kind < 0.75:
+        return spoiled_bytes(text.encode(), dice)
+    if kind < 0.95:
+        return text.replace(end, dice.choice(more) + end).encode()
+    return (dice.choice(FOREIGN_XML) + text).encode()
 
 
 XACRO = (
