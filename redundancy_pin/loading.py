@@ -396,7 +396,8 @@ def _check_mobility(system: ConstraintSystem) -> None:
     freedoms = velocities - rows
     if not robot.n and freedoms <= 0:
         raise DeclarationError(
-            f"{robot.name} does not move: {velocities} joint velocities less {rows} closure rows leave {freedoms} freedoms.",
+            f"{robot.name} does not move: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
+            "freedoms.",
             remedy="Add a joint, or take a closure, or axes of one, out.",
             freedoms=freedoms,
         )
