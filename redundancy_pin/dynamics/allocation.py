@@ -2,9 +2,12 @@
 
 A u = g is to be met by the u of least Σ cost_j (u_j − u⁰_j)², within bounds l ≤ C u ≤ h. Without bounds that is a
 pseudoinverse in scaled unknowns, with a decision about rank. With y the scaled unknowns, y₀ the shortest solution and
-N a basis of the null space, what bounds ask for is the shortest z with l − C y₀ ≤ C N z ≤ h − C y₀: a least-distance
-problem, which non-negative least squares solves (Lawson and Hanson 1974, chapter 23). Where no z does, there is still
-the u within the bounds that misses g least: least squares over a box.
+N a basis of the null space, what bounds ask for is the shortest z with l − C y₀ ≤ C N z ≤ h − C y₀, a quadratic
+program in as many unknowns as there are motors too many. DAQP solves it, a dual method of active sets (Arnström,
+Bemporad and Axehill 2022): exact, as the bounds that hold the answer are known. A sample of 12 motors, 6 freedoms and 24 rows
+takes it 0.03 ms, non-negative least squares (Lawson and Hanson 1974, chapter 23) 0.41 ms, and all samples as one
+block-diagonal program 0.3 ms with an interior point (PIQP, to 3e-7), 4 ms with OSQP, 7 ms with ProxQP. Where no z does,
+there is still the u within the bounds that misses g least: least squares over a box.
 
 ``distribute`` (``dynamics.distribution``) allots the main efforts of whole motions, with a status for what planning
 asks: does a solution exist? ``allocate`` does it at one state for a controller, whose carriers are actuators too.
@@ -74,8 +77,15 @@ def _by_singular_vectors(matrices: Array, forces: Array, rank: IntArray, cost: A
     return efforts, outside
 
 
-_NOTHING_LEFT = 1e-9
-"""Residual of the non-negative least squares below which bounds contradict one another; it is 1 / √(1 + ‖z‖²)."""
+_MET = 1e-10
+"""Part of the length at stake by which the solver may pass bounds: a tenth of what counts as outside."""
+
+_EXACT = 1e-14
+"""Miss of the bounds that hold the answer, above which it is computed from them again."""
+
+_SETTINGS = {"primal_tol": _MET, "iter_limit": 10_000}
+_FAR = 1e30
+"""Bounds that the solver takes for none."""
 
 
 def within_bounds(start: Array, null: Array, bounded: Array, lower: Array, upper: Array) -> Array | None:
@@ -83,33 +93,38 @@ def within_bounds(start: Array, null: Array, bounded: Array, lower: Array, upper
 
     ``start`` is y₀ (p,), ``null`` N (p, d), orthonormal, ``bounded`` C (b, p); bounds (b,) may be infinite.
     """
-    rows = np.concatenate([bounded[np.isfinite(lower)], -bounded[np.isfinite(upper)]])
-    G = rows @ null
-    h = np.concatenate([lower[np.isfinite(lower)], -upper[np.isfinite(upper)]]) - rows @ start
+    now = bounded @ start
+    return _shortest_within(bounded @ null, np.linalg.norm(bounded, axis=1), lower - now, upper - now)
+
+
+def _shortest_within(G: Array, reach: Array, low: Array, high: Array) -> Array | None:
+    """Return the shortest z (d,) with l ≤ G z ≤ h, (b,) each, or None; ``reach`` (b,) are the lengths of C's rows."""
     size = np.linalg.norm(G, axis=1)
     # what a null direction moves by rounding only, it cannot move: a huge step along it would be no answer
-    fixed = size <= RANK_TOLERANCE * np.linalg.norm(rows, axis=1)
-    if (h[fixed] > RANK_TOLERANCE * (1.0 + np.abs(h[fixed]))).any():
-        return None  # bounds that z does not move, and that are broken
-    G, h = G[~fixed] / size[~fixed, None], h[~fixed] / size[~fixed]
-    scale = float(h.max(initial=0.0))  # every z is at least that long: one of length 1 or more is sought
+    fixed = size <= RANK_TOLERANCE * reach
+    if fixed.any():
+        miss = np.maximum(low[fixed], -high[fixed])
+        if (miss > RANK_TOLERANCE * (1.0 + np.abs(miss))).any():
+            return None  # bounds that z does not move, and that are broken
+        G, low, high, size = G[~fixed], low[~fixed], high[~fixed], size[~fixed]
+    G, low, high = G / size[:, None], low / size, high / size
+    scale = float(np.maximum(low, -high).max(initial=0.0))  # every z is at least that long
     if scale <= 0.0:
-        return np.zeros(null.shape[1])
-    system = np.concatenate([G.T, h[None] / scale])
-    goal = np.zeros(len(system))
-    goal[-1] = 1.0
-    from scipy.optimize import nnls
+        return np.zeros(G.shape[1])
+    import daqp
 
-    try:
-        multipliers, left = nnls(system, goal)
-    except RuntimeError:  # it did not converge: the answer that misses least is the safe one
+    # far bounds that cannot hold it are left to the test below: numbers of 1e300 are not for a solver
+    sides = (np.clip(high / scale, -_FAR, _FAR), np.clip(low / scale, -_FAR, _FAR))
+    d = G.shape[1]
+    z, _, flag, told = daqp.solve(np.eye(d), np.zeros(d), G, *sides, np.zeros(len(G), dtype=np.int32), **_SETTINGS)
+    if flag < 1:  # without an answer, the one that misses least is the safe one
         return None
-    if left < _NOTHING_LEFT:
-        return None
-    # z = −scale · r/r_last of the residual r loses digits as ‖z‖²; from the bounds that hold it, it loses none
-    active = multipliers > 0.0
-    z: Array = np.linalg.lstsq(G[active], h[active], rcond=None)[0]
-    broken = h - G @ z > RANK_TOLERANCE * max(scale, float(np.linalg.norm(z)))
+    active = told["lam"] != 0.0
+    side = np.where(told["lam"] > 0.0, sides[0], sides[1])[active]
+    if np.abs(G[active] @ z - side).max(initial=0.0) > _EXACT * max(1.0, np.abs(z).max()):
+        z = np.linalg.lstsq(G[active], side, rcond=None)[0]  # from the bounds that hold it, it loses no digits
+    z = np.asarray(scale * z)
+    broken = np.maximum(low - G @ z, G @ z - high) > RANK_TOLERANCE * max(scale, float(np.linalg.norm(z)))
     return None if broken.any() else z
 
 
@@ -188,19 +203,22 @@ def fit_into_bounds(
     root, m = np.sqrt(cost), matrices.shape[2]
     rows = np.broadcast_to(np.eye(m), (len(efforts), m, m)) if rows is None else rows
     directions = np.linalg.svd(matrices, full_matrices=True)[2]
-    for k in np.flatnonzero(rank < m):
-        u, low, high = efforts[k], lower[k], upper[k]
-        # y = √cost u / size: the cost is then a length, and tolerances are relative to the largest effort at stake
-        held = rows[k] @ u
-        size = max(np.abs(u).max(), np.abs(np.clip(held, low, high)).max())
-        basis = root[:, np.newaxis] * directions[k, rank[k] :].T
-        null = np.linalg.qr(basis)[0]
-        start = root * u / size
-        start -= null @ (null.T @ start)  # the shortest of all solutions
-        slack = (low / size - BOUND_TOLERANCE, high / size + BOUND_TOLERANCE)
-        z = within_bounds(start, null, rows[k] / root, *slack)
-        if z is not None:
-            fitted[k] = np.clip(size * (start + null @ z) / root, low[:m], high[:m])
+    # y = √cost u / size: the cost is then a length, and tolerances are relative to the largest effort at stake
+    held = np.einsum("Ncj,Nj->Nc", rows, efforts)
+    size = np.maximum(np.abs(efforts).max(axis=1), np.abs(np.clip(held, lower, upper)).max(axis=1))[:, None]
+    bounded = rows / root
+    reach = np.linalg.norm(bounded, axis=2)
+    for freedom in np.unique(rank[rank < m]):
+        at = np.flatnonzero(rank == freedom)
+        null = np.linalg.qr(root[:, None] * directions[at, freedom:].transpose(0, 2, 1))[0]
+        start = root * efforts[at] / size[at]
+        start -= np.einsum("Njd,Nkd,Nk->Nj", null, null, start)  # the shortest of all solutions
+        now, G = np.einsum("Ncj,Nj->Nc", bounded[at], start), bounded[at] @ null
+        low, high = lower[at] / size[at] - BOUND_TOLERANCE - now, upper[at] / size[at] + BOUND_TOLERANCE - now
+        for i, k in enumerate(at.tolist()):
+            z = _shortest_within(G[i], reach[k], low[i], high[i])
+            if z is not None:
+                fitted[k] = np.clip(size[k] * (start[i] + null[i] @ z) / root, lower[k, :m], upper[k, :m])
     return fitted
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import daqp
 import numpy as np
 import pytest
 import zoo
+from scipy.optimize import nnls
 
 import redundancy_pin as rp
 from redundancy_pin.arrays import Array
@@ -33,14 +33,18 @@ def gripping() -> tuple[rp.Robot, rp.PlatformMotion]:
 
 
 def least(W: Array, f: Array, rows: EffortRows, k: int) -> Array:
-    """Return the τ of least norm with W τ = f and the rows, by a dual active-set method (DAQP)."""
+    """Return the τ of least norm with W τ = f and the rows, by non-negative least squares (Lawson and Hanson 1974)."""
     C = rows.matrix[k] if rows.matrix.ndim == 3 else rows.matrix
     low, high = (side[k] if np.ndim(side) == 2 else np.broadcast_to(side, len(C)) for side in (rows.lower, rows.upper))
-    A = np.concatenate([W, C])
-    sides = (np.clip(np.concatenate([f, side]), -1e20, 1e20) for side in (high, low))
-    tau, _, flag, _ = daqp.solve(np.eye(len(W.T)), np.zeros(len(W.T)), A, *sides)
-    assert flag == 1
-    return np.asarray(tau)
+    A, low, high = np.concatenate([W, C]), np.concatenate([f, low]), np.concatenate([f, high])
+    G = np.concatenate([A[np.isfinite(low)], -A[np.isfinite(high)]])
+    h = np.concatenate([low[np.isfinite(low)], -high[np.isfinite(high)]])
+    size = np.linalg.norm(G, axis=1)
+    G, h = G / size[:, None], h / size
+    multipliers, left = nnls(np.concatenate([G.T, h[None] / np.abs(h).max()]), np.eye(W.shape[1] + 1)[-1])
+    assert left > 1e-9  # else nothing keeps them
+    held = multipliers > 0.0
+    return np.asarray(np.linalg.lstsq(G[held], h[held], rcond=None)[0])
 
 
 def test_a_squeeze_holds_exactly_and_costs_least(gripping) -> None:

@@ -7,10 +7,17 @@ from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
+from scipy.linalg import null_space
 
 from redundancy_pin.dynamics.allocation import fit_into_bounds
 from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus, distribute, torque_speed_bounds
+from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.coordinates import coordinates
+from redundancy_pin.loading import load_robot
+from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.robot import Robot
 
 OPTIMUM = 1e-8
 """Relative: bounds count as met within 1e-9 of the largest effort, and the optimum moves by about as much."""
@@ -350,3 +357,35 @@ def test_bounds_of_a_motor_fall_with_its_speed():
         torque_speed_bounds([[1.0]], 4.0, 0.0)
     with pytest.raises(InputError, match="preferred"):
         distribute(reduced(np.ones((1, 1, 2)), np.ones((1, 1))), preferred=[np.inf, 0.0])
+
+
+def test_preload_against_backlash_presses_every_gear_to_its_side():
+    """A five-bar with a third motor: bounds one side of zero, against the segment of all solutions, by hand."""
+    plain = load_robot("five_bar")
+    robot = Robot.from_model(
+        plain.model, closures=plain.closures, actuated=[*plain.actuated, "elbow_1"], carriers=plain.carriers,
+        independent=plain.platform, reference=np.array(plain.q_reference),
+    )  # fmt: skip
+    t = np.linspace(0.0, 2.0 * np.pi, 60)
+    home = constraint_system(robot).evaluate(np.array(robot.q_reference)[None])
+    x = coordinates(robot, home)[0] + 0.03 * np.stack([np.sin(3 * t), 1 - np.cos(3 * t)], axis=1)
+    xd, xdd = (0.03 * np.stack(pair, axis=1) for pair in (
+        (3 * np.cos(3 * t), 3 * np.sin(3 * t)), (-9 * np.sin(3 * t), 9 * np.cos(3 * t))
+    ))  # fmt: skip
+    machine = RneaDynamics(robot).reduce(PlatformMotion(t, x, xd, xdd))
+    free = distribute(machine)
+    solutions = null_space(machine.W[0])  # one direction, whose signs say which way each motor is pressed
+    assert solutions.shape == (3, 1)
+    side, least = np.sign(solutions[:, 0]), 0.2
+    assert (free.tau * side < least).any(axis=0).any()  # else there is nothing to show
+    lower, upper = np.where(side > 0, least, -np.inf), np.where(side > 0, np.inf, -least)
+    pressed = distribute(machine, lower=lower, upper=upper)
+    assert pressed.solved.all()
+    assert (pressed.tau * side >= least).all()
+    for k, (W, f) in enumerate(zip(machine.W, machine.f, strict=True)):
+        direction = null_space(W)[:, 0]
+        direction *= np.sign(direction @ side)
+        assert (direction * side > 0.0).all()
+        some = np.linalg.lstsq(W, f, rcond=None)[0]  # the shortest, for equal scales of three torques
+        push = max(0.0, float(((least - some * side) / (direction * side)).max()))
+        np.testing.assert_allclose(pressed.tau[k], some + push * direction, atol=1e-8 * np.abs(some).max())
