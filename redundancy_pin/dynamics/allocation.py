@@ -4,8 +4,8 @@ A u = g is to be met by the u of least Σ cost_j (u_j − u⁰_j)², within boun
 pseudoinverse in scaled unknowns, with a decision about rank. With y the scaled unknowns, y₀ the shortest solution and
 N a basis of the null space, what bounds ask for is the shortest z with l − C y₀ ≤ C N z ≤ h − C y₀, a quadratic
 program in as many unknowns as there are motors too many. DAQP solves it, a dual method of active sets (Arnström,
-Bemporad and Axehill 2022): exact, as the bounds that hold the answer are known. A sample of 12 motors, 6 freedoms and 24 rows
-takes it 0.03 ms, non-negative least squares (Lawson and Hanson 1974, chapter 23) 0.41 ms, and all samples as one
+Bemporad and Axehill 2022): exact, as the bounds that hold the answer are known. Of 12 motors, 6 freedoms and 24 rows it
+takes 0.03 ms, non-negative least squares (Lawson and Hanson 1974, chapter 23) 0.41 ms, and all samples as one
 block-diagonal program 0.3 ms with an interior point (PIQP, to 3e-7), 4 ms with OSQP, 7 ms with ProxQP. Where no z does,
 there is still the u within the bounds that misses g least: least squares over a box.
 
