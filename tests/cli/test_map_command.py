@@ -38,7 +38,7 @@ def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.fixture
 def computed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float]]:
-    """Cells at once: the whole-trajectory planner can do all, the other what is slower than 0.25 m/s."""
+    """Cells at once, pictures empty: the whole-trajectory planner does all, the other what is slower than 0.25 m/s."""
     keys: list[tuple[str, float, float]] = []
 
     def compute(problem: MapProblem, planner: str, x: float, y: float) -> Cell:
@@ -48,6 +48,8 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, float, float]]:
         return Cell(planner, x, y, verdict, limits, peak_effort=x if possible else None)
 
     monkeypatch.setattr(feasibility, "compute", compute)
+    monkeypatch.setattr(feasibility, "draw", lambda found: None)
+    monkeypatch.setattr(feasibility, "save", lambda figure, *paths: [path.write_bytes(b"") for path in paths])
     return keys
 
 

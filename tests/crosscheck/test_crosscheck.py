@@ -258,7 +258,7 @@ def test_a_fault_in_one_backend_is_found(monkeypatch, name):
     fault, expected = FAULTS[name]
     along = virtual_work.VirtualWork.along
     monkeypatch.setattr(virtual_work.VirtualWork, "along", lambda self, *a, **k: Tampered(along(self, *a, **k), fault))
-    report = crosscheck.run(["2rpr"], samples=25, seed=1)
+    report = crosscheck.run(["2rpr"], samples=10, seed=1)
     assert not report.passed
     assert expected <= failed(report)
     assert not any("rnea" in check for check in failed(report))
