@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from redundancy_pin import CarrierMotion, PlatformMotion, RneaDynamics, joint_reactions, load_robot
+from redundancy_pin import CarrierMotion, PlatformMotion, RneaDynamics, distribute, joint_reactions, load_robot
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled import CompiledDynamics, MotionDerivatives, Partials, design_of
 from redundancy_pin.errors import InputError, UnsupportedRobotError
@@ -43,7 +43,7 @@ MASSIVE: dict[str, dict[str, object]] = {
     "gough": {"payload_mass": 2.0},
 }
 
-QUANTITIES = ("f", "W", "carrier_force", "base_wrench")
+QUANTITIES = ("f", "W", "tau", "carrier_force", "base_wrench")
 
 
 def robot_of(name: str) -> Robot:
@@ -61,6 +61,7 @@ def judged(robot: Robot, motion: PlatformMotion, carriers: CarrierMotion, tau: A
     along = RneaDynamics(robot, threads=1).along(motion)
     reduced = along.reduce(carriers)
     result = {name: getattr(reduced, name) for name in ("f", "W", "carrier_force")}
+    result["tau"] = distribute(reduced).tau
     result["base_wrench"] = along.base_wrench(carriers)
     if tau is not None:
         result["closure_force"] = joint_reactions(along, tau, carriers).closure_force
@@ -93,7 +94,7 @@ def moved(carriers: CarrierMotion, part: str, i: int, by: float) -> CarrierMotio
 
 def assert_derivative(got: Partials, part: str, i: int, want: Array, tolerance: float, what: str) -> None:
     whole = getattr(got, part)
-    scale = max(np.abs(whole).max(initial=0.0), 1.0)
+    scale = np.nanmax(np.abs(whole), initial=1.0)
     np.testing.assert_allclose(whole[..., i], want, rtol=0.0, atol=tolerance * scale, err_msg=f"{what} by {part}[{i}]")
 
 
@@ -159,16 +160,51 @@ def test_type_two_poses_are_as_good_as_others() -> None:
     assert abs(np.linalg.det(RneaDynamics(robot).reduce(at).W[0])) < 1e-12
     for i in range(2):
         want = difference(lambda by, i=i: judged(robot, shifted(at, "x", i, by), parked), STEP / 4, WEIGHTS)
-        for name in QUANTITIES:
+        for name in set(QUANTITIES) - {"tau"}:
             assert_derivative(getattr(got, name), "x", i, want[name], 10 * EQUAL, name)
+    # the efforts have a pole there: a status, and no number that looks like a derivative
+    nothing = 0.0 * at.xd
+    rest = CompiledDynamics(load_robot("2rpr"), interpret=True).along(PlatformMotion([0.0], at.x, nothing, nothing))
+    for one, label in ((got, "singular_inconsistent"), (rest.derivatives(), "singular_consistent")):
+        assert one.efforts.status_labels[0] == label
+        assert all(np.isnan(getattr(one.tau, field.name)).all() for field in dataclasses.fields(Partials))
 
 
-@pytest.mark.long_for("actuated1")
+@pytest.mark.long_for("actuated0")
 @pytest.mark.parametrize("actuated", [("base_1",), ("base_1", "base_2", "elbow_2"), ("elbow_1", "base_2")])
 def test_fewer_and_more_actuators_than_freedoms(actuated: tuple[str, ...]) -> None:
+    assert_motion_derivatives(with_actuators(actuated), 9, columns=1)
+
+
+def with_actuators(actuated: tuple[str, ...]) -> Robot:
     robot = robot_of("five_bar")
     at = np.array([robot.model.joints[robot.model.getJointId(name)].idx_v for name in actuated])
-    assert_motion_derivatives(dataclasses.replace(robot, actuated=actuated, actuated_velocity=at), 9, columns=1)
+    return dataclasses.replace(robot, actuated=actuated, actuated_velocity=at)
+
+
+def test_fewer_actuators_have_derivatives_along_what_they_can_balance() -> None:
+    robot = with_actuators(("base_1",))
+    (motion, _), dynamics = motions_of(robot, 9), RneaDynamics(robot)
+
+    def with_xdd(xdd: Array) -> PlatformMotion:
+        return PlatformMotion(motion.t, motion.x, motion.xd, xdd, check_rates=False)
+
+    # f is affine in ẍ: that which one motor produces with an effort of 2
+    f, W = (getattr(dynamics.reduce(with_xdd(0.0 * motion.xdd)), name) for name in ("f", "W"))
+    mass = np.stack([dynamics.reduce(with_xdd(0.0 * motion.xdd + unit)).f - f for unit in np.eye(2)], axis=-1)
+    xdd = np.linalg.solve(mass, (2.0 * W[..., 0] - f)[..., None])[..., 0]
+    got = CompiledDynamics(robot, interpret=True).along(with_xdd(xdd)).derivatives()
+    np.testing.assert_allclose(got.efforts.tau, 2.0, rtol=1e-9)
+    assert np.isnan(got.tau.xdd).all()
+    # by all of f in proportion, which the motor can: the accelerations and its effort
+    along = np.linalg.solve(mass, W)[..., 0]
+    by_xdd = np.einsum("nic,nc->ni", got.f.xdd, along)
+    turned = dataclasses.replace(got, f=dataclasses.replace(got.f, xdd=by_xdd[..., None]), W=only(got.W, "xdd"))
+    np.testing.assert_allclose(turned.tau.xdd, 1.0, rtol=1e-9)
+
+
+def only(partials: Partials, part: str) -> Partials:
+    return dataclasses.replace(partials, **{part: getattr(partials, part)[..., :1]})
 
 
 # --- what closures transmit -------------------------------------------------------------------------------------------
@@ -181,14 +217,8 @@ def test_closure_forces(name: str) -> None:
     robot = robot_of(name)
     motion, carriers = motions_of(robot, 3, samples=2)
     got = CompiledDynamics(robot, interpret=True).along(motion).derivatives(carriers)
-    here = RneaDynamics(robot).along(motion).reduce(carriers)
-    inverse = np.linalg.inv(here.W)
-    tau = (inverse @ here.f[..., None])[..., 0]
-    parts = {}
-    for field in dataclasses.fields(Partials):
-        f_by, W_by = (getattr(of, field.name) for of in (got.f, got.W))
-        parts[field.name] = inverse @ (f_by - np.einsum("nimc,nm->nic", W_by, tau))
-    result = got.closure_force(tau, Partials(**parts))
+    tau = got.efforts.tau
+    result = got.closure_force(tau, got.tau)
 
     def forces(other: PlatformMotion) -> dict[str, Array]:
         reduced = RneaDynamics(robot).reduce(other, carriers)
@@ -199,7 +229,7 @@ def test_closure_forces(name: str) -> None:
         want = difference(lambda by, p=part, i=i: forces(shifted(motion, p, i, by)), STEP, WEIGHTS)
         assert_derivative(result, part, i, want["closure_force"], EQUAL, "closure force")
     held = got.closure_force(tau)
-    np.testing.assert_allclose(held.xdd - result.xdd, got.share @ parts["xdd"], atol=1e-9)
+    np.testing.assert_allclose(held.xdd - result.xdd, got.share @ got.tau.xdd, atol=1e-9)
     with pytest.raises(InputError, match="tau"):
         got.closure_force(tau[:, :-1] if robot.m > 1 else np.zeros((2, 2)))
 

@@ -36,7 +36,7 @@ from redundancy_pin.dynamics.compiled.derivatives import (
     MotionDerivatives,
     Partials,
     TreeSamples,
-    motion_derivatives,
+    motion_partials,
 )
 from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
@@ -378,7 +378,7 @@ class CompiledAlongMotion(Frozen):
     def derivatives(
         self, carriers: CarrierMotion | None = None, parameters: Sequence[str] | Design = ()
     ) -> MotionDerivatives:
-        """Return exact derivatives of f, W, carrier forces, base wrench and closure forces, by all they depend on.
+        """Return exact derivatives of f, W, τ, carrier forces, base wrench and closure forces, by all they depend on.
 
         By automatic and implicit differentiation; interpreted by casadi, on this thread. The first call for a robot and
         its parameters writes the expressions (under a second for a 3-RRR), later ones find them.
@@ -405,7 +405,8 @@ class CompiledAlongMotion(Frozen):
                     frame=wrench.frame,
                 )
         samples = TreeSamples(x, lifted.q, lifted.v, lifted.a, lifted.reachable, self._external)
-        return motion_derivatives(robot, design, samples, carriers)
+        partials, share = motion_partials(robot, design, samples, carriers)
+        return MotionDerivatives(design.names, share=share, reduced=self.reduce(carriers), **partials)
 
     def expressions(self, s: Any, sd: Any, sdd: Any) -> tuple[Any, Any]:
         """Return casadi's f (n, N) and carrier forces (k, N) of expressions of the carriers' motion, (k, N) each."""

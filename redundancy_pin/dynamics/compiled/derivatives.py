@@ -13,7 +13,7 @@ differences are taken of the numbers of a xacro file only (``design``).
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,8 +21,11 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, read_only
+from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.compiled.design import Design
 from redundancy_pin.dynamics.compiled.symbols import SX, SymbolicChain, casadi
+from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, Distribution, distribute
+from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
 
@@ -67,6 +70,7 @@ class MotionDerivatives(Frozen):
         passive_closure_force: of the (N, r) closure forces λ₀ without main efforts.
         closure_share: of the (N, r, m) closure forces a unit of main effort takes away: λ = λ₀ − Λ τ.
         share: (N, r, m) Λ itself.
+        reduced: (f, W) themselves.
     """
 
     parameters: tuple[str, ...]
@@ -77,14 +81,50 @@ class MotionDerivatives(Frozen):
     passive_closure_force: Partials
     closure_share: Partials
     share: Array
+    reduced: ReducedDynamics
+
+    @cached_property
+    def efforts(self) -> Distribution:
+        """The main efforts, with a status each: where it is singular, ``tau`` has no derivatives."""
+        return distribute(self.reduced)
+
+    @cached_property
+    def tau(self) -> Partials:
+        """Derivatives of the (N, m) main efforts, those of least norm where there is a choice, as ``efforts`` has them.
+
+        Of W τ = f by the implicit function: W ∂τ = ∂f − ∂W τ, and of u = Aᵀ y, where efforts over their sizes have the
+        least norm, the part in the null space of A is that of ∂Aᵀ y. NaN where W lacks rank, for there efforts grow
+        without bound or jump to those of least norm; and of fewer actuators than coordinates by all that leads to an f
+        that they cannot balance.
+        """
+        reduced, efforts = self.reduced, self.efforts
+        at = efforts.solved & (efforts.rank == min(reduced.W.shape[1:]))
+        rows, columns = reduced.row_scale, reduced.column_scale
+        A, u = scaled(reduced.W, rows, columns)[at], efforts.tau[at] / columns
+        back: Array = np.asarray(np.linalg.pinv(A))
+        y = np.einsum("nmi,nm->ni", back, u)
+        free = np.eye(A.shape[2]) - back @ A
+        parts = []
+        for field in fields(Partials):
+            f_by, W_by = (getattr(of, field.name)[at] for of in (self.f, self.W))
+            g_by, A_by = f_by / rows[:, None], W_by / rows[:, None, None] * columns[:, None]
+            turned = np.einsum("nimc,nm->nic", A_by, u)
+            part = back @ (g_by - turned) + free @ np.einsum("nimc,ni->nmc", A_by, y)
+            left = np.linalg.norm(g_by - turned - A @ part, axis=1)
+            allowed = CONSISTENCY_TOLERANCE * (np.linalg.norm(g_by, axis=1) + np.linalg.norm(turned, axis=1))
+            part = np.where((left <= allowed)[:, None], part * columns[:, None], np.nan)
+            whole = np.full((len(at), *part.shape[1:]), np.nan)
+            whole[at] = part
+            parts.append(read_only(whole))
+        return Partials(*parts)
 
     def closure_force(self, tau: ArrayLike, tau_by: Partials | None = None) -> Partials:
         """Return the derivatives of the closure forces (N, r), as ``joint_reactions`` defines them.
 
         Args:
-            tau: (N, m) main efforts that produce the motion, W τ = f.
+            tau: (N, m) main efforts that produce the motion, W τ = f; ``efforts.tau``, if nothing else is wanted.
             tau_by: their own derivatives; held when left out, which is what other efforts of the same motion share:
-                the derivative along efforts that go on producing the motion needs them.
+                the derivative along efforts that go on producing the motion needs them (``self.tau``).
 
         Raises:
             InputError: ``tau`` has the wrong shape.
@@ -247,8 +287,10 @@ class TreeSamples:
     external: Array
 
 
-def motion_derivatives(robot: Robot, design: Design, tree: TreeSamples, carriers: CarrierMotion) -> MotionDerivatives:
-    """Return the derivatives along a motion whose kinematics are solved.
+def motion_partials(
+    robot: Robot, design: Design, tree: TreeSamples, carriers: CarrierMotion
+) -> tuple[dict[str, Partials], Array]:
+    """Return the derivatives along a motion whose kinematics are solved, by names of ``MotionDerivatives``, and Λ.
 
     Args:
         robot: the robot.
@@ -268,8 +310,7 @@ def motion_derivatives(robot: Robot, design: Design, tree: TreeSamples, carriers
         for name, result in _block(functions, tree.x[at], q[at], v[at], a[at], tree.external[at]).items():
             wholes[name][at] = result
     share = wholes.pop("share")
-    quantities = {name: _split(robot, whole) for name, whole in wholes.items()}
-    return MotionDerivatives(parameters=design.names, share=read_only(share), **quantities)
+    return {name: _split(robot, whole) for name, whole in wholes.items()}, read_only(share)
 
 
 def _shapes(functions: _Functions) -> dict[str, tuple[int, ...]]:

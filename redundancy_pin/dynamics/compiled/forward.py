@@ -16,7 +16,7 @@ import numpy as np
 
 from redundancy_pin.arrays import RANK_TOLERANCE, Array
 from redundancy_pin.dynamics.compiled.build import FLAGS, built, loaded, tables, text_of
-from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_derivatives
+from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
 from redundancy_pin.dynamics.forward import Accelerations, Advance, Equations, LinearParts, Loads, Reading, Rules
@@ -185,13 +185,13 @@ class CompiledForward:
                 remedy="Linearise, and design a controller, without them.",
             )
         tree = TreeSamples(x, q, v, a, np.ones(samples, dtype=bool), np.zeros((samples, 0)))
-        d = motion_derivatives(robot, design_of(robot, ()), tree, carriers)
+        d, _ = motion_partials(robot, design_of(robot, ()), tree, carriers)
 
         def both(name: str, carrier_name: str) -> Array:
             """Derivatives (N, d, d) of (f − W τ, F) by platform and carriers."""
             rows = [
                 np.concatenate([getattr(of, name), getattr(of, carrier_name)], axis=-1)
-                for of in (d.f, d.carrier_force, d.W)
+                for of in (d["f"], d["carrier_force"], d["W"])
             ]
             rows[0] = rows[0] - np.einsum("nimc,nm->nic", rows[2], tau)
             return np.concatenate(rows[:2], axis=1)
