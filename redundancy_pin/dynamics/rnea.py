@@ -126,16 +126,8 @@ class RneaDynamics(Dynamics):
     ) -> RneaSample:
         """Return W, f and carrier forces at one sample; see ``Dynamics.sample``.
 
-        Args:
-            x: as there, and so are the other arguments.
-            xd: its rate.
-            xdd: its second rate.
-            s: carriers.
-            sd: their rates.
-            sdd: their second rates.
-            start: an earlier result, of a pose nearby. The branch is followed from there on a straight line, in tens of
-                microseconds, and not from the reference configuration; where it does not lead to x, that is an error.
-            t: time, s.
+        ``start`` is an earlier result, of a pose nearby. The branch is followed from there on a straight line, in tens
+        of microseconds, and not from the reference configuration; where it does not lead to x, that is an error.
 
         Raises:
             InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.

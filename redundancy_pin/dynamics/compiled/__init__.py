@@ -2,7 +2,7 @@
 
 The equations are those of ``dynamics.rnea``, written a second time and from the model alone: symbols (``symbols.py``),
 C from them and its cache (``build.py``), and a driver that closes the loops by Newton's method along a motion
-(``driver.c``; ``interpreted.py`` is the same in Python).
+(``closing.py``, ``driver.c``; ``interpreted.py`` is the same in Python).
 """
 
 from __future__ import annotations
@@ -11,17 +11,14 @@ import os
 import threading
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from functools import cached_property
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, BoolArray, Frozen, checked, frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, read_only
 from redundancy_pin.dynamics.base import (
     CarrierDerivatives,
     Dynamics,
@@ -32,6 +29,7 @@ from redundancy_pin.dynamics.base import (
     require_matching_carriers,
 )
 from redundancy_pin.dynamics.compiled.build import Library, build_library, define
+from redundancy_pin.dynamics.compiled.closing import CLOSED, NOT_FINITE, Lifted, Loops, each, lifted, parts_of
 from redundancy_pin.dynamics.compiled.derivatives import (
     MotionDerivatives,
     Partials,
@@ -42,32 +40,13 @@ from redundancy_pin.dynamics.compiled.design import Design, design_of
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
 from redundancy_pin.dynamics.compiled.load_symbols import shape_of
-from redundancy_pin.errors import (
-    InputError,
-    RedundancyPinError,
-    SingularPoseError,
-    UnreachablePoseError,
-    UnsupportedRobotError,
-    WorkingModeError,
-)
+from redundancy_pin.errors import InputError, SingularPoseError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
-
-_CLOSED, _LOST, _SINGULAR, _OTHER_MODE, _NOT_FINITE = range(5)
-"""Statuses of the driver."""
-
-_STARTS = 60
-"""Random configurations from which a pose is looked for that the straight way from the reference does not reach."""
-
-_PER_THREAD = 400
-"""Samples below which a second thread costs more than it brings."""
-
-_TURN = 0.5
-"""Longest turn, rad, of a pose at a time on the way from the reference: half a turn away the direction is lost."""
 
 
 class CompiledDynamics(Dynamics):
@@ -131,7 +110,7 @@ class CompiledDynamics(Dynamics):
         """
         require_choice(unreachable)
         self._require_coordinates(motion)
-        return CompiledAlongMotion(self, _lifted(self, motion, mark=unreachable == "mark"))
+        return CompiledAlongMotion(self, lifted(self._loops, motion, mark=unreachable == "mark"))
 
     def for_robot(self, robot: Robot) -> CompiledDynamics:
         """Return this backend for a robot that differs in its loads.
@@ -158,21 +137,9 @@ class CompiledDynamics(Dynamics):
     ) -> Sample:
         """Return W (n, m), f (n,) and the carrier forces (k,) of one sample: what a control loop asks for.
 
-        Newton's method starts from the sample that this thread asked for before, and from the reference where that is
-        too far away; ``along`` and ``reduce`` follow a whole motion, check tracks, and say what is wrong.
-
-        Args:
-            x: (n,) platform coordinates in the base frame, m and rad; (4, 4) for a pose.
-            xd: (n,) their rates; the twist of a pose, in world axes at the platform's origin.
-            xdd: (n,) their second rates.
-            s: scalar or (k,) positions of the carriers on their tracks, m; 0 when left out.
-            sd: scalar or (k,) their rates, m/s; 0 when left out.
-            sdd: scalar or (k,) their second rates, m/s²; 0 when left out.
-            t: time, s, for wrenches that depend on it.
-
-        Raises:
-            InputError: wrong shapes, or values that are not finite.
-            UnreachablePoseError, SingularPoseError, WorkingModeError: as in ``along``.
+        As ``Dynamics.sample``. Newton's method starts from the sample that this thread asked for before, and from the
+        reference where that is too far away; ``along`` and ``reduce`` follow a whole motion, check tracks, and say what
+        is wrong.
         """
         one = getattr(self._local, "one", None)
         if one is None:
@@ -200,10 +167,11 @@ class CompiledDynamics(Dynamics):
     @cached_property
     def reference(self) -> tuple[Array, Array]:
         """The reference configuration (nq,) and its coordinates, (n,) or the 16 of a pose."""
-        q = np.array(self._robot.q_reference)
-        x = np.empty(16 if self._is_pose else self._robot.n)
-        self._kernel.map("rp_coordinates", 1, [q[None], self._kernel.trig_at(q[None])], [x[None]])
-        return q, x
+        return self._loops.reference
+
+    @cached_property
+    def _loops(self) -> Loops:
+        return Loops(self._robot, self._kernel, self._threads)
 
     @cached_property
     def scales(self) -> tuple[Array, Array]:
@@ -275,7 +243,7 @@ class _OneSample:
             parts += [part[0] for part in wrench_values(self._dynamics.robot.loads, np.array([t]), x, xd)]
         parts[0] = parts[0].ravel()
         np.concatenate(parts, out=self._given)
-        if self._evaluate() != _CLOSED:
+        if self._evaluate() != CLOSED:
             self._from_reference(values)
         result, (a, b, c) = self._result.copy(), self._cuts
         return Sample(result[:a].reshape(self._shape), result[a:b], result[b:c])
@@ -283,12 +251,12 @@ class _OneSample:
     def _from_reference(self, values: tuple[ArrayLike, ...]) -> None:
         motion = self._refuse(values)
         # raises, unless the sample was only too far from the one before
-        self._state[:-1] = _lifted(self._dynamics, motion, mark=False).q[0]
+        self._state[:-1] = lifted(self._dynamics._loops, motion, mark=False).q[0]
         self._state[-1] = 0.0
         status = self._evaluate()
-        if status == _NOT_FINITE:
+        if status == NOT_FINITE:
             raise InputError("The efforts of the sample are not finite.", remedy="Its rates are too large.")
-        if status != _CLOSED:
+        if status != CLOSED:
             raise SingularPoseError(
                 "The sample is at a type I singularity: the platform velocity does not determine the joint velocities.",
                 remedy="Keep the legs away from full stretch, full fold and zero length.",
@@ -306,28 +274,13 @@ class _OneSample:
         return PlatformMotion(np.zeros(1), *(part[None] for part in parts[:3]))
 
 
-class _Lifted(NamedTuple):
-    """Motion of the tree; see ``kinematics.lift.TreeMotion``."""
-
-    motion: PlatformMotion
-    q: Array
-    trig: Array
-    v: Array
-    a: Array
-    gamma: Array
-    W: Array
-    gap: Array
-    margin: Array
-    reachable: BoolArray
-
-
 class CompiledAlongMotion(Frozen):
     """Dynamics along one platform motion; obtained from ``CompiledDynamics.along``.
 
     Rows of samples that are not reachable are NaN in every result.
     """
 
-    def __init__(self, dynamics: CompiledDynamics, lifted: _Lifted) -> None:
+    def __init__(self, dynamics: CompiledDynamics, lifted: Lifted) -> None:
         self._dynamics = dynamics
         self._lifted = lifted
 
@@ -449,257 +402,8 @@ class CompiledAlongMotion(Frozen):
         def part(of: slice) -> None:
             self._dynamics._kernel.map(name, of.stop - of.start, [a[of] for a in inputs], [a[of] for a in outputs])
 
-        _each(part, _parts(samples, self._dynamics._threads))
+        each(part, parts_of(samples, self._dynamics._threads))
         if not lifted.reachable.all():
             for output in outputs:
                 output[~lifted.reachable] = np.nan
         return outputs
-
-
-# --- closing the loops along a motion ---------------------------------------------------------------------------------
-
-
-def _lifted(dynamics: CompiledDynamics, motion: PlatformMotion, *, mark: bool) -> _Lifted:
-    robot, samples = dynamics.robot, len(motion)
-    x = np.ascontiguousarray(motion.x.reshape(samples, -1))
-    nq, nv, n, m = robot.model.nq, robot.model.nv, robot.n, robot.m
-    shapes = ((nq,), (dynamics._kernel.trigs,), (nv,), (nv,), (nv, n), (n, m), (), ())
-    arrays = [np.full((samples, *shape), np.nan) for shape in shapes]
-    status = np.full(samples, _LOST, dtype=np.intc)
-    first, failed = 0, 0
-    start = _start(dynamics, motion, 0, mark)
-    while True:
-        if start is not None:
-            failed = _run(dynamics, motion, x, first, start, arrays, status)
-            # the sample that cannot be followed stays marked: what is reacquired behind it may be another branch
-            first = failed
-        first += 1
-        if not mark or first >= samples:
-            break
-        away = first - failed
-        start = _start(dynamics, motion, first, mark, thorough=away & (away - 1) == 0)
-    good: BoolArray = status == _CLOSED
-    if not good.all():
-        if not mark:
-            _refuse(dynamics, motion, x, arrays, status, int(np.argmin(good)))
-        missing = np.flatnonzero(~good)
-        for k in missing[np.isnan(arrays[6][missing])]:
-            arrays[6][k] = _nearest(dynamics, x[k], arrays[0], int(k))[1]
-        for array in arrays[:6]:
-            array[~good] = np.nan
-    q, trig, v, a, gamma, W, gap, margin = (read_only(array) for array in arrays)
-    return _Lifted(motion, q, trig, v, a, gamma, W, gap, margin, read_only(good))
-
-
-def _run(
-    dynamics: CompiledDynamics,
-    motion: PlatformMotion,
-    x: Array,
-    first: int,
-    start: Array,
-    arrays: list[Array],
-    status: NDArray[np.intc],
-) -> int:
-    """Lift the samples from ``first`` on; return the first that is not closed, or how many there are.
-
-    A whole motion is lifted in as many parts as there are threads, which count only if they join.
-    """
-    kernel, samples = dynamics._kernel, len(motion)
-    # a motion keeps the layout it was given in, say of a transposed array; C reads row by row
-    t, xd, xdd = (np.ascontiguousarray(part) for part in (motion.t, motion.xd, motion.xdd))
-
-    def lift(part: slice, q: Array) -> int:
-        rest = [array[part] for array in (t, x, xd, xdd)]
-        outputs = [*(array[part] for array in arrays), status[part]]
-        return kernel.call("rp_lift", part.stop - part.start, *rest, q, x[part.start], *outputs)
-
-    parts = [slice(first + p.start, first + p.stop) for p in _parts(samples - first, dynamics._threads)]
-    if len(parts) > 1 and first == 0:
-        starts = [start]
-        for part in parts[1:]:
-            q = starts[-1].copy()
-            if kernel.call("rp_follow", q, x[parts[len(starts) - 1].start], x[part.start]) != _CLOSED:
-                break
-            starts.append(q)
-        if len(starts) == len(parts):
-            _each(lambda pair: lift(*pair), list(zip(parts, starts, strict=True)))
-            if (status[first:] == _CLOSED).all() and all(
-                _joined(kernel, arrays[0], x, part.start) for part in parts[1:]
-            ):
-                return samples
-        status[first:] = _LOST  # the straight way to a part led elsewhere than the motion: one after the other
-    return first + lift(slice(first, samples), start)
-
-
-def _joined(kernel: Library | Interpreter, q: Array, x: Array, k: int) -> bool:
-    """Return whether sample k continues the branch of the one before."""
-    reached = q[k - 1].copy()
-    closed = kernel.call("rp_follow", reached, x[k - 1], x[k]) == _CLOSED
-    return closed and float(np.abs(reached - q[k]).max()) < _SAME
-
-
-_SAME = 1e-9
-"""Two configurations nearer than this (rad, m) are one, computed twice."""
-
-
-def _parts(samples: int, threads: int) -> list[slice]:
-    count = max(1, min(threads, samples // _PER_THREAD))
-    edges = np.linspace(0, samples, count + 1).round().astype(int).tolist()
-    return [slice(a, b) for a, b in pairwise(edges)]
-
-
-def _each(work: Callable[[Any], Any], items: list[Any]) -> None:
-    """Do some work for each item, in a thread each; compiled code runs beside Python."""
-    if len(items) == 1:
-        work(items[0])
-        return
-    with ThreadPoolExecutor(len(items)) as pool:
-        list(pool.map(work, items))
-
-
-def _start(
-    dynamics: CompiledDynamics, motion: PlatformMotion, sample: int, mark: bool, thorough: bool = True
-) -> Array | None:
-    """Return a configuration (nq,) closed at a sample: straight from the reference, or the nearest in the mode.
-
-    None, with ``mark``, where there is none.
-    """
-    kernel = dynamics._kernel
-    reference, home = dynamics.reference
-    x = np.ascontiguousarray(motion.x[sample].reshape(-1))
-    q, here = reference.copy(), home
-    for target in _way(home, x, motion.is_pose):
-        status = kernel.call("rp_follow", q, here, target)
-        here = target
-        if status == _LOST:
-            break
-    if status == _CLOSED:
-        return q
-    best, gap = _multistart(dynamics, x) if thorough else (None, np.nan)
-    if best is not None:
-        return best
-    if mark:
-        return None
-    raise _no_start(dynamics, motion, sample, gap)
-
-
-def _way(home: Array, x: Array, is_pose: bool) -> list[Array]:
-    """Return coordinates on the way from one pose to another, the last one last; a pose turns a little at a time."""
-    if not is_pose:
-        return [x]
-    first, last = home.reshape(4, 4), x.reshape(4, 4)
-    rotations = Rotation.from_matrix(np.stack([first[:3, :3], last[:3, :3]]))
-    angle = (rotations[1] * rotations[0].inv()).magnitude()
-    shares = np.linspace(0.0, 1.0, int(np.ceil(angle / _TURN)) + 1)[1:] if angle > 0.0 else np.ones(1)
-    poses = np.repeat(np.eye(4)[None], len(shares), axis=0)
-    poses[:, :3, :3] = Slerp([0.0, 1.0], rotations)(shares).as_matrix()
-    poses[:, :3, 3] = first[:3, 3] + shares[:, None] * (last[:3, 3] - first[:3, 3])
-    poses[-1] = last
-    return [pose.ravel() for pose in poses]
-
-
-def _multistart(dynamics: CompiledDynamics, x: Array) -> tuple[Array | None, float]:
-    """Return the configuration nearest to the reference in the working mode, and the smallest gap that was met."""
-    import pinocchio as pin
-
-    kernel, robot = dynamics._kernel, dynamics.robot
-    reference, _ = dynamics.reference
-    random = np.random.default_rng(0)
-    best, nearest, least = None, np.inf, np.inf
-    for trial in range(_STARTS):
-        step = np.zeros(robot.model.nv)
-        if trial:
-            step = random.uniform(-np.pi, np.pi, robot.model.nv)
-        step[robot.carrier_velocity] = 0.0
-        q: Array = pin.integrate(robot.model, reference, step)
-        gap = kernel.assemble(q, x)
-        least = min(least, gap)
-        if gap < CLOSURE_TOLERANCE and kernel.call("rp_follow", q, x, x) == _CLOSED:
-            away = float(np.abs(pin.difference(robot.model, reference, q)).max())
-            if away < nearest:
-                best, nearest = q, away
-    return best, least
-
-
-def _nearest(dynamics: CompiledDynamics, x: Array, q: Array, k: int) -> tuple[Array, float]:
-    """Return where Newton's method ends at sample k from the last one that was closed, and by how much it is open."""
-    known = np.flatnonzero(~np.isnan(q[:k, 0]))
-    nearest = q[known[-1]].copy() if len(known) else dynamics.reference[0].copy()
-    return nearest, dynamics._kernel.assemble(nearest, x)
-
-
-def _is_singular(kernel: Library | Interpreter, q: Array, x: Array, size: int) -> bool:
-    """Return whether K is singular at a configuration, to the square root of rounding."""
-    residual, K, alignment = np.empty((1, size)), np.empty((1, size, size)), np.empty((1, kernel.alignments))
-    kernel.map("rp_rows", 1, [q[None], kernel.trig_at(q[None]), x[None]], [residual, K, alignment])
-    values = np.linalg.svd(K[0], compute_uv=False)
-    return bool(values[-1] <= _SINGULAR_RATIO * values[0])
-
-
-_SINGULAR_RATIO = 1e-5
-"""Ratio of singular values below which K counts as singular in a message: Newton reaches a double root to 1e-6."""
-
-
-# --- what is wrong ----------------------------------------------------------------------------------------------------
-
-
-def _no_start(dynamics: CompiledDynamics, motion: PlatformMotion, sample: int, gap: float) -> RedundancyPinError:
-    robot, pose = dynamics.robot, f"The pose of sample {sample}, x = {np.round(motion.x[sample], 6).tolist()},"
-    if gap < CLOSURE_TOLERANCE and robot.working_modes is not None:
-        return WorkingModeError(
-            f"{pose} closes only in other working modes than {_mode(robot)} of {robot.name}.",
-            remedy="Load the robot in that working_mode, or move the pose.",
-            sample=sample,
-        )
-    if gap < CLOSURE_TOLERANCE:
-        return SingularPoseError(
-            f"{pose} is a type I singularity: the platform velocity does not determine the joint velocities.",
-            remedy="Keep the legs away from full stretch, full fold and zero length.",
-            sample=sample,
-        )
-    return UnreachablePoseError(
-        f"{pose} cannot be reached in the working mode of {robot.name}: the chains stay open by {gap:.3g} m.",
-        remedy="Move the pose into the workspace, or load the robot in another working_mode.",
-        sample=sample,
-        gap=gap,
-    )
-
-
-def _refuse(
-    dynamics: CompiledDynamics, motion: PlatformMotion, x: Array, arrays: list[Array], status: NDArray[np.intc], k: int
-) -> None:
-    when = f"sample {k} (t = {motion.t[k]:.6g} s"
-    if status[k] == _OTHER_MODE:
-        raise WorkingModeError(
-            f"The motion leaves the working mode {_mode(dynamics.robot)} at {when}).",
-            remedy="Plan a path that keeps every leg on its side, or load the robot in another working_mode.",
-            sample=k,
-        )
-    nearest, gap = _nearest(dynamics, x[k], arrays[0], k)
-    if status[k] == _LOST and gap >= CLOSURE_TOLERANCE:
-        raise UnreachablePoseError(
-            f"The pose of {when}, x = {np.round(motion.x[k], 6).tolist()}) cannot be reached: the chains stay open by "
-            f"{gap:.3g} m.",
-            remedy="Keep the motion inside the workspace, or ask for unreachable samples to be marked.",
-            sample=k,
-            gap=gap,
-        )
-    if status[k] == _SINGULAR or _is_singular(
-        dynamics._kernel, nearest, x[k], dynamics.robot.model.nv - dynamics.robot.k
-    ):
-        raise SingularPoseError(
-            f"At {when}) the motion meets a type I singularity: the platform velocity does not determine the joint "
-            "velocities.",
-            remedy="Keep the legs away from full stretch, full fold and zero length.",
-            sample=k,
-        )
-    raise WorkingModeError(
-        f"The motion cannot be followed continuously to {when}): the way there leaves the workspace or passes a type I "
-        "singularity (a leg at full stretch, full fold or zero length).",
-        remedy="Keep every leg away from the end of its reach, or sample the motion more finely.",
-        sample=k,
-    )
-
-
-def _mode(robot: Robot) -> str:
-    return "".join("+" if sign > 0 else "-" for sign in robot.working_mode)
