@@ -27,7 +27,7 @@ from redundancy_pin.arrays import (
 from redundancy_pin.dynamics.allocation import fit_into_bounds, least_residual, leaves_bounds, minimum_norm
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.errors import InputError, shown
-from redundancy_pin.kinematics.spectrum import null_directions, scaled, spectrum_of
+from redundancy_pin.spectrum import null_directions, scaled, spectrum_of
 
 
 class SampleStatus(IntEnum):

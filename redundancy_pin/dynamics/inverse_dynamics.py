@@ -21,13 +21,13 @@ from redundancy_pin.dynamics.distribution import Distribution, SampleStatus, dis
 from redundancy_pin.errors import InputError, RedundancyPinError, numbered_from
 from redundancy_pin.kinematics.coordinates import difference, row_scale, working_modes
 from redundancy_pin.kinematics.lift import TreeMotion, lift
-from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_consistent, require_sampled
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.joint_ranges import JointExcess, Turns, beyond_limits, out_of_range, turns_of
 from redundancy_pin.robot.loads import Load, Wrench
 from redundancy_pin.singularities.classify import SingularityKind, signed_margin
 from redundancy_pin.singularities.crossings import SPACING, Crossing, find_crossings
+from redundancy_pin.spectrum import scaled
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 _CONSISTENT = 1e-3

@@ -25,10 +25,10 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedD
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.coordinates import turning_velocities
-from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
 from redundancy_pin.singularities.roots import Interval, below_zero, minima, zeros
+from redundancy_pin.spectrum import scaled, spectrum_of
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial

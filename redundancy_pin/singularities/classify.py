@@ -42,8 +42,8 @@ from redundancy_pin.kinematics.assembly import inverses
 from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale, velocity_scale
 from redundancy_pin.kinematics.lift import TreeMotion
-from redundancy_pin.kinematics.spectrum import oriented, spectrum_of
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.spectrum import oriented, spectrum_of
 
 
 def serial_matrix(system: ConstraintSystem, state: ConstraintState) -> Array:

@@ -29,9 +29,9 @@ from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, each, read_only
 from redundancy_pin.errors import InputError, UnsupportedRobotError, did_you_mean
 from redundancy_pin.kinematics.assembly import project
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
-from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.singularities.classify import closed_state
+from redundancy_pin.spectrum import scaled
 
 _LARGEST = float(np.finfo(float).max)
 

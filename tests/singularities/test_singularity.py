@@ -17,10 +17,10 @@ from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry, inv
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.kinematics.lift import lift
-from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot.urdf import declaration_path
 from redundancy_pin.singularities.classify import SingularityKind, classify, classify_motion
+from redundancy_pin.spectrum import scaled, spectrum_of
 
 ROUNDING = 1e-12
 """Singular values and directions of well-scaled 7 x 7 matrices, with three digits of room."""

@@ -25,9 +25,9 @@ from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.compiled.design import Design
 from redundancy_pin.dynamics.compiled.symbols import SX, SymbolicChain, casadi
 from redundancy_pin.dynamics.distribution import CONSISTENCY_TOLERANCE, Distribution, distribute
-from redundancy_pin.kinematics.spectrum import scaled
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot
+from redundancy_pin.spectrum import scaled
 
 _SAMPLES_PER_BLOCK = 1000
 """Samples beyond these are worked on in blocks: a 3-RRR takes 40 kB a sample on the way."""

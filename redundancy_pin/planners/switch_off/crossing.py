@@ -19,12 +19,12 @@ import numpy as np
 from redundancy_pin.arrays import Array, Frozen, frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError
-from redundancy_pin.kinematics.spectrum import null_directions, spectrum_of
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, dense
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.switch_off.carrier_equation import CarrierEquation, StepGivenUpError, ramp_down
 from redundancy_pin.singularities.roots import Interval, minima
+from redundancy_pin.spectrum import null_directions, spectrum_of
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 

@@ -28,11 +28,11 @@ import numpy as np
 from redundancy_pin.arrays import Array, BoolArray, IntArray, read_only, require_few
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ExactAlongMotion, has_expressions
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
-from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.base_wrench import BASE, BaseWrench, base_wrench, load_at_rest
 from redundancy_pin.planners.carrier_model import CarrierModel, TimedModel, carrier_model, target_effort, turning_model
 from redundancy_pin.planners.whole_trajectory.options import Scales, Settings
+from redundancy_pin.spectrum import scaled, spectrum_of
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, chebyshev_times

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from redundancy_pin.kinematics.spectrum import jacobi_singular_values
+from redundancy_pin.spectrum import jacobi_singular_values
 
 ROUNDING = 1e-14
 """Relative to the largest singular value: some tens of roundings (2e-16)."""

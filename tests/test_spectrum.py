@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from redundancy_pin.kinematics import spectrum as spectrum_module
-from redundancy_pin.kinematics.spectrum import null_directions, scaled, spectrum_of
+from redundancy_pin import spectrum as spectrum_module
+from redundancy_pin.spectrum import null_directions, scaled, spectrum_of
 
 MARGIN_TOLERANCE = 1e-10
 """The promised accuracy of a margin, relative to the largest singular value."""
@@ -96,7 +96,7 @@ def test_matrices_that_are_not_finite_give_nan_and_leave_their_neighbours_alone(
 
 def test_matrices_that_do_not_converge_go_to_lapack(monkeypatch):
     matrices = np.random.default_rng(5).normal(size=(MANY, 3, 3))
-    monkeypatch.setattr("redundancy_pin.kinematics.spectrum.MAX_SWEEPS", 1)
+    monkeypatch.setattr("redundancy_pin.spectrum.MAX_SWEEPS", 1)
     assert spectrum_of(matrices).singular_values == pytest.approx(np.linalg.svd(matrices, compute_uv=False), rel=1e-14)
 
 
