@@ -2,10 +2,10 @@
 
 Each leg is the model's own: rods close a loop over knee and shin and one over the ankle. Its springs are held. The
 achilles rods have a hinge in the file where the machine has a ball; the ball at their other end is therefore held in
-the plane of the rod alone, and is off sideways by 7 mm. A foot touches the ground along the edge of its blade, at heel and
-toe, and may roll about it: five closure rows a foot leave the trunk its six freedoms, which ten motors drive. What is
-left of the choice keeps the forces at heels and toes in their friction cones. The SDF comes with
-``pip install 'redundancy_pin[examples]'`` and is used as it is.
+the plane of the rod alone, and is off sideways by 7 mm. A foot touches the ground along the edge of its blade, at
+heel and toe, and may roll about it: five closure rows a foot leave the trunk its six freedoms, which ten motors
+drive. What is left of the choice keeps the forces at heels and toes in their friction cones. The SDF comes with ``pip
+install 'redundancy_pin[examples]'`` and is used as it is.
 
 Run it with ``python docs/examples/cassie_squat.py``.
 """
