@@ -99,9 +99,7 @@ def problem_of(given: Mapping[str, Any]) -> feasibility.MapProblem:
     preset = feasibility.PRESETS.get(robot, feasibility.OTHER)
     if given["trajectory"] is None and robot not in feasibility.PRESETS:
         raise InputError(f"There is no usual motion of {robot}.", remedy="Add --trajectory.")
-    name, texts = options.split_trajectory(given["trajectory"]) if given["trajectory"] else (preset.trajectory, {})
-    if options.is_points_file(name):  # the points are part of the problem, and of its store: not the name of a file
-        name, texts = "points", {"points": _points(name), **texts}
+    name, path_options = trajectory_of(given["trajectory"] or preset.trajectory)
     usual = name == preset.trajectory  # limits and options of a preset were chosen for its own motion
     x, y = feasibility.parse_axis(given["x_text"] or preset.x), feasibility.parse_axis(given["y_text"] or preset.y)
     own = {key: float(given[key]) for key in feasibility.LIMITS if given[key] is not None}
@@ -122,7 +120,7 @@ def problem_of(given: Mapping[str, Any]) -> feasibility.MapProblem:
         x=x,
         y=y,
         trajectory=name,
-        options={**(preset.options if usual else {}), **options.trajectory_values(name, texts)},
+        options={**(preset.options if usual else {}), **path_options},
         mode=given["mode"] or (),
         **{key: given[key] for key in ("robot", "settings", "gravity", "trust")},
         backend=given["backend"] or (VIRTUAL_WORK if robot in feasibility.PRESETS else RNEA),
@@ -130,6 +128,14 @@ def problem_of(given: Mapping[str, Any]) -> feasibility.MapProblem:
         planners=given["planners"] or (preset.thesis, feasibility.WHOLE),
         parameters={planner: _read(planner, values) for planner, values in parameters.items()},
     )
+
+
+def trajectory_of(text: str) -> tuple[str, dict[str, Any]]:
+    """Return name and options of a trajectory; of a file the points, which are part of a problem, not its name."""
+    name, texts = options.split_trajectory(text)
+    if options.is_points_file(name):
+        name, texts = "points", {"points": _points(name), **texts}
+    return name, options.trajectory_values(name, texts)
 
 
 def _points(file: str) -> str:

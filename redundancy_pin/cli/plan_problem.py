@@ -177,6 +177,9 @@ WHOLE_TRAJECTORY: Mapping[str, Parameter] = {
     "start_speed": Parameter(numbers, "V[,V...]", "Their speeds there, m/s."),
     "end": Parameter(word, "WORD", "How they end: free, rest, datum (at rest there), or periodic."),
     "datum": Parameter(numbers, "S[,S...]", "Where the carriers park, m."),
+    "at_most": Parameter(
+        weights, "WORD=VALUE", "Bound of an objective beside the one that is minimised; may be repeated.", multiple=True
+    ),
     "track": _TRACK,
     "speed": _MAX_SPEED,
     "acceleration": _MAX_ACCELERATION,

@@ -206,8 +206,9 @@ class Case:
             return finish_plan(dynamics.along(motion), still, phase=phase, **made)
         if self.planner == "stepwise" or given.get("lam"):
             given["baseline"] = self._baseline(backend)
-        if not isinstance(given.get("objective", ""), str):
-            given["objective"] = dict(given["objective"])
+        for name in ("objective", "at_most"):
+            if not isinstance(given.get(name, ""), str):
+                given[name] = dict(given[name])
         if self.planner == "stepwise":
             return plan_stepwise(dynamics, trajectory.sample(self.dt, two_sided=self.two_sided), **given)
         return PLANNERS[self.planner.replace("_", "-")](dynamics, trajectory, dt=self.dt, **given)

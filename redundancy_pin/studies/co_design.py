@@ -156,13 +156,13 @@ def co_design(
         else:
             bundle.append(there)
             gained = here.cost - there.cost
-            if there.cost + float(there.slope @ (here.u - there.u)) > here.cost:
-                radius *= 0.5  # not convex: the slopes there say nothing about here
             if gained >= _DECREASE * promised:
                 hessian = _updated(hessian, there.u - here.u, there.slope - here.slope, _STIFFEST * here.cost)
                 radius = min(_LARGEST, 2.0 * radius) if gained > 0.5 * promised else radius
                 here = there
                 history.append(search.record(here))
+            elif there.cost + float(there.slope @ (here.u - there.u)) > here.cost:
+                radius *= 0.5  # not convex: the slopes there say nothing about here
         if radius < _LEAST:
             break
     pressed = zip(search.names, here.held, strict=True)

@@ -80,6 +80,7 @@ def test_no_neighbour_is_better_and_two_tasks_share_a_machine() -> None:
     tasks = [turning(objective="peak"), turning(objective="effort")]
     bounds = {"carrier_mass": (0.2, 5.0), "tail_length": (0.2, 1.2)}
     result = co_design(tasks, bounds)
+    assert result.optimal
     robot = tasks[0].dynamics.robot
 
     def cost(**numbers: float) -> float:
@@ -94,7 +95,7 @@ def test_no_neighbour_is_better_and_two_tasks_share_a_machine() -> None:
         for by in (-0.02, 0.02):
             at = result.parameters[name] + by * (high - low)
             if low <= at <= high:
-                assert cost(**{name: at}) > here * (1.0 - 2e-3), (name, by)
+                assert cost(**{name: at}) > here * (1.0 - 5e-3), (name, by)
 
 
 def test_machines_that_cannot_are_passed_over() -> None:

@@ -23,7 +23,14 @@ from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.robot_record import RobotRecord, robot_record
 from redundancy_pin.planners.whole_trajectory.problem import Problem, Task, read_coefficients
 from redundancy_pin.planners.whole_trajectory.solver import LEAST_SECONDS, OUT_OF_TIME, Solution, solve, solve_nlp
-from redundancy_pin.planners.whole_trajectory.transcription import KIND_OF, KINDS, scaled_bounds, slack_name, transcribe
+from redundancy_pin.planners.whole_trajectory.transcription import (
+    KIND_OF,
+    KINDS,
+    objective_values,
+    scaled_bounds,
+    slack_name,
+    transcribe,
+)
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
 
 _SWINGS = 3
@@ -258,6 +265,8 @@ def _slack(solution: Solution, kind: str) -> float:
 
 def _touched(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -> bool:
     """Return whether a limit is reached somewhere."""
+    if kind == "at_most":
+        return bool(problem.settings.at_most)
     if kind == "end" or (kind == "force" and "force" not in elastic.values):
         return False
     values, low, high, _ = _quantity(problem, robot, elastic, kind)
@@ -284,6 +293,12 @@ def _event(problem: Problem, robot: RobotRecord, elastic: Solution, kind: str) -
     """Return what is exceeded most, where, and what would suffice."""
     fraction = _slack(elastic, kind)
     t = problem.grid.t
+    if kind == "at_most":
+        costs = objective_values(problem, elastic.values)
+        name, bound = max(problem.settings.at_most.items(), key=lambda one: costs[one[0]] / one[1])
+        text = f"{name} at most, from {bound:.6g} to {bound * (1.0 + fraction):.6g} ({100.0 * fraction:.3g} %)"
+        numbers = {"amount": bound * fraction, "limit": bound * (1.0 + fraction), "fraction": fraction}
+        return {"constraint": kind, "objective": name, "time": float(t[0]), **numbers, "text": text}
     if kind == "end":
         missed = np.abs(elastic.values["s"][-1] - problem.settings.datum / problem.scales.s) * problem.scales.s
         if problem.settings.end == "datum":

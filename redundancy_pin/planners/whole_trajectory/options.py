@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -223,12 +223,14 @@ class Settings:
     datum: Array
     mesh: Mesh
     solver: Solver
+    at_most: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def parameters(self) -> dict[str, object]:
         """The settings as plain data, for the plan."""
         return {
             "objective": dict(self.objective),
+            **({"at_most": dict(self.at_most)} if self.at_most else {}),
             "lam": self.lam,
             "track": [tuple(ends) for ends in self.limits.track.tolist()],
             **{name: getattr(self.limits, name).tolist() for name in LIMITS},
@@ -250,6 +252,7 @@ def checked_settings(
     start_speed: ArrayLike = 0.0,
     end: End = "datum",
     datum: ArrayLike = 0.0,
+    at_most: Mapping[str, float] | None = None,
 ) -> Settings:
     """Return the settings after checking every option."""
     require_carriers(robot)
@@ -276,4 +279,12 @@ def checked_settings(
         solver=Solver(
             whole(solver.starts, "starts", 1, MOST_STARTS), positive(solver.seconds, "seconds", "s"), solver.progress
         ),
+        at_most=_bounds(at_most or {}),
     )
+
+
+def _bounds(at_most: Mapping[str, float]) -> dict[str, float]:
+    for name, bound in at_most.items():
+        one_of(name, "at_most", tuple(OBJECTIVES))
+        positive(bound, f"at_most of {name}", "")
+    return {name: float(bound) for name, bound in at_most.items()}

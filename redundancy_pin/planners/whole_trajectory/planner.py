@@ -84,6 +84,7 @@ def plan_whole_trajectory(
     start_speed: ArrayLike = 0.0,
     end: End = "datum",
     datum: ArrayLike = 0.0,
+    at_most: Mapping[str, float] | None = None,
     track: ArrayLike | None = None,
     speed: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
@@ -135,6 +136,8 @@ def plan_whole_trajectory(
         start_speed: scalar or (k,) speeds there, m/s.
         end: "free", "rest", "datum" (at rest there), or "periodic" (s, ṡ, s̈ as at the start).
         datum: scalar or (k,) where the carriers park, m.
+        at_most: bounds of objectives at the nodes, by name, each in its unit, beside the one that is minimised:
+            ``objective="peak", at_most={"energy": 2.0}``.
         track: (2,) or (k, 2) track ends in place of the robot's own, m.
         speed: scalar or (k,) limits of |ṡ| in place of the robot's own, m/s.
         acceleration: the same for |s̈|, m/s².
@@ -191,6 +194,7 @@ def plan_whole_trajectory(
         start_speed=start_speed,
         end=end,
         datum=datum,
+        at_most=at_most,
     )
     return optimise(Task(dynamics, continuous_motion(motion), settings))[0]
 

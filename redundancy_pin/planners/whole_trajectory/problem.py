@@ -242,12 +242,12 @@ def read_coefficients(
         )
         for i in grid.singular
     )
-    lam = settings.lam if "tracking" in settings.objective else 0.0
+    lam = settings.lam if "tracking" in {**settings.objective, **settings.at_most} else 0.0
     target, _ = target_effort(task.dynamics.robot, motion, lam, settings.baseline if lam else None)
     rate: Array = np.einsum("nim,ni->nm", model.W, motion.xd)
     scales = _scales(model, settings, along.reduce().row_scale, task.source.end - task.source.start, rate)
     base = None
-    if set(BASE) & set(settings.objective):
+    if set(BASE) & {*settings.objective, *settings.at_most}:
         if around is not None:
             raise UnsupportedRobotError(
                 f"The base wrench of {task.dynamics.robot.name} is no sum over its carriers.",

@@ -256,7 +256,7 @@ class Strategies:
 
 def strategies(problem: Problem) -> Strategies:
     """Return how the solver goes about a problem."""
-    terms = [OBJECTIVES[name] for name in problem.settings.objective]
+    terms = [OBJECTIVES[name] for name in {**problem.settings.objective, **problem.settings.at_most}]
     kinked, flat = any(term.kinked for term in terms), any(term.flat for term in terms)
     nodes = len(problem.grid.t)
     many = nodes >= MANY

@@ -25,7 +25,7 @@ RESERVE = 1e-9
 BEYOND = 0.25 * RESERVE
 """Fraction by which a limit on which the carriers start or end is let out: less than what counts as exceeding it."""
 
-KINDS = ("track", "speed", "acceleration", "jerk", "effort", "force", "end")
+KINDS = ("track", "speed", "acceleration", "jerk", "effort", "force", "end", "at_most")
 """Limits that an elastic programme lets go."""
 
 KIND_OF = {"s": "track", "sd": "speed", "sdd": "acceleration", "tau": "effort", "force": "force"}
@@ -324,10 +324,14 @@ class Transcription(Quantities):
             self.limit(KIND_OF[name], inner / _rows(getattr(self.scales, name), inner.shape), *self._bounds[name])
 
     def objective(self) -> None:
-        """Add the weighted objectives over their common size, and the regularisation."""
-        terms = [(weight, OBJECTIVES[name]) for name, weight in self._problem.settings.objective.items()]
+        """Add the weighted objectives over their common size, bounds of objectives, and the regularisation."""
+        settings = self._problem.settings
+        terms = [(weight, OBJECTIVES[name]) for name, weight in settings.objective.items()]
         size = sum(weight * term.size(self.scales) for weight, term in terms)
-        cost = sum(weight * term.formula(self) for weight, term in terms) / size
+        values = {name: OBJECTIVES[name].formula(self) for name in {**settings.objective, **settings.at_most}}
+        for name, bound in settings.at_most.items():
+            self.limit("at_most", values[name] / bound, -np.inf, 1.0)
+        cost = sum(weight * values[name] for name, weight in settings.objective.items()) / size
         gentle = self.integral(self.nlp.blocks["sdd"] ** 2) / self.scales.duration
         if self.tau.shape[1] > self._problem.model.f0.shape[1] and not any(term.efforts for _, term in terms):
             gentle += self.integral(self.nlp.blocks["tau"] ** 2) / self.scales.duration
@@ -372,9 +376,10 @@ class Evaluation(Quantities):
 
 
 def objective_values(problem: Problem, values: dict[str, Array]) -> dict[str, float]:
-    """Return each weighted objective at the nodes, in its unit, unweighted, from scaled variables by name."""
+    """Return each weighted or bounded objective at the nodes, in its unit, from scaled variables by name."""
     quantities = Evaluation(problem, values)
-    return {name: float(OBJECTIVES[name].formula(quantities)) for name in problem.settings.objective}
+    named = {**problem.settings.objective, **problem.settings.at_most}
+    return {name: float(OBJECTIVES[name].formula(quantities)) for name in named}
 
 
 def transcribe(

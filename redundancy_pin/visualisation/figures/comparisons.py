@@ -170,12 +170,14 @@ _LETTERS = 42  # of a line of a panel's title
 
 @dataclass(frozen=True, eq=False)
 class TradeCurve:
-    """Acceleration against effort along one motion."""
+    """One quantity against another along one motion; acceleration against effort where nothing else is said."""
 
     title: str  # of its panel
     unit: str  # of the effort
-    points: Array  # (P, 2) root mean squares of acceleration, m/s², and effort, along the curve
+    points: Array  # (P, 2) both along the curve
     marks: Mapping[str, tuple[float, float]]  # the same of other plans, by name
+    labels: tuple[str, str] = ("rms of s̈ [m/s²]", "")  # of abscissa and ordinate
+    each: str = "a weight"  # what a point stands for
 
 
 def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
@@ -185,14 +187,14 @@ def plot_trade_off(title: str, curves: Sequence[TradeCurve]) -> Figure:
         names = list(dict.fromkeys(name for curve in curves for name in curve.marks))
         for panel, curve in zip(panels, curves, strict=True):
             panel.plot(curve.points[:, 0], curve.points[:, 1], color=STROKES[0].color, marker="o", markersize=4,
-                       label="whole trajectory, one point a weight")  # fmt: skip
+                       label=f"whole trajectory, one point {curve.each}")  # fmt: skip
             for name, (acceleration, effort) in curve.marks.items():
                 stroke = STROKES[1 + names.index(name)]
                 panel.plot([acceleration], [effort], linestyle="none", marker=stroke.marker, color=stroke.color,
                            markersize=7, label=name)  # fmt: skip
             log_scale(panel)
             panel.set_title(textwrap.fill(curve.title, _LETTERS), fontsize=9)
-            panel.set(xlabel="rms of s̈ [m/s²]", ylabel=f"rms of |τ| [{curve.unit}]")
+            panel.set(xlabel=curve.labels[0], ylabel=curve.labels[1] or f"rms of |τ| [{curve.unit}]")
         handles = {line.get_label(): line for panel in panels for line in panel.lines}
         legend_below(drawn, list(handles.values()))
         return drawn
