@@ -16,6 +16,7 @@ from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded, write_text
 from redundancy_pin.studies.case import WHOLE, Case
 from redundancy_pin.studies.case import options as plain
+from redundancy_pin.studies.store import make_folder
 from redundancy_pin.studies.table import json_data
 from redundancy_pin.studies.trade import BOUNDED, MINIMISED, trade_off
 from redundancy_pin.visualisation.figures.style import require_matplotlib, save
@@ -84,6 +85,7 @@ def trade(**given: Any) -> None:
             jobs=given["jobs"],
             tell=lambda text: advance(min(next(done, points + 2), points + 2), points + 2, text),
         )
+    make_folder(folder)
     found = result.table()
     facts = json_data({"x": result.x, "y": result.y, "robot": case.robot, **case.as_dict(), "points": result.points})
     write_text(folder / "trade.md", f"# {result.y} against {result.x}\n\n{found.markdown()}\n")

@@ -256,8 +256,9 @@ def by_method(task: Case, method: str, coarser: float = 1.0) -> Case:
 
 def at_speed(case: Case, speed: float) -> Case:
     """Return a case at another speed, ramps as long in time."""
-    length = case.option("ramp_length")
-    scaled = {} if length is None else {"ramp_length": length * speed / case.option("speed")}
+    own = dict(case.path_options)
+    length = own.get("ramp_length")
+    scaled = {} if length is None else {"ramp_length": length * speed / own["speed"]}
     return case.with_path(speed=speed, **scaled)
 
 

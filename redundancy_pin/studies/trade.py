@@ -70,7 +70,7 @@ class TradeOff(Frozen):
 
     def table(self) -> Table:
         """Return all points."""
-        return table("front", self.points, f"{self.y} against {self.x}")
+        return table("front", self.points, f"{self.y} (y) against {self.x} (x)")
 
     def draw(self) -> Figure:
         """Draw the front, and what does not lie on it as marks."""
@@ -155,7 +155,7 @@ def _shared(case: Case, x: str, share: float) -> Case:
         tracks = np.broadcast_to(np.asarray(ends, dtype=float), (case.dynamics().robot.k, 2))
         datum = np.broadcast_to(np.asarray(case.option("datum", 0.0), dtype=float), (len(tracks),))[:, None]
         return named.with_options(track=(datum + share * (tracks - datum)).tolist())
-    speed = case.option("speed") or getattr(case.trajectory(), "speed", None)
+    speed = dict(case.path_options).get("speed")  # the planner has one as well, the carriers'
     if not isinstance(speed, float):
         raise InputError(
             f"The time of the {case.path} has no one speed that could be changed.",
