@@ -11,7 +11,7 @@ import click
 from redundancy_pin.cli import options
 from redundancy_pin.cli.map import trajectory_of
 from redundancy_pin.cli.output import progress, report
-from redundancy_pin.cli.plan_problem import read_parameters
+from redundancy_pin.cli.plan_problem import PARAMETERS, read_parameters
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import expanded, write_text
 from redundancy_pin.studies.case import WHOLE, Case
@@ -56,7 +56,7 @@ def trade(**given: Any) -> None:
         raise InputError("A trade needs a motion.", remedy="Add --trajectory, such as --trajectory corner.")
     name, path_options = trajectory_of(given["trajectory"])
     folder = expanded(given["out"] or f"trade-{Path(given['robot']).stem}")
-    parameters = read_parameters(WHOLE, _parameters(given["parameters"]))
+    parameters = planner_parameters(given["parameters"], "objective", "at_most")
     step = parameters.pop("dt", 0.005)
     case = Case(
         name=f"{Path(given['robot']).stem}-{name}",
@@ -97,17 +97,20 @@ def trade(**given: Any) -> None:
     report(given["as_json"], {**facts, "folder": str(folder)}, found, written)
 
 
-def _parameters(texts: tuple[str, ...]) -> dict[str, Any]:
+def planner_parameters(texts: tuple[str, ...], *refused: str) -> dict[str, Any]:
+    """Return parameters of the whole-trajectory planner from NAME=VALUE; several of one name where it takes several."""
     values: dict[str, Any] = {}
     for text in texts:
         name, separator, value = (part.strip() for part in text.partition("="))
-        if not (separator and name and value) or name in ("objective", "at_most"):
+        if not (separator and name and value) or name in refused:
+            rest = f" other than {', '.join(refused)}" if refused else ""
             raise InputError(
-                f"--parameter {shown(text)} is not NAME=VALUE of a parameter other than the objective.",
-                remedy="Write --parameter end=free; the objective is --y.",
+                f"--parameter {shown(text)} is not NAME=VALUE of a parameter{rest}.",
+                remedy=f"Write --parameter end=free{'; the objective is --y' if refused else ''}.",
             )
-        values[name] = value
-    return values
+        known = PARAMETERS[WHOLE].get(name)
+        values[name] = (*values.get(name, ()), value) if known and known.multiple else value
+    return read_parameters(WHOLE, values)
 
 
 def _between(text: str | None) -> tuple[float, float] | None:

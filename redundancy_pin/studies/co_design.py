@@ -19,6 +19,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from scipy.optimize import minimize
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, positive
@@ -44,6 +45,8 @@ from redundancy_pin.planners.whole_trajectory.problem import Task
 from redundancy_pin.planners.whole_trajectory.sensitivity import MOVED, DesignSlopes, Moved, design_gradient
 from redundancy_pin.planners.whole_trajectory.transcription import objective_values
 from redundancy_pin.robot import Robot
+from redundancy_pin.studies.measures import numbers
+from redundancy_pin.studies.table import Record
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory, continuous_motion
 
 NO_MACHINE = (InfeasiblePlanError, UnreachablePoseError, SingularPoseError, WorkingModeError, DeclarationError)
@@ -384,3 +387,68 @@ def _updated(hessian: Array, step: Array, change: Array, most: float) -> Array:
     values, vectors = np.linalg.eigh(new)
     bounded: Array = (vectors * np.clip(values, 1e-6 * most, most)) @ vectors.T
     return bounded
+
+
+# --- one machine for all tasks beside one made for each ---------------------------------------------------------------
+
+
+def compare_machines(
+    tasks: Mapping[str, DesignTask],
+    design: Mapping[str, tuple[float, float]],
+    *,
+    iterations: int = 30,
+    progress: Callable[[str], None] | None = None,
+) -> list[Record]:
+    """Return what every task costs by the machine to begin with, by one made for each task, and by one for all.
+
+    Args:
+        tasks: by name.
+        design: as of ``co_design``.
+        iterations: the same.
+        progress: the same.
+
+    Returns:
+        A record for each machine and task: ``machine``, ``task``, ``parameters``, ``mass`` of all that moves, kg,
+        ``value`` of what is minimised, ``peak``, energies, ``carrier_force``, ``stroke``, ``status``, and ``reason``
+        where there is no plan; ``optimal`` of the machine.
+    """
+    first = _tasks(list(tasks.values()))[0].dynamics.robot
+    _bounds(first, design)
+    makers: dict[str, list[str]] = {"to begin with": [], **{f"for {name}": [name] for name in tasks}}
+    if len(tasks) > 1:
+        makers["for all"] = list(tasks)
+    records: list[Record] = []
+    for machine, names in makers.items():
+        if progress is not None:
+            progress(f"machine {machine}")
+        made = (
+            co_design([tasks[name] for name in names], design, iterations=iterations, progress=progress)
+            if names
+            else None
+        )
+        parameters = dict(made.parameters) if made else {name: float(first.parameters[name]) for name in design}
+        for name, task in tasks.items():
+            robot = _with(task.dynamics.robot, parameters)
+            record: Record = {"machine": machine, "task": name, **parameters, "mass": pin.computeTotalMass(robot.model),
+                              "value": None, "status": "no plan", "reason": None,
+                              "optimal": made is None or made.optimal}  # fmt: skip
+            try:
+                plan, outcome = optimise(_planning_task(task, robot))
+            except NO_MACHINE as error:
+                records.append({**record, "reason": error.message})
+                continue
+            if made and name in names:  # begun from the plans of machines on the way, it may be another optimum
+                plan = made.plans[names.index(name)]
+                value = float(made.values[names.index(name)])
+            else:
+                value = _value(outcome)
+            shown = numbers(plan)
+            records.append(
+                {**record, "value": value, **{key: shown[key] for key in SHOWN},
+                 "stroke": float(np.ptp(plan.carriers.s, axis=0).max())}
+            )  # fmt: skip
+    return records
+
+
+SHOWN = ("peak", "energy", "main_energy", "carrier_energy", "carrier_force", "status")
+"""Numbers of a plan that records have."""
