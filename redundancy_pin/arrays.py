@@ -201,7 +201,7 @@ def require_few(count: float, most: int, what: str, remedy: str, **details: obje
         InputError: ``count``, which stands for the braces in ``what`` ("The map has {} cells"), is above ``most``.
     """
     if not count <= most:
-        message = what.replace("{}", f"{count:.4g}")
+        message = what.replace("{}", f"{min(count, 1e300):.4g}")  # no float is as large as some integers
         raise InputError(f"{message}; at most {most} are possible.", remedy=remedy, most=most, **details)
 
 

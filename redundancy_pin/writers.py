@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from dataclasses import asdict, replace
@@ -13,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, positive
-from redundancy_pin.errors import UnsupportedRobotError
+from redundancy_pin.errors import InputError, UnsupportedRobotError, shown
 from redundancy_pin.io.files import require_writable, write_text
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
@@ -56,8 +57,7 @@ def write_mjcf(robot: Robot, path: str | Path, step: float = 1e-3, *, reflected:
     step = positive(step, "step", "s")
     target = require_writable(path)
     root = mjcf(robot, step, 2.0 * step, reflected=reflected)
-    ElementTree.indent(root)
-    write_text(target, ElementTree.tostring(root, encoding="unicode") + "\n")
+    write_text(target, _xml(root))
     return target
 
 
@@ -304,6 +304,19 @@ def _add(parent: ElementTree.Element, tag: str, **attributes: object) -> Element
     return ElementTree.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
 
 
+def _xml(root: ElementTree.Element) -> str:
+    """Return the text of a model; InputError for names that no reader would take, which a model from code may have."""
+    for element in root.iter():
+        for key, value in element.attrib.items():
+            if re.search(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]", value):
+                raise InputError(
+                    f"{key} of a {element.tag} is {shown(value)}: control characters have no place in a file.",
+                    remedy="Rename it in the model.",
+                )
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
 def _text(value: object) -> str:
     if isinstance(value, Iterable) and not isinstance(value, str):
         return " ".join(repr(float(part)) for part in value)
@@ -346,8 +359,7 @@ def write_urdf(robot: Robot, path: str | Path) -> Path:
         _add(joint, "parent", link=names[found.parentJoint])
         _add(joint, "child", link=frame)
         _origin(joint, found.placement)
-    ElementTree.indent(root)
-    write_text(target, ElementTree.tostring(root, encoding="unicode") + "\n")
+    write_text(target, _xml(root))
     write_text(beside, _declaration(robot, target.name))
     return target
 

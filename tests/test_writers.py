@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -200,6 +201,18 @@ def test_what_files_do_not_say_is_refused_by_name(tmp_path: Path) -> None:
         robot.to_mjcf(tmp_path / "no" / "robot.xml")
     with pytest.raises(UnsupportedRobotError, match="moves \\(nearly\\) no mass"):
         robot_of("2rpr", end_effector_mass=0.5).to_mjcf(tmp_path / "robot.xml")
+
+
+@pytest.mark.parametrize("name", ["two\nlines", "bell\x07", "half\ud800"])
+@pytest.mark.parametrize("write", [Robot.to_mjcf, Robot.to_urdf])
+def test_names_that_no_reader_takes_are_refused(write: Any, name: str, tmp_path: Path) -> None:
+    model = pin.Model()
+    hinge = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(hinge, pin.Inertia.Random(), pin.SE3.Identity())
+    robot = dataclasses.replace(Robot.from_model(model, actuated=["hinge"]), name=name)
+    with pytest.raises(InputError, match="control characters"):
+        write(robot, tmp_path / "robot.xml")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_joints_without_limits_have_none_in_mjcf(tmp_path: Path) -> None:

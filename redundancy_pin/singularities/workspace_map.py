@@ -43,6 +43,8 @@ from redundancy_pin.singularities.classify import margins_of
 from redundancy_pin.singularities.workspace import Slice, default_axes, solve_grid
 
 _MOST_NODES = 200_000
+_FARTHEST = 1e9
+"""Bounds in characteristic lengths: squares of numbers beyond any machine overflow."""
 _RESOLUTION = {1: 400, 2: 100, 3: 25}
 """Nodes along each axis, by the number of axes."""
 
@@ -128,8 +130,13 @@ def workspace(
     names, columns = _free(robot, free)
     nodes = _RESOLUTION[len(columns)] if resolution is None else resolution
     require_type(nodes, (int, np.integer), "A number of nodes", "Pass a whole number, at least 3.")
-    require_few(float(nodes) ** len(columns), _MOST_NODES, "The grid has {} nodes", "Ask for a lower resolution.")
+    require_few(int(nodes) ** len(columns), _MOST_NODES, "The grid has {} nodes", "Ask for a lower resolution.")
     ends = np.zeros((len(columns), 2)) if bounds is None else checked(bounds, "bounds", (len(columns), 2))
+    if np.abs(ends).max() > _FARTHEST * robot.characteristic_length:
+        raise InputError(
+            f"bounds are {np.abs(ends).max():g}, a robot of {robot.characteristic_length:g} m is not there.",
+            remedy=f"Stay within {_FARTHEST:g} times that.",
+        )
     if nodes < 3 or (bounds is not None and not (ends[:, 0] < ends[:, 1]).all()):
         raise InputError(
             f"resolution is {resolution} and bounds are {bounds!r}; the slice runs over {', '.join(names)}.",

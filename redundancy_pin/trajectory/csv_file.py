@@ -27,6 +27,8 @@ _LARGEST = 1e100
 """Numbers beyond it are refused as infinite: their products are."""
 
 
+_LONGEST_LINE = 1_000_000
+
 BLOCK = 20_000
 """Samples of a long motion that are worked on at a time."""
 
@@ -171,7 +173,7 @@ def tables_of_csv(
     """Give the columns of the file by name, so many rows at a time, one block at least; errors as ``table_of_csv``."""
     try:
         with TextIOWrapper(opened(os.fspath(path), InputError), "utf-8-sig", newline="") as stream:
-            reader, size = csv.reader(stream), max(os.fstat(stream.fileno()).st_size, 1)
+            reader, size = csv.reader(_lines(stream, path)), max(os.fstat(stream.fileno()).st_size, 1)
             # The row number is that of the line in the file, as an editor shows it.
             rows = ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
             heading = [row for _, row in islice(rows, 1)]
@@ -197,6 +199,14 @@ def tables_of_csv(
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise _bad(path, f" is not a text file with columns: {error}.") from error
+
+
+def _lines(stream: TextIOWrapper, path: str | os.PathLike[str]) -> Iterator[str]:
+    """Give the lines of a file; one that is too long for a row of numbers is refused before it is held."""
+    while line := stream.readline(_LONGEST_LINE + 1):
+        if len(line) > _LONGEST_LINE:
+            raise _bad(path, f" has a line of more than {_LONGEST_LINE} characters.", "Write a line for each sample.")
+        yield line
 
 
 def _numbers(names: Sequence[str], rows: Sequence[tuple[int, list[str]]], path: str | os.PathLike[str]) -> Array:

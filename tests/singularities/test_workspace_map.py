@@ -198,6 +198,8 @@ def test_of_a_robot_without_platform_one_or_two_joints_span_a_workspace() -> Non
         {"resolution": "x"},
         {"resolution": 4.5},
         {"resolution": 0},
+        {"resolution": 10**400},
+        {"bounds": [(-1e300, 1e300), (0, 1)]},
         {"free": 3},
     ],
 )

@@ -1,4 +1,5 @@
 import csv
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -105,6 +106,18 @@ def test_bad_files_are_refused(tmp_path, text, message):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         from_csv(path)
+
+
+def test_a_line_that_does_not_end_is_refused_before_it_is_held(tmp_path):
+    path = tmp_path / "motion.csv"
+    for text in ("t,x0,xd0,xdd0\n" + "0," * 6_000_000, "t" * 12_000_000):
+        path.write_text(text, encoding="utf-8")
+        tracemalloc.start()
+        with pytest.raises(InputError, match="a line of more than 1000000 characters"):
+            from_csv(path)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < len(text)
 
 
 def test_missing_and_binary_files_are_refused(tmp_path):
