@@ -110,7 +110,7 @@ def test_bad_files_are_refused(tmp_path, text, message):
 
 def test_a_line_that_does_not_end_is_refused_before_it_is_held(tmp_path):
     path = tmp_path / "motion.csv"
-    for text in ("t,x0,xd0,xdd0\n" + "0," * 6_000_000, "t" * 12_000_000):
+    for text in ("t,x0,xd0,xdd0\n" + "0," * 3_000_000, "t" * 6_000_000):
         path.write_text(text, encoding="utf-8")
         tracemalloc.start()
         with pytest.raises(InputError, match="a line of more than 1000000 characters"):
