@@ -232,12 +232,14 @@ def read_coefficients(
 
     singular = tuple(
         singular_node(
-            task,
+            task.dynamics,
+            task.source,
             int(i),
             float(grid.t[i]),
             reader(int(i)),
             # of a jump, which has two nodes, the first one
             "left" if i < len(grid.h) and grid.h[i] == 0.0 else "right",
+            dt=settings.mesh.dt,
             exact=exact,
         )
         for i in grid.singular
@@ -280,15 +282,22 @@ def _scales(model: CarrierModel, settings: Settings, row_scale: Array, duration:
 
 
 def singular_node(
-    task: Task, index: int, t: float, read: Reader = carrier_model, side: Side = "right", *, exact: bool = False
+    dynamics: Dynamics,
+    source: ContinuousMotion,
+    index: int,
+    t: float,
+    read: Reader = carrier_model,
+    side: Side = "right",
+    *,
+    dt: float = 0.005,
+    exact: bool = False,
 ) -> SingularNode:
     """Read the derivatives of the model at a singular instant off the backend.
 
-    ``task``: robot, motion and settings; ``t``: the instant, s; ``read``: what reads the model off; ``side``: from
-    which the derivatives are taken; "left" for the node before a jump of the reference acceleration; ``exact``: as in
+    ``t``: the instant, s; ``read``: what reads the model off; ``side``: from which the derivatives are taken; "left"
+    for the node before a jump of the reference acceleration; ``dt``: largest step between nodes, s; ``exact``: as in
     ``read_coefficients``.
     """
-    dynamics, source, dt = task.dynamics, task.source, task.settings.mesh.dt
     if read is carrier_model:
         model = TimedModel.of(dynamics, source, max(source.start, t - dt), min(source.end, t + dt))
         rate = replace(model, interpolant=model.interpolant.derivative()).at(np.array([t]), side)

@@ -230,7 +230,7 @@ class Transcription(Quantities):
             f, f0 = _polynomial(model.f_terms, self.s, self.sd, self.sdd), model.f0
         else:
             f, f0 = self._exact[0], np.zeros_like(model.f0)
-        self.equal(_product(model.W, self.tau) - f, f0, self.scales.row)
+        self.equal(product(model.W, self.tau) - f, f0, self.scales.row)
         if self._problem.singular:
             self._singular_instants()
 
@@ -267,7 +267,7 @@ class Transcription(Quantities):
         carried = ca.jtimes(f, ca.horzcat(s, sd, sdd), ca.horzcat(sd, sdd, sddd))
         f_dot = ca.Function("f_dot", [s, sd, sdd, sddd], [by_time + carried])
         size = self.scales.tau * np.maximum(np.abs(W).max(axis=2), np.finfo(float).tiny)
-        self.equal(_product(W, self.tau[at, :]) - f_dot(self.s[at, :], self.sd[at, :], self.sdd[at, :], jerk), f0, size)
+        self.equal(product(W, self.tau[at, :]) - f_dot(self.s[at, :], self.sd[at, :], self.sdd[at, :], jerk), f0, size)
 
     @staticmethod
     def _exact_at(nodes: Sequence[SingularNode], u: Array, *motion: Any) -> list[tuple[Any, Any]]:
@@ -422,10 +422,10 @@ def _polynomial(coefficients: Array, s: Any, sd: Any, sdd: Any) -> Any:
     used = np.flatnonzero(coefficients.any(axis=(0, 1, 2)))
     every = terms(s, sd, sdd, coefficients.shape[3], casadi())
     by_column = coefficients[..., used].swapaxes(2, 3).reshape(*coefficients.shape[:2], -1)
-    return _product(by_column, casadi().horzcat(*(every[j] for j in used)))
+    return product(by_column, casadi().horzcat(*(every[j] for j in used)))
 
 
-def _product(coefficients: Array, values: Any) -> Any:
+def product(coefficients: Array, values: Any) -> Any:
     """Return (M, r) the products of (M, r, c) matrices and the (M, c) rows of an expression."""
     ca = casadi()
     # zeros are dropped, for they would be entries of the Jacobian

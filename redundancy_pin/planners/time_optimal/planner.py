@@ -1,0 +1,400 @@
+"""Least time along a path under limits of efforts and carriers: the timing and the carriers' motion planned together."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from redundancy_pin.arrays import Array, BoolArray, each, one_of, positive
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.errors import InfeasiblePlanError, InputError
+from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
+from redundancy_pin.motion import CarrierMotion
+from redundancy_pin.planners.carrier_model import Actuation, CarrierModel, require_carriers
+from redundancy_pin.planners.check import finish_plan
+from redundancy_pin.planners.functions import SMALL, PlanFunctions, dense_check
+from redundancy_pin.planners.limits import Limits, grouped, require_dynamics, whole
+from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.time_optimal.problem import Problem, Sizes, read_model
+from redundancy_pin.planners.time_optimal.timed_path import timed
+from redundancy_pin.planners.time_optimal.transcription import transcribe
+from redundancy_pin.planners.whole_trajectory.options import LIMITS, MOST_REFINEMENTS, End
+from redundancy_pin.planners.whole_trajectory.problem import (
+    NEAR,
+    Grid,
+    grid_of,
+    near_singular,
+    singular_node,
+    steps_around,
+    widened,
+    with_middles,
+)
+from redundancy_pin.planners.whole_trajectory.solver import (
+    ADAPTIVE,
+    LEAST_SECONDS,
+    LINEAR_SYSTEM,
+    OUT_OF_TIME,
+    UNREFINED,
+    Options,
+    Solution,
+    solve_nlp,
+)
+from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.paths import Path
+from redundancy_pin.trajectory.timing import uniform_law
+from redundancy_pin.trajectory.trajectory import Trajectory
+
+Begin = Literal["datum", "rest", "free"]
+"""How the carriers begin: at rest where they park; at rest anywhere; or anyhow."""
+
+PHASES = ("optimised",)
+
+BESIDE = 2
+"""Steps on both sides of one whose efforts exceed their limits inside it that get a middle node as well."""
+
+STRATEGIES: tuple[Options, ...] = ({**LINEAR_SYSTEM, **UNREFINED, **ADAPTIVE}, {})
+"""What IPOPT tries in turn."""
+
+ROUNDS = 4
+"""Of rows between the nodes, where a carrier leaves its track or its speed limit there."""
+
+
+@np.errstate(under="ignore")  # numbers too small to matter become zero, whatever the caller has numpy do
+def plan_time_optimal(
+    dynamics: Dynamics,
+    path: Path | Trajectory,
+    *,
+    effort: ArrayLike | None = None,
+    actuator_speed: ArrayLike | None = None,
+    begin: Begin = "datum",
+    end: End = "datum",
+    datum: ArrayLike = 0.0,
+    lap: bool = False,
+    track: ArrayLike | None = None,
+    speed: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    jerk: ArrayLike | None = None,
+    carrier_force: ArrayLike | None = None,
+    steps: int = 100,
+    seconds: float = 60.0,
+    refinements: int = 3,
+    progress: Callable[[str], None] | None = None,
+    limits: Limits | None = None,
+) -> Plan:
+    """Plan the timing along a path, the carriers' motion and the main efforts such that the time is least.
+
+    At places p on the path, type II singularities and jumps of the curvature among them, unknown are ṗ, p̈, s, ṡ, s̈ and
+    τ, and between them the durations of the steps, in which p̈ and s̈ are linear. W is known at each place and may lose
+    rank there; the rest is as in ``plan_whole_trajectory``, dense check and refinement included. p̈ and s̈ jump where the
+    curvature does.
+
+    Args:
+        dynamics: any backend. The robot need not have carriers, and may have more actuators than freedoms.
+        path: a path; of a trajectory its path.
+        effort: scalar or (m,) limit of |τ|, N or N·m.
+        actuator_speed: scalar or (m,) limit of the main actuators' rates, m/s or rad/s.
+        begin: "datum" (at rest there), "rest" (at rest anywhere) or "free" (carriers in motion).
+        end: "free", "rest", "datum", or "periodic": s, ṡ, s̈ as at the start.
+        datum: scalar or (k,) where the carriers park, m.
+        lap: the platform goes on and on: ṗ and p̈ at the end are those at the start, and need not be zero. The path is
+            closed.
+        track: (2,) or (k, 2) track ends in place of the robot's own, m.
+        speed: scalar or (k,) limits of |ṡ| in place of the robot's own, m/s.
+        acceleration: the same for |s̈|, m/s².
+        jerk: scalar or (k,) limit of |s⃛|, m/s³.
+        carrier_force: the same for the forces of the carriers' actuators, N.
+        steps: least number of steps.
+        seconds: time bound of each solution, s.
+        refinements: how often steps may be halved whose efforts exceed their limits inside.
+        progress: called with a line of text at each stage.
+        limits: track, speed, acceleration, jerk, effort and carrier_force as one group in place of the keywords.
+
+    Returns:
+        A plan whose samples are the nodes, from t = 0; ``plan.t[-1]`` is the time it takes.
+
+    Raises:
+        InputError: a setting out of its domain; neither an effort nor an actuator's speed is limited; a lap of a path
+            that is not closed.
+        UnsupportedRobotError: f has terms that are not covered, as of dry friction.
+        InfeasiblePlanError: no timing keeps the limits (constraint "effort"); or a singularity is touched.
+        UnreachablePoseError, SingularPoseError, WorkingModeError: as the dynamics.
+    """
+    began = time.perf_counter()
+    require_dynamics(dynamics)
+    robot = dynamics.robot
+    report = progress or (lambda line: None)
+    path = path.path if isinstance(path, Trajectory) else path
+    one_of(begin, "begin", get_args(Begin))
+    one_of(end, "end", get_args(End))
+    group = grouped("limits", limits, Limits, track=track, speed=speed, acceleration=acceleration, jerk=jerk,
+                    carrier_force=carrier_force, effort=effort)  # fmt: skip
+    resolved = group.resolved(robot)
+    rates = each(np.inf if actuator_speed is None else actuator_speed, "actuator_speed", (robot.m,), above_zero=True)
+    if not (np.isfinite(resolved.effort).any() or np.isfinite(rates).any()):
+        raise InputError("Nothing limits the time.", remedy="Pass effort=, or actuator_speed=.", name="effort")
+    park, count = resolved.on_track(datum, "datum"), whole(steps, "steps", 4, 100_000)
+    often, bound = whole(refinements, "refinements", 0, MOST_REFINEMENTS), positive(seconds, "seconds", "s")
+    if robot.k:
+        require_carriers(robot)
+    unit = continuous_motion(Trajectory(path, uniform_law(path.length, path.length)))
+    if lap:
+        _require_closed(unit)
+    nodes = grid_of(unit, Actuation.along(dynamics, unit).singular_instants, path.length / count)
+    nodes = with_middles(nodes, near_singular(dynamics, unit, nodes))
+    judged = replace(robot, carrier_limits=resolved.of_carriers)
+    given = {"begin": begin, "end": end, "datum": park, "lap": lap, "limits": resolved}
+    guess: dict[str, Array] | None = None
+    ratios: list[float] = []
+    while True:
+        report(f"{len(nodes.t)} nodes, {len(nodes.singular)} of them singular: solving")
+        problem = _problem(dynamics, unit, nodes, rates, given)
+        solution = _solve(problem, _first_guess(problem) if guess is None else _moved(guess, problem), bound)
+        motion = _Motion.of(path, problem, solution)
+        report(f"{motion.t[-1]:.6g} s")
+        functions = PlanFunctions(
+            motion.platform, motion.carriers, preferred=PiecewisePolynomial.linear(motion.t, motion.tau)
+        )
+        singular = np.unique(motion.t[nodes.singular])
+        floor = SMALL * problem.sizes.tau
+        check, broken, exceeding = dense_check(
+            dynamics, functions, judged, motion.t, motion.tau, floor, resolved.effort, singular
+        )
+        ratios.append(check.ratio)
+        if (check.passed and not broken) or len(ratios) > often or not solution.optimal:
+            break
+        places = motion.law(exceeding)[:, 0]
+        guess = _physical(problem, solution)
+        nodes = with_middles(nodes, steps_around(nodes, np.clip(places, nodes.t[0], nodes.t[-1]), BESIDE))
+    prescribed = motion.tau.copy()
+    if robot.m <= robot.n:
+        prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
+    return finish_plan(
+        dynamics.along(motion.platform.sample_at(motion.t)),
+        motion.samples,
+        planner="time_optimal",
+        phase=np.zeros(len(nodes.t), dtype=np.intp),
+        phases=PHASES,
+        parameters={
+            "begin": begin,
+            "end": end,
+            "lap": lap,
+            "datum": park.tolist(),
+            "track": [tuple(ends) for ends in resolved.track.tolist()],
+            **{name: getattr(resolved, name).tolist() for name in LIMITS},
+            "actuator_speed": rates.tolist(),
+            "steps": count,
+            "seconds": bound,
+            "refinements": often,
+        },
+        diagnostics={
+            "optimal": solution.optimal,
+            "solver": solution.message,
+            "iterations": solution.iterations,
+            "violation": solution.violation,
+            "duration": float(motion.t[-1]),
+            "nodes": len(nodes.t),
+            "singular_instants": singular.tolist(),
+            "singular_nodes": nodes.singular.tolist(),
+            "smooth_nodes": np.flatnonzero(nodes.smooth).tolist(),
+            "solver_seconds": solution.seconds,
+            "dense_ratios": ratios,
+            "seconds": time.perf_counter() - began,
+        },
+        prescribed=prescribed,
+        carrier_limits=resolved.of_carriers,
+        functions=functions,
+        dynamics=dynamics,
+        between=(check, broken),
+        singular=nodes.singular,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """A solution in units: ``t`` (M,) times of the nodes, s; the ``law`` p(t) and the ``carriers``' positions, m; the
+    ``platform``'s motion; ``samples`` and ``tau`` (M, m) at the nodes.
+    """
+
+    t: Array
+    law: PiecewisePolynomial
+    carriers: PiecewisePolynomial
+    platform: ContinuousMotion
+    samples: CarrierMotion
+    tau: Array
+
+    @staticmethod
+    def of(path: Path, problem: Problem, solution: Solution) -> _Motion:
+        u, values, grid = problem.sizes, solution.values, problem.grid
+        t = np.concatenate([[0.0], np.cumsum(values["h"][:, 0] * u.h)])
+        samples = CarrierMotion(*(values[name] * getattr(u, name) for name in ("s", "sd", "sdd")), check_rates=False)
+        law = PiecewisePolynomial.linear(t, grid.t[:, None], values["pd"] * u.speed, values["pdd"] * u.acceleration)
+        carriers = PiecewisePolynomial.linear(t, samples.s, samples.sd, samples.sdd)
+        breaks = t[:-1][grid.h == 0.0]
+        platform = timed(path, law, breaks)
+        return _Motion(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
+
+
+def _require_closed(unit: ContinuousMotion) -> None:
+    ends = unit.sample_at(np.array([unit.start, unit.end]))
+    apart = float(np.abs(np.diff(ends.x, axis=0)).max() + np.abs(np.diff(ends.xd, axis=0)).max())
+    if apart > 1e-9:
+        raise InputError(
+            f"The path ends {apart:.3g} from where it begins, or in another direction.",
+            remedy="A lap needs a closed path, such as a circle or a square.",
+            name="lap",
+        )
+
+
+def _problem(
+    dynamics: Dynamics, unit: ContinuousMotion, nodes: Grid, rates: Array, given: Mapping[str, Any]
+) -> Problem:
+    """Read the coefficients, and choose sizes by the speed that the parked robot may take."""
+    motion = unit.sample_at(nodes.t)
+    along = dynamics.along(motion)
+    model = read_model(along, dynamics)
+    parked = along.reduce()
+
+    def read(there: DynamicsAlongMotion) -> CarrierModel:
+        return read_model(there, dynamics)
+
+    sides = ["left" if i < len(nodes.h) and nodes.h[i] == 0.0 else "right" for i in nodes.singular]
+    singular = tuple(
+        singular_node(dynamics, unit, int(i), float(nodes.t[i]), read, side)
+        for i, side in zip(nodes.singular, sides, strict=True)
+    )
+    limits = given["limits"]
+    turning = np.abs(np.einsum("nim,ni->nm", model.W, motion.xd))
+    fastest = (rates / np.maximum(turning, 1e-300)).min(axis=1, initial=1e300)
+    length = unit.end - unit.start
+    place = (nodes.t - nodes.t[0]) / length
+    regular = spectrum_of(scaled(parked.W, parked.row_scale, parked.column_scale)).singular_values
+    regular = regular[:, -1] > NEAR * (regular[:, 0] if regular.shape[1] > 1 else regular.max())
+    inverse = np.linalg.pinv(model.W[regular])
+
+    def use(speed: float) -> float:
+        """Return the largest share of the limits that harmonic motion of a mean speed has of them."""
+        pd, pdd = speed * np.sqrt(4.0 * place * (1.0 - place)), 2.0 * speed**2 / length * (1.0 - 2.0 * place)
+        f = _at(model.f0, pd, pdd)[regular]
+        tau = np.einsum("nmi,ni->nm", inverse, f)
+        share = np.abs(tau / np.where(np.isfinite(limits.effort), limits.effort, np.inf)).max(initial=0.0)
+        return max(float(share), float((pd / fastest).max()))
+
+    speeds = length * np.geomspace(1e-2, 1e3, 101)
+    uses = np.array([use(speed) for speed in speeds])
+    below = np.flatnonzero(uses <= 0.9)
+    speed = float(speeds[below[-1] if len(below) else int(uses.argmin())])
+    duration = 0.5 * np.pi * length / speed
+    share = np.arccos(np.clip(1.0 - 2.0 * place, -1.0, 1.0)) / np.pi
+    h = duration * np.diff(share)
+    acceleration = 2.0 * speed**2 / length
+    (lower, upper), k = limits.track.T, model.k
+    s = np.where(np.isfinite(upper - lower), 0.5 * (upper - lower), 1.0) if k else np.zeros(0)
+    sd = np.where(np.isfinite(limits.speed), limits.speed, 10.0 * s / duration)
+    sdd = np.where(np.isfinite(limits.acceleration), limits.acceleration, 10.0 * sd / duration)
+    size = float(np.abs(_at(model.f0, speed, acceleration) / parked.row_scale).max()) or 1.0
+    largest = np.linalg.svd(model.W / parked.row_scale[:, None], compute_uv=False)[:, 0]
+    finite = limits.effort[np.isfinite(limits.effort)]
+    tau = float(finite.min()) if len(finite) else size / float(np.median(largest))
+    row = max(size, tau * float(np.median(largest))) * parked.row_scale
+    sizes = Sizes(speed, acceleration, s, sd, sdd, tau, row, np.where(nodes.h > 0.0, h, 1.0), duration)
+    return Problem(grid=nodes, model=model, singular=singular, fastest=fastest, sizes=sizes, **given)
+
+
+def _at(first: Array, pd: ArrayLike, pdd: ArrayLike) -> Array:
+    """Return coefficients (M, r, 4) at speeds and accelerations along the path, (M,) or one for all."""
+    powers = np.stack(np.broadcast_arrays(1.0, pd, np.square(pd), pdd), axis=-1)
+    return np.einsum("nrq,nq->nr", first, np.broadcast_to(powers, (len(first), 4)))
+
+
+def _first_guess(problem: Problem) -> dict[str, Array]:
+    """Return scaled variables of parked carriers and harmonic motion, of even speed in a lap."""
+    u, grid, k = problem.sizes, problem.grid, problem.model.k
+    place = (grid.t - grid.t[0]) / (grid.t[-1] - grid.t[0])
+    parked = np.tile(problem.datum / u.s, (len(place), 1)) if k else np.zeros((len(place), 0))
+    if problem.lap:
+        pd, pdd, h = np.full(len(place), 0.5), np.zeros(len(place)), grid.h / (0.5 * u.speed) / u.h
+    else:
+        pd, pdd, h = np.sqrt(4.0 * place * (1.0 - place)), 1.0 - 2.0 * place, np.where(grid.h > 0.0, 1.0, 0.0)
+    return {"pd": pd[:, None], "pdd": pdd[:, None], "h": h[:, None], "s": parked}
+
+
+_MOVED = ("pd", "pdd", "s", "sd", "sdd", "tau")
+_SIZE = {"pd": "speed", "pdd": "acceleration"}
+
+
+def _physical(problem: Problem, solution: Solution) -> dict[str, Array]:
+    """Return the variables in units, and under "place" and "h" the nodes and the durations of the steps."""
+    u = problem.sizes
+    values = {name: solution.values[name] * getattr(u, _SIZE.get(name, name)) for name in _MOVED}
+    return {**values, "place": problem.grid.t, "h": solution.values["h"] * u.h[:, None]}
+
+
+def _moved(values: dict[str, Array], problem: Problem) -> dict[str, Array]:
+    """Return scaled variables on other nodes, from those in units on fewer."""
+    u, new, old = problem.sizes, problem.grid.t, values["place"]
+    at = np.minimum(np.searchsorted(old, new, side="left"), len(old) - 1)
+    # of nodes that occur twice the second one is the second one there, too
+    second = np.append(False, np.diff(new) == 0.0)
+    at[second] = np.minimum(at[second] + 1, len(old) - 1)
+    same = old[at] == new
+    below = np.maximum(at - 1, 0)
+    part = np.where(same, 1.0, (new - old[below]) / np.where(old[at] > old[below], old[at] - old[below], 1.0))[:, None]
+    moved = {name: (1.0 - part) * values[name][below] + part * values[name][at] for name in _MOVED}
+    scaled_ones = {name: value / getattr(u, _SIZE.get(name, name)) for name, value in moved.items()}
+    times = np.concatenate([[0.0], np.cumsum(values["h"])])
+    t = ((1.0 - part[:, 0]) * times[below] + part[:, 0] * times[at])[:, None]
+    return {**scaled_ones, "h": np.diff(t, axis=0) / u.h[:, None]}
+
+
+def _solve(problem: Problem, guess: dict[str, Array], seconds: float) -> Solution:
+    """Solve with rows between the nodes where they are needed.
+
+    Raises:
+        InfeasiblePlanError: no timing was found.
+    """
+    deadline = time.perf_counter() + seconds
+    between: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)
+    iterations, spent = 0, 0.0
+    for _ in range(ROUNDS + 1):
+        for options in STRATEGIES:
+            left = max(deadline - time.perf_counter(), LEAST_SECONDS)
+            solution = solve_nlp(transcribe(problem, between), guess, left, options)
+            iterations, spent = iterations + solution.iterations, spent + solution.seconds
+            if solution.optimal or time.perf_counter() > deadline:
+                break
+        leaves = _leaves(problem, solution) & ~between
+        if not solution.feasible or not leaves.any():
+            break
+        between, guess = between | widened(leaves, BESIDE), solution.values
+    if not solution.feasible:
+        late = solution.message == OUT_OF_TIME
+        raise InfeasiblePlanError(
+            f"No timing was found{f' within {seconds:g} s' if late else ' that keeps the limits'} "
+            f"(the solver says {solution.message}; unbalanced by {solution.violation:.2g}).",
+            remedy="Allow more seconds." if late else "Raise the limits of efforts or carriers, or leave the end free.",
+            constraint="seconds" if late else "effort",
+            time=0.0,
+            amount=solution.violation,
+        )
+    return replace(solution, iterations=iterations, seconds=spent)
+
+
+def _leaves(problem: Problem, solution: Solution) -> BoolArray:
+    """Return (M − 1,) the steps inside which a carrier leaves its track or exceeds its speed."""
+    u, values, limits = problem.sizes, solution.values, problem.limits
+    leaves: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)
+    if not problem.model.k:
+        return leaves
+    t = np.concatenate([[0.0], np.cumsum(values["h"][:, 0] * u.h)])
+    position = PiecewisePolynomial.linear(t, *(values[name] * getattr(u, name) for name in ("s", "sd", "sdd")))
+    lower, upper = limits.track.T
+    for function, low, high in ((position, lower, upper), (position.derivative(), -limits.speed, limits.speed)):
+        least, most = function.ranges()
+        leaves[problem.grid.h > 0.0] |= ((most > high) | (least < low)).any(axis=1)
+    return leaves
