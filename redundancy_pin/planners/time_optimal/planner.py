@@ -145,7 +145,7 @@ def plan_time_optimal(
     unit = continuous_motion(Trajectory(path, uniform_law(path.length, path.length)))
     if lap:
         _require_closed(unit)
-    nodes = grid_of(unit, Actuation.along(dynamics, unit).singular_instants, path.length / count)
+    nodes = grid_of(unit, Actuation.along(dynamics, unit).singular_instants, path.length / count, ends=not lap)
     nodes = with_middles(nodes, near_singular(dynamics, unit, nodes))
     judged = replace(robot, carrier_limits=resolved.of_carriers)
     given = {"begin": begin, "end": end, "datum": park, "lap": lap, "limits": resolved}
@@ -170,7 +170,8 @@ def plan_time_optimal(
             break
         places = motion.law(exceeding)[:, 0]
         guess = _physical(problem, solution)
-        nodes = with_middles(nodes, steps_around(nodes, np.clip(places, nodes.t[0], nodes.t[-1]), BESIDE))
+        inside = np.clip(places, 0.0, np.nextafter(path.length, 0.0))
+        nodes = with_middles(nodes, steps_around(nodes, inside, BESIDE))
     prescribed = motion.tau.copy()
     if robot.m <= robot.n:
         prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan

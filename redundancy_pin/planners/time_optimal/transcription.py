@@ -59,7 +59,7 @@ class _Programme:
         self._forces()
         self._between(between)
         blocks = self.nlp.blocks
-        gentle = ca.sumsqr(blocks["sdd"]) / max(k, 1) + ca.sumsqr(blocks["pdd"])
+        gentle = ca.sumsqr(blocks["sdd"]) / max(k, 1)
         self.nlp.cost = ca.sum1(self.h) / u.duration + REGULARISATION / nodes * gentle
 
     def _equal(self, expression: Any, size: Array | float) -> None:

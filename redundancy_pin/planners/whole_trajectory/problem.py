@@ -66,10 +66,11 @@ class Grid:
         return read_only(np.diff(self.t))
 
 
-def grid_of(source: ContinuousMotion, singular: Sequence[float], dt: float) -> Grid:
+def grid_of(source: ContinuousMotion, singular: Sequence[float], dt: float, ends: bool = False) -> Grid:
     """Return nodes at most ``dt`` apart, with every event on a node.
 
-    ``singular``: times on a type II singularity, s; ``dt``: largest step, s.
+    ``singular``: times on a type II singularity, s; ``dt``: largest step, s; ``ends``: steps become shorter towards
+    both ends, as those of a harmonic motion.
     """
     require_few(
         (source.end - source.start) / dt, MOST_NODES, f"dt = {dt:g} s makes {{}} nodes", "Use a larger dt.", dt=dt
@@ -79,9 +80,15 @@ def grid_of(source: ContinuousMotion, singular: Sequence[float], dt: float) -> G
     inside = [t for t in singular if source.start <= t <= source.end]
     on = [next((jump for jump in source.breaks if abs(jump - t) <= least), t) for t in inside]
     events = np.unique([*on, *(t for t in source.kinks if all(abs(t - other) > least for other in on))])
-    pieces = [
-        np.linspace(a, b, max(int(np.ceil((b - a) / dt - 1e-9)), LEAST_STEPS) + 1)[:-1] for a, b in pairwise(events)
-    ]
+    span = source.end - source.start
+    pieces = []
+    for a, b in pairwise(events):
+        phase = np.arccos(np.clip(1.0 - 2.0 * (np.array([a, b]) - source.start) / span, -1.0, 1.0)) * span / np.pi
+        first, last = phase if ends else (a, b)
+        piece = np.linspace(first, last, max(int(np.ceil((last - first) / dt - 1e-9)), LEAST_STEPS) + 1)[:-1]
+        if ends:
+            piece = np.append(a, source.start + 0.5 * span * (1.0 - np.cos(np.pi / span * piece[1:])))
+        pieces.append(piece)
     times = np.concatenate([*pieces, events[-1:]])
     t = np.repeat(times, 1 + np.isin(times, source.breaks))
     return _grid(t, np.isin(t, on), np.zeros(len(t), dtype=bool))
