@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, each, one_of, positive
+from redundancy_pin.arrays import Array, BoolArray, each, one_of, positive, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
@@ -30,7 +30,6 @@ from redundancy_pin.planners.whole_trajectory.problem import (
     grid_of,
     near_singular,
     singular_node,
-    steps_around,
     widened,
     with_middles,
 )
@@ -57,6 +56,15 @@ PHASES = ("optimised",)
 
 BESIDE = 2
 """Steps on both sides of one whose efforts exceed their limits inside it that get a middle node as well."""
+
+LONG = 0.05
+"""Of the whole time, that a step may last when others are refined: where the platform nearly stands still."""
+
+APART = 0.02
+"""Of a step, from a node to a new one inside at least."""
+
+WARM: Options = {**LINEAR_SYSTEM, **UNREFINED, "ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-4, "ipopt.bound_frac": 1e-4}
+"""From the solution on fewer nodes."""
 
 STRATEGIES: tuple[Options, ...] = ({**LINEAR_SYSTEM, **UNREFINED, **ADAPTIVE}, {})
 """What IPOPT tries in turn."""
@@ -168,10 +176,8 @@ def plan_time_optimal(
         ratios.append(check.ratio)
         if (check.passed and not broken) or len(ratios) > often or not solution.optimal:
             break
-        places = motion.law(exceeding)[:, 0]
         guess = _physical(problem, solution)
-        inside = np.clip(places, 0.0, np.nextafter(path.length, 0.0))
-        nodes = with_middles(nodes, steps_around(nodes, inside, BESIDE))
+        nodes = _finer(nodes, motion, exceeding)
     prescribed = motion.tau.copy()
     if robot.m <= robot.n:
         prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan
@@ -239,6 +245,26 @@ class _Motion:
         breaks = t[:-1][grid.h == 0.0]
         platform = timed(path, law, breaks)
         return _Motion(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
+
+
+def _finer(grid: Grid, motion: _Motion, exceeding: Array) -> Grid:
+    """Return a grid with a node halfway in time in each step around the times that exceed, s, and in long ones.
+
+    But in the long ones the jerk is continuous there: the efforts are seen, and no more is free.
+    """
+    h = np.diff(motion.t)
+    steps = np.zeros(len(h), dtype=bool)
+    steps[np.clip(np.searchsorted(motion.t, exceeding, side="right") - 1, 0, len(h) - 1)] = True
+    marked = np.flatnonzero((widened(steps, BESIDE) | (h > LONG * motion.t[-1])) & (h > 0.0))
+    places = motion.law(0.5 * (motion.t[marked] + motion.t[marked + 1]))[:, 0]
+    left, right = grid.t[marked], grid.t[marked + 1]
+    # a law that stands still in a step, or runs back, has no place of its own halfway
+    places = np.clip(places, left + APART * (right - left), right - APART * (right - left))
+    on = np.zeros(len(grid.t), dtype=bool)
+    on[grid.singular] = True
+    smooth = np.insert(grid.smooth, marked + 1, h[marked] <= LONG * motion.t[-1])
+    t = np.insert(grid.t, marked + 1, places)
+    return Grid(read_only(t), read_only(np.flatnonzero(np.insert(on, marked + 1, False))), read_only(smooth))
 
 
 def _require_closed(unit: ContinuousMotion) -> None:
@@ -363,7 +389,7 @@ def _solve(problem: Problem, guess: dict[str, Array], seconds: float) -> Solutio
     between: BoolArray = np.zeros(len(problem.grid.h), dtype=bool)
     iterations, spent = 0, 0.0
     for _ in range(ROUNDS + 1):
-        for options in STRATEGIES:
+        for options in STRATEGIES if "tau" not in guess else (WARM, *STRATEGIES):
             left = max(deadline - time.perf_counter(), LEAST_SECONDS)
             solution = solve_nlp(transcribe(problem, between), guess, left, options)
             iterations, spent = iterations + solution.iterations, spent + solution.seconds

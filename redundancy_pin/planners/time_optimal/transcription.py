@@ -164,7 +164,9 @@ class _Programme:
         self.nlp.within(force / size, -bound, bound)
 
     def _between(self, steps: BoolArray) -> None:
-        """Keep track and speed limits inside steps by the inner Bézier points of s and ṡ."""
+        """Keep the platform from running back, and track and speed limits inside steps, by inner Bézier points."""
+        inner = (self.pd[:-1, :] + self.h / 2.0 * self.pdd[:-1, :]) / self._problem.sizes.speed
+        self.nlp.within(inner, 0.0, np.inf)
         at = np.flatnonzero(steps & (self._problem.grid.h > 0.0)).tolist()
         if not at or not self.s.shape[1]:
             return
