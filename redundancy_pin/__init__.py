@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from redundancy_pin.planners.receding_horizon import RecedingHorizon
     from redundancy_pin.planners.stepwise.planner import plan_stepwise
     from redundancy_pin.planners.switch_off.planner import plan_switch_off
+    from redundancy_pin.planners.time_optimal.planner import plan_time_optimal
     from redundancy_pin.planners.whole_trajectory.planner import plan_whole_trajectory
     from redundancy_pin.robot import Robot
     from redundancy_pin.robot.loads import JointForces, Payload, Spring, Wrench
@@ -76,6 +77,7 @@ _PLACES = {
     "performance": "singularities.performance",
     "plan_stepwise": "planners.stepwise.planner",
     "plan_switch_off": "planners.switch_off.planner",
+    "plan_time_optimal": "planners.time_optimal.planner",
     "plan_whole_trajectory": "planners.whole_trajectory.planner",
     "platform_play": "singularities.performance",
     "platform_stiffness": "singularities.performance",
@@ -122,6 +124,7 @@ __all__ = [
     "performance",
     "plan_stepwise",
     "plan_switch_off",
+    "plan_time_optimal",
     "plan_whole_trajectory",
     "platform_play",
     "platform_stiffness",

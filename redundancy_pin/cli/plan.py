@@ -42,6 +42,7 @@ _FINER = {
     "whole_trajectory": "allow more --refinements, or a shorter --dt",
     "stepwise": "use a shorter --step, or both sides of each jump",
     "receding_horizon": "use a shorter --step",
+    "time_optimal": "allow more --refinements, or more --steps",
     "switch_off": "use --scheme integration, or a shorter --dt",
 }
 """What helps a planner whose samples do not show its efforts."""
@@ -105,7 +106,7 @@ def _of_the_optimum(plan: Plan) -> Iterator[tuple[str, str]]:
     """Give what an optimised plan says of its optimum and its nodes."""
     if "optimal" not in plan.diagnostics:
         return
-    weights: Any = plan.parameters["objective"]
+    weights: Any = plan.parameters.get("objective", {"time": 1.0})
     yield "minimised", ", ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights.items())
     facts: Any = plan.diagnostics
     reached = "local optimum" if facts["optimal"] else "NOT an optimum"
@@ -288,6 +289,24 @@ def whole_trajectory(**given: Any) -> int:
           --max-effort 9 --max-jerk 200 --json
     """
     return _from_flags("whole-trajectory", given)
+
+
+@plan.command("time-optimal")
+@_shared_options
+@plan_problem.planner_options("time-optimal")
+def time_optimal(**given: Any) -> int:
+    r"""Least time along the path of a trajectory.
+
+    Timing, carriers and main actuators are planned together, within limits of efforts, of the actuators' rates and of
+    the carriers, through singularities too; how fast the trajectory is does not matter. Robots without carriers are
+    planned as well. Needs the extra `optimal`.
+
+    \b
+    Example:
+      redundancy-pin plan time-optimal --robot 3rrr --mode +++ --trajectory corner --max-effort 3 \
+          --begin rest --end rest --out plan.npz
+    """
+    return _from_flags("time-optimal", given)
 
 
 def _from_flags(planner: str, given: Mapping[str, Any]) -> int:

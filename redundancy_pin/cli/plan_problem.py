@@ -21,10 +21,15 @@ from redundancy_pin.io.yaml_file import read_yaml
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.base_wrench import BASE
 from redundancy_pin.planners.plan import Plan
+from redundancy_pin.planners.time_optimal import plan_time_optimal
 from redundancy_pin.planners.whole_trajectory import OBJECTIVES
 from redundancy_pin.robot.urdf import shipped_robots
-from redundancy_pin.studies.case import BACKENDS, PLANNERS, RNEA
+from redundancy_pin.studies.case import BACKENDS, RNEA
+from redundancy_pin.studies.case import PLANNERS as AT_A_SPEED
 from redundancy_pin.trajectory import Trajectory, from_csv
+
+PLANNERS: Mapping[str, Callable[..., Plan]] = {**AT_A_SPEED, "time-optimal": plan_time_optimal}
+"""Planners by name."""
 
 Reader = Callable[[str, object], Any]
 """From the name of a parameter and the value as written to the value the planner takes; InputError where it is none."""
@@ -193,10 +198,24 @@ WHOLE_TRAJECTORY: Mapping[str, Parameter] = {
 }
 """Parameters of ``plan_whole_trajectory``, but for the baseline, which is a robot."""
 
+TIME_OPTIMAL: Mapping[str, Parameter] = {
+    "effort": WHOLE_TRAJECTORY["effort"],
+    "actuator_speed": Parameter(numbers, "V[,V...]", "Limit of the main actuators' rates, m/s or rad/s."),
+    "begin": Parameter(word, "WORD", "How the carriers begin: datum (at rest there), rest, or free."),
+    "end": WHOLE_TRAJECTORY["end"],
+    "datum": WHOLE_TRAJECTORY["datum"],
+    "lap": Parameter(flag, "", "The platform goes round and round.", "--lap/--no-lap"),
+    **{name: WHOLE_TRAJECTORY[name] for name in ("track", "speed", "acceleration", "jerk", "carrier_force")},
+    "steps": Parameter(whole, "N", "Least number of steps."),
+    **{name: WHOLE_TRAJECTORY[name] for name in ("seconds", "refinements")},
+}
+"""Parameters of ``plan_time_optimal``."""
+
 PARAMETERS: Mapping[str, Mapping[str, Parameter]] = {
     "switch-off": SWITCH_OFF,
     "stepwise": STEPWISE,
     "whole-trajectory": WHOLE_TRAJECTORY,
+    "time-optimal": TIME_OPTIMAL,
 }
 """Parameters by planner."""
 

@@ -1,4 +1,4 @@
-"""Least time along a path under limits of efforts and carriers: the timing and the carriers' motion planned together."""
+"""Least time along a path under limits of efforts and carriers: timing and carriers planned together."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from redundancy_pin.planners.whole_trajectory.options import LIMITS, MOST_REFINE
 from redundancy_pin.planners.whole_trajectory.problem import (
     NEAR,
     Grid,
+    SingularNode,
     grid_of,
     near_singular,
     singular_node,
@@ -43,6 +44,7 @@ from redundancy_pin.planners.whole_trajectory.solver import (
     Solution,
     solve_nlp,
 )
+from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
@@ -63,7 +65,13 @@ LONG = 0.05
 APART = 0.02
 """Of a step, from a node to a new one inside at least."""
 
-WARM: Options = {**LINEAR_SYSTEM, **UNREFINED, "ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-4, "ipopt.bound_frac": 1e-4}
+WARM: Options = {
+    **LINEAR_SYSTEM,
+    **UNREFINED,
+    "ipopt.mu_init": 1e-4,
+    "ipopt.bound_push": 1e-4,
+    "ipopt.bound_frac": 1e-4,
+}
 """From the solution on fewer nodes."""
 
 STRATEGIES: tuple[Options, ...] = ({**LINEAR_SYSTEM, **UNREFINED, **ADAPTIVE}, {})
@@ -138,6 +146,12 @@ def plan_time_optimal(
     robot = dynamics.robot
     report = progress or (lambda line: None)
     path = path.path if isinstance(path, Trajectory) else path
+    if not (hasattr(path, "evaluate") and hasattr(path, "length")):
+        raise InputError(
+            f"A path was expected, not {type(path).__name__}.",
+            remedy="Pass a path or a trajectory: samples have a timing of their own.",
+            name="path",
+        )
     one_of(begin, "begin", get_args(Begin))
     one_of(end, "end", get_args(End))
     group = grouped("limits", limits, Limits, track=track, speed=speed, acceleration=acceleration, jerk=jerk,
@@ -170,7 +184,7 @@ def plan_time_optimal(
         )
         singular = np.unique(motion.t[nodes.singular])
         floor = SMALL * problem.sizes.tau
-        check, broken, exceeding = dense_check(
+        check, broken, exceeding, _ = dense_check(
             dynamics, functions, judged, motion.t, motion.tau, floor, resolved.effort, singular
         )
         ratios.append(check.ratio)
@@ -224,8 +238,10 @@ def plan_time_optimal(
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """A solution in units: ``t`` (M,) times of the nodes, s; the ``law`` p(t) and the ``carriers``' positions, m; the
-    ``platform``'s motion; ``samples`` and ``tau`` (M, m) at the nodes.
+    """A solution in units.
+
+    ``t`` (M,) times of the nodes, s; the ``law`` p(t) and the ``carriers``' positions, m; the ``platform``'s motion;
+    ``samples`` and ``tau`` (M, m) at the nodes.
     """
 
     t: Array
@@ -290,18 +306,18 @@ def _problem(
     def read(there: DynamicsAlongMotion) -> CarrierModel:
         return read_model(there, dynamics)
 
-    sides = ["left" if i < len(nodes.h) and nodes.h[i] == 0.0 else "right" for i in nodes.singular]
-    singular = tuple(
-        singular_node(dynamics, unit, int(i), float(nodes.t[i]), read, side)
-        for i, side in zip(nodes.singular, sides, strict=True)
-    )
+    def node(i: int) -> SingularNode:
+        side: Side = "left" if i < len(nodes.h) and nodes.h[i] == 0.0 else "right"
+        return singular_node(dynamics, unit, i, float(nodes.t[i]), read, side)
+
+    singular = tuple(node(i) for i in nodes.singular.tolist())
     limits = given["limits"]
     turning = np.abs(np.einsum("nim,ni->nm", model.W, motion.xd))
     fastest = (rates / np.maximum(turning, 1e-300)).min(axis=1, initial=1e300)
     length = unit.end - unit.start
     place = (nodes.t - nodes.t[0]) / length
-    regular = spectrum_of(scaled(parked.W, parked.row_scale, parked.column_scale)).singular_values
-    regular = regular[:, -1] > NEAR * (regular[:, 0] if regular.shape[1] > 1 else regular.max())
+    values = spectrum_of(scaled(parked.W, parked.row_scale, parked.column_scale)).singular_values
+    regular = values[:, -1] > NEAR * (values[:, 0] if values.shape[1] > 1 else values.max())
     inverse = np.linalg.pinv(model.W[regular])
 
     def use(speed: float) -> float:
@@ -336,7 +352,7 @@ def _problem(
 def _at(first: Array, pd: ArrayLike, pdd: ArrayLike) -> Array:
     """Return coefficients (M, r, 4) at speeds and accelerations along the path, (M,) or one for all."""
     powers = np.stack(np.broadcast_arrays(1.0, pd, np.square(pd), pdd), axis=-1)
-    return np.einsum("nrq,nq->nr", first, np.broadcast_to(powers, (len(first), 4)))
+    return np.asarray(np.einsum("nrq,nq->nr", first, np.broadcast_to(powers, (len(first), 4))))
 
 
 def _first_guess(problem: Problem) -> dict[str, Array]:

@@ -32,8 +32,10 @@ _TOLERANCE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
-    """What variables are divided by: ``speed`` and ``acceleration`` along the path, m/s and m/s²; ``s``, ``sd``, ``sdd``
-    (k,) of the carriers, m, m/s, m/s²; ``tau``: of the efforts, N or N·m; ``row`` (n,) of the rows of W τ = f; ``h``
+    """What variables are divided by.
+
+    ``speed``, ``acceleration``: along the path, m/s and m/s²; ``s``, ``sd``, ``sdd`` (k,) of the carriers, m, m/s,
+    m/s²; ``tau``: of the efforts, N or N·m; ``row`` (n,) of the rows of W τ = f; ``h``
     (M − 1,) of the steps, s; ``duration``: their sum.
     """
 

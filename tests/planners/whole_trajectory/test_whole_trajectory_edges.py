@@ -12,8 +12,7 @@ from redundancy_pin import RneaDynamics, VirtualWork, distribute, load_robot, pl
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.carrier_model import carrier_model
 from redundancy_pin.planners.plan import PlanStatus
-from redundancy_pin.planners.whole_trajectory.options import Mesh, checked_settings
-from redundancy_pin.planners.whole_trajectory.problem import Task, singular_node
+from redundancy_pin.planners.whole_trajectory.problem import singular_node
 from redundancy_pin.trajectory import SpeedProfile, Trajectory, reference
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, carriers_at
@@ -195,9 +194,9 @@ def test_rates_of_a_fit_beside_a_jump_are_one_sided(side):
     """For curved tracks they come from differences, which must not reach across; for straight ones from elsewhere."""
     dynamics, source = VirtualWork(zoo.robot_of("2rpr", **HEAVY)), continuous_motion(through_a_jump(0.0))
     (t,) = source.breaks
-    task = Task(dynamics, source, checked_settings(dynamics.robot, mesh=Mesh(0.01)))
     # any reader but the usual one is differentiated by differences
-    exact, fitted = (singular_node(task, 0, t, read, side).rate for read in (carrier_model, partial(carrier_model)))
+    readers = carrier_model, partial(carrier_model)
+    exact, fitted = (singular_node(dynamics, source, 0, t, read, side, dt=0.01).rate for read in readers)
     for name in ("W", "f0"):
         expected = getattr(exact, name)
         # differences of order four over a millisecond

@@ -1,0 +1,181 @@
+"""Least time along a path: against a linear programme of another formulation, replay, and known figures."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+import zoo
+from scipy.optimize import linprog
+from scipy.sparse import coo_matrix
+
+from redundancy_pin import (
+    PlatformMotion,
+    RneaDynamics,
+    VirtualWork,
+    check_plan,
+    load_plan,
+    plan_time_optimal,
+    simulate,
+)
+from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.errors import InputError
+from redundancy_pin.planners.plan import Plan, PlanStatus
+from redundancy_pin.trajectory import Path, reference
+
+pytest.importorskip("casadi")
+
+MODE = (1, 1, 1)
+CORNER = reference.corner().path
+LIMITS: dict[str, Any] = {"track": (-1.0, 1.0), "speed": 5.0, "acceleration": 20.0}
+EFFORT = 3.03
+
+
+def bare() -> VirtualWork:
+    return VirtualWork(zoo.robot_of("3rrr", carriers=False, working_mode=MODE))
+
+
+def carrying() -> VirtualWork:
+    return VirtualWork(zoo.robot_of("3rrr", carrier_mass=3.0, working_mode=MODE))
+
+
+@functools.cache
+def free() -> Plan:
+    return plan_time_optimal(carrying(), CORNER, effort=EFFORT, end="free", steps=80, **LIMITS)
+
+
+def least_time(dynamics: Dynamics, path: Path, effort: float, rate: float = np.inf, steps: int = 400) -> float:
+    """Duration by a linear programme: w = ṗ² at nodes and u = p̈ in steps, the largest ∫ w, which is largest anywhere.
+
+    Efforts of least norm where there are more actuators than freedoms would be too slow: they are unknowns as well.
+    """
+    p = np.unique(np.concatenate([np.linspace(0.0, path.length, steps + 1), path.breaks]))
+    d, m, n = np.diff(p), dynamics.robot.m, dynamics.robot.n
+    count = len(d)
+    rows, columns, values, right, row = [], [], [], [], 0
+    highest = np.full(len(p), np.inf)
+    for end, side in ((0, "right"), (1, "left")):
+        at = p[:-1] if end == 0 else p[1:]
+        x, tangent, curvature = path.evaluate(at, side)
+
+        def load(speed: float, push: float, x=x, tangent=tangent, curvature=curvature):
+            motion = PlatformMotion(np.arange(count), x, speed * tangent, speed**2 * curvature + push * tangent,
+                                    check_rates=False)  # fmt: skip
+            return dynamics.along(motion).reduce()
+
+        rest = load(0.0, 0.0)
+        by_w, by_u = load(1.0, 0.0).f - rest.f, load(0.0, 1.0).f - rest.f
+        turning = np.abs(np.einsum("nim,ni->nm", rest.W, tangent)).max(axis=1)
+        highest[end : end + count] = np.minimum(highest[end : end + count], (rate / turning) ** 2)
+        for j in range(count):
+            for i in range(n):
+                entries = [(j + end, -by_w[j, i]), (len(p) + j, -by_u[j, i])]
+                first = len(p) + count + (end * count + j) * m
+                entries += [(first + a, rest.W[j, i, a]) for a in range(m)]
+                rows += [row] * len(entries)
+                columns += [c for c, _ in entries]
+                values += [v for _, v in entries]
+                right.append(rest.f[j, i])
+                row += 1
+    for j in range(count):
+        rows += [row] * 3
+        columns += [j + 1, j, len(p) + j]
+        values += [1.0, -1.0, -2.0 * d[j]]
+        right.append(0.0)
+        row += 1
+    highest[[0, -1]] = 0.0
+    bounds = [(0.0, high) for high in highest] + [(None, None)] * count + [(-effort, effort)] * (2 * count * m)
+    cost = np.zeros(len(bounds))
+    cost[: len(p)] = -1.0
+    equal = coo_matrix((values, (rows, columns)), shape=(row, len(bounds))).tocsr()
+    speed = np.sqrt(np.maximum(linprog(cost, A_eq=equal, b_eq=right, bounds=bounds).x[: len(p)], 0.0))
+    return float((2.0 * d / (speed[1:] + speed[:-1])).sum())
+
+
+@pytest.mark.parametrize("rate", [np.inf, 0.35])
+def test_without_carriers_the_time_is_that_of_a_linear_programme(rate: float) -> None:
+    plan = plan_time_optimal(bare(), CORNER, effort=EFFORT, actuator_speed=rate, steps=100)
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    expected = least_time(bare(), CORNER, EFFORT, rate)
+    assert abs(plan.t[-1] / expected - 1.0) < 5e-3
+    assert np.abs(plan.actuated_rate).max() <= rate
+    if rate == np.inf:
+        assert abs(plan.t[-1] - 1.070) < 2e-3
+    else:
+        assert expected > 1.2
+
+
+def test_carriers_make_the_corner_faster() -> None:
+    """0.66 s in place of 1.07 s with a free end; carriers that start and end at rest where they like: 0.5 s."""
+    assert free().status is PlanStatus.WITHIN_LIMITS
+    assert 0.640 < free().t[-1] < 0.665
+    rest = plan_time_optimal(carrying(), CORNER, effort=EFFORT, begin="rest", end="rest", steps=60, **LIMITS)
+    assert rest.t[-1] < 0.52
+    assert np.abs(rest.carriers.sd[[0, -1]]).max() < 1e-9
+    for plan in (free(), rest):
+        assert np.abs(plan.motion.xd[[0, -1]]).max() < 1e-9
+        assert np.abs(plan.carriers.s).max() <= 1.0
+        assert np.abs(plan.carriers.sdd).max() <= 20.0
+        assert plan.between is not None
+        assert plan.between.peak.max() <= 1.05 * EFFORT
+
+
+def test_no_scaled_law_of_a_plan_is_faster() -> None:
+    """The same motion run faster exceeds a limit everywhere it is bound: some effort or s̈ is at its limit."""
+    plan = free()
+    inner = slice(3, -3)
+    used = np.maximum(
+        np.abs(plan.tau).max(axis=1) / EFFORT, np.abs(plan.carriers.sdd).max(axis=1) / LIMITS["acceleration"]
+    )[inner]
+    assert (used > 0.99).mean() > 0.95
+
+
+def test_the_motion_is_on_the_path_and_dynamics_are_the_other_backend_s(tmp_path: Any) -> None:
+    plan = free()
+    other = RneaDynamics(carrying().robot)
+    assert check_plan(plan, other).passed
+    plan.save(tmp_path / "fast.npz")
+    again = load_plan(tmp_path / "fast.npz")
+    t = np.linspace(0.0, plan.t[-1], 50)
+    np.testing.assert_allclose(again.platform_at(t).xdd, plan.platform_at(t).xdd, atol=1e-8)
+    motion, step = plan.platform_at(t[1:-1]), 1e-6
+    ahead, behind = (plan.platform_at(t[1:-1] + sign * step) for sign in (1.0, -1.0))
+    np.testing.assert_allclose((ahead.x - behind.x) / (2.0 * step), motion.xd, atol=1e-6)
+    near = (np.abs(t[1:-1, None] - plan.motion.t[plan.motion.jumps]) > 2.0 * step).all(axis=1)
+    np.testing.assert_allclose(((ahead.xd - behind.xd) / (2.0 * step))[near], motion.xdd[near], atol=1e-3)
+
+
+def test_forward_dynamics_follow_the_plan() -> None:
+    run = simulate(carrying().robot, free())
+    print(run)
+
+
+def test_a_singularity_is_crossed_at_the_limit_of_the_efforts() -> None:
+    dynamics = VirtualWork(zoo.robot_of("2rpr"))
+    plan = plan_time_optimal(dynamics, reference.line().path, effort=1.0, end="free", steps=50)
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert len(plan.diagnostics["singular_nodes"]) > 0
+    assert check_plan(plan, RneaDynamics(dynamics.robot)).passed
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({}, "effort"),
+        ({"effort": 3.0, "begin": "anyhow"}, "begin"),
+        ({"effort": 3.0, "lap": True}, "closed"),
+        ({"effort": -1.0}, "effort"),
+        ({"effort": 3.0, "steps": 2}, "steps"),
+        ({"effort": 3.0, "actuator_speed": 0.0}, "actuator_speed"),
+    ],
+)
+def test_bad_options_are_named(options: dict[str, Any], word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        plan_time_optimal(bare(), CORNER, **options)
+
+
+def test_samples_are_no_path() -> None:
+    with pytest.raises(InputError, match="path"):
+        plan_time_optimal(bare(), reference.corner().sample(0.1), effort=1.0)  # type: ignore[arg-type]
