@@ -97,6 +97,7 @@ TOPICS = (
     "models",
     "forces",
     "whole_trajectory",
+    "time_optimal",
     "feasibility_map",
     "forward_dynamics",
     "control",

@@ -55,6 +55,7 @@ OUTSIDE = ("pip", "make")
     "docs/compiled.md",
     "docs/guide/exchange.md",
     "docs/whole_trajectory.md",
+    "docs/time_optimal.md",
     "docs/feasibility_map.md",
 )
 @pytest.mark.parametrize("name", [name for name, path in PAGES.items() if "```" in path.read_text(encoding="utf-8")])

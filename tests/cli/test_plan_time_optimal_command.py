@@ -1,0 +1,49 @@
+"""``redundancy-pin plan time-optimal``: the plan of the Python API, from flags and from a problem file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from command_line import call, refused
+
+import redundancy_pin as rp
+from redundancy_pin.trajectory import reference
+
+pytest.importorskip("casadi")
+
+CORNER = ("plan", "time-optimal", "--robot", "3rrr", "--mode", "+++", "--trajectory", "corner")
+BARE = (*CORNER, "--set", "carriers=false")
+
+
+def test_flags_and_problem_files_give_the_plan_of_the_function(tmp_path: Path) -> None:
+    flags = ("--max-effort", "3", "--actuator-speed", "0.5", "--steps", "40", "--out", str(tmp_path / "flags.npz"))
+    told = json.loads(call(*BARE, *flags, "--json").stdout)
+    robot = rp.load_robot("3rrr", carriers=False, working_mode=(1, 1, 1))
+    mine = rp.plan_time_optimal(
+        rp.RneaDynamics(robot), reference.corner().path, effort=3.0, actuator_speed=0.5, steps=40
+    )
+    assert told["end"] == pytest.approx(mine.t[-1], rel=1e-9)
+    problem = {
+        "planner": "time-optimal", "robot": "3rrr", "mode": "+++", "set": {"carriers": False},
+        "trajectory": {"name": "corner", "speed": 0.1},  # how fast it is there does not matter
+        "parameters": {"effort": 3, "actuator_speed": 0.5, "steps": 40, "lap": False},
+    }  # fmt: skip
+    path = tmp_path / "problem.yaml"
+    path.write_text(yaml.safe_dump(problem), encoding="utf-8")
+    again = json.loads(call("plan", "--problem", path, "--json").stdout)
+    assert again["end"] == pytest.approx(mine.t[-1], rel=1e-9)
+    assert again["planner"] == "time_optimal"
+
+
+def test_mistakes_end_with_one_line(tmp_path: Path) -> None:
+    assert "Nothing limits the time" in refused(*BARE)
+    assert "closed path" in refused(*BARE, "--max-effort", "3", "--lap")
+    assert "--begin" in refused(*CORNER, "--max-effort", "3", "--begin", "somehow")
+    motion = tmp_path / "motion.csv"
+    rows = "\n".join(f"{0.1 * i},1.0,0.4,0,0,0,0,0,0,0" for i in range(12))
+    motion.write_text("t,x0,x1,x2,xd0,xd1,xd2,xdd0,xdd1,xdd2\n" + rows + "\n", encoding="utf-8")
+    sampled = (*CORNER[:6], "--motion", str(motion), "--max-effort", "3")
+    assert "path" in refused(*sampled)
