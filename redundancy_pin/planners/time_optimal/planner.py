@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from redundancy_pin.arrays import Array, BoolArray, each, one_of, positive, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.errors import InfeasiblePlanError, InputError
-from redundancy_pin.kinematics.spectrum import scaled, spectrum_of
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import Actuation, CarrierModel, require_carriers
 from redundancy_pin.planners.check import finish_plan
@@ -44,6 +43,7 @@ from redundancy_pin.planners.whole_trajectory.solver import (
     Solution,
     solve_nlp,
 )
+from redundancy_pin.spectrum import scaled, spectrum_of
 from redundancy_pin.trajectory import Side
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
