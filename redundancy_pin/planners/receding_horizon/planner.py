@@ -253,10 +253,13 @@ class RecedingHorizon:
             None if part is None else each(part, name, (self.robot.k,), finite=True)
             for part, name in ((s, "s"), (sd, "sd"))
         )
+        last, about = self._last, self._last
         for _ in range(self._rounds(t)):
-            command = self._plan(t, self._preview, given, self._last)
-            self.largest = max(self.largest, float(np.abs(command.efforts(np.linspace(t, t + self.step, 5))).max()))
-            self._last = command = replace(command, seconds=time.perf_counter() - began)
+            command = self._plan(t, self._preview, given, last, about)
+            if about is last or command.status is not PlanningStatus.FALLBACK:
+                about = command
+        self._last = command = replace(about or command, seconds=time.perf_counter() - began)
+        self.largest = max(self.largest, float(np.abs(command.efforts(np.linspace(t, t + self.step, 5))).max()))
         return command
 
     def skip(self, t: float) -> Command:
@@ -275,7 +278,15 @@ class RecedingHorizon:
         roots = self._last.singular
         return 2 if ((roots > t) & (roots < t + CONVERGED * self.step)).any() else 1
 
-    def _plan(self, t: float, preview: Preview, given: tuple[Array | None, ...], last: Command | None) -> Command:
+    def _plan(
+        self,
+        t: float,
+        preview: Preview,
+        given: tuple[Array | None, ...],
+        last: Command | None,
+        about: Command | None,
+    ) -> Command:
+        """Return a plan that goes on from the last one, with f linear about it or about that of the round before."""
         step, k = self.step, self.robot.k
         before = t if preview.changing else t - ZONE * step  # for the nodes around one that is past
         roots = preview.singular_instants(self.dynamics, before, t + step * (self._count + 1), step)
@@ -285,24 +296,26 @@ class RecedingHorizon:
         nodes, singular = nodes_from(start, step, self._count + 1, roots)
         if last is None:
             s, sd = (np.zeros(k) if part is None else part for part in given)
-            at = CarrierMotion(*(np.tile(part, (len(nodes), 1)) for part in (s, sd, np.zeros(k))), check_rates=False)
-            first, free = (s, sd, np.zeros(k)), True
+            first = s, sd, np.zeros(k)
         else:
-            at = extended(last.carriers, nodes)
+            own = extended(last.carriers, nodes[:1])
             settled = len(ahead) and ahead[0] <= t + SETTLED * step
-            s, sd = (
-                own if part is None or settled else part for part, own in zip(given, (at.s[0], at.sd[0]), strict=True)
-            )
-            first, free = (s, sd, at.sdd[0]), last.carriers.start >= t
+            pairs = zip(given, (own.s[0], own.sd[0]), strict=True)
+            s, sd = (planned if part is None or settled else part for part, planned in pairs)
+            first = s, sd, own.sdd[0]
+        if about is None:
+            at = CarrierMotion(*(np.tile(part, (len(nodes), 1)) for part in first), check_rates=False)
+        else:
+            at = extended(about.carriers, nodes)
         lin = Linearised.about(self.dynamics, preview, nodes, singular, at)
         if self._sizes is None:
             self._sizes = _Sizes.of(lin)
         sizes = self._sizes
-        if last is not None:
+        if last is not None:  # of all rounds the same, or the second would be off to another plan
             share = min(max(last.peak / sizes.tau, SMALLEST), 1.0)
             sizes = _Sizes(share * sizes.tau, sizes.row)
         jerk = None if last is None else last.carriers.derivative(3)(nodes[:1], "left")[0]
-        return _Tick(self, lin, first, free, jerk, sizes).command(t, last, roots, preview)
+        return _Tick(self, lin, first, last is None, jerk, sizes).command(t, last, roots, preview)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,12 @@ import pytest
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.planners.receding_horizon import OnLineRun, PlanningStatus, Preview, RecedingHorizon, run_online
-from redundancy_pin.planners.receding_horizon.linearised import nodes_from
+from redundancy_pin.planners.receding_horizon.linearised import Linearised, nodes_from
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import Line, circle_path
 
-MISSING = 2e-3
-"""N of up to 5 N that may be missing within a millisecond of a singular instant: one linearisation is exact to this."""
+MISSING = 1e-4
+"""N of up to 5 N that may be missing within a millisecond of a singular instant: two rounds leave less."""
 
 
 @cache
@@ -60,7 +60,7 @@ def test_a_singular_instant_is_crossed_as_the_other_backend_sees_it():
     u = np.linalg.svd(reduced.W)[0][:, :, -1]
     assert len(t) == 2
     assert np.abs(np.einsum("qn,qn->q", u, reduced.f)).max() < MISSING
-    assert np.abs(np.einsum("qn,qn->q", u, parked.f)).min() > 100.0 * MISSING
+    assert np.abs(np.einsum("qn,qn->q", u, parked.f)).min() > 1000.0 * MISSING
     assert run.plan.diagnostics["missing_force"] < MISSING
 
 
@@ -185,6 +185,32 @@ def test_a_preview_may_be_a_function_or_samples_and_may_end_on_the_way():
     assert 0.25 < ends.known_until <= 0.3 < first.known_until
     with pytest.raises(InputError, match="preview is str"):
         RecedingHorizon(dynamics).update(0.0, "straight on")
+
+
+def test_the_rate_of_f_at_a_singular_instant_is_that_of_differences_by_the_other_backend():
+    dynamics, other = machine()
+    root = float(rp.find_crossings(dynamics.robot, ACROSS)[0].t)
+    rng = np.random.default_rng(1)
+    nodes = root + np.array([-0.02, 0.0, 0.02, 0.04, 0.06])
+    s, sd, sdd = (rng.uniform(-1.0, 1.0, (5, 2)) * size for size in (0.1, 0.5, 5.0))
+    at = rp.CarrierMotion(s, sd, sdd, check_rates=False)
+    lin = Linearised.about(dynamics, Preview.of(ACROSS), nodes, np.array([1]), at)
+    changes = [rng.uniform(-1.0, 1.0, 2) * size for size in (1e-3, 1e-2, 0.1, 10.0)]
+    changed = lin.f_rate[0] + sum(part[0] @ change for part, change in zip(lin.slope_rates, changes, strict=True))
+    h = np.array([-1e-4, 1e-4])
+    for expected, own in ((lin.f_rate[0], np.zeros((4, 2))), (changed, changes)):
+        a, b, c, d = s[1] + own[0], sd[1] + own[1], sdd[1] + own[2], own[3]
+        motion = [
+            np.array([a + x * b + x**2 / 2 * c + x**3 / 6 * d for x in h]),
+            np.array([b + x * c + x**2 / 2 * d for x in h]),
+            np.array([c + x * d for x in h]),
+        ]
+        f = other.reduce(ACROSS.sample_at(root + h), rp.CarrierMotion(*motion, check_rates=False), check_track=False).f
+        # quadratic terms of the changes are the difference that is left
+        np.testing.assert_allclose(lin.lost[0] @ (f[1] - f[0]) / 2e-4, expected, rtol=1e-3, atol=2e-4)
+    assert abs(changed - lin.f_rate[0]) > 1.0
+    rate = [lin.lost[0] @ other.reduce(ACROSS.sample_at([root + x])).W[0] for x in h]
+    np.testing.assert_allclose((rate[1] - rate[0]) / 2e-4, lin.W_rate[0], rtol=1e-5)
 
 
 def test_nodes_are_the_same_whenever_they_are_asked_for():
