@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +15,7 @@ from redundancy_pin.errors import DeclarationError, ModelFileError, PlanFileErro
 from redundancy_pin.io.schema import Schema, typed, validated
 from redundancy_pin.kinematics.coordinates import is_revolute
 from redundancy_pin.loading import load_with
-from redundancy_pin.robot import CarrierLimits, Robot
+from redundancy_pin.robot import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.declaration import read_declaration
 from redundancy_pin.robot.joint_ranges import joint_ranges
 from redundancy_pin.robot.model_files import is_model_file
@@ -50,6 +50,8 @@ class RobotRecord:
             zz about the joint, kg·m²; of the body it moves, in the frame of the joint.
         q_reference: (nq,) its closed reference configuration.
         loads: what acts on it beside gravity, as text; wrenches that are functions by their names.
+        couplings: joints that follow others; None in older files, which do not say.
+        ranges: of joints that have one, carriers apart: name, lower and upper end, m or rad; None likewise.
         folder: absolute path of the folder of the file that the record was read from, None for one made of a robot. Who
             wrote a file may not choose what is loaded: of a record that was read, ``source`` counts only where it is a
             shipped robot or inside that folder.
@@ -67,6 +69,8 @@ class RobotRecord:
     bodies: tuple[tuple[float, ...], ...]
     q_reference: tuple[float, ...]
     loads: tuple[str, ...] = ()
+    couplings: tuple[Coupling, ...] | None = None
+    ranges: tuple[tuple[str, float, float], ...] | None = None
     folder: str | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
@@ -78,7 +82,8 @@ class RobotRecord:
         now = robot_record(robot)
         own = {*self.actuated, *self.carriers}  # older files say of these alone which rotate
         same = own.intersection(now.rotating) == own.intersection(self.rotating)
-        return same and replace(now, source=self.source, rotating=self.rotating) == self
+        unsaid: dict[str, Any] = {name: None for name in ("couplings", "ranges") if getattr(self, name) is None}
+        return same and replace(now, source=self.source, rotating=self.rotating, **unsaid) == self
 
     def saved_beside(self, path: str | Path) -> RobotRecord:
         """Return the record as it goes into the file of that path: a source in its folder as the path from there."""
@@ -114,7 +119,8 @@ class RobotRecord:
 
 def robot_record(robot: Robot) -> RobotRecord:
     """Return the plain data from which a robot can be loaded again."""
-    limited = (*robot.actuated, *robot.carriers, *(joint.name for joint in joint_ranges(robot)))
+    ranges = joint_ranges(robot)
+    limited = (*robot.actuated, *robot.carriers, *(joint.name for joint in ranges))
     return RobotRecord(
         name=robot.name,
         source=robot.source,
@@ -128,6 +134,8 @@ def robot_record(robot: Robot) -> RobotRecord:
         bodies=tuple(tuple(float(v) for v in body.toDynamicParameters()) for body in list(robot.model.inertias)[1:]),
         q_reference=tuple(float(q) for q in robot.q_reference),
         loads=tuple(map(repr, robot.loads)),
+        couplings=robot.couplings,
+        ranges=tuple((joint.name, joint.lower, joint.upper) for joint in ranges),
     )
 
 
@@ -152,6 +160,17 @@ class _Record(Schema):
     bodies: tuple[Annotated[_Floats, Field(min_length=10, max_length=10, description="10 finite numbers")], ...]
     q_reference: _Floats
     loads: tuple[str, ...] = ()
+    couplings: Annotated[
+        tuple[dict[str, Any], ...] | None, Field(description="a mapping for each coupling, or nothing")
+    ] = None
+    ranges: Annotated[
+        tuple[tuple[str, float, float], ...] | None,
+        Field(description="a name and two numbers for each joint, or nothing"),
+    ] = None
+
+
+_SINCE = {"loads": (), "couplings": None, "ranges": None}
+"""What older files do not hold, and what stands for it."""
 
 
 def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
@@ -161,9 +180,11 @@ def read_robot(record: Mapping[str, Any], file: str | Path) -> RobotRecord:
         KeyError: a field is missing.
         DeclarationError: naming the first field that is wrong, and what is allowed.
     """
-    own = {"loads": (), **{name: record[name] for name in _Record.model_fields if name != "loads" or name in record}}
-    values = dict(validated(_Record, own, of="robot"))  # files of before have no loads
+    own = {name: record.get(name, _SINCE[name]) if name in _SINCE else record[name] for name in _Record.model_fields}
+    values = dict(validated(_Record, own, of="robot"))
     values["carrier_limits"] = tuple(typed(CarrierLimits, entry) for entry in values["carrier_limits"])
+    if values["couplings"] is not None:
+        values["couplings"] = tuple(typed(Coupling, entry) for entry in values["couplings"])
     return RobotRecord(**values, folder=str(_folder_of(file)))
 
 
@@ -196,9 +217,11 @@ def load_recorded(record: RobotRecord, source: str | Path | None = None, *, trus
 def _require_sound(record: RobotRecord) -> None:
     """Judge a record that was put together in Python as one that comes from a file."""
     values = {name: getattr(record, name) for name in _Record.model_fields}
-    limits, arguments = values["carrier_limits"], values["arguments"]
+    limits, couplings, arguments = values["carrier_limits"], values["couplings"], values["arguments"]
     if isinstance(limits, tuple) and all(isinstance(entry, CarrierLimits) for entry in limits):
         values["carrier_limits"] = tuple(map(asdict, limits))
+    if isinstance(couplings, tuple):
+        values["couplings"] = tuple(asdict(entry) if isinstance(entry, Coupling) else None for entry in couplings)
     values["arguments"] = dict(arguments) if isinstance(arguments, Mapping) else arguments
     try:
         validated(_Record, values, of="robot")
@@ -262,6 +285,13 @@ def record_difference(then: RobotRecord, now: RobotRecord) -> str:
         before, after = getattr(then, name), getattr(now, name)
         if before != after:
             return f"its {name.replace('_', ' ')} were {before}, now {after}."
+    for name, what in (("couplings", "coupling"), ("ranges", "range of the joint")):
+        before, after = getattr(then, name), getattr(now, name)
+        if before is not None and after is not None:
+            had, has = _by_name(before), _by_name(after)
+            for key in {**had, **has}:
+                if not _alike(had.get(key), has.get(key)):
+                    return f"its {what} {key!r} was {_entry(had.get(key))}, now {_entry(has.get(key))}."
     for name, what, tolerance in (
         ("bodies", "mass properties", _SAME_BODIES),
         ("q_reference", "reference configuration", _SAME_REFERENCE),
@@ -273,3 +303,27 @@ def record_difference(then: RobotRecord, now: RobotRecord) -> str:
         if not deviation <= tolerance:
             return f"its {what} differ by {deviation:.3g}."
     return ""
+
+
+_Entry = tuple[tuple[str, ...], tuple[float, ...]]
+"""Names and numbers of a coupling or of a range."""
+
+
+def _by_name(entries: Sequence[Coupling | tuple[str, float, float]]) -> dict[str, _Entry]:
+    found: dict[str, _Entry] = {}
+    for each in entries:
+        if isinstance(each, Coupling):
+            found[each.name] = (each.joint, each.of), each.polynomial
+        else:
+            found[each[0]] = (), each[1:]
+    return found
+
+
+def _alike(one: _Entry | None, other: _Entry | None) -> bool:
+    if one is None or other is None or one[0] != other[0] or len(one[1]) != len(other[1]):
+        return False
+    return bool(np.allclose(one[1], other[1], rtol=_SAME_BODIES, atol=_SAME_BODIES))
+
+
+def _entry(entry: _Entry | None) -> str:
+    return "none" if entry is None else ", ".join([*filter(None, entry[0]), *(f"{each:.9g}" for each in entry[1])])

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
 import pytest
 import zoo
 
-from redundancy_pin.planners.robot_record import RobotRecord, robot_record
+import redundancy_pin as rp
+from redundancy_pin.io.archive import read_archive, write_archive
+from redundancy_pin.planners.robot_record import RobotRecord, read_robot, record_difference, robot_record
+from redundancy_pin.robot import Coupling
 
 
 def mixed() -> RobotRecord:
@@ -46,3 +54,46 @@ def test_shipped_robots_slide_and_turn() -> None:
 
 def test_the_record_prints_without_its_mass_properties() -> None:
     assert repr(robot_record(zoo.robot_of("3rrr"))) == "RobotRecord('3rrr', m=3, k=3, source='3rrr')"
+
+
+def coupled(ratio: float = 2.0, upper: float = 1.5) -> rp.Robot:
+    """Two hinges, the second of which follows the first."""
+    model = pin.Model()
+    for name in ("motor", "geared"):
+        joint = model.addJoint(model.njoints - 1, pin.JointModelRZ(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = [-1.0, -np.inf], [1.0, upper]
+    couplings = [Coupling("gears", "geared", "motor", (0.0, ratio))]
+    return rp.Robot.from_model(model, name="coupled", actuated=["motor"], closures=[], couplings=couplings)
+
+
+def test_couplings_and_ranges_tell_robots_apart() -> None:
+    record = robot_record(coupled())
+    assert record.couplings == (Coupling("gears", "geared", "motor", (0.0, 2.0)),)
+    assert record.ranges == (("motor", -1.0, 1.0), ("geared", -np.inf, 1.5))
+    assert record.describes(coupled())
+    assert not record_difference(record, robot_record(coupled(2.0 + 1e-12)))  # arithmetic of another machine
+    for other, says in (
+        (coupled(2.5), "coupling 'gears' was geared, motor, 0, 2, now geared, motor, 0, 2.5"),
+        (coupled(upper=1.2), "range of the joint 'geared' was -inf, 1.5, now -inf, 1.2"),
+    ):
+        assert not record.describes(other)
+        assert says in record_difference(record, robot_record(other))
+        assert says not in record_difference(robot_record(other), record)
+    bare = replace(record, couplings=(), ranges=())
+    assert "'gears' was none, now geared" in record_difference(bare, record)
+    assert "'gears' was geared, motor, 0, 2, now none" in record_difference(record, bare)
+    # what a file of before does not say is no difference
+    older = replace(record, couplings=None, ranges=None)
+    assert older.describes(coupled(upper=1.2))
+    assert not record_difference(older, record)
+
+
+def test_couplings_and_ranges_go_through_files(tmp_path: Path) -> None:
+    record = robot_record(coupled())
+    write_archive(tmp_path / "record.npz", "record", 1, record)
+    again = read_archive(
+        tmp_path / "record.npz", "record", 1, "record", lambda values: read_robot(values, tmp_path / "record.npz")
+    )
+    assert (again.couplings, again.ranges) == (record.couplings, record.ranges)
+    assert again.describes(coupled())
