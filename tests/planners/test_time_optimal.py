@@ -11,6 +11,7 @@ import pytest
 import zoo
 from scipy.optimize import linprog
 from scipy.sparse import coo_matrix
+from scipy.spatial.transform import Rotation
 
 from redundancy_pin import (
     JointForces,
@@ -151,6 +152,31 @@ def test_times_round_the_corner_by_how_carriers_begin_and_end(options: Any, leas
     if options.get("end") == "periodic":
         for part in (plan.carriers.s, plan.carriers.sd, plan.carriers.sdd):
             np.testing.assert_allclose(part[0], part[-1], atol=1e-7)
+
+
+@pytest.mark.long
+def test_forces_and_jerks_of_carriers_are_kept() -> None:
+    plan = plan_time_optimal(
+        carrying(), CORNER, effort=EFFORT, end="free", carrier_force=30.0, jerk=500.0, steps=60, **LIMITS
+    )
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert free().t[-1] < plan.t[-1] < 0.9
+    assert 29.9 < np.abs(plan.carrier_force).max() <= 30.0
+    step = np.diff(plan.t)
+    jerk = np.diff(plan.carriers.sdd, axis=0)[step > 0.0] / step[step > 0.0, None]
+    assert 499.0 < np.abs(jerk).max() <= 500.0
+
+
+@pytest.mark.long
+def test_a_spatial_platform_under_gravity() -> None:
+    robot = zoo.robot_of("gough")
+    goal = zoo.home_of(robot).copy()
+    goal[:3, 3] += [0.1, 0.05, 0.1]
+    goal[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix() @ goal[:3, :3]
+    path = reference.pose(zoo.home_of(robot), goal).path
+    plan = plan_time_optimal(RneaDynamics(robot), path, effort=80.0, steps=60)
+    assert plan.status is PlanStatus.WITHIN_LIMITS
+    assert abs(plan.t[-1] / least_time(RneaDynamics(robot), path, 80.0, steps=200) - 1.0) < 5e-3
 
 
 @pytest.mark.long

@@ -103,7 +103,8 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
         size = max(np.abs(getattr(one, name.replace("_terms", "0"))).max(initial=0.0) for one in (ahead, push, rest))
         size = max(size, np.abs(plus).max(initial=0.0), 1e-300)
         split = np.stack([still, 0.5 * (plus - minus), 0.5 * (plus + minus) - still, pushed - still], axis=-1)
-        split[..., np.abs(split).max(axis=tuple(range(split.ndim - 1)), initial=0.0) <= _ROUNDING * size] = 0.0
+        over = tuple(range(split.ndim - (2 if name.endswith("_terms") else 1)))
+        split[..., np.abs(split).max(axis=over, initial=0.0) <= _ROUNDING * size] = 0.0
         deviation = float(np.abs(split @ np.array([1.0, 0.7, 0.49, -1.3]) - last).max(initial=0.0)) / size
         if deviation > _TOLERANCE:
             raise UnsupportedRobotError(
