@@ -97,6 +97,7 @@ def test_objectives_are_the_integrals_they_say() -> None:
     np.testing.assert_allclose(other.diagnostics["objective"]["base_moment"], of_other[3:].sum(), rtol=1e-8)
 
 
+@pytest.mark.long
 def test_the_moment_is_that_about_the_point() -> None:
     corner = plan("base_moment", "datum", (0.0, 0.0, 0.0))
     assert corner.parameters["base_point"] == [0.0, 0.0, 0.0]

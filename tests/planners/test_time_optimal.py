@@ -97,11 +97,11 @@ def least_time(dynamics: Dynamics, path: Path, effort: float, rate: float = np.i
     return float((2.0 * d / (speed[1:] + speed[:-1])).sum())
 
 
-@pytest.mark.parametrize("rate", [np.inf, 0.35])
+@pytest.mark.parametrize("rate", [np.inf, pytest.param(0.35, marks=pytest.mark.long)])
 def test_without_carriers_the_time_is_that_of_a_linear_programme(rate: float) -> None:
     plan = plan_time_optimal(bare(), CORNER, effort=EFFORT, actuator_speed=rate, steps=100)
     assert plan.status is PlanStatus.WITHIN_LIMITS
-    expected = least_time(bare(), CORNER, EFFORT, rate)
+    expected = least_time(bare(), CORNER, EFFORT, rate, steps=200)
     assert abs(plan.t[-1] / expected - 1.0) < 5e-3
     assert np.abs(plan.actuated_rate).max() <= rate
     if rate == np.inf:
@@ -117,10 +117,10 @@ def test_more_actuators_than_freedoms_share_the_load() -> None:
     driven = replace(
         robot, actuated=(*robot.actuated, "elbow_1"), actuated_velocity=np.append(robot.actuated_velocity, elbow)
     )
-    plan = plan_time_optimal(RneaDynamics(driven), CORNER, effort=EFFORT)
+    plan = plan_time_optimal(RneaDynamics(driven), CORNER, effort=EFFORT, steps=60)
     assert plan.status is PlanStatus.WITHIN_LIMITS
     assert plan.t[-1] < 0.97
-    assert abs(plan.t[-1] / least_time(RneaDynamics(driven), CORNER, EFFORT, steps=200) - 1.0) < 5e-3
+    assert abs(plan.t[-1] / least_time(RneaDynamics(driven), CORNER, EFFORT, steps=120) - 1.0) < 5e-3
 
 
 def test_carriers_make_the_corner_faster() -> None:
@@ -269,5 +269,5 @@ def test_what_is_not_covered_is_refused() -> None:
 def test_weight_beyond_the_efforts_is_infeasible() -> None:
     heavy = RneaDynamics(zoo.robot_of("3rrr", carriers=False, working_mode=MODE, gravity=(0.0, -9.81, 0.0)))
     with pytest.raises(InfeasiblePlanError) as caught:
-        plan_time_optimal(heavy, CORNER, effort=EFFORT, steps=20)
+        plan_time_optimal(heavy, CORNER, effort=EFFORT, steps=6)
     assert caught.value.details["constraint"] == "effort"
