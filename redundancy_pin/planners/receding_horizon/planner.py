@@ -209,7 +209,8 @@ class RecedingHorizon:
         flat |= {"jerk": jerk, "effort": effort, "carrier_force": carrier_force}
         self._count = round(horizon / step) + EXTRA
         self._solver = solver
-        self._bounded: tuple[bool, ...] = ()
+        self._bounded = (False, False)
+        self._programmes: dict[bool, Programme] = {}
         self.limits = grouped("limits", limits, Limits, **flat)
         self._source: object = None
         self._preview: Preview | None = None
@@ -224,11 +225,20 @@ class RecedingHorizon:
 
     @limits.setter
     def limits(self, limits: Limits) -> None:
-        robot, self._given_limits, self.resolved = self.robot, limits, limits.resolved(self.robot)
-        bounded = tuple(bool(np.isfinite(part).any()) for part in (self.resolved.jerk, self.resolved.carrier_force))
-        if self._bounded != bounded:
-            self._bounded = bounded
-            self._programme = Programme(robot.n, robot.m, robot.k, self._count, self._solver, *bounded)
+        self._given_limits, self.resolved = limits, limits.resolved(self.robot)
+        jerk, force = (bool(np.isfinite(part).any()) for part in (self.resolved.jerk, self.resolved.carrier_force))
+        if self._bounded != (jerk, force):
+            self._bounded = (jerk, force)
+            self._programmes.clear()
+
+    def programme(self, elastic: bool) -> Programme:
+        """Return the programme of a tick, which is put together once."""
+        if elastic not in self._programmes:
+            robot = self.robot
+            sizes = robot.n, robot.m, robot.k, self._count
+            jerk, force = self._bounded
+            self._programmes[elastic] = Programme(*sizes, self._solver, jerk, force, elastic)
+        return self._programmes[elastic]
 
     def update(self, t: float, preview: Source, s: ArrayLike | None = None, sd: ArrayLike | None = None) -> Command:
         """Return what to do from a time on.
@@ -365,7 +375,7 @@ class _Tick:
         self._counts = lin.known.copy()
         self._counts[0] &= free or (0 in lin.singular)
 
-    def _equations(self) -> dict[str, tuple[Array, Array]]:
+    def _equations(self, elastic: bool) -> dict[str, tuple[Array, Array]]:
         lin, (us, ud, ua), ut, row = self._lin, self._u, self._sizes.tau, self._sizes.row
         count, n = lin.f.shape
         h, k = np.diff(lin.nodes)[:, None], len(us)
@@ -404,17 +414,18 @@ class _Tick:
                 start[0, :-1], start[0, -1] = base[0], 1.0
                 value_at_start = value[0] + by_jerk[0] @ self._jerk / size[0, 0]
         first = active[:1] & (self._jerk is not None)
+        entries = slice(None) if elastic else slice(-1)  # the last of a row is what is missing
         return {
             "position": (position.reshape(-1, 5), none),
             "speed": (speed.reshape(-1, 4), none),
-            "dynamics": _counting(np.repeat(self._counts, n), wide, right.ravel()),
-            "before": _counting(active[1:], before[1:], value[1:]),
-            "start": _counting(first, start, np.array([value_at_start if first[0] else 0.0])),
-            "after": _counting(active[:-1], after[:-1], value[:-1]),
+            "dynamics": _counting(np.repeat(self._counts, n), wide[:, entries], right.ravel()),
+            "before": _counting(active[1:], before[1:, entries], value[1:]),
+            "start": _counting(first, start[:, entries], np.array([value_at_start if first[0] else 0.0])),
+            "after": _counting(active[:-1], after[:-1, entries], value[:-1]),
         }
 
     def _inequalities(self, low: Array, high: Array, speed: Array) -> dict[str, tuple[Array, Array, Array]]:
-        programme, lin, limits, (us, ud, ua) = self._planner._programme, self._lin, self._planner.resolved, self._u
+        lin, limits, (us, ud, ua) = self._lin, self._planner.resolved, self._u
         count, m = len(lin.nodes), lin.W.shape[2]
         h, one = np.diff(lin.nodes)[:, None], np.ones((count - 1, len(us)))
         there = np.repeat(self._counts, m)[:, None]
@@ -440,10 +451,10 @@ class _Tick:
             "stop": (stop, low[-1], high[-1]),
             "stop_back": (stop * [1.0, -1.0], low[-1], high[-1]),
         }
-        if "jerk" in programme.within.blocks:
+        if np.isfinite(limits.jerk).any():
             most = limits.jerk * h / ua
             rows["jerk"] = (np.stack([-one, one], axis=-1).reshape(-1, 2), -most, most)
-        if "force" in programme.within.blocks:
+        if np.isfinite(limits.carrier_force).any():
             motion = zip(lin.force_slopes, (lin.at.s, lin.at.sd, lin.at.sdd), self._u, strict=True)
             parts = [(part * unit, np.einsum("nik,nk->ni", part, at)) for part, at, unit in motion]
             size = np.where(np.isfinite(limits.carrier_force), limits.carrier_force, 1.0)
@@ -455,7 +466,8 @@ class _Tick:
 
     def values(self, elastic: bool) -> Values:
         """Return the numbers of the programme; an elastic one lets out what the start is beyond."""
-        programme, lin, limits, w = self._planner._programme, self._lin, self._planner.resolved, self._planner.weights
+        planner, lin = self._planner, self._lin
+        programme, limits, w = planner.programme(elastic), planner.resolved, planner.weights
         (us, ud, ua), ut, (s, sd, _) = self._u, self._sizes.tau, self._first
         each_node = np.ones((len(lin.nodes), 1))
         low, high, speed = limits.track[:, 0] * each_node, limits.track[:, 1] * each_node, limits.speed * each_node
@@ -480,8 +492,6 @@ class _Tick:
                 lower[at[0]] = upper[at[0]] = value / unit
         if not self._counts[0]:
             lower[programme.tau[0]], upper[programme.tau[0]] = 0.0, 0.0
-        if not elastic:
-            lower[programme.missing], upper[programme.missing] = 0.0, 0.0
         step = np.diff(lin.nodes, prepend=lin.nodes[0], append=lin.nodes[-1])
         share = (step[:-1] + step[1:])[:, None] / (lin.nodes[-1] - lin.nodes[0])
         P = np.full(programme.variables, 1e-8)
@@ -498,15 +508,17 @@ class _Tick:
         P[programme.sdd[:-1]] += 2.0 * jerk
         P[programme.sdd[1:]] += 2.0 * jerk
         P = programme.hessian(P, -2.0 * jerk)
-        A, b = programme.equal.values(self._equations())
+        A, b = programme.equal.values(self._equations(elastic))
         G, least, largest = programme.within.values(self._inequalities(low, high, speed))
         return Values(P, np.zeros(programme.variables), A, b, G, least, largest, lower, upper)
 
     def command(self, t: float, last: Command | None, roots: Array, preview: Preview) -> Command:
-        programme, lin = self._planner._programme, self._lin
+        planner, lin = self._planner, self._lin
+        programme = planner.programme(elastic=False)
         began, status, reason = time.perf_counter(), PlanningStatus.PLANNED, ""
         x, solved = programme.solve(self.values(elastic=False))
         if not solved:
+            programme = planner.programme(elastic=True)
             x, solved = programme.solve(self.values(elastic=True))
             status = PlanningStatus.ELASTIC
             reason = "no plan keeps every limit"

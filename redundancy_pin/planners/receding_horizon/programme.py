@@ -75,24 +75,27 @@ Solve: TypeAlias = Callable[[Values], tuple[Array, bool]]
 class Programme:
     """Which variable and which row stands where.
 
-    Variables, all over their sizes: s, ṡ, s̈ (k each), τ (m) and what is missing of W τ = f (n + 2) at each of the
-    nodes; the peak.
+    Variables, all over their sizes: s, ṡ, s̈ (k each), τ (m) and, in an elastic one, what is missing of W τ = f (n + 2)
+    at each of the nodes; the peak.
     """
 
-    def __init__(self, n: int, m: int, k: int, steps: int, solver: str, jerk: bool, force: bool) -> None:
-        width = 3 * k + m + n + 2
+    def __init__(self, n: int, m: int, k: int, steps: int, solver: str, jerk: bool, force: bool, elastic: bool) -> None:
+        spare = n + 2 if elastic else 0
+        width = 3 * k + m + spare
         self.variables = (steps + 1) * width + 1
         at, carrier = np.arange(steps + 1)[:, None] * width, np.arange(k)
         self.s, self.sd, self.sdd = s, sd, sdd = tuple(at + j * k + carrier for j in range(3))
         self.tau = tau = at + 3 * k + np.arange(m)
-        self.missing = missing = at + 3 * k + m + np.arange(n + 2)
+        self.missing = missing = at + 3 * k + m + np.arange(spare)
         self.peak = self.variables - 1
         first, last = slice(0, -1), slice(1, None)
         wide = np.concatenate([tau, s, sd, sdd], axis=1)
         self.equal, self.within = equal, within = Rows(), Rows()
         equal.add("position", s[first], sd[first], sdd[first], sdd[last], s[last])
         equal.add("speed", sd[first], sdd[first], sdd[last], sd[last])
-        equal.add("dynamics", np.concatenate([np.repeat(wide, n, axis=0), missing[:, :n].reshape(-1, 1)], axis=1))
+        equal.add(
+            "dynamics", np.concatenate([np.repeat(wide, n, axis=0), missing[:, :n].reshape(len(tau) * n, -1)], axis=1)
+        )
         equal.add("before", np.concatenate([wide[last], sdd[first], missing[last, n : n + 1]], axis=1))
         equal.add("start", np.concatenate([wide[:1], missing[:1, n : n + 1]], axis=1))
         equal.add("after", np.concatenate([wide[first], sdd[last], missing[first, n + 1 :]], axis=1))
