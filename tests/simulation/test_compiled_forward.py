@@ -65,7 +65,7 @@ def machine(name: str) -> Robot:
 MACHINES = ("2rpr", "3rrr", "four_bar", "continuous")
 
 
-@pytest.mark.long_for("four_bar")
+@pytest.mark.long_for("four_bar", "continuous")
 @pytest.mark.parametrize(
     "name", [*MACHINES, *(pytest.param(name, marks=pytest.mark.long) for name in ("gough", "hinge"))]
 )

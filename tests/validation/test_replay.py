@@ -125,6 +125,7 @@ def rest_to_rest(robot):
     return rp.trajectory.Trajectory(path, rp.trajectory.RestToRest(path.length, duration=0.5))
 
 
+@pytest.mark.long_for("five_bar", "2rpr")
 @pytest.mark.parametrize("name", ["2rpr", "3rrr", "five_bar", "four_bar", "gough"])
 def test_efforts_of_a_parked_motion_move_any_robot_along_it(name):
     robot = moving.massive(name)

@@ -257,6 +257,7 @@ ELSEWHERE = ("{elsewhere}/secret.stl", "file://{elsewhere}/secret.stl", "../../.
              "package://elsewhere/secret.stl")  # fmt: skip
 
 
+@pytest.mark.long_for(OWN[1], OWN[3], *ELSEWHERE[:2])
 @pytest.mark.parametrize("filename", [*OWN, *ELSEWHERE])
 def test_a_robot_that_a_file_names_is_drawn_with_its_own_meshes_only(
     tmp_path: Path, filename: str, caplog: pytest.LogCaptureFixture
