@@ -48,11 +48,12 @@ _FINER = {
 """What helps a planner whose samples do not show its efforts."""
 
 
-def warn(plan: Plan) -> None:
-    """Print in one line on stderr what is wrong with a plan; nothing if it is within its limits."""
+def warn(plan: Plan, *, ranges: bool = True) -> None:
+    """Print in one line on stderr what is wrong with a plan, or all but ``ranges`` of joints; nothing if nothing is."""
     check = plan.between
-    if plan.status is PlanStatus.VIOLATES_LIMITS:
-        output.warning(f"limits broken: {_events(plan, plan.limits.violated, '; ', broken=True)}.")
+    broken = tuple(event for event in plan.limits.violated if ranges or event.quantity != "range")
+    if broken and plan.status is PlanStatus.VIOLATES_LIMITS:
+        output.warning(f"limits broken: {_events(plan, broken, '; ', broken=True)}.")
     if plan.status is PlanStatus.UNBOUNDED_EFFORT:
         bad = np.flatnonzero(~np.isfinite(plan.tau).all(axis=1))
         if len(bad) or check is None:
@@ -352,5 +353,5 @@ def _run(
     output.report(as_json, facts, _table(result, facts))
     for one in left:
         output.warning(f"{one}.")
-    warn(result)  # last, and on stderr: what is wrong with a plan is the line a user sees
+    warn(result, ranges=not left)  # last, and on stderr: what is wrong with a plan is the line a user sees
     return EXIT_CODES.get(result.status, BREAKS_LIMITS)

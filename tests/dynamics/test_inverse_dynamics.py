@@ -222,7 +222,8 @@ def test_a_plan_whose_motion_leaves_a_limit_says_so(tmp_path: Path) -> None:
     (tmp_path / "2rpr.urdf.xacro").write_text(text.replace(limit, limit.replace('upper="1000"', 'upper="1.4"')))
     line = ("plan", "switch-off", "--trajectory", "line", "--threshold", "4", "--dt", "0.02", "--json")
     result = call(*line, "--robot", tmp_path)
-    assert result.exit_code == 0
+    assert result.exit_code == 3
+    assert "limits broken" not in result.stderr  # the same in other words
     robot, motion = zoo.robot_of("2rpr"), reference.line().sample(0.02)
     q = rp.lift(robot, motion).q
     beyond = {
