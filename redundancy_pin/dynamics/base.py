@@ -237,9 +237,10 @@ class Dynamics(Protocol):
             loaded = self.with_external(*external)
             return loaded.reduce(motion, carriers, unreachable=unreachable, check_track=check_track)
         require_sampled(motion)
+        matched = require_matching_carriers(self.robot, carriers, len(motion))
         require_consistent(motion, carriers)
         if check_track:
-            require_on_track(self.robot, require_matching_carriers(self.robot, carriers, len(motion)), motion.t)
+            require_on_track(self.robot, matched, motion.t)
         return self.along(motion, unreachable=unreachable).reduce(carriers)
 
     def sample(

@@ -146,6 +146,7 @@ def inverse_dynamics(
     """
     dynamics = dynamics.with_external(*external) if external else dynamics
     require_sampled(motion)
+    require_matching_carriers(dynamics.robot, carriers, len(motion))
     require_consistent(motion, carriers)
     return _part(dynamics, motion, carriers, unreachable, motion.check_rates, {})[0]
 

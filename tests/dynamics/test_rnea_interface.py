@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zoo
 
-from redundancy_pin import CarrierMotion, PlatformMotion
+from redundancy_pin import CarrierMotion, PlatformMotion, inverse_dynamics
 from redundancy_pin.dynamics.base import ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import CarrierLimitError, InputError, UnreachablePoseError
@@ -110,6 +110,8 @@ def test_carriers_that_do_not_fit_are_refused(samples: int, carriers: int) -> No
     motion = zoo.smooth_motion(robot, 14).at(np.linspace(0.0, 1.0, 5))
     with pytest.raises(InputError, match=r"expected \(5, 3\)"):
         RneaDynamics(robot).reduce(motion, CarrierMotion.parked(samples, carriers))
+    with pytest.raises(InputError, match=r"expected \(5, 3\)"):
+        inverse_dynamics(RneaDynamics(robot), motion, CarrierMotion.parked(samples, carriers))
 
 
 def test_results_are_read_only_and_of_the_stated_shapes(shipped: Robot) -> None:
