@@ -94,7 +94,7 @@ def main() -> None:
     for squeeze in (0.0, 20.0):
         found, wrench = torques(robot, motion, squeeze)
         print(
-            f"squeezed by {-wrench[:, 1].mean():.3g} N: largest torque {np.abs(found.tau).max():.2f} N·m, "
+            f"squeezed by {-wrench[:, 1].mean():.1f} N: largest torque {np.abs(found.tau).max():.2f} N·m, "
             f"largest moment at the right tool {np.linalg.norm(wrench[:, 3:], axis=1).max():.2f} N·m"
         )
     if chosen.html:
