@@ -21,7 +21,7 @@ COMMANDS: Mapping[str, str] = {
     "inverse-dynamics": "Compute the efforts along a motion.",
     "map": "What a machine can do: two parameters swept.",
     "new": "Propose a robot.yaml for a URDF.",
-    "online": "Plan a motion as if on line, tick after tick.",
+    "online": "Plan a motion as if on line.",
     "plan": "Plan the motion of the carriers.",
     "reproduce": "Run the experiments of the thesis.",
     "show": "Show a robot in motion.",
