@@ -62,7 +62,7 @@ long: $(STAMP) ## long lists of random cases, ten times as many examples, counts
 study: $(STAMP) ## DRAWS imperfect machines through singularities, into study/ (goes on where it was interrupted)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/redundancy-pin study --draws $(DRAWS) --out study
 
-bench: $(STAMP) ## time the backends and planners
+bench: $(STAMP) ## time the backends and planners; published problems into docs/published_problems.md
 	$(BIN)/python benchmarks/run.py
 
 pictures: $(STAMP) ## draw the pictures of the README into docs/pictures

@@ -69,7 +69,12 @@ def workspace(
     words = {name: f"--{name}" for name in (*wanted, "resolution")}
     with output.progress("workspace") as advance, in_words(OPTIONS.knowing(words)):
         loaded = robot.load()
-        if wanted["at"] and len(wanted["at"]) == 7 and is_pose(loaded):
+        if wanted["at"] and is_pose(loaded):
+            if len(wanted["at"]) != 7:
+                raise InputError(
+                    f"--at has {len(wanted['at'])} numbers, and {loaded.name} moves through poses.",
+                    remedy="Write seven: position and unit quaternion x, y, z, w.",
+                )
             wanted["at"] = checked_poses(np.array([wanted["at"]]), "--at")[0]
         advance(0, 2, "grid")
         modes = "all" if all_modes else "own"

@@ -68,6 +68,11 @@ def test_a_slice_goes_through_a_pose(tmp_path: Path) -> None:
         assert abs(float(row["margin"])) == pytest.approx(np.linalg.svd(np.array(legs))[1][-1], abs=1e-9)
 
 
+def test_a_pose_has_seven_numbers() -> None:
+    assert "Write seven" in refused("workspace", "--robot", "gough", "--at", "0,0,0.6")
+    assert "norm" in refused("workspace", "--robot", "gough", "--at", "0,0,0.6,0,0,0,2")
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

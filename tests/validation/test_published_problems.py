@@ -34,7 +34,8 @@ def test_andrews_mechanism_ends_where_it_is_published_to() -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_problems_follow_their_equations(name: str) -> None:
     problem = CASES[name]
-    run = problem.run(duration=SHORT.get(name, min(problem.duration, 1.0)))
+    stiff = problem.settings.get("integrator") == "Radau"  # for as long as it takes its Jacobians to go wrong
+    run = problem.run(duration=SHORT.get(name, problem.duration if stiff else min(problem.duration, 1.0)))
     assert run.status is SimulationStatus.COMPLETED, run.reason
     assert problem.error(run) < (1e-7 if "rtol" in problem.settings else 1e-9)
 
