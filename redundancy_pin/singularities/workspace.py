@@ -252,7 +252,7 @@ class _Flood:
                 self.solved[targets[k]] = True
                 self._spread(targets[k : k + 1])
                 self._name(np.flatnonzero(self.solved & ~earlier))
-        self.part = np.unique(np.append(self.part, -1), return_inverse=True)[1][:-1] - 1  # without gaps
+        self.part = np.unique(np.append(self.part, [-1, 0]), return_inverse=True)[1][:-2] - 1  # without gaps
         self.q[self.part < 0] = np.nan
 
     def _name(self, new: IntArray) -> None:

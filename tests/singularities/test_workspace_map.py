@@ -103,9 +103,10 @@ def test_a_part_that_is_not_connected_is_found(modes: bool) -> None:
     assert not found.reachable[0][~inside].any()
     above = np.broadcast_to(y > 0.0, inside.shape)
     assert (found.island[0] == np.where(found.reachable[0], np.where(above, 0, 1), -1)).all()  # the reference is above
-    # outlined, in no colour of the scale
-    outline = rp.plot.workspace(found)
-    assert [text.get_text() for text in outline.legends[0].get_texts()][-1] == "not reached from the reference"
+    drawn = rp.plot.workspace(found)
+    assert [text.get_text() for text in drawn.legends[0].get_texts()][-1] == "not reached from the reference"
+    [outline] = [one for one in drawn.axes[0].collections if one.get_linestyle()[0][1] is not None]
+    assert (np.concatenate([path.vertices for path in outline.get_paths()])[:, 1] < 0.0).all()  # about the part below
 
 
 @pytest.mark.parametrize("free", [("x", "z"), ("x", "y", "z")])
