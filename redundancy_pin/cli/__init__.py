@@ -15,7 +15,7 @@ __all__ = ["main"]
 COMMANDS: Mapping[str, str] = {
     "check": "Judge a saved plan anew.",
     "codegen": "Write C for a controller.",
-    "design": "Design one machine for several tasks.",
+    "design": "Design a machine for several tasks.",
     "export": "Write a plan for other programs.",
     "info": "Show a robot, or which there are.",
     "inverse-dynamics": "Compute the efforts along a motion.",
