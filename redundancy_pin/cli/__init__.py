@@ -28,7 +28,7 @@ COMMANDS: Mapping[str, str] = {
     "simulate": "Simulate a machine that is to follow a plan or a motion.",
     "singularities": "Find singularities: a map, instants of a motion.",
     "study": "Drive imperfect machines through singularities, many times.",
-    "trade": "What one quantity costs in another: a Pareto front of plans.",
+    "trade": "Draw a Pareto front of plans.",
     "validate": "Check the dynamics on random states.",
     "workspace": "Map where the platform can go.",
 }
