@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from redundancy_pin.arrays import NEAR_SINGULAR_MARGIN, Array, BoolArray, IntArray
 from redundancy_pin.crosscheck.cases import Case
-from redundancy_pin.crosscheck.closed_forward import ClosedForward, held_in_planes, not_covered
+from redundancy_pin.crosscheck.closed_forward import ClosedForward, held_in_planes
 from redundancy_pin.crosscheck.load_power import load_efforts, load_energy, load_power
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
 from redundancy_pin.dynamics.rnea import RneaDynamics
@@ -217,10 +217,8 @@ def check_round_trip(case: Case, dynamics: Dynamics, label: str) -> Iterator[Dev
 
 def round_trip_needs(robot: Robot) -> str:
     """Return why there is no round trip for a robot; empty if there is one."""
-    if robot.m < robot.n and robot.platform is not None:
-        return "fewer motors than freedoms of the platform"
-    about_one = not_covered(robot)
-    return f"the closure {about_one} is about one axis" if about_one else ""
+    weak = robot.m < robot.n and robot.platform is not None
+    return "fewer motors than freedoms of the platform" if weak else ""
 
 
 def check_derivatives(case: Case, along: DynamicsAlongMotion, label: str) -> Iterator[Deviation]:

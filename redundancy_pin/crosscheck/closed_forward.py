@@ -7,7 +7,9 @@ along its axis e holds e·r = 0, so that with ė = ω × e
     e·r̈ + 2 ė·ṙ + (α × e + ω × ė)·r = 0,
 
 and one about it e·(ω_b − ω) = 0, so that e·(α_b − α) + ė·(ω_b − ω) = 0, which is what two or three such rows say (what
-is left free is a turn about one fixed axis, or none). Nothing of ``kinematics`` is used.
+is left free is a turn about one fixed axis, or none). A single one, of axes e, f, g in cyclic order, is a universal
+joint, whose axes stay normal to one another: g of frame a and f of frame b, and f × g takes the place of e. Nothing of
+``kinematics`` is used.
 """
 
 from __future__ import annotations
@@ -24,11 +26,6 @@ _IDLE = 1e-12
 """Rounding of a row of a one-metre machine."""
 
 
-def not_covered(robot: Robot) -> str:
-    """Return the name of a closure about a single axis, whose row is no turn; empty if there is none."""
-    return next((each.name for each in robot.closures if sum(axis in AXES[3:] for axis in each.axes) == 1), "")
-
-
 def held_in_planes(robot: Robot, q: Array, v: Array) -> bool:
     """Return whether points that are held along x and y cannot leave that plane at all, as in a plane machine.
 
@@ -43,7 +40,7 @@ class ClosedForward:
     """Accelerations of one robot under generalised forces, one state at a time.
 
     Args:
-        robot: the robot; see ``not_covered``.
+        robot: the robot.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -105,6 +102,12 @@ class ClosedForward:
                 )
                 bias += (np.cross(alpha, e) + np.cross(omega, turned)) @ r
             else:
+                if sum(each in AXES[3:] for each in closure.axes) == 1:
+                    f, g = second.rotation[:, (place + 1) % 3], first.rotation[:, (place + 2) % 3]
+                    e, turned = (
+                        np.cross(f, g),
+                        np.cross(np.cross(speeds[1].angular, f), g) + np.cross(f, np.cross(omega, g)),
+                    )
                 row = e @ (Jb - Ja)[3:]
                 bias = e @ (seconds[1].angular - alpha) + turned @ (speeds[1].angular - omega)
             found.append((row, float(bias)))
