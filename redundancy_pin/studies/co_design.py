@@ -432,15 +432,14 @@ def compare_machines(
             record: Record = {"machine": machine, "task": name, **parameters, "mass": pin.computeTotalMass(robot.model),
                               "value": None, "status": "no plan", "reason": None,
                               "optimal": made is None or made.optimal}  # fmt: skip
-            try:
-                plan, outcome = optimise(_planning_task(task, robot))
-            except NO_MACHINE as error:
-                records.append({**record, "reason": error.message})
-                continue
-            if made and name in names:  # begun from the plans of machines on the way, it may be another optimum
-                plan = made.plans[names.index(name)]
-                value = float(made.values[names.index(name)])
+            if made and name in names:
+                plan, value = made.plans[names.index(name)], float(made.values[names.index(name)])
             else:
+                try:
+                    plan, outcome = optimise(_planning_task(task, robot))
+                except NO_MACHINE as error:
+                    records.append({**record, "reason": error.message})
+                    continue
                 value = _value(outcome)
             shown = numbers(plan)
             records.append(

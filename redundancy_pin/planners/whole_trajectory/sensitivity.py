@@ -70,7 +70,7 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, machines: Sequ
         UnsupportedRobotError: f is an expression, as with carriers on carriers.
     """
     problem, solution = outcome.problem, outcome.solution
-    if problem.exact is not None:
+    if problem.exact is not None or solution.rows["elastic"]:
         raise UnsupportedRobotError(
             f"f of {task.dynamics.robot.name} has other terms than those of carriers that slide or turn on a link: how "
             "the optimum changes with the machine is not known.",
@@ -78,7 +78,7 @@ def design_gradient(task: Task, outcome: Outcome, slopes: Slopes, machines: Sequ
         )
     carriers, motion = problem.carriers(solution.values), task.source.sample_at(problem.grid.t)
     at_nodes, tau = slopes(motion, carriers), solution.tau(problem)
-    turned = [_turned(task, problem, node, carriers, tau[node.index], slopes) for node in problem.singular]
+    turned = [_turned(task, problem, node, carriers, tau, slopes) for node in problem.singular]
     at_optimum, at_length = _lagrangian(outcome, problem), task.dynamics.robot.characteristic_length
     terms = ((weight, OBJECTIVES[name]) for name, weight in problem.settings.objective.items())
     size = sum(weight * term.size(problem.scales) for weight, term in terms)
@@ -136,8 +136,14 @@ def _turned(task: Task, problem: Problem, node: SingularNode, plan: CarrierMotio
     _, f_rate = at(reduced.f)
     by_W, by_W_rate = at(by_design.W)
     _, by_f_rate = at(by_design.f)
-    tau_rate = np.linalg.lstsq(W, f_rate - W_rate @ tau, rcond=1e-6)[0]
-    change: Array = np.einsum("imd,m->id", by_W_rate, tau) + np.einsum("imd,m->id", by_W, tau_rate) - by_f_rate
+    tau_rate = np.linalg.lstsq(W, f_rate - W_rate @ tau[i], rcond=1e-6)[0]
+    # what W annihilates of it decides nothing here but how the instant moves: the plan's own slope is near enough
+    null = np.eye(W.shape[1]) - np.linalg.pinv(W, rcond=1e-6) @ W
+    around = [j for j in (i - 1, i + 1) if 0 <= j <= len(h) and problem.grid.t[j] != t]
+    at_steps = np.array([(tau[j] - tau[i]) / (problem.grid.t[j] - t) for j in around])
+    share = np.abs([problem.grid.t[j] - t for j in around[::-1]])
+    tau_rate = tau_rate + null @ (share @ at_steps / share.sum())
+    change: Array = np.einsum("imd,m->id", by_W_rate, tau[i]) + np.einsum("imd,m->id", by_W, tau_rate) - by_f_rate
     return change
 
 

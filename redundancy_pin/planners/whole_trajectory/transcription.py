@@ -393,7 +393,11 @@ def transcribe(
     ``limit_force``: whether the limits of the carriers' forces are held.
     """
     programme = Transcription(problem, elastic)
-    programme.nlp.rows = {"between": None if between is None else tuple(between), "limit_force": limit_force}
+    programme.nlp.rows = {
+        "elastic": tuple(elastic),
+        "between": None if between is None else tuple(between),
+        "limit_force": limit_force,
+    }
     programme.motion()
     programme.dynamics()
     if limit_force and np.isfinite(problem.settings.limits.carrier_force).any():
