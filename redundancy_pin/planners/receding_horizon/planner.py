@@ -45,7 +45,12 @@ BEYOND = 1e-6
 """Room in an elastic programme for a start that is on its limit, m."""
 
 CONVERGED = 2.5
-"""Steps before a singular instant in which a tick has two rounds: what is left of uᵀ f there is magnified by W⁻¹."""
+"""Steps before a singular instant in which a tick has several rounds: W⁻¹ magnifies what is left of uᵀ f there."""
+
+EXACT = 1e-6
+"""Fraction of f that may be left."""
+
+MOST_ROUNDS = 5
 
 SMALLEST = 0.05
 """Efforts count as of size one from this fraction of those of parked carriers."""
@@ -264,10 +269,12 @@ class RecedingHorizon:
             for part, name in ((s, "s"), (sd, "sd"))
         )
         last, about = self._last, self._last
-        for _ in range(self._rounds(t)):
+        for rounds in range(1, MOST_ROUNDS + 1):
             command = self._plan(t, self._preview, given, last, about)
             if about is last or command.status is not PlanningStatus.FALLBACK:
                 about = command
+            if rounds >= (FIRST_ROUNDS if last is None else 1) and not self._is_rough(t, command):
+                break
         self._last = command = replace(about or command, seconds=time.perf_counter() - began)
         self.largest = max(self.largest, float(np.abs(command.efforts(np.linspace(t, t + self.step, 5))).max()))
         return command
@@ -282,11 +289,12 @@ class RecedingHorizon:
             raise InputError("There is no plan to go on with.", remedy="Call update first.")
         return replace(self._last, t=t, status=PlanningStatus.FALLBACK, reason="the tick was missed")
 
-    def _rounds(self, t: float) -> int:
-        if self._last is None:
-            return FIRST_ROUNDS
-        roots = self._last.singular
-        return 2 if ((roots > t) & (roots < t + CONVERGED * self.step)).any() else 1
+    def _is_rough(self, t: float, command: Command) -> bool:
+        """Return whether a plan leaves force out next to a singular instant, which another round would put right."""
+        roots = command.singular
+        near = ((roots > t) & (roots < t + CONVERGED * self.step)).any()
+        exact = self._sizes is None or command.residual <= EXACT * float(self._sizes.row.max())
+        return bool(near) and command.status is PlanningStatus.PLANNED and not exact
 
     def _plan(
         self,

@@ -18,9 +18,9 @@ SOLVERS: dict[str, dict[str, Any]] = {
     "piqp": {"piqp": {"max_iter": 60}},
     "proxqp": {"proxqp": {"max_iter": 400}},
     "osqp": {"osqp": {"eps_abs": 1e-5, "eps_rel": 1e-5, "max_iter": 4000, "verbose": False}},
-    "qrqp": {"print_iter": False, "print_header": False},
 }
-"""Solvers of casadi that take the programme, and their options; ``benchmarks/online.py`` compares them."""
+"""Solvers of casadi that take the programme, and their options. PIQP takes a tenth of the time of the others; HPIPM
+refuses rows that couple three nodes, and QRQP finds no solution (``benchmarks/online.py``)."""
 
 
 class Rows:

@@ -1,8 +1,10 @@
 """On-line planning, judged by the other backend: W τ = f, limits between the nodes, singular instants, statuses."""
 
+import itertools
 from functools import cache
 
 import numpy as np
+import online
 import pytest
 
 import redundancy_pin as rp
@@ -241,3 +243,24 @@ def test_ticks_do_not_go_back_in_time():
     planner.update(0.1, ACROSS)
     with pytest.raises(InputError, match=r"after one at 0\.1 s"):
         planner.update(0.05, ACROSS)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "number"), [("2rpr", i) for i in range(3, 8)] + [("five_bar", i) for i in range(2, 5)]
+)
+def test_random_paths_are_planned_at_every_tick_and_keep_the_limits(name, number):
+    dynamics, other = machine(name)
+    trajectory = next(itertools.islice(online.random_paths(name, dynamics), number, None))
+    run = run_online(RecedingHorizon(dynamics), trajectory)
+    assert run.counts["planned"] >= 0.99 * len(run.commands)
+    assert run.plan.diagnostics["missing_force"] < 0.01 * np.abs(run.plan.tau).max()
+    if run.counts["planned"] == len(run.commands):
+        assert_limits_between_nodes(run.plan, dynamics.robot)
+    away = (
+        np.abs(np.subtract.outer(run.plan.t, run.plan.diagnostics["singular_instants"])).min(axis=1, initial=1.0) > 0.01
+    )
+    t = run.plan.t[away]
+    reduced = other.reduce(trajectory.sample_at(t), run.plan.carriers_at(t), check_track=False)
+    tau = np.linalg.solve(reduced.W, reduced.f[..., None])[..., 0]
+    np.testing.assert_allclose(run.plan.tau[away], tau, rtol=1e-5, atol=1e-6 * np.abs(tau).max())
