@@ -18,6 +18,8 @@ from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedD
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.dynamics.virtual_work import VirtualWork
 from redundancy_pin.errors import RedundancyPinError
+from redundancy_pin.kinematics.closure import constraint_system
+from redundancy_pin.kinematics.continuation import near_rank_loss
 from redundancy_pin.kinematics.coordinates import row_scale
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot
@@ -120,7 +122,9 @@ _ENERGY_OFFSETS = np.array([-6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6])
 _ENERGY_WEIGHTS = np.array([1, -9, -128, 1197, -5760, 0, 5760, -1197, 128, 9, -1]) / 7560.0
 """Eighth-order differences: the sixth-order ones with steps h and 2 h, extrapolated so that h⁶ cancels. One random
 state in 1e5 changes so fast that the sixth-order ones leave 3e-8 at 0.5 ms, and 64 times less at every halving."""
-_ENERGY_STEP = 2e-4
+_ENERGY_STEP, _LONG_STEP, _TINY_MARGIN = 2e-4, 1e-3, 1e-5
+"""Steps, s, and the margin of a rank loss below which the long one is taken: rounding of configurations, which grows as
+the inverse of the margin, then outweighs what the differences leave out (cassie.sdf: 2e-8 and 5e-9)."""
 
 POWER = 1e-8
 MOMENTUM = 1e-8
@@ -132,24 +136,25 @@ DERIVATIVES = 1e-7
 
 def check_power(case: Case, dynamics: Dynamics, label: str) -> Iterator[Deviation]:
     """Power of all actuators equals the rate of the energy: ẋᵀ f + ṡᵀ F = dE/dt (ẋᵀ f = q̇ₐᵀ τ)."""
-    t = _apart(case.t)
+    step = _ENERGY_STEP if near_rank_loss(constraint_system(case.robot)) > _TINY_MARGIN else _LONG_STEP
+    t = _apart(case.t, max(step, _STEP))
     motion, carriers = case.motion(t), case.carriers(t)
     along = dynamics.along(motion)
     reduced = along.reduce(carriers)
     power = (reduced.f * motion.xd).sum(axis=1) + (reduced.carrier_force * carriers.sd).sum(axis=1)
-    spread = (t[:, None] + _ENERGY_STEP * _ENERGY_OFFSETS).ravel()
+    spread = (t[:, None] + step * _ENERGY_OFFSETS).ravel()
     wide, tracks = case.motion(spread), case.carriers(spread)
     if case.robot.loads:  # by their own definitions: the efforts that they ask for are judged
         bare = RneaDynamics(replace(case.robot, loads=()))
         states, around = bare.along(motion).tree_motion(carriers), bare.along(wide)
         q, v, _ = around.tree_motion(tracks)
-        power = power - load_power(case.robot, motion, *states[:2], q, _ENERGY_WEIGHTS / _ENERGY_STEP)
+        power = power - load_power(case.robot, motion, *states[:2], q, _ENERGY_WEIGHTS / step)
         energy = (around.energy(tracks) + load_energy(case.robot, q, v)).reshape(len(t), -1)
     else:
         energy = dynamics.along(wide).energy(tracks).reshape(len(t), -1)
     size = np.maximum(np.abs(reduced.f * motion.xd).sum(axis=1), np.abs(energy).max(axis=1))
     keep = _away(case, t)
-    deviation = np.abs(energy @ _ENERGY_WEIGHTS / _ENERGY_STEP - power) / np.maximum(size, 1e-3)
+    deviation = np.abs(energy @ _ENERGY_WEIGHTS / step - power) / np.maximum(size, 1e-3)
     yield f"power balance ({label})", deviation[keep], POWER
 
 
@@ -250,9 +255,9 @@ def _differentiate(values: Array) -> Array:
     return result / _STEP
 
 
-def _apart(t: Array) -> Array:
+def _apart(t: Array, step: float = _STEP) -> Array:
     """Return the times that are far enough apart for stencils around them not to overlap."""
-    spacing = 14.0 * _STEP
+    spacing = 14.0 * step
     slots = np.unique(np.round(t / spacing).astype(int))
     return np.asarray(slots * spacing)
 
