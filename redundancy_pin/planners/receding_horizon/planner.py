@@ -52,6 +52,9 @@ EXACT = 1e-6
 
 MOST_ROUNDS = 5
 
+PROXIMAL = 30.0
+"""Weight of the squared change of s̈ from round to round: they would go to and fro between two plans of one cost."""
+
 SMALLEST = 0.05
 """Efforts count as of size one from this fraction of those of parked carriers."""
 
@@ -333,7 +336,8 @@ class RecedingHorizon:
             share = min(max(last.peak / sizes.tau, SMALLEST), 1.0)
             sizes = _Sizes(share * sizes.tau, sizes.row)
         jerk = None if last is None else last.carriers.derivative(3)(nodes[:1], "left")[0]
-        return _Tick(self, lin, first, last is None, jerk, sizes).command(t, last, roots, preview)
+        proximal = PROXIMAL if about is not last else 0.0
+        return _Tick(self, lin, first, last is None, jerk, sizes, proximal).command(t, last, roots, preview)
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,6 +367,7 @@ class _Tick:
         free: bool,
         jerk: Array | None,
         sizes: _Sizes,
+        proximal: float,
     ) -> None:
         self._planner, self._lin, self._first, self._free, self._jerk, self._sizes = (
             planner,
@@ -374,6 +379,7 @@ class _Tick:
         )
         limits = planner.resolved
         width = np.diff(limits.track, axis=1)[:, 0]
+        self._proximal = proximal
         self._u = (
             np.where(np.isfinite(width), 0.5 * width, 1.0),
             np.where(np.isfinite(limits.speed), limits.speed, 1.0),
@@ -506,7 +512,9 @@ class _Tick:
         P[programme.tau] = w.effort * share
         P[programme.s] += w.centre * share
         lower[programme.peak] = w.memory * self._planner.largest / ut
-        P[programme.sdd] = w.acceleration * share
+        P[programme.sdd] = (w.acceleration + self._proximal) * share
+        q = np.zeros(programme.variables)
+        q[programme.sdd] = -self._proximal * share * lin.at.sdd / ua
         P[programme.s[-1]] += 2.0 * w.end
         P[programme.sd[-1]] += 2.0 * w.end_speed
         P[programme.missing] = w.missing
@@ -518,7 +526,7 @@ class _Tick:
         P = programme.hessian(P, -2.0 * jerk)
         A, b = programme.equal.values(self._equations(elastic))
         G, least, largest = programme.within.values(self._inequalities(low, high, speed))
-        return Values(P, np.zeros(programme.variables), A, b, G, least, largest, lower, upper)
+        return Values(P, q, A, b, G, least, largest, lower, upper)
 
     def command(self, t: float, last: Command | None, roots: Array, preview: Preview) -> Command:
         planner, lin = self._planner, self._lin
