@@ -233,6 +233,7 @@ def is_revolute(robot: Robot, name: str) -> bool:
     return not str(robot.model.joints[robot.model.getJointId(name)].shortname()).startswith("JointModelP")
 
 
+@lru_cache(maxsize=64)
 def angle_columns(robot: Robot) -> list[int]:
     """Columns known up to full turns: platform angles and continuous joints; a bounded joint counts its turns."""
     if robot.platform is not None:

@@ -153,6 +153,17 @@ class MotionReference:
             *self.loads(t),
         )
 
+    def course(self, t: float) -> tuple[Array, Array, Array, Array, Array]:
+        """Return x, ẋ, s, ṡ and all efforts (m + k) at time t, s: what a feedback compares with, in one look-up."""
+        flat, (a, b) = self._course.at(t), self._cuts
+        x, xd, _ = self._platform_of(flat[:a])
+        s, sd, _ = self._carriers_of(flat[a:b])
+        return x, xd, s, sd, flat[b:]
+
+    @cached_property
+    def _course(self) -> PiecewisePolynomial:
+        return self._platform.beside(self._carriers).beside(self.efforts)
+
     @cached_property
     def _motion(self) -> PiecewisePolynomial:
         """Platform, carriers and tree side by side: one look-up in place of three."""

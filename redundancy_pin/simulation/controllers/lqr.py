@@ -307,6 +307,7 @@ class TimeVaryingLqr(Tracking):
         self.weights = bryson_weights(reference) if weights is None else weights
         _require_weights(self.weights, 2 * (robot.n + robot.k), robot.m + robot.k)
         self._limit = np.concatenate(load_limits(robot, effort_limit, carrier_force_limit))
+        self._saturates = bool(np.isfinite(self._limit).any())
         self.model = linear_model(reference, step, dynamics)
         if sampling is None:
             self.t, self.riccati, self.holds_end = _continuous(self.model, self.weights)
@@ -329,20 +330,24 @@ class TimeVaryingLqr(Tracking):
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
-        robot, reference = self.robot, self.reference
-        point = reference.at(t)
-        error = state_error(robot, state, point.x, point.xd, point.s, point.sd)
-        planned = reference.efforts.at(t + self.lead)
+        robot, m = self.robot, self.robot.m
+        x, xd, s, sd, planned = self.reference.course(t)
+        error = state_error(robot, state, x, xd, s, sd)
         K = self.gain(t)
-        acting = self._acting(t)
+        if self.sampling is None:
+            command = planned - K @ error
+            if self._saturates:
+                command = np.clip(command, -self._limit, self._limit)
+            return command[:m], command[m:]
+        planned = self.reference.efforts.at(t + self.lead)
+        acting = self._acting(t, self.sampling.period)
         if K.shape[1] > len(error):
             error = np.concatenate([error, acting])
         command = np.clip(planned - K @ error, -self._limit, self._limit)
-        if self.sampling is not None:
-            self._memory = (t, command - planned, acting)
-        return command[: robot.m], command[robot.m :]
+        self._memory = (t, command - planned, acting)
+        return command[:m], command[m:]
 
-    def _acting(self, t: float) -> Array:
+    def _acting(self, t: float, period: float) -> Array:
         """Return δu of the sample one period before t; zero where there was none, as at the start of a simulation.
 
         Asked again for the same t, it gives the same again. What an earlier simulation left does not count.
@@ -350,7 +355,6 @@ class TimeVaryingLqr(Tracking):
         last, newest, before = self._memory
         if last == t:
             return before
-        period = 0.0 if self.sampling is None else self.sampling.period
         return newest if 0.0 < t - last < 1.5 * period else np.zeros_like(newest)
 
 
