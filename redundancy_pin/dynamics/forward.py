@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from redundancy_pin.arrays import Array
+from redundancy_pin.arrays import Array, BoolArray
 from redundancy_pin.robot import Robot
 
 
@@ -92,6 +92,25 @@ class Accelerations(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Feedback:
+    """Efforts less K(t) δz, where δz is (x, s, ẋ, ṡ) less a course; a pose is no x here.
+
+    Attributes:
+        efforts: polynomials of main efforts and carrier forces.
+        course: (2d) of the planned (x, s, ẋ, ṡ), on the same pieces.
+        gain: ((m + k) 2d) of K, row by row.
+        turning: (n,) coordinates whose difference goes the short way round.
+        limits: (m + k,) of what it commands, infinite for none.
+    """
+
+    efforts: Polynomials
+    course: Polynomials
+    gain: Polynomials
+    turning: BoolArray
+    limits: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Rules:
     """What an integration must keep to, and what makes a step one that its caller wants to see.
 
@@ -102,6 +121,7 @@ class Rules:
         breaks: (B,) times, s, at which the integration starts anew; the last one is the end.
         efforts: polynomials of main efforts and carrier forces; or None, where
         loads: is the function of the state that says what acts.
+        feedback: whose ``efforts`` these are, if they heed the state.
         prescribed: whether the carriers' motion is given (by ``loads``).
         limits: (m + k,) where main efforts and carrier forces saturate.
         stops: (4, l) index in q, index in v, side and bound of each stop.
@@ -123,6 +143,7 @@ class Rules:
     breaks: Array
     efforts: Polynomials | None
     loads: Loads | None
+    feedback: Feedback | None
     prescribed: bool
     limits: Array
     stops: Array

@@ -100,6 +100,7 @@ class MotionReference:
         edges: (P + 1,) ends of the pieces, s; efforts may jump or kink there and nowhere else.
         jumps: (j,) those of the inner edges, s, at which efforts jump; at the others their slope does.
         start, end: first and last time, s.
+        is_pose: whether the platform's coordinates are poses.
         efforts: τ and carrier forces as polynomials on the pieces.
         carrier_lag: (k,) largest distance of the carriers from the samples of a plan, m: what backward differences
             leave.
@@ -121,7 +122,7 @@ class MotionReference:
         self.carrier_lag, self.effort_deviation = carrier_lag, deviation
         self.efforts, self.jumps = series["loads"], series["loads"].jumps()
         self._carriers, self._platform, self._tree = (series[name] for name in ("carriers", "platform", "tree"))
-        self._is_pose = is_pose
+        self.is_pose = is_pose
         parts = (self._platform, self._carriers)
         self._cuts: list[int] = np.cumsum([part.coefficients.shape[2] for part in parts]).tolist()
 
@@ -161,6 +162,15 @@ class MotionReference:
         return x, xd, s, sd, flat[b:]
 
     @cached_property
+    def states(self) -> PiecewisePolynomial:
+        """(x, s, ẋ, ṡ) as polynomials on the pieces of the efforts."""
+        n, k, x = self.robot.n, self.robot.k, self._platform.coefficients.shape[2] - 2 * self.robot.n
+        both = self._platform.beside(self._carriers)
+        starts = (0, x), (x + 2 * n, k), (x, n), (x + 2 * n + k, k)
+        columns = np.concatenate([np.arange(first, first + size) for first, size in starts])
+        return PiecewisePolynomial(self.edges, read_only(both.coefficients[:, :, columns]))
+
+    @cached_property
     def _course(self) -> PiecewisePolynomial:
         return self._platform.beside(self._carriers).beside(self.efforts)
 
@@ -176,7 +186,7 @@ class MotionReference:
     def _platform_of(self, flat: Array) -> tuple[Array, Array, Array]:
         n = self.robot.n
         x = flat[: -2 * n]
-        return (x.reshape(4, 4) if self._is_pose else x), flat[-2 * n : -n], flat[-n:]
+        return (x.reshape(4, 4) if self.is_pose else x), flat[-2 * n : -n], flat[-n:]
 
     def _tree_of(self, flat: Array) -> tuple[Array, Array, Array]:
         nv = self.robot.model.nv

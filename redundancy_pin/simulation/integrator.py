@@ -278,6 +278,7 @@ class OrdinarySteps:
         self._problem, self._held = problem, sampling is not None
         amplifiers = machine.amplifiers
         self._by_time = machine.heeds_time_only and (self._held or amplifiers.open_loop is not None)
+        law = amplifiers.feedback if machine.heeds_time_only and not self._held else None
         nothing = PiecewisePolynomial.constant(np.zeros(len(amplifiers.limits)), grid[0], grid[-1])
         self._hold: Command | None = None
         rules = Rules(
@@ -286,8 +287,9 @@ class OrdinarySteps:
             grid=grid,
             same=SAME * float(grid[1] - grid[0]),
             breaks=np.array([part.end for part in parts]),
-            efforts=(amplifiers.open_loop or nothing) if self._by_time else None,
-            loads=None if self._by_time else self._loads,
+            efforts=(amplifiers.open_loop or nothing) if self._by_time else law.efforts if law else None,
+            loads=None if self._by_time or law else self._loads,
+            feedback=law,
             prescribed=machine.prescribed,
             limits=amplifiers.limits,
             stops=problem.functions.stops,

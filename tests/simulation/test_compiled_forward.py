@@ -34,7 +34,7 @@ from redundancy_pin.simulation import (
 )
 from redundancy_pin.simulation.controllers import NoisyAmplifier
 from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque, ReducedModel
-from redundancy_pin.simulation.controllers.lqr import linear_model
+from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr, linear_model
 from redundancy_pin.simulation.derivatives import linearise_along
 from redundancy_pin.simulation.state import Manifold
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
@@ -250,6 +250,40 @@ def test_plans_are_played_back_by_their_polynomials_and_saturate() -> None:
             return 0.5 * tau, force
 
     require_same(*both(robot, Half(reference), duration=0.1, **options), 1e-5)
+
+
+def test_a_linear_feedback_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Off its course, along angles a turn from those of the state, saturated; what a subclass changes is Python's."""
+    robot = moving.massive("3rrr")
+    motion = rp.trajectory.reference.corner(0.025).sample(0.02)
+    turned = rp.PlatformMotion(motion.t, motion.x + np.array([0.0, 0.0, 2.0 * np.pi]), motion.xd, motion.xdd)
+    reference = motion_reference(robot, turned, step=0.05)
+    x, xd, s, sd, efforts = reference.course(0.0)
+    start = closed_state(robot, x + np.array([0.002, -0.001, 0.003 - 2.0 * np.pi]), xd, s + 0.01, sd + 0.02)
+    options = {"start": start, "duration": 0.04, "dt": 0.02, "stop_at": ()}
+    asked = []
+    whole = TimeVaryingLqr.effort
+    monkeypatch.setattr(TimeVaryingLqr, "effort", lambda self, *at: asked.append(at) or whole(self, *at))
+    run, own = both(robot, TimeVaryingLqr(reference, step=0.05), **options)
+    require_same(run, own, 1e-6)
+    commanded = np.concatenate([run.tau[0], run.carrier_force[0]])
+    assert np.abs(commanded - efforts).max() > 0.1 * np.abs(efforts).max()
+    limit = 0.5 * np.abs(own.tau).max(axis=0)
+    law = TimeVaryingLqr(reference, step=0.05, effort_limit=limit)
+    run, own = both(robot, law, **options)
+    require_same(run, own, 1e-6)
+    assert (np.abs(run.tau) == limit).any()
+
+    class Softer(TimeVaryingLqr):
+        """Gains of its own."""
+
+        def gain(self, t: float) -> Array:
+            return 0.5 * super().gain(t)
+
+    for one, is_code in ((law, True), (Softer(reference, step=0.05), False)):
+        asked.clear()
+        run = rp.simulate(robot, one, dynamics=compiled(robot), **options)
+        assert (len(asked) < run.statistics.evaluations) == is_code  # the report asks for each sample
 
 
 @pytest.mark.parametrize("sampling", [Sampling(0.02), None])

@@ -33,6 +33,9 @@ typedef struct {
   /* what acts: polynomials of time on pieces, or a function */
   int prescribed, pieces, terms, saturates;
   const double *edges, *coefficients, *limits;
+  /* less K (x, s, x', s' less a course on the same pieces), within limits of its own; which coordinates go the short way */
+  int course_terms, gain_pieces, gain_terms;
+  const double *course, *gain_at, *gains, *feedback_limits, *turning;
   Loads loads;
   /* when efforts jump or kink, the last one being the end; when to record */
   int breaks, samples;
@@ -49,7 +52,7 @@ typedef struct {
 typedef struct {
   double t, next_step, near, largest_correction;
   long steps, evaluations, restarts;
-  int sample, piece, next_break;
+  int sample, piece, gain_piece, next_break;
 } Progress;
 
 static void copy(double *to, const double *from, int size) {
@@ -300,21 +303,55 @@ int rp_accelerations(const double *q, const double *v, const double *force, cons
   return accelerations(q, v, force, given, rank_tolerance, least_inertia, a, inertia, closure_force, missing);
 }
 
+/* Values of piecewise polynomials at an instant, those at the ends outside; *piece is where the last one was. */
+static void polynomials(const double *edges, int pieces, const double *coefficients, int terms, int width, double t,
+                        int *piece, double *values) {
+  while (*piece + 1 < pieces && t >= edges[*piece + 1]) ++*piece;
+  while (*piece > 0 && t < edges[*piece]) --*piece;
+  double left = edges[*piece], x = fmin(fmax(t, left), edges[*piece + 1]) - left;
+  const double *c = coefficients + (long)*piece * terms * width;
+  for (int i = 0; i < width; ++i) values[i] = 0.0;
+  for (int k = 0; k < terms; ++k)
+    for (int i = 0; i < width; ++i) values[i] = values[i] * x + *c++;
+}
+
+/* A linear feedback on the state, on top of the planned efforts u (M + NK). */
+static void feed_back(const Run *run, Progress *at, double t, const double *q, const double *v, double *u) {
+  enum { D = N_FREEDOMS + NK };
+  const double pi = 3.14159265358979323846;
+  double trig[2 * NT + 1], x[N_COORDINATES], xd[N_FREEDOMS], z[2 * D], K[(M + NK + 1) * 2 * D];
+  turns_of(q, trig);
+  const double *const arg[] = {q, trig, v};
+  double *const res[] = {x, xd};
+  rp_platform(arg, res);
+  polynomials(run->edges, run->pieces, run->course, run->course_terms, 2 * D, t, &at->piece, z);
+  for (int i = 0; i < N_FREEDOMS; ++i) {
+    z[i] = x[i] - z[i];
+    if (run->turning[i] != 0.0) z[i] -= 2.0 * pi * floor((z[i] + pi) / (2.0 * pi));
+    z[D + i] = xd[i] - z[D + i];
+  }
+  for (int i = 0; i < NK; ++i) {
+    z[N_FREEDOMS + i] = q[CARRIED[i]] - z[N_FREEDOMS + i];
+    z[D + N_FREEDOMS + i] = v[CARRIERS[i]] - z[D + N_FREEDOMS + i];
+  }
+  polynomials(run->gain_at, run->gain_pieces, run->gains, run->gain_terms, (M + NK) * 2 * D, t, &at->gain_piece, K);
+  for (int i = 0; i < M + NK; ++i) {
+    for (int j = 0; j < 2 * D; ++j) u[i] -= K[i * 2 * D + j] * z[j];
+    u[i] = fmin(fmax(u[i], -run->feedback_limits[i]), run->feedback_limits[i]);
+  }
+}
+
 /* What acts at an instant: the piece of the polynomials is that of a time before the end of the stretch. */
 static int loads_at(const Run *run, Progress *at, double t, double end, const double *q, const double *v, double *out) {
   double before = t < end ? t : nextafter(end, -INFINITY);
   if (run->loads) return run->loads(before, q, v, out);
-  int *piece = &at->piece;
-  while (*piece + 1 < run->pieces && before >= run->edges[*piece + 1]) ++*piece;
-  while (*piece > 0 && before < run->edges[*piece]) --*piece;
-  double left = run->edges[*piece], x = fmin(fmax(before, left), run->edges[*piece + 1]) - left;
-  const double *c = run->coefficients + (long)*piece * run->terms * (M + NK);
+  double u[M + NK + 1];
+  polynomials(run->edges, run->pieces, run->coefficients, run->terms, M + NK, before, &at->piece, u);
+  if (run->gains) feed_back(run, at, before, q, v, u);
   for (int i = 0; i < NV; ++i) out[i] = 0.0;
   for (int i = 0; i < M + NK; ++i) {
-    double value = 0.0;
-    for (int k = 0; k < run->terms; ++k) value = value * x + c[k * (M + NK) + i];
-    if (run->saturates) value = fmin(fmax(value, -run->limits[i]), run->limits[i]);
-    out[i < M ? ACTUATED[i] : CARRIERS[i - M]] += value;
+    if (run->saturates) u[i] = fmin(fmax(u[i], -run->limits[i]), run->limits[i]);
+    out[i < M ? ACTUATED[i] : CARRIERS[i - M]] += u[i];
   }
   return 1;
 }

@@ -19,7 +19,16 @@ from redundancy_pin.dynamics.compiled.build import FLAGS, built, loaded, tables,
 from redundancy_pin.dynamics.compiled.derivatives import TreeSamples, motion_partials
 from redundancy_pin.dynamics.compiled.design import design_of
 from redundancy_pin.dynamics.compiled.symbols import SymbolicChain, casadi
-from redundancy_pin.dynamics.forward import Accelerations, Advance, Equations, LinearParts, Loads, Reading, Rules
+from redundancy_pin.dynamics.forward import (
+    Accelerations,
+    Advance,
+    Equations,
+    Feedback,
+    LinearParts,
+    Loads,
+    Reading,
+    Rules,
+)
 from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot, Wrench
@@ -47,6 +56,8 @@ class _Run(ctypes.Structure):
         *_members(ctypes.c_double, "order rtol atol max_step"),
         *_members(_INTS, "prescribed pieces terms saturates"),
         *_members(_DOUBLES, "edges coefficients limits"),
+        *_members(_INTS, "course_terms gain_pieces gain_terms"),
+        *_members(_DOUBLES, "course gain_at gains feedback_limits turning"),
         ("loads", _Loads),
         *_members(_INTS, "breaks samples"),
         *_members(_DOUBLES, "break_at sample_at recorded"),
@@ -64,7 +75,7 @@ class _Progress(ctypes.Structure):
     _fields_ = [
         *_members(ctypes.c_double, "t next_step near largest_correction"),
         *_members(_LONGS, "steps evaluations restarts"),
-        *_members(_INTS, "sample piece next_break"),
+        *_members(_INTS, "sample piece gain_piece next_break"),
     ]
 
 
@@ -280,6 +291,8 @@ class CompiledIntegration:
         self._run.saturates = int(np.isfinite(rules.limits).any())
         if rules.efforts is not None:
             self._act(rules.efforts.edges, np.swapaxes(rules.efforts.coefficients, 0, 1))
+            if rules.feedback is not None:
+                self._feed_back(rules.feedback)
         elif rules.loads is not None:
             self._asked: Loads = rules.loads
             self._kept["loads"] = _Loads(self._called)
@@ -320,6 +333,15 @@ class CompiledIntegration:
         self._point("coefficients", coefficients)
         self._run.pieces, self._run.terms = coefficients.shape[:2]
         self._at.piece = 0
+
+    def _feed_back(self, law: Feedback) -> None:
+        course, gains = (np.swapaxes(of.coefficients, 0, 1) for of in (law.course, law.gain))
+        self._point("course", course)
+        self._point("gain_at", law.gain.edges)
+        self._point("gains", gains)
+        self._point("feedback_limits", law.limits)
+        self._point("turning", law.turning.astype(np.float64))
+        self._run.course_terms, (self._run.gain_pieces, self._run.gain_terms) = course.shape[1], gains.shape[:2]
 
     def _called(self, t: float, q: int, v: int, out: int) -> int:
         """Write the forces that act at q, v (addresses) where C wants them; return whether there are any."""

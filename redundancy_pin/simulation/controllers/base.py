@@ -6,14 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, each, frozen
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.forward import ForwardKernel
+from redundancy_pin.dynamics.forward import Feedback, ForwardKernel
 from redundancy_pin.errors import InputError
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, plan_reference
@@ -74,6 +74,7 @@ class Controller(ABC):
         carrier_drive: the ``CarrierDrive`` it was made for, the same.
         open_loop: main efforts and carrier forces (m + k) as polynomials of time, where they heed nothing else:
             machine code then asks for no ``effort``.
+        feedback: the same where they are linear in the state.
     """
 
     breaks: ArrayLike = frozen(())
@@ -82,6 +83,7 @@ class Controller(ABC):
     sampling: Sampling | None = None
     carrier_drive: CarrierDrive | None = None
     open_loop: PiecewisePolynomial | None = None
+    feedback: Feedback | None = None
 
     def class_name(self) -> str:
         """Return what errors and results call it."""
@@ -131,7 +133,7 @@ class Adapted(Controller):
         for name in ("breaks", "jumps", "end", "sampling", "carrier_drive", "carrier_motion", "start_state"):
             if getattr(law, name, None) is not None:
                 setattr(self, name, getattr(law, name))
-        self.open_loop = _open_loop(law)
+        self.open_loop = _declared(law, "open_loop")
 
     def effort(self, t: float, state: State) -> Command:
         """Return the efforts of the object."""
@@ -142,13 +144,12 @@ class Adapted(Controller):
         return type(self._law).__name__
 
 
-def _open_loop(law: object) -> PiecewisePolynomial | None:
-    """Return the polynomials of what drives a machine: not those of a class whose ``effort`` another one replaces."""
+def _declared(law: object, name: str) -> Any:
+    """Return what a law says of its ``effort``, None where a subclass or the object replaces that."""
     owner = next((one for one in type(law).__mro__ if "effort" in vars(one)), None)
-    if owner is None or "open_loop" not in vars(owner) or "effort" in getattr(law, "__dict__", {}):
+    if owner is None or name not in vars(owner) or "effort" in getattr(law, "__dict__", {}):
         return None
-    polynomials: PiecewisePolynomial | None = getattr(law, "open_loop", None)
-    return polynomials
+    return getattr(law, name, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +251,10 @@ class Amplifiers:
         self._saturates = bool(np.isfinite(tau_limit).any() or np.isfinite(force_limit).any())
         self.limits: Array = np.concatenate(self._limits)
         """(m + k,) of main efforts and carrier forces."""
-        polynomials = controller.open_loop if isinstance(controller, Adapted) else _open_loop(controller)
+        adapted = isinstance(controller, Adapted)
+        polynomials = controller.open_loop if adapted else _declared(controller, "open_loop")
+        self.feedback: Feedback | None = None if adapted else _declared(controller, "feedback")
+        """How it heeds the state, where that is linear."""
         fits = polynomials is not None and polynomials.coefficients.shape[2] == len(self.limits)
         self.open_loop = polynomials if polynomials is not None and fits else None
         """What the controller commands as polynomials of time, before it saturates; None where it heeds the state."""

@@ -16,9 +16,10 @@ from scipy.linalg import LinAlgError, block_diag, cho_factor, cho_solve, expm, s
 
 from redundancy_pin.arrays import Array, Frozen, frozen, positive, read_only
 from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.forward import Feedback
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import row_scale
+from redundancy_pin.kinematics.coordinates import angle_columns, row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.simulation.controllers.base import (
@@ -327,6 +328,14 @@ class TimeVaryingLqr(Tracking):
             gain: Array = K[min(max(i, 0), len(K) - 1)]
             return gain
         return self._gain.at(t).reshape(K.shape[1:])
+
+    @property
+    def feedback(self) -> Feedback | None:  # type: ignore[override]
+        """The law for machine code; None of a digital one, of poses, and where a subclass has gains of its own."""
+        if self.sampling is not None or self.reference.is_pose or type(self).gain is not TimeVaryingLqr.gain:
+            return None
+        turning = np.isin(np.arange(self.robot.n), angle_columns(self.robot))
+        return Feedback(self.reference.efforts, self.reference.states, self._gain, turning, self._limit)
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t."""
