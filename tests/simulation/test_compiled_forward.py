@@ -255,7 +255,7 @@ def test_plans_are_played_back_by_their_polynomials_and_saturate() -> None:
 def test_a_linear_feedback_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """Off its course, along angles a turn from those of the state, saturated; what a subclass changes is Python's."""
     robot = moving.massive("3rrr")
-    motion = rp.trajectory.reference.corner(0.025).sample(0.02)
+    motion = rp.trajectory.reference.corner(0.025).sample(0.02)[:5]
     turned = rp.PlatformMotion(motion.t, motion.x + np.array([0.0, 0.0, 2.0 * np.pi]), motion.xd, motion.xdd)
     reference = motion_reference(robot, turned, step=0.05)
     x, xd, s, sd, efforts = reference.course(0.0)
