@@ -234,13 +234,13 @@ def _trajectories() -> Mapping[str, Callable[..., Trajectory]]:
     return TRAJECTORIES
 
 
-def _maker(name: str) -> Callable[..., Trajectory] | None:
+def _maker(name: object) -> Callable[..., Trajectory] | None:
     """Return what makes the trajectory of a name or of a file of points; None where there is no such name."""
     if is_points_file(name):
         from redundancy_pin.trajectory import from_points
 
         return functools.partial(from_points, name)
-    return _trajectories().get(name)
+    return _trajectories().get(name) if isinstance(name, str) else None  # a file may say anything
 
 
 def is_points_file(name: object) -> bool:

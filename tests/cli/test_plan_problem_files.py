@@ -142,6 +142,7 @@ BAD_PROBLEMS: dict[str, tuple[dict[str, Any], str]] = {
     "unknown robot": ({"robot": "4rrr"}, "4rrr"),
     "two motions": ({"motion": "m.csv"}, "either a trajectory or a motion"),
     "no motion": ({"trajectory": None, "motion": 3}, "either a trajectory or a motion"),
+    "trajectory whose name is none": ({"trajectory": {"name": {"": ""}}}, "The trajectory is {'': ''}"),
     "trajectory without a name": ({"trajectory": {"speed": 1}}, "'name'"),
     "trajectory that is a word": ({"trajectory": "corner"}, "not a mapping"),
     "trajectory that lacks a key": ({"trajectory": {"name": "polygon", "radius": 1}}, "'vertices'"),
