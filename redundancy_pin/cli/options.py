@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
 import click
 
@@ -243,7 +243,7 @@ def _maker(name: object) -> Callable[..., Trajectory] | None:
     return _trajectories().get(name) if isinstance(name, str) else None  # a file may say anything
 
 
-def is_points_file(name: object) -> bool:
+def is_points_file(name: object) -> TypeGuard[str]:
     """Return whether the name of a trajectory is that of a file of points."""
     return isinstance(name, str) and name.lower().endswith((".csv", ".json"))
 
