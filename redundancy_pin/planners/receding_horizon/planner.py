@@ -271,14 +271,16 @@ class RecedingHorizon:
             None if part is None else each(part, name, (self.robot.k,), finite=True)
             for part, name in ((s, "s"), (sd, "sd"))
         )
-        last, about = self._last, self._last
-        for rounds in range(1, MOST_ROUNDS + 1):
-            command = self._plan(t, self._preview, given, last, about)
-            if about is last or command.status is not PlanningStatus.FALLBACK:
-                about = command
+        last = self._last
+        command = self._plan(t, self._preview, given, last, last)
+        for rounds in range(1, MOST_ROUNDS):
             if rounds >= (FIRST_ROUNDS if last is None else 1) and not self._is_rough(t, command):
                 break
-        self._last = command = replace(about or command, seconds=time.perf_counter() - began)
+            another = self._plan(t, self._preview, given, last, command)
+            if another.status is not PlanningStatus.PLANNED:
+                break
+            command = another
+        self._last = command = replace(command, seconds=time.perf_counter() - began)
         self.largest = max(self.largest, float(np.abs(command.efforts(np.linspace(t, t + self.step, 5))).max()))
         return command
 
