@@ -24,9 +24,17 @@ from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry
 from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.limits import Limits
+from redundancy_pin.planners.receding_horizon.planner import Command, PlanningStatus
+from redundancy_pin.planners.receding_horizon.preview import Preview
+from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.planners.switch_off.crossing import LostDirection
+from redundancy_pin.planners.time_optimal.timed_path import TimedPath
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
+from redundancy_pin.studies.cases import SINGULAR
+from redundancy_pin.studies.co_design import CoDesign, DesignTask
+from redundancy_pin.studies.trade import TradeOff
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 ELSEWHERE = {"Riccati", "LinearModel", "SampledModel", "LqrWeights", "ReferencePoint", "ConstantAppended"}
 """Inner types of controllers and paths, whose owners are copied whole."""
@@ -46,6 +54,7 @@ def objects() -> dict[str, Any]:
     compiled = rp.CompiledDynamics(robot).along(motion)
     start = closed_state(robot, xd=[0.1, 0.0, 0.0])
     three = np.ones(3)
+    polynomial = PiecewisePolynomial(np.arange(2.0), np.ones((3, 1, 3)))
     poses = np.stack([np.eye(4), np.eye(4)])
     poses[1, :3, 3] = 0.1
     return {
@@ -64,6 +73,15 @@ def objects() -> dict[str, Any]:
         "compiled along": compiled,
         "derivatives of compiled": compiled.derivatives(carriers, parameters=["carrier_1.mass"]),
         "design": design_of(robot, ["carrier_1.mass"]),
+        "design task": DesignTask(dynamics, motion),
+        "co-design": CoDesign({"length": 1.0}, (), np.ones(1), np.ones(1), np.ones((1, 1)), (), True, (), 0),
+        "timed path": TimedPath(trajectory.path, polynomial, three),
+        "preview": Preview.of(motion),
+        "on-line run": OnLineRun(
+            (stepwise := rp.plan_stepwise(dynamics, trajectory, lam=0.0)),
+            (Command(0.0, PlanningStatus.PLANNED, "", *[polynomial] * 3, 0.0, 0.0, three, 0.1, 0.0, 0.0),),
+        ),
+        "trade-off": TradeOff(SINGULAR[0], "effort", "energy", ()),
         "symbolic": rp.symbolic(small),
         "legs": manual._mechanism.legs(motion.x),
         "two legs": rp.VirtualWork(small)._mechanism.legs(circle.sample(dt=0.1).x),
@@ -101,7 +119,7 @@ def objects() -> dict[str, Any]:
         "lost direction": LostDirection(0.0, three, 0.0, 0.0, False),
         "carrier state": CarrierState(0.0, *np.zeros((3, 3))),
         "crossing plan": rp.plan_switch_off(rp.VirtualWork(small), circle, threshold=5.0),
-        "stepwise plan": rp.plan_stepwise(dynamics, trajectory, lam=0.0),
+        "stepwise plan": stepwise,
         "state": start,
         "forward": ForwardDynamics(robot),
         "run": rp.simulate(robot, None, start=start, duration=0.02, stop_at=()),
