@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, one_of, positive
+from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, one_of, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import require_carriers
 from redundancy_pin.planners.limits import Limits, grouped, require_dynamics
 from redundancy_pin.planners.receding_horizon.linearised import FIRST, ZONE, Linearised, extended, nodes_from
-from redundancy_pin.planners.receding_horizon.preview import Preview, Source
+from redundancy_pin.planners.receding_horizon.preview import SAME, Preview, Source
 from redundancy_pin.planners.receding_horizon.programme import SOLVERS, Programme, Values
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 Goal = Literal["effort", "peak"]
-
-SAME = 1e-9
-"""Times that differ by less are one, s."""
 
 NEAR = 0.25
 """A singular instant nearer than this, in steps, is reached by the last plan; the new one begins there."""
@@ -51,6 +48,9 @@ EXACT = 1e-6
 """Fraction of f that may be left."""
 
 MOST_ROUNDS = 5
+
+SHORTEST_STOP = 1e-6
+"""s; a carrier that stops sooner stands."""
 
 PROXIMAL = 30.0
 """Weight of the squared change of s̈ from round to round: they would go to and fro between two plans of one cost."""
@@ -90,6 +90,12 @@ class Weights:
     end_speed: float = 0.1
     missing: float = 1e4
 
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            weight = each(getattr(self, field.name), field.name, (1,), finite=True)[0]
+            if weight < 0.0:
+                raise InputError(f"{field.name} weighs {weight:g}.", remedy="Pass a weight of zero or more.")
+
 
 GOALS = {"peak": Weights(), "effort": Weights(effort=1.0, peak=0.0)}
 """By the names of ``plan_whole_trajectory``."""
@@ -117,10 +123,11 @@ class Command(Frozen):
         status: what the tick brought.
         reason: why, where it is not ``PLANNED``.
         carriers: positions (k,), m, as functions of time to the end of the horizon; s̈ is linear between nodes.
-        efforts: main efforts (m,) as functions of time, N or N·m: W⁻¹ f for three steps, the planned ones after.
+        efforts: main efforts (m,) as functions of time, N or N·m: for three steps those of W τ = f that are nearest to
+            the planned ones, which follow; within their limits.
         forces: those of the carriers' actuators (k,), N, for these three steps.
-        residual: largest |W τ − f| at the first nodes of the plan, N, rotations over the characteristic length: what is
-            missing there in an elastic one, and else what the next tick will correct.
+        residual: largest |W τ − f| of the planned efforts at the first nodes, N, rotations over the characteristic
+            length: what is missing there in an elastic plan, and else what the next tick will correct.
         peak: largest |τ| of the plan at its nodes, N or N·m.
         singular: (r,) singular instants ahead, s.
         known_until: until when the plan has the platform's motion, s.
@@ -233,6 +240,7 @@ class RecedingHorizon:
 
     @limits.setter
     def limits(self, limits: Limits) -> None:
+        require_type(limits, Limits, "The limits of a planner", "Pass Limits(track=..., speed=..., ...).")
         self._given_limits, self.resolved = limits, limits.resolved(self.robot)
         jerk, force = (bool(np.isfinite(part).any()) for part in (self.resolved.jerk, self.resolved.carrier_force))
         if self._bounded != (jerk, force):
@@ -265,8 +273,16 @@ class RecedingHorizon:
         began = time.perf_counter()
         if self._preview is None or preview is not self._source:
             self._preview, self._source = Preview.of(preview), preview
-        if not np.isfinite(t) or (self._last is not None and t < self._last.t):
-            raise InputError(f"The tick is at t = {t} s, after one at {self._last and self._last.t} s.")
+        t = float(each(t, "t", (1,), finite=True)[0])
+        if self._last is not None and t < self._last.t:
+            raise InputError(
+                f"The tick is at t = {t:.6g} s, after one at {self._last.t:.6g} s.", remedy="Go on in time."
+            )
+        if t < self._preview.start - SAME:
+            raise InputError(
+                f"The tick is at t = {t:.6g} s, and the preview begins at {self._preview.start:.6g} s.",
+                remedy="Pass what is known of the motion from the tick on.",
+            )
         given = tuple(
             None if part is None else each(part, name, (self.robot.k,), finite=True)
             for part, name in ((s, "s"), (sd, "sd"))
@@ -292,6 +308,11 @@ class RecedingHorizon:
         """
         if self._last is None:
             raise InputError("There is no plan to go on with.", remedy="Call update first.")
+        t = float(each(t, "t", (1,), finite=True)[0])
+        if t < self._last.t:
+            raise InputError(
+                f"The tick is at t = {t:.6g} s, after one at {self._last.t:.6g} s.", remedy="Go on in time."
+            )
         return replace(self._last, t=t, status=PlanningStatus.FALLBACK, reason="the tick was missed")
 
     def _is_rough(self, t: float, command: Command) -> bool:
@@ -446,7 +467,11 @@ class _Tick:
         h, one = np.diff(lin.nodes)[:, None], np.ones((count - 1, len(us)))
         there = np.repeat(self._counts, m)[:, None]
         none = np.zeros(count * m)
-        low, high, most = low / us, high / us, speed / ud
+        low, high, most = (
+            np.maximum(low / us, -NO_BOUND),
+            np.minimum(high / us, NO_BOUND),
+            np.minimum(speed / ud, NO_BOUND),
+        )
 
         def hull(share: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
             """Return rows of a point of the Bézier hull of each step, and their bounds."""
@@ -454,9 +479,9 @@ class _Tick:
 
         # no parabola leaves a chord: ṡ² ≤ ṡ_max |ṡ|
         fastest = np.minimum(limits.speed, np.sqrt(2.0 * limits.acceleration * np.diff(limits.track)[:, 0]))
-        stop = np.stack(
-            [one[0], np.where(np.isfinite(fastest), fastest / (2.0 * limits.acceleration), 0.0) * ud / us], axis=-1
-        )
+        stopping = np.isfinite(fastest) & np.isfinite(limits.acceleration)  # else at once, or on a track without end
+        after = np.divide(fastest, 2.0 * limits.acceleration, out=np.zeros_like(fastest), where=stopping)
+        stop = np.stack([one[0], after * ud / us], axis=-1)
         lowest, highest = np.minimum(low[:-1], low[1:]), np.maximum(high[:-1], high[1:])
         rows = {
             "above": (there * [1.0, -1.0], none - np.inf, none),
@@ -563,7 +588,7 @@ class _Tick:
                 for old, new in ((last.carriers, carriers), (last.efforts, efforts))
             )
         unknown = np.flatnonzero(~lin.known)
-        known_until = float(lin.nodes[unknown[0] - 1]) if len(unknown) else float(lin.nodes[-1])
+        known_until = float(lin.nodes[max(unknown[0] - 1, 0)]) if len(unknown) else float(lin.nodes[-1])
         if len(unknown) and lin.nodes[unknown[0]] <= preview.end:
             status = PlanningStatus.REFUSED
             reason = f"at t = {lin.nodes[unknown[0]]:.6g} s the preview leads where the machine cannot go"
@@ -572,14 +597,17 @@ class _Tick:
         )
 
     def _stop(self, t: float, carriers: PiecewisePolynomial, sd: Array) -> list[PiecewisePolynomial]:
-        """Return the stop after the horizon, for which there is room: every carrier slows down evenly, all as long."""
-        longest = float((np.abs(sd) / self._planner.resolved.acceleration).max())
-        duration = longest if longest > 1e-6 else 0.0
-        if not duration:
+        """Return the stop after the horizon, for which there is room: every carrier slows down as fast as it can."""
+        durations = np.abs(sd) / self._planner.resolved.acceleration
+        durations[durations < SHORTEST_STOP] = 0.0
+        if not durations.any():
             return []
-        place = carriers(np.array([t]), "left")
-        ends = np.array([t, t + duration])
-        return [PiecewisePolynomial.taylor(ends, *(np.tile(part, (2, 1)) for part in (place[0], sd, -sd / duration)))]
+        after = np.unique(np.append(0.0, durations))
+        slowing = after[:, None] < durations
+        a = -np.divide(sd, durations, out=np.zeros_like(sd), where=durations > 0.0)
+        past = np.minimum(after[:, None], durations)
+        place = carriers(np.array([t]), "left") + past * sd + 0.5 * past**2 * a
+        return [PiecewisePolynomial.taylor(t + after, place, slowing * (sd + past * a), slowing * a)]
 
     def _efforts(
         self, carriers: PiecewisePolynomial, tau: Array
@@ -598,8 +626,12 @@ class _Tick:
         singular_values = np.linalg.svd(scaled, compute_uv=False)
         fine = singular_values[:, -1] > REGULAR * singular_values[:, 0]
         inside = inside[fine]
-        own = np.einsum("nij,nj->ni", np.linalg.pinv(W[inside]), f[inside])
         t = exact.t
+        if not counts[0]:  # the start decides the efforts there, but for the preload of redundant actuators
+            tau = np.concatenate([tau[1:2], tau[1:]])
+        planned = PiecewisePolynomial.linear(lin.nodes, tau)(t[inside])  # of redundant actuators these decide
+        missing = f[inside] - np.einsum("nij,nj->ni", W[inside], planned)
+        own = planned + np.einsum("nij,nj->ni", np.linalg.pinv(W[inside]), missing)
         rest = counts & ~np.isin(lin.places, inside)
         times, values = np.append(t[inside], lin.nodes[rest]), np.concatenate([own, tau[rest]])
         if not len(times):
@@ -609,7 +641,8 @@ class _Tick:
         if len(times) == 1:
             times, values = np.append(times, times + self._planner.step), np.repeat(values, 2, axis=0)
         peak = float(np.abs(tau[counts]).max(initial=0.0))
-        return PiecewisePolynomial.linear(times, values), forces, residual, peak
+        most = self._planner.resolved.effort
+        return PiecewisePolynomial.linear(times, np.clip(values, -most, most)), forces, residual, peak
 
 
 def _counting(counts: BoolArray, entries: Array, right: Array) -> tuple[Array, Array]:

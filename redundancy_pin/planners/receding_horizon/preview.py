@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from redundancy_pin.arrays import Array, Frozen
+from redundancy_pin.arrays import Array, Frozen, require_type
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
@@ -33,6 +33,9 @@ STILL = 1e-9
 
 FOR_EVER = 1e6
 """How long it is held there, s."""
+
+SAME = 1e-9
+"""Times that differ by less are one, s."""
 
 AT_REST = 1e-9
 """Fraction of the largest |det W| below which it counts as zero: motions that stop there."""
@@ -71,7 +74,7 @@ class Preview(Frozen):
             held = polynomials.prolonged_until(known.end + FOR_EVER) if rests else polynomials
             return Preview(held.sample_at, known.start, held.end)
         if callable(source):
-            return Preview(source, -np.inf, np.inf, changing=True)
+            return Preview(_answers(source), -np.inf, np.inf, changing=True)
         raise InputError(
             f"The preview is {type(source).__name__}.",
             remedy="Pass a trajectory, a PlatformMotion, or a function from (N,) times to a PlatformMotion.",
@@ -106,6 +109,23 @@ class Preview(Frozen):
         determinant = np.full(len(times), np.nan)
         determinant[reduced.reachable] = np.linalg.det(reduced.W[reduced.reachable])
         return determinant
+
+
+def _answers(source: Callable[[Array], PlatformMotion]) -> Callable[[Array], PlatformMotion]:
+    """Return a function of times whose answers are looked at: a motion, at these times."""
+
+    def answer(times: Array) -> PlatformMotion:
+        motion = source(times)
+        require_type(motion, PlatformMotion, "A PlatformMotion of the preview", "Return one at the times asked for.")
+        if len(motion.t) != len(times) or np.abs(motion.t - times).max() > SAME:
+            raise InputError(
+                f"The preview was asked for {len(times)} instants from t = {times[0]:.6g} s on, and answers for "
+                f"{len(motion.t)} from {motion.t[0]:.6g} s on.",
+                remedy="Return the motion at the times that are passed.",
+            )
+        return motion
+
+    return answer
 
 
 @dataclass(eq=False)

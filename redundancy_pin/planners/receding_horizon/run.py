@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Frozen, positive
 from redundancy_pin.dynamics.distribution import distribute
-from redundancy_pin.errors import InfeasiblePlanError
+from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
@@ -55,7 +55,7 @@ def run_online(
     Args:
         planner: the planner, before its first tick.
         motion: the whole motion.
-        tick: between plans, s; a step when left out.
+        tick: between plans, s, at most a horizon; a step when left out.
         start: scalar or (k,) where the carriers are at the start, m.
 
     Returns:
@@ -66,6 +66,10 @@ def run_online(
         InfeasiblePlanError: a tick was refused; carries how far the motion is possible.
     """
     tick = planner.step if tick is None else positive(tick, "tick", "s")
+    if tick > planner.horizon:
+        raise InputError(
+            f"A tick of {tick:g} s is longer than the horizon of {planner.horizon:g} s.", remedy="Have shorter ticks."
+        )
     source = continuous_motion(motion)
     times = np.append(np.arange(source.start, source.end - 1e-9, tick), source.end)
     commands, pieces = [], []
