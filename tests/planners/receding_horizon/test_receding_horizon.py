@@ -9,7 +9,14 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InfeasiblePlanError, InputError
-from redundancy_pin.planners.receding_horizon import OnLineRun, PlanningStatus, Preview, RecedingHorizon, run_online
+from redundancy_pin.planners.receding_horizon import (
+    OnLineRun,
+    PlanningStatus,
+    Preview,
+    RecedingHorizon,
+    Weights,
+    run_online,
+)
 from redundancy_pin.planners.receding_horizon.linearised import Linearised, nodes_from
 from redundancy_pin.trajectory import SpeedProfile, Trajectory
 from redundancy_pin.trajectory.paths import Line, circle_path
@@ -138,6 +145,19 @@ def test_missed_ticks_leave_a_plan_within_limits():
     np.testing.assert_allclose(last.derivative()(t[-1:], "left"), 0.0, atol=1e-9)
 
 
+def test_carriers_of_unequal_limits_stop_on_their_tracks_behind_the_horizon():
+    planner = RecedingHorizon(machine()[0], acceleration=(0.5, 20.0), horizon=0.2)
+    for i in range(12):
+        stop = planner.update(0.02 * i, ACROSS).carriers
+        t = np.linspace(stop.start, stop.end, 2001)
+        assert np.abs(stop(t)).max() <= 0.2 + 1e-8
+        assert (np.abs(stop.derivative(2)(t)).max(axis=0) <= np.array([0.5, 20.0]) + 1e-6).all()
+        np.testing.assert_allclose(stop.derivative()(t[-1:], "left"), 0.0, atol=1e-9)
+        pieces = stop(stop.edges[1:-1]) - stop(stop.edges[1:-1], "left")
+        rates = stop.derivative()(stop.edges[1:-1]) - stop.derivative()(stop.edges[1:-1], "left")
+        np.testing.assert_allclose(np.concatenate([pieces, rates]), 0.0, atol=1e-9)
+
+
 def test_limits_that_shrink_below_the_state_are_softened_and_said():
     planner = RecedingHorizon(machine()[0])
     for i in range(10):
@@ -159,6 +179,10 @@ def test_too_little_effort_is_said_with_what_is_missing():
     assert commands[-1].status is PlanningStatus.ELASTIC
     assert max(command.residual for command in commands) > 0.1
     assert commands[-1].reason
+    # what is sent keeps the limits, and is saturated
+    sent = [np.abs(command.efforts(np.linspace(command.t, command.t + 0.06, 61))).max() for command in commands]
+    np.testing.assert_allclose(sent[-1], 0.5)
+    assert max(sent) <= 0.5
 
 
 def test_where_the_machine_cannot_go_is_refused_before_it_gets_there():
@@ -231,6 +255,7 @@ def test_nodes_are_the_same_whenever_they_are_asked_for():
         ({"horizon": 0.01}, "has 0.5 steps"),
         ({"objective": "least"}, "objective is"),
         ({"solver": "abacus"}, "solver is"),
+        ({"limits": {"effort": 1.0}}, "Limits"),
     ],
 )
 def test_settings_out_of_their_domain_are_refused(settings, message):
@@ -243,6 +268,41 @@ def test_ticks_do_not_go_back_in_time():
     planner.update(0.1, ACROSS)
     with pytest.raises(InputError, match=r"after one at 0\.1 s"):
         planner.update(0.05, ACROSS)
+
+
+@pytest.mark.parametrize(
+    ("t", "preview", "message"),
+    [
+        ("soon", ACROSS, "t is 'soon'"),
+        (np.nan, ACROSS, "t is nan"),
+        (-0.01, ACROSS, "the preview begins at 0 s"),
+        (0.0, lambda t: ACROSS.sample_at(t[:1]), "answers for 1"),
+        (0.0, lambda t: ACROSS.sample_at(t + 0.1), r"from 0\.1 s on"),
+        (0.0, lambda t: None, "not NoneType"),
+    ],
+)
+def test_previews_and_times_that_make_no_sense_are_refused(t, preview, message):
+    with pytest.raises(InputError, match=message):
+        RecedingHorizon(machine()[0]).update(t, preview)
+
+
+def test_what_is_not_known_is_not_called_known_and_missed_ticks_go_forward():
+    planner = RecedingHorizon(machine()[0])
+    command = planner.update(0.1, ACROSS.sample_at(np.linspace(0.0, 0.05, 20)))
+    assert command.known_until == 0.1
+    for t in (0.0, np.nan):
+        with pytest.raises(InputError):
+            planner.skip(t)
+    with pytest.raises(InputError, match="longer than the horizon"):
+        run_online(planner, ACROSS, tick=0.6)
+    with pytest.raises(InputError, match="effort weighs -1"):
+        Weights(effort=-1.0)
+
+
+def test_no_limit_at_all_is_no_limit():
+    planner = RecedingHorizon(machine()[0], acceleration=np.inf, speed=np.inf, track=(-np.inf, np.inf))
+    with np.errstate(all="raise"):
+        assert planner.update(0.0, ACROSS).status is PlanningStatus.PLANNED
 
 
 @pytest.mark.long
