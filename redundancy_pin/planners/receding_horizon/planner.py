@@ -607,7 +607,11 @@ class _Tick:
         a = -np.divide(sd, durations, out=np.zeros_like(sd), where=durations > 0.0)
         past = np.minimum(after[:, None], durations)
         place = carriers(np.array([t]), "left") + past * sd + 0.5 * past**2 * a
-        return [PiecewisePolynomial.taylor(t + after, place, slowing * (sd + past * a), slowing * a)]
+        return [
+            PiecewisePolynomial.taylor(
+                t + after, place, np.where(slowing, sd + past * a, 0.0), np.where(slowing, a, 0.0)
+            )
+        ]
 
     def _efforts(
         self, carriers: PiecewisePolynomial, tau: Array
