@@ -53,7 +53,7 @@ class ClosedChain:
         self._axes = measured_axes(robot, np.eye(3) if platform is None else platform.rotation)
         joints = (model.joints[model.getJointId(name)] for name in robot.independent_joints)
         self._joints = [(int(joint.idx_q), joint.nq == 2) for joint in joints]
-        self.J, self.dJ = data.J, data.dJ
+        self.J, self.dJ = (part.reshape(6, -1) for part in (data.J, data.dJ))  # Pinocchio drops the axis of one column
 
     def __reduce__(self) -> tuple[type[ClosedChain], tuple[Robot]]:
         """Make another one where this is copied or sent to: views into Pinocchio's memory would not be views there."""

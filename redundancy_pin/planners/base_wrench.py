@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, checked, frozen, read_only
+from redundancy_pin.arrays import Array, BoolArray, checked, frozen, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
 from redundancy_pin.errors import InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.coordinates import turning_velocities
@@ -86,10 +86,16 @@ class BaseWrench:
         return self.w0[:, at] * root[at], self.by_term[:, at] * root[at, None, None]
 
     @property
-    def changed(self) -> Array:
+    def changed(self) -> BoolArray:
         """(6,) whether the carriers change a component."""
         size = np.abs(self.by_term).max(axis=(0, 2, 3), initial=0.0)
         return np.asarray(size > _TOLERANCE * size.max(initial=0.0))
+
+    @property
+    def felt(self) -> BoolArray:
+        """(6,) whether there is anything of a component: what no carrier changes counts too where it is bounded."""
+        size = np.abs(self.w0).max(axis=0, initial=0.0)
+        return np.asarray(self.changed | (size > _TOLERANCE * size.max(initial=0.0)))
 
     def sizes(self, sdd: Array) -> Array:
         """Return (6,) sizes of force and moment: of parked carriers or, where that is nothing, of s̈ (k,)."""

@@ -25,10 +25,12 @@ from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.functions import (
+    ALLOWED,
     PIECE_DEGREE,
     SINGULAR_SAMPLE,
     DenseCheck,
     PlanFunctions,
+    actuator_rates,
     dense_check,
     least_effort,
 )
@@ -88,9 +90,10 @@ def finish_plan(
     """Evaluate the backend once more along the planned motion and collect everything a plan carries.
 
     ``along``: dynamics along the platform motion of the plan; ``carriers``: planned carrier motion, N samples;
-    ``phase`` (N,) index of the phase of each sample; ``parameters``: limits "effort" (m,) and "jerk" (k,) among them
-    are judged; ``diagnostics``: "optimal" says whether the planner had an optimum; ``prescribed`` (N, m) main efforts
-    the planner decided on, NaN where W τ = f decides. Their imbalance is checked and reported, never corrected;
+    ``phase`` (N,) index of the phase of each sample; ``parameters``: limits "effort" (m,), "actuator_speed" (m,)
+    and "jerk" (k,) among them are judged; ``diagnostics``: "optimal" says whether the planner had an optimum;
+    ``prescribed`` (N, m) main efforts the planner decided on, NaN where W τ = f decides. Their imbalance is checked and
+    reported, never corrected;
     ``carrier_limits``: limits to judge the plan by in place of the robot's own, one for each carrier; ``functions``:
     what the planner made, between the samples too; ``position``: the carriers alone, where there are no functions;
     ``dynamics``: the backend, to look between the samples; ``between``: what was seen there already; ``singular``:
@@ -121,6 +124,8 @@ def finish_plan(
             on_it = np.unique(t[solved.margin <= SINGULAR_SAMPLE * solved.margin.max(initial=0.0)])
             between = dense_check(dynamics, functions, judged, t, tau, least_effort(reduced), effort, on_it)[:2]
     check, exceeded = between or (None, ())
+    if functions is not None and dynamics is not None:
+        exceeded = (*exceeded, *_too_fast(dynamics, functions, t, parameters))
     limits = check_limits(judged, t, carriers, reduced.carrier_force)
     at_samples = limits_broken("effort", robot.actuated, t, tau, effort, 1.0 + ROUNDING)
     position = position if functions is None else functions.carriers
@@ -188,6 +193,16 @@ def closure_rank_losses(
 
     found = [zero.t for zero in zeros(margin, t, RANK_LOST)] if len(t) > 1 else []
     return [{"time": time, "x": platform.sample_at(np.array([time])).x[0].tolist()} for time in found]
+
+
+def _too_fast(
+    dynamics: Dynamics, functions: PlanFunctions, t: Array, parameters: Mapping[str, object]
+) -> tuple[LimitEvent, ...]:
+    most = np.array(parameters.get("actuator_speed", np.inf), dtype=float)
+    if not np.isfinite(most).any():
+        return ()
+    times, rates = actuator_rates(dynamics, functions.platform, t)
+    return limits_broken("speed", dynamics.robot.actuated, times, rates, most, ALLOWED)
 
 
 def _jerk_broken(

@@ -396,6 +396,19 @@ def dense_check(
     return check, tuple(broken), (0.5 * (peaks.left + peaks.right))[marked], excess[marked]
 
 
+RATES_INSIDE = np.linspace(0.0, 1.0, 9)[:-1]
+"""Places in a step at which rates of the actuators are looked at: of a speed that is quadratic in a step."""
+
+
+def actuator_rates(dynamics: Dynamics, platform: ContinuousMotion, t: Array) -> tuple[Array, Array]:
+    """Return (P,) times at and between the samples ``t`` (N,) of a plan, s, and (P, m) rates there, m/s or rad/s."""
+    edges = np.unique(t)
+    times = np.append((edges[:-1, None] + np.diff(edges)[:, None] * RATES_INSIDE).ravel(), edges[-1])
+    motion = platform.sample_at(times)
+    W = np.asarray(dynamics.along(motion).reduce().W)
+    return times, np.asarray(np.einsum("nim,ni->nm", W, motion.xd))
+
+
 def least_effort(reduced: ReducedDynamics) -> float:
     """Return the effort below which efforts count as zero, N or N·m: a fraction of what f asks for."""
     asked = float(np.abs(reduced.f / reduced.row_scale).max(initial=0.0))

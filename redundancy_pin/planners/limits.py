@@ -200,7 +200,7 @@ class LimitEvent:
     """A stretch of time over which one limit of one carrier is touched or broken.
 
     Attributes:
-        carrier: name of the carrier joint; of the main actuator for "effort", of any joint for "range".
+        carrier: name of the carrier joint; of the main actuator for "effort" and its "speed", of any joint for "range".
         quantity: "track", "speed", "acceleration" or "force"; "effort", N or N·m; or "range", of a joint's position.
         start, end: first and last sample of the stretch, s.
         worst: time of the largest value, s.

@@ -303,13 +303,13 @@ def _limits(model: pin.Model, entry: CarrierEntry) -> CarrierLimits:
         remedy = "Give its joint a <limit> with lower < upper in the URDF, or the carrier a `position`."
         raise _refused(entry.joint, what, remedy)
     speed, force = (float(limit[joint.idx_v]) for limit in (model.upperVelocityLimit, model.upperEffortLimit))
-    unknown = float("inf")
+    unknown, largest = float("inf"), np.finfo(float).max  # the latter is Pinocchio's for none
     return CarrierLimits(
         lower,
         upper,
-        entry.speed or (speed if speed > 0.0 else unknown),
+        entry.speed or (speed if 0.0 < speed < largest else unknown),
         entry.acceleration or unknown,
-        entry.force or (force if force > 0.0 else unknown),
+        entry.force or (force if 0.0 < force < largest else unknown),
     )
 
 

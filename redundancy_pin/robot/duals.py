@@ -155,8 +155,10 @@ def read(text: str) -> float | None:
         number = float(text)
     except ValueError:
         return None
-    if kept is None or written is None or int(written[1]) >= len(kept):
+    if kept is None or not (written or _LITERAL.search(text)):
         return number
+    if written is None or int(written[1]) >= len(kept):
+        raise LostDerivativeError(f"a number is part of another: {text}")
     value, dot = kept[int(written[1])]
     if value == 0.0:
         number = math.copysign(0.0, number)

@@ -1,7 +1,8 @@
 """What one quantity costs in another: a Pareto front of whole-trajectory plans of one motion.
 
-Points are found by bounds (ε-constraint): y is minimised while x may not exceed a bound, for bounds from the least x to
-what x is where nothing but y counts. Unlike weights that finds concave parts of a front as well.
+Points are found by bounds (ε-constraint): y is minimised while x may not exceed a bound, for bounds from the least x
+(or a thousandth of the largest, where that is more) to what x is where nothing but y counts. Unlike weights that finds
+concave parts of a front as well.
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ _SHARES = {"track": (0.1, 1.0), "time": (0.6, 2.0)}
 
 _LEAST = 5e-3
 """Fraction above the least x at which the front begins: at it the carriers have no choice left."""
+
+_SPAN = 1e-3
+"""Of the largest bound: below it x is nothing, as where parked carriers are the least of it."""
 
 _ANY = 1e6
 """A bound that bounds nothing, over the value of the other end: it makes the plan report the quantity."""
@@ -132,7 +136,7 @@ def trade_off(
         if between is None:
             made.prepare([(one, by) for one in ends], jobs, tell)
             low, high = (_value(made.plan(one, by), x) for one in ends)
-            low *= 1.0 + _LEAST
+            low = max(low * (1.0 + _LEAST), _SPAN * high)
         else:
             low, high = between
         space = np.geomspace if high > 3.0 * low > 0.0 else np.linspace

@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 import zoo
 
-from redundancy_pin import PlatformMotion, RneaDynamics, VirtualWork, plan_stepwise, plan_whole_trajectory
-from redundancy_pin.errors import InputError, UnsupportedRobotError
+from redundancy_pin import PlatformMotion, RneaDynamics, Robot, VirtualWork, plan_stepwise, plan_whole_trajectory
+from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.base_wrench import base_wrench
 from redundancy_pin.planners.plan import Plan
-from redundancy_pin.trajectory import reference
+from redundancy_pin.trajectory import from_points, reference
 
 pytest.importorskip("casadi")
 
@@ -144,6 +144,29 @@ def test_weight_that_the_base_carries_anyway_does_not_count() -> None:
     level = plan("base_force", "datum")
     np.testing.assert_allclose(made.carriers.s, level.carriers.s, atol=1e-7)
     assert peaks(made.base_wrench(heavy))[0] > 100.0
+
+
+def test_a_bound_counts_what_no_carrier_changes() -> None:
+    """A gantry with a carrier along x: the force along y, of a mass moved as is known, is in the bound all the same."""
+    model = pin.Model()
+    for name, kind, parent in (
+        ("x", pin.JointModelPX(), 0),
+        ("y", pin.JointModelPY(), 1),
+        ("c", pin.JointModelPX(), 1),
+    ):
+        joint = model.addJoint(parent, kind, pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
+    model.gravity.linear = np.zeros(3)
+    carrier = {"joint": "c", "position": [-1.0, 1.0], "speed": 5.0, "acceleration": 50.0}
+    gantry = RneaDynamics(Robot.from_model(model, actuated=["x", "y"], carriers=[carrier], independent=["x", "y"]))
+    assert gantry.robot.carrier_limits[0].force == np.inf  # Pinocchio's largest number is no limit
+    way = from_points([[0.0, 0.0], [0.1, 0.2]], speed=0.5, ramp_time=0.2)
+    made = plan_whole_trajectory(gantry, way, at_most={"base_force": 1e3}, end="free", dt=0.02)
+    t = made.t
+    least = np.trapezoid(made.motion.xdd[:, 1] ** 2, t)  # of 1 kg, whatever the carrier does
+    np.testing.assert_allclose(np.trapezoid(made.base_wrench(gantry)[:, 1] ** 2, t), least, rtol=1e-8)
+    with pytest.raises(InfeasiblePlanError, match="base_force at most"):
+        plan_whole_trajectory(gantry, way, at_most={"base_force": 0.9 * least}, end="free", dt=0.02)
 
 
 def test_what_is_no_objective_is_named() -> None:

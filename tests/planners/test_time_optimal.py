@@ -25,6 +25,7 @@ from redundancy_pin import (
 )
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError, UnsupportedRobotError
+from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.trajectory import Path, reference
 
@@ -108,6 +109,26 @@ def test_without_carriers_the_time_is_that_of_a_linear_programme(rate: float) ->
         assert abs(plan.t[-1] - 1.070) < 2e-3
     else:
         assert expected > 1.2
+
+
+def test_rates_are_looked_at_between_the_nodes() -> None:
+    """By differences of the inverse kinematics' angles: few nodes, between which rates exceed 0.35 rad/s by 6 %."""
+    options = {"effort": EFFORT, "actuator_speed": 0.35, "steps": 10}
+    coarse, plan = (plan_time_optimal(bare(), CORNER, refinements=often, **options) for often in (0, 3))
+    robot, worst = bare().robot, []
+    for each in (coarse, plan):
+        t = np.linspace(0.0, each.t[-1], 1000)
+        at = [robot.model.joints[robot.model.getJointId(name)].idx_q for name in robot.actuated]
+        angles = np.asarray(lift(robot, each.platform_at(t)).q)[:, at]
+        worst.append(np.abs(np.gradient(np.unwrap(angles, axis=0), t, axis=0)).max() / 0.35)
+    assert worst[0] > 1.05
+    assert coarse.status is PlanStatus.VIOLATES_LIMITS
+    events = [event for event in coarse.limits.violated if event.quantity == "speed"]
+    assert {event.carrier for event in events} <= set(robot.actuated)
+    assert max(abs(event.value) for event in events) == pytest.approx(0.35 * worst[0], rel=2e-3)
+    assert check_plan(coarse, RneaDynamics(robot)).passed
+    assert worst[1] < 1.05
+    assert plan.status is PlanStatus.WITHIN_LIMITS
 
 
 def test_more_actuators_than_freedoms_share_the_load() -> None:

@@ -68,6 +68,9 @@ def test_text_brings_number_and_derivatives_back(number: float) -> None:
         if number:
             with pytest.raises(LostDerivativeError):
                 read(text[:-1] + str((int(text[-1]) + 1) % 10))
+            for more in (f"0{text}", f"1{text}") if number > 0 else ():  # a model that puts digits before it
+                with pytest.raises(LostDerivativeError):
+                    read(more)
     assert not isinstance(read(text), Dual)
 
 

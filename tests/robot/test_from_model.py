@@ -299,3 +299,13 @@ def test_rows_that_are_redundant_at_one_pose_only_are_no_redundant_rows():
     point = pin.PointAnchorConstraintModel(model, 2, end, 0, pivot)
     with pytest.raises(DeclarationError, match=r"over-constrained: 3 closure rows have rank 1, .* the loops open, by"):
         rp.Robot.from_model(model, closures=[point], actuated=["rocker"], reference=np.zeros(3))
+
+
+def test_a_machine_of_one_joint_at_one_instant() -> None:
+    """A pendulum: m g l sin q and m l² q̈."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia(2.0, np.array([0.0, 0.0, -0.5]), np.zeros((3, 3))), pin.SE3.Identity())
+    pendulum = rp.RneaDynamics(rp.Robot.from_model(model, actuated=["hinge"], independent=["hinge"]))
+    f = pendulum.reduce(rp.PlatformMotion([0.0], [[0.3]], [[0.7]], [[1.1]])).f
+    np.testing.assert_allclose(f, [[2.0 * 9.81 * 0.5 * np.sin(0.3) + 2.0 * 0.25 * 1.1]], rtol=1e-12)

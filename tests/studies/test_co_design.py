@@ -47,7 +47,8 @@ def replanned(task: DesignTask, objective: str, robot: Robot) -> float:
     [
         ("2rpr", "effort", {"track_offset": 1e-4, "base_distance": 1e-4, "track_half_length": 1e-4}),
         ("2rpr", "peak", {"track_offset": 1e-3, "track_half_length": 1e-3}),
-        ("3rrr", "base_wrench", {"carrier_mass": 1e-4, "tail_length": 1e-4, "base_radius": 1e-3}),
+        ("3rrr", "base_wrench", {"carrier_mass": 1e-4, "tail_length": 1e-4, "base_radius": 1e-3,
+                                 "proximal_length": 8e-5}),
         ("3rrr", "effort", {"carrier_mass": 1e-4, "tail_length": 1e-4, "distal_length": 1e-4}),
         ("3rrr", "peak", {"carrier_mass": 1e-4, "tail_length": 1e-4, "proximal_length": 2e-3}),
     ],

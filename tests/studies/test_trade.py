@@ -84,6 +84,15 @@ def test_points_without_a_plan_say_why() -> None:
         trade_off(CASE, "carrier_force", "effort", points=2, between=(0.5, 0.6))
 
 
+@pytest.mark.long
+def test_a_front_begins_where_there_is_something() -> None:
+    """The least acceleration is that of parked carriers: none but for rounding, of which no bound is made."""
+    found = trade_off(CASE, "carrier_acceleration", "effort", points=2)
+    first, last = (point["bound"] for point in found.points)
+    assert first == pytest.approx(1e-3 * last, rel=1e-2)
+    assert found.points[0]["y"] > found.points[1]["y"]
+
+
 def test_beaten_points_are_marked() -> None:
     rows = [{"x": 1.0, "y": 5.0}, {"x": 2.0, "y": 6.0}, {"x": 3.0, "y": 4.0}]
     judged = trade._judged([{"reason": None, **row} for row in rows])

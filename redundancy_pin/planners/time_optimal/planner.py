@@ -16,7 +16,7 @@ from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import Actuation, CarrierModel, require_carriers
 from redundancy_pin.planners.check import finish_plan
-from redundancy_pin.planners.functions import SMALL, PlanFunctions, dense_check
+from redundancy_pin.planners.functions import ALLOWED, MARKED, SMALL, PlanFunctions, actuator_rates, dense_check
 from redundancy_pin.planners.limits import Limits, grouped, require_dynamics, whole
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.time_optimal.problem import Problem, Sizes, read_model
@@ -127,7 +127,7 @@ def plan_time_optimal(
         carrier_force: the same for the forces of the carriers' actuators, N.
         steps: least number of steps.
         seconds: time bound of each solution, s.
-        refinements: how often steps may be halved whose efforts exceed their limits inside.
+        refinements: how often steps may be halved whose efforts or rates exceed their limits inside.
         progress: called with a line of text at each stage.
         limits: track, speed, acceleration, jerk, effort and carrier_force as one group in place of the keywords.
 
@@ -189,11 +189,15 @@ def plan_time_optimal(
         check, broken, exceeding, _ = dense_check(
             dynamics, functions, judged, motion.t, motion.tau, floor, resolved.effort, singular
         )
-        ratios.append(check.ratio)
-        if (check.passed and not broken) or len(ratios) > often or not solution.optimal:
+        times, fastest = np.empty(0), np.empty(0)
+        if np.isfinite(rates).any():
+            times, turning = actuator_rates(dynamics, motion.platform, motion.t)
+            fastest = np.abs(turning / rates).max(axis=1)
+        ratios.append(max(check.ratio, float(fastest.max(initial=1.0))))
+        if (ratios[-1] <= ALLOWED and not broken) or len(ratios) > often or not solution.optimal:
             break
         guess = _physical(problem, solution)
-        nodes = _finer(nodes, motion, exceeding)
+        nodes = _finer(nodes, motion, np.concatenate([exceeding, times[fastest > MARKED]]))
     prescribed = motion.tau.copy()
     if robot.m <= robot.n:
         prescribed[np.setdiff1d(np.arange(len(nodes.t)), nodes.singular)] = np.nan

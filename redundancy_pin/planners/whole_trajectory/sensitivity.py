@@ -3,8 +3,8 @@
 Of the least cost φ(p) of a programme with the Lagrangian L(x, λ; p) the derivative is ∂L/∂p at the optimum: what the
 plan changes adds nothing. Here p enters by the numbers of the programme alone: W, f, the carriers' forces and the rates
 of the actuators at the nodes, by the kernels' exact derivatives along the plan, and the limits that a machine has.
-L is affine in all of them, so the numbers are moved by a finite amount, and the difference is the derivative to
-rounding.
+L is affine in them, so the numbers are moved by a finite amount, and the difference is the derivative to rounding. Not
+so in the characteristic length, nor need ends of tracks be in a number of the file: hence the amount is small.
 
 At a singular instant the programme requires uᵀ (Ẇ τ − ḟ) = 0, u turning with p: uᵀ W = 0 gives δuᵀ W = −uᵀ δW, and
 with Ẇ τ − ḟ = −W τ̇ the row changes by uᵀ d/dt (δW τ − δf) along the plan. That the instant itself moves adds nothing
@@ -29,8 +29,8 @@ from redundancy_pin.planners.whole_trajectory.problem import Problem, SingularNo
 from redundancy_pin.planners.whole_trajectory.transcription import transcribe
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
-MOVED = 1e-3
-"""Part of the derivatives by which the numbers are moved: any would do, for L is affine in them."""
+MOVED = 1e-6
+"""By which parameters are moved, in their units. From 1e-2 to 1e-7 gradients are the same to 1e-8 where L is affine."""
 
 
 class DesignSlopes(NamedTuple):

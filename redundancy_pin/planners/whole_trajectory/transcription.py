@@ -183,7 +183,7 @@ class Transcription(Quantities):
 
     @cached_property
     def base_force(self) -> Any:
-        """The components of the force on the base that carriers change, N."""
+        """The components of the force on the base, N, without those that are zero throughout."""
         return self._base[:, np.flatnonzero(self._base_rows < 3).tolist()]
 
     @cached_property
@@ -194,7 +194,7 @@ class Transcription(Quantities):
     @property
     def _base_rows(self) -> IntArray:
         base = self._problem.base
-        return np.flatnonzero(base.changed if base else [])
+        return np.flatnonzero(base.felt if base else [])
 
     @cached_property
     def _base(self) -> Any:
@@ -204,8 +204,8 @@ class Transcription(Quantities):
             raise ValueError("The problem has no base wrench.")
         size = self.scales.base[at]
         wrench = self.nlp.variable("base", (len(base.w0), len(at))) * _rows(size, (len(base.w0), len(at)))
-        carried = _polynomial(base.by_term[:, at], self.s, self.sd, self.sdd)
-        self.equal(wrench - carried, base.w0[:, at], size)
+        by_term = np.where(base.changed[at, None, None], base.by_term[:, at], 0.0)
+        self.equal(wrench - _polynomial(by_term, self.s, self.sd, self.sdd), base.w0[:, at], size)
         return wrench
 
     def equal(self, expression: Any, value: Any, size: Any) -> None:
