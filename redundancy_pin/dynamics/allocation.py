@@ -83,7 +83,9 @@ _MET = 1e-10
 _EXACT = 1e-14
 """Miss of the bounds that hold the answer, above which it is computed from them again."""
 
-_SETTINGS = {"primal_tol": _MET, "iter_limit": 10_000}
+_SETTINGS = {"primal_tol": _MET, "sing_tol": 1e-14, "iter_limit": 10_000}
+"""The second is a square: bounds an angle of 1e-7 apart are two; of those 6e-6 apart it takes one for contradictory."""
+
 _FAR = 1e30
 """Bounds that the solver takes for none."""
 

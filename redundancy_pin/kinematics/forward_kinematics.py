@@ -33,7 +33,7 @@ from redundancy_pin.kinematics.coordinates import (
     velocity_scale,
 )
 from redundancy_pin.kinematics.inverse_kinematics import wrapped
-from redundancy_pin.kinematics.lift import lift
+from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, range_excess
@@ -177,18 +177,17 @@ def forward_kinematics(
     u0 = coordinates(driven, home.state)
     before = u0, np.zeros(u0.shape), np.zeros(u0.shape)  # the motors come from the start
     path = [np.concatenate([first, part[:, followed]]) for first, part in zip(before, (u, ud, udd), strict=True)]
+    first = Point(u0[0], q0, home.gamma[0])
     way = _without_whole_turns(driven, path[0])
-    rate, second = np.zeros((2, *way.u.shape))
-    rate[way.places], second[way.places] = path[1:]
-    motion = PlatformMotion(np.arange(len(way.u)), way.u, rate, second, check_rates=False)
-    tree = lift(driven, motion, mark_unreachable=True, start=Point(u0[0], q0, home.gamma[0]))
+    tree, branch = _lifted(driven, way, path, first)
+    if not way.leads_back(branch):  # as behind a gear: few turns are followed as they are
+        way = _every_turn(driven, path[0], "and a turn of its motor does not lead back to the same configuration")
+        tree, branch = _lifted(driven, way, path, first)
     places = way.places[1:]
     v, a, gamma, gap, margin = (
         part[places] for part in (tree.v, tree.a, tree.gamma, tree.gap, tree.serial_margin_bound)
     )
-    good = np.logical_and.accumulate(tree.reachable)
-    branch = np.where(good[:, None], tree.q, np.nan)  # what lift takes up again behind a gap is on any branch
-    end = int(good[places].sum())
+    end = int(np.isfinite(branch[places]).all(axis=1).sum())
     status: IntArray = np.full(len(u), int(ForwardStatus.CONVERGED))
     q = branch[places]
     if end < len(u):
@@ -201,7 +200,7 @@ def forward_kinematics(
     J = np.full((len(u), robot.n, robot.m), np.nan)
     J[:end] = 0.0
     J[:end, :, followed] = system.evaluate(q[:end]).Jx @ gamma[:end]
-    q, x = way.turned(robot, branch, q), x[places] if is_pose(robot) else way.turned(robot, x, x[places])
+    q, x = way.turned(branch, q), x[places] if is_pose(robot) else way.turned(x, x[places])
     gap = np.fmax(gap, _contradiction(system, followed, u, q))
     status[(status == ForwardStatus.CONVERGED) & (gap > _AGREE)] = ForwardStatus.OUT_OF_REACH
     excess = range_excess(robot, q)
@@ -264,20 +263,66 @@ class _Way(NamedTuple):
     places: IntArray
     jumps: tuple[tuple[int, int, int], ...]
 
-    def turned(self, robot: Robot, along: Array, values: Array) -> Array:
-        """Return values (N, d) at the samples with the whole turns that were left out, from values (A, d) on the way.
+    def leads_back(self, along: Array) -> bool:
+        """Return whether values (A, d) on the way are whole turns apart before and behind turns that stand for more."""
+        steps = np.diff(along[np.array([jump[:2] for jump in self.jumps], dtype=int).reshape(-1, 2)], axis=1)
+        return not bool((np.abs(steps - _whole(steps)) > _SAME_TURN).any())
 
-        Raises:
-            InputError: a turn of the motor does not lead back.
-        """
+    def turned(self, along: Array, values: Array) -> Array:
+        """Return values (N, d) at the samples with whole turns that were left out, from values (A, d) on the way."""
         result = np.array(values)
         for before, behind, count in self.jumps:
-            step = along[behind] - along[before]
-            once = 2.0 * np.pi * np.round(step / (2.0 * np.pi))
-            if np.abs(step - once).max() > _SAME_TURN:
-                raise _too_far(robot, count, "and a turn of its motor does not lead back to the same configuration")
+            once = _whole(along[behind] - along[before])
             result[self.places[1:] >= behind] += count * np.where(np.isfinite(once), once, 0.0)
         return result
+
+
+def _whole(angles: Array) -> Array:
+    return np.asarray(2.0 * np.pi * np.round(angles / (2.0 * np.pi)))
+
+
+def _lifted(driven: Robot, way: _Way, path: list[Array], first: Point) -> tuple[TreeMotion, Array]:
+    """Return the motion along a way, with rates of the path at samples, and its (A, nq), NaN where the branch ends."""
+    rate, second = np.zeros((2, *way.u.shape))
+    rate[way.places], second[way.places] = path[1:]
+    motion = PlatformMotion(np.arange(len(way.u)), way.u, rate, second, check_rates=False)
+    tree = lift(driven, motion, mark_unreachable=True, start=first)
+    good = np.logical_and.accumulate(tree.reachable)
+    return tree, np.where(good[:, None], tree.q, np.nan)  # what lift takes up again behind a gap is on any branch
+
+
+def _whole_turns(driven: Robot, u: Array) -> IntArray:
+    """Return (N, n) the whole turns of the motors between positions (N + 1, n).
+
+    Raises:
+        InputError: positions too large to say where in a turn they are.
+    """
+    joints = [driven.model.joints[driven.model.getJointId(name)] for name in driven.independent_joints]
+    turning = np.array([bool(turning_velocities(driven)[each.idx_v]) and each.nq == 1 for each in joints])
+    angles = np.where(turning, u, 0.0)
+    largest = float(np.abs(angles).max(initial=0.0))
+    if np.spacing(largest) > _SAME_TURN:
+        raise InputError(
+            f"The motors of {driven.name} are at up to {largest:.3g} rad: such a number does not say where in a turn.",
+            remedy="Take whole turns off.",
+        )
+    return (np.abs(np.diff(angles, axis=0)) // (2.0 * np.pi)).astype(int)
+
+
+def _every_turn(driven: Robot, u: Array, why: str) -> _Way:
+    """Return the way along positions (N + 1, n) as they are.
+
+    Raises:
+        InputError: the motors turn too often between samples.
+    """
+    turns = int(_whole_turns(driven, u).max(axis=1).sum())
+    if turns > _MOST_TURNS:
+        raise InputError(
+            f"The motors of {driven.name} make {turns} whole turns between samples, {why}.",
+            remedy="Pass samples in between, or take whole turns off.",
+            turns=turns,
+        )
+    return _Way(u, np.arange(len(u)), ())
 
 
 def _without_whole_turns(driven: Robot, u: Array) -> _Way:
@@ -287,18 +332,13 @@ def _without_whole_turns(driven: Robot, u: Array) -> _Way:
     are left out. What several motors do has no such period.
 
     Raises:
-        InputError: several motors turn too often between samples.
+        InputError: several motors turn too often between samples, or positions are too large.
     """
-    model, plain = driven.model, _Way(u, np.arange(len(u)), ())
-    joints = [model.joints[model.getJointId(name)] for name in driven.independent_joints]
-    turning = np.array([bool(turning_velocities(driven)[each.idx_v]) and each.nq == 1 for each in joints])
-    whole = (np.abs(np.diff(u, axis=0)) // (2.0 * np.pi)).astype(int) * turning
+    whole = _whole_turns(driven, u)
     if whole.max(initial=0) < _FEW_TURNS:
-        return plain
-    if driven.n > 1 or model.nq != model.nv:
-        if whole.max(axis=1).sum() > _MOST_TURNS:
-            raise _too_far(driven, int(whole.max(axis=1).sum()), "which has to be followed turn by turn")
-        return plain
+        return _Way(u, np.arange(len(u)), ())
+    if driven.n > 1 or driven.model.nq != driven.model.nv:
+        return _every_turn(driven, u, "which has to be followed turn by turn")
     way, places, jumps, away = [u[0]], [0], [], 0.0
     for target, last, count in zip(u[1:], u[:-1], whole[:, 0].tolist(), strict=True):
         if count >= _FEW_TURNS:
@@ -309,14 +349,6 @@ def _without_whole_turns(driven: Robot, u: Array) -> _Way:
         way.append(target - away)
         places.append(len(way) - 1)
     return _Way(np.array(way), np.array(places), tuple(jumps))
-
-
-def _too_far(robot: Robot, turns: int, why: str) -> InputError:
-    return InputError(
-        f"The motors of {robot.name} make {turns} whole turns between samples, {why}.",
-        remedy="Pass samples in between, or take whole turns off.",
-        turns=turns,
-    )
 
 
 def _platform_at(system: ConstraintSystem, q: Array) -> Array:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 from scipy.linalg import null_space
 
-from redundancy_pin.dynamics.allocation import fit_into_bounds
+from redundancy_pin.dynamics.allocation import fit_into_bounds, within_bounds
 from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus, distribute, torque_speed_bounds
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
@@ -107,6 +107,14 @@ def test_residual_of_infeasible_rows_is_the_way_to_them():
         d = distribute(reduced([np.eye(2)], [[3.0, 0.0]]), rows=rows)
         assert d.status[0] == SampleStatus.BOUND_INFEASIBLE
         assert d.residual[0] == pytest.approx(missing / np.sqrt(2.0), abs=1e-5)  # the steadying weight's root
+
+
+@pytest.mark.parametrize("angle", [1e-4, 1e-6])
+def test_bounds_nearly_along_one_another_are_two(angle):
+    start, null, rows = np.zeros(2), np.eye(2), np.array([[1.0, 0.0], [1.0, angle]])
+    corner = rows @ [1.0, 3.0]  # z1 ≤ 1 and z1 + angle z2 ≥ 1 + 3 angle: the corner is nearest
+    z = within_bounds(start, null, rows, np.array([-np.inf, corner[1]]), np.array([corner[0], np.inf]))
+    np.testing.assert_allclose(z, [1.0, 3.0], rtol=1e-12 / angle)
 
 
 @pytest.mark.parametrize("lower", [-2.0, 1.0])
