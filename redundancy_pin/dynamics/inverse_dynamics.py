@@ -9,7 +9,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, frozen, runs
+from redundancy_pin.arrays import RANK_TOLERANCE, Array, Frozen, IntArray, frozen, require_type, runs
 from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
@@ -170,7 +170,7 @@ def inverse_dynamics_in_blocks(
         unreachable: as in ``inverse_dynamics``.
 
     Raises:
-        InputError: a load of the robot is sampled in time.
+        InputError: a load of the robot is sampled in time, or blocks are not those of one motion.
         CarrierLimitError, UnreachablePoseError, SingularPoseError, WorkingModeError: as ``inverse_dynamics``; samples
             are numbered from the beginning of the motion.
     """
@@ -182,7 +182,15 @@ def inverse_dynamics_in_blocks(
     before: tuple[PlatformMotion, CarrierMotion | None] | None = None
     turns: Turns = {}
     done = 0  # samples that have been given
-    for motion, carriers in blocks:
+    for block in blocks:
+        require_type(block, tuple, "A pair of motion and carriers", "Pass [(motion, None)] for one without carriers.")
+        motion, carriers = block
+        require_sampled(motion)
+        if before is not None and motion.x.shape[1:] != before[0].x.shape[1:]:
+            raise InputError(
+                f"Samples of shape {motion.x.shape[1:]} follow such of {before[0].x.shape[1:]}.",
+                remedy="Pass blocks of one motion.",
+            )
         again = 0 if before is None else len(before[0])
         whole, moved = _joined(before, (motion, carriers)) if before else (motion, carriers)
         until = -np.inf if before is None else before[0].t[-1]

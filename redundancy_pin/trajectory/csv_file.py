@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.errors import InputError, numbered_from
+from redundancy_pin.errors import InputError, numbered_from, shown
 from redundancy_pin.io.reading import opened
 from redundancy_pin.motion import CarrierMotion, Consistency, PlatformMotion, require_consistent
 from redundancy_pin.trajectory.quaternions import poses_of
@@ -106,6 +106,8 @@ class MotionFile:
         block: int = BLOCK,
         progress: Callable[[float], None] = lambda part: None,
     ) -> None:
+        if not isinstance(block, int) or block < 1:
+            raise InputError(f"block is {shown(block)}.", remedy="Pass a number of samples, 1 or more.")
         self._path, self._check, self._block, self._samples = path, check_rates, block, 0
         consistency, last = Consistency(), None
         for motion, carriers in self._blocks(progress):

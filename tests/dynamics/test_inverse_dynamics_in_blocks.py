@@ -145,6 +145,18 @@ def test_loads_sampled_in_time_are_refused() -> None:
         list(rp.inverse_dynamics_in_blocks(dynamics, cut(sampled, 5)))
 
 
+def test_blocks_that_are_none_of_one_motion_are_refused(tmp_path: Path) -> None:
+    dynamics, one = rp.RneaDynamics(zoo.robot_of("2rpr")), CIRCLE.sample(0.1)
+    wide = PlatformMotion(one.t + 100.0, *(np.hstack([part, part]) for part in (one.x, one.xd, one.xdd)))
+    for blocks, words in (([one], "pair"), ([(1, None)], "motion"), ([(one, None), (wide, None)], "one motion")):
+        with pytest.raises(rp.errors.InputError, match=words):
+            list(rp.inverse_dynamics_in_blocks(dynamics, blocks))
+    path = write_motion(tmp_path / "motion.csv", CIRCLE, 0.1)
+    for block in (0, -1, 1.5, None):
+        with pytest.raises(rp.errors.InputError, match="block is"):
+            MotionFile(path, block=block)
+
+
 # --- files ---
 
 

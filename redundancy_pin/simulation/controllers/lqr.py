@@ -331,8 +331,9 @@ class TimeVaryingLqr(Tracking):
 
     @property
     def feedback(self) -> Feedback | None:  # type: ignore[override]
-        """The law for machine code; None of a digital one, of poses, and where a subclass has gains of its own."""
-        if self.sampling is not None or self.reference.is_pose or type(self).gain is not TimeVaryingLqr.gain:
+        """The law for machine code; None of a digital one, of poses, and where gains are replaced."""
+        own = type(self).gain is not TimeVaryingLqr.gain or "gain" in vars(self)
+        if own or self.sampling is not None or self.reference.is_pose:
             return None
         turning = np.isin(np.arange(self.robot.n), angle_columns(self.robot))
         return Feedback(self.reference.efforts, self.reference.states, self._gain, turning, self._limit)
