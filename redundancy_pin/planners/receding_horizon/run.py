@@ -23,6 +23,9 @@ from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial, car
 SAMPLES = 0.0025
 """Between samples of the plan of a run, s."""
 
+WITHIN = 16
+"""Pieces of the efforts where W is next to singular."""
+
 
 @dataclass(frozen=True, eq=False)
 class OnLineRun(Frozen):
@@ -126,7 +129,10 @@ def run_online(
 def _through(
     planner: RecedingHorizon, source: ContinuousMotion, carriers: PiecewisePolynomial, commands: list[Command]
 ) -> list[tuple[PiecewisePolynomial, float]]:
-    """Return the efforts where W⁻¹ f magnifies what is left of f, linear in time, and the force missing there, N."""
+    """Return the efforts where W⁻¹ f magnifies what is left of f, and the force missing there, N.
+
+    In the direction that W loses they are linear in time, else those of W τ = f.
+    """
     dynamics, parts = planner.dynamics, []
     if planner.robot.n != planner.robot.m:
         return []
@@ -138,9 +144,13 @@ def _through(
         planned = np.array([command.efforts.at(t) for command, t in zip(latest, ends, strict=True)])
         inner = (ends > source.start) & (ends < source.end) & np.isfinite(tau).all(axis=1)
         tau = np.where(inner[:, None], tau, planned)
-        part = PiecewisePolynomial.linear(ends, tau)
-        times = np.linspace(float(ends[0]), float(ends[1]), 9)
+        times = np.linspace(float(ends[0]), float(ends[1]), 2 * WITHIN + 1)
         inside = dynamics.along(source.sample_at(times)).reduce(carriers_at(carriers, times))
-        left = (np.einsum("nij,nj->ni", inside.W, part(times)) - inside.f) / inside.row_scale
-        parts.append((part, float(np.abs(left).max())))
+        W, f = inside.W / inside.row_scale[:, None], inside.f / inside.row_scale
+        across = PiecewisePolynomial.linear(ends, tau)(times)
+        U, size, V = np.linalg.svd(W)
+        left = np.einsum("nij,ni->nj", U, f - np.einsum("nij,nj->ni", W, across))[:, :-1] / size[:, :-1]
+        across += np.einsum("njm,nj->nm", V[:, :-1], left)  # by what W does not lose
+        part = PiecewisePolynomial.linear(times[::2], across[::2])
+        parts.append((part, float(np.abs(np.einsum("nij,nj->ni", W, part(times)) - f).max())))
     return parts
