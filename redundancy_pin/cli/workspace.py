@@ -62,7 +62,7 @@ def workspace(
         output.require_suffix("--out", out, ".csv")
     output.require_outputs(out, plot, ())
     wanted: dict[str, Any] = {
-        "free": free.split(",") if free else None,
+        "free": None if free is None else free.split(","),
         "at": _numbers("--at", at),
         "bounds": None if bounds is None else [_numbers("--bounds", part, ":", 2) for part in bounds.split(",")],
     }

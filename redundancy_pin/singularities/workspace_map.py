@@ -223,8 +223,8 @@ def _free(robot: Robot, free: Sequence[str] | None) -> tuple[tuple[str, ...], tu
             remedy=f"Choose up to three of its translations, or two of its joints: {', '.join(possible) or 'none'}.",
         )
     if len(set(names)) < len(names) or not set(names) <= set(possible):
-        raise InputError(
-            f"free is {names}.", remedy=f"{did_you_mean(names[0], possible)}Choose from {', '.join(possible)}."
-        )
+        unknown = [name for name in names if name not in possible]
+        meant = did_you_mean(unknown[0], possible) if unknown else "Name each once. "
+        raise InputError(f"free is {names}.", remedy=f"{meant}Choose from {', '.join(possible)}.")
     # of a pose the row of the translation, of coordinates their column
     return names, tuple("xyz".index(name) if is_pose(robot) else known.index(name) for name in names)

@@ -76,7 +76,9 @@ def test_a_pose_has_seven_numbers() -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--free", "x,q"), "Choose from x, y."),
+        (("--free", "x,q"), "--free is ('x', 'q'). Choose from x, y."),
+        (("--free", ""), "--free"),
+        (("--free", "x,x"), "Name each once."),
         (("--bounds", "0:1"), "--bounds"),
         (("--bounds", "0:1,a:b"), "LOW:HIGH"),
         (("--bounds", "0,1"), "LOW:HIGH"),

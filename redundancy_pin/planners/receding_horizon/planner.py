@@ -52,7 +52,7 @@ MOST_ROUNDS = 5
 SHORTEST_STOP = 1e-6
 """s; a carrier that stops sooner stands."""
 
-PROXIMAL = 30.0
+PROXIMAL = 3.0
 """Weight of the squared change of s̈ from round to round: they would go to and fro between two plans of one cost."""
 
 SMALLEST = 0.05

@@ -73,6 +73,21 @@ def test_a_singular_instant_is_crossed_as_the_other_backend_sees_it():
     assert run.plan.diagnostics["missing_force"] < MISSING
 
 
+def test_a_slow_crossing_with_samples_next_to_it_is_within_limits_too():
+    # W is next to singular for longer than from sample to sample, and one is judged there
+    path = circle_path((0.25, 0.0), 0.09, start_angle=-0.3, sweep=0.6)
+    slow = Trajectory(path, SpeedProfile(path.length, 0.12, 0.1))
+    run = run_online(RecedingHorizon(machine()[0]), slow)
+    (window,) = run.plan.functions.prescribed
+    inside = (run.plan.t >= window.start) & (run.plan.t <= window.end)
+    assert inside.any()
+    t = run.plan.t[inside]
+    reduced = machine()[1].reduce(slow.sample_at(t), run.plan.carriers_at(t))
+    left = np.einsum("nij,nj->ni", reduced.W, run.plan.tau[inside]) - reduced.f
+    assert np.abs(left).max() < 1e-6 * np.abs(run.plan.tau).max()
+    assert run.plan.status.value == "within_limits"
+
+
 def test_efforts_are_continuous_through_the_singular_instant_and_those_of_the_other_backend():
     run, (dynamics, other) = across(), machine()
     for root in run.plan.diagnostics["singular_instants"]:
