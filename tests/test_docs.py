@@ -56,6 +56,7 @@ OUTSIDE = ("pip", "make")
     "docs/guide/exchange.md",
     "docs/whole_trajectory.md",
     "docs/time_optimal.md",
+    "docs/co_design.md",
     "docs/feasibility_map.md",
 )
 @pytest.mark.parametrize("name", [name for name, path in PAGES.items() if "```" in path.read_text(encoding="utf-8")])
