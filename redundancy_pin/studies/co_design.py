@@ -53,11 +53,13 @@ NO_MACHINE = (InfeasiblePlanError, UnreachablePoseError, SingularPoseError, Work
 """What tells that a machine cannot carry out a task."""
 
 _STATIONARY = 3e-4
-"""Relative decrease of the cost that the model promises, within ``_LEAST`` of the ranges and more, from which a machine
-counts as best."""
+"""Relative decrease of the cost that the model promises, from which the search ends."""
 
 _LARGEST, _LEAST = 0.3, 1e-3
 """Radius of the trust region, of the ranges: to begin with, and where the method gives up."""
+
+_SEEN = 0.03
+"""Radius within which nothing may be promised of a machine that counts as best."""
 
 _DECREASE = 0.1
 """Part of the promised decrease that a machine has to bring, to be the next one."""
@@ -151,7 +153,11 @@ def co_design(
         if progress is not None:
             progress(", ".join(f"{name} {value:.5g}" for name, value in history[-1].items()))
         u, promised = _modelled(here, bundle, hessian, radius)
-        if optimal := promised <= _STATIONARY * here.cost:
+        if promised <= _STATIONARY * here.cost:
+            # a region that has shrunk, as beside machines without a plan, promises little whatever the slopes
+            optimal = _modelled(here, bundle, hessian, max(radius, _SEEN))[1] <= _STATIONARY * here.cost
+            break
+        if not np.isfinite(promised):
             break
         there = search.machine_or_none(u, here)
         if there is None:
@@ -369,6 +375,8 @@ def _modelled(here: _Machine, bundle: Sequence[_Machine], hessian: Array, radius
         },
         options={"ftol": 1e-12, "maxiter": 200},
     )
+    if not (result.success or result.fun < 0.0):
+        return here.u, np.inf  # no step, but not for want of a promise
     u = here.u + result.x[:-1]
     u = np.where(u < _ON_BOUND, 0.0, np.where(u > 1.0 - _ON_BOUND, 1.0, u))
     return u, -float(result.fun) * here.cost

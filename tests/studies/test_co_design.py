@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from functools import cache, partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import redundancy_pin as rp
+import redundancy_pin.studies.co_design as studied
 from redundancy_pin.errors import InputError
 from redundancy_pin.robot import Robot
 from redundancy_pin.studies.co_design import DesignTask, _Search, co_design
@@ -121,6 +123,32 @@ def test_no_neighbour_is_better_and_two_tasks_share_a_machine() -> None:
             at = result.parameters[name] + by * (high - low)
             if low <= at <= high:
                 assert cost(**{name: at}) > here * (1.0 - 5e-3), (name, by)
+
+
+def test_a_search_stopped_by_machines_that_cannot_is_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first parameter can hardly grow, the second can: a trust region that shrank says nothing of it."""
+
+    class Plane:
+        start, names, rejected = np.array([0.5, 0.5]), ("first", "second"), 0
+        slope = np.array([-0.1, -0.05])
+
+        def machine(self, u: np.ndarray, near: object = None) -> Any:
+            cost = 1.0 + float(self.slope @ u)
+            return SimpleNamespace(u=u, cost=cost, slope=self.slope, values=[cost], gradients=self.slope[None],
+                                   solved=(), held=(False, False), parameters={})  # fmt: skip
+
+        def machine_or_none(self, u: np.ndarray, near: object) -> Any:
+            return self.machine(u) if u[0] <= self.most else None
+
+        def record(self, machine: Any) -> dict[str, float]:
+            return {"cost": machine.cost}
+
+        def __init__(self, most: float) -> None:
+            self.most = most
+
+    for most, optimal in ((0.5001, False), (1.0, True)):
+        monkeypatch.setattr(studied, "_Search", lambda *_, most=most: Plane(most))
+        assert co_design([crossing()], {"carrier_mass": (0.9, 2.0)}).optimal is optimal
 
 
 def test_machines_that_cannot_are_passed_over() -> None:
