@@ -418,7 +418,7 @@ def compare_machines(
     Returns:
         A record for each machine and task: ``machine``, ``task``, ``parameters``, ``mass`` of all that moves, kg,
         ``value`` of what is minimised, ``peak``, energies, ``carrier_force``, ``stroke``, ``status``, and ``reason``
-        where there is no plan; ``optimal`` of the machine.
+        where there is no plan; ``optimal`` and, in words, ``search`` of the machine, None of the one to begin with.
     """
     first = _tasks(list(tasks.values()))[0].dynamics.robot
     _bounds(first, design)
@@ -439,7 +439,8 @@ def compare_machines(
             robot = _with(task.dynamics.robot, parameters)
             record: Record = {"machine": machine, "task": name, **parameters, "mass": pin.computeTotalMass(robot.model),
                               "value": None, "status": "no plan", "reason": None,
-                              "optimal": made is None or made.optimal}  # fmt: skip
+                              "optimal": made and made.optimal,
+                              "search": made and ("ended" if made.optimal else "stopped early")}  # fmt: skip
             if made and name in names:
                 plan, value = made.plans[names.index(name)], float(made.values[names.index(name)])
             else:

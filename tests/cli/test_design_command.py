@@ -24,7 +24,10 @@ def test_files_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert made["value"] == pytest.approx(0.81 * first["value"], rel=1e-5)
     assert made["energy"] == pytest.approx(0.9 * first["energy"], rel=1e-3)
     assert (first["mass"], made["mass"]) == (pytest.approx(2.0), pytest.approx(1.8))
+    # one step is not enough to see that no other is better
+    assert [(each["optimal"], each["search"]) for each in (first, made)] == [(None, None), (False, "stopped early")]
     folder = tmp_path / "design-2rpr"
+    assert "stopped early" in (folder / "design.md").read_text()
     assert {path.name for path in folder.iterdir()} == {"design.md", "design.csv", "design.json"}
     assert json.loads((folder / "design.json").read_text())["records"] == [first, made]
 

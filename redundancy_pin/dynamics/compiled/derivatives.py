@@ -92,10 +92,10 @@ class MotionDerivatives(Frozen):
     def tau(self) -> Partials:
         """Derivatives of the (N, m) main efforts, those of least norm where there is a choice, as ``efforts`` has them.
 
-        Of W τ = f by the implicit function: W ∂τ = ∂f − ∂W τ, and of u = Aᵀ y, where efforts over their sizes have the
-        least norm, the part in the null space of A is that of ∂Aᵀ y. NaN where W lacks rank, for there efforts grow
-        without bound or jump to those of least norm; and of fewer actuators than coordinates by all that leads to an f
-        that they cannot balance.
+        Of W τ = f by the implicit function: W ∂τ = ∂f − ∂W τ, and of u = Aᵀ y, where efforts over their sizes (which
+        are held, though the characteristic length is one) have the least norm, the part in the null space of A is that
+        of ∂Aᵀ y. NaN where W lacks rank, for there efforts grow without bound or jump to those of least norm; and of
+        fewer actuators than coordinates by all that leads to an f that they cannot balance.
         """
         reduced, efforts = self.reduced, self.efforts
         at = efforts.solved & (efforts.rank == min(reduced.W.shape[1:]))
