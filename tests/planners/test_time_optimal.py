@@ -18,6 +18,7 @@ from redundancy_pin import (
     PlatformMotion,
     RneaDynamics,
     VirtualWork,
+    Wrench,
     check_plan,
     load_plan,
     plan_time_optimal,
@@ -282,9 +283,13 @@ def test_samples_are_no_path() -> None:
 
 
 def test_what_is_not_covered_is_refused() -> None:
-    rubbing = bare().robot.loaded(JointForces("base_1", friction=1.0))
-    with pytest.raises(UnsupportedRobotError, match="dry friction"):
-        plan_time_optimal(RneaDynamics(rubbing), CORNER, effort=EFFORT, steps=20)
+    def gust(t: np.ndarray, x: np.ndarray, xd: np.ndarray) -> np.ndarray:
+        return np.outer(np.sin(8.0 * t), np.eye(6)[0])
+
+    robot = bare().robot
+    for load in (JointForces("base_1", friction=1.0), Wrench(robot.platform.frame, gust)):
+        with pytest.raises(UnsupportedRobotError, match="dry friction and loads that depend on time"):
+            plan_time_optimal(RneaDynamics(robot.loaded(load)), CORNER, effort=EFFORT, steps=20)
 
 
 def test_weight_beyond_the_efforts_is_infeasible() -> None:

@@ -76,13 +76,13 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
     """Read the coefficients off a backend along the path at unit speed (its derivatives are those by p).
 
     Raises:
-        UnsupportedRobotError: f has other terms, as of dry friction, or of carriers that carry one another.
+        UnsupportedRobotError: f has other terms, as of dry friction, of carriers that carry one another, or of time.
     """
     motion, robot = along.motion, dynamics.robot
 
-    def at(speed: float, acceleration: float) -> CarrierModel:
+    def at(speed: float, acceleration: float, later: float = 0.0) -> CarrierModel:
         xdd = motion.xdd * speed**2 + motion.xd * acceleration
-        there = dynamics.along(PlatformMotion(motion.t, motion.x, motion.xd * speed, xdd, check_rates=False))
+        there = dynamics.along(PlatformMotion(motion.t + later, motion.x, motion.xd * speed, xdd, check_rates=False))
         if robot.k:
             try:
                 return carrier_model(there)
@@ -95,7 +95,7 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
         by_term, force0, force_terms = none
         return CarrierModel(motion.t, reduced.W, reduced.f, by_term, force0, force_terms)
 
-    rest, ahead, back, push, other = at(0.0, 0.0), at(1.0, 0.0), at(-1.0, 0.0), at(0.0, 1.0), at(0.7, -1.3)
+    rest, ahead, back, push, other = at(0.0, 0.0), at(1.0, 0.0), at(-1.0, 0.0), at(0.0, 1.0), at(0.7, -1.3, 0.37)
     names = [field.name for field in fields(CarrierModel)][2:]
     parts = {}
     for name in names:
@@ -108,7 +108,7 @@ def read_model(along: DynamicsAlongMotion, dynamics: Dynamics) -> CarrierModel:
         deviation = float(np.abs(split @ np.array([1.0, 0.7, 0.49, -1.3]) - last).max(initial=0.0)) / size
         if deviation > _TOLERANCE:
             raise UnsupportedRobotError(
-                f"f of {robot.name} is no sum of 1, ṗ, ṗ² and p̈ along the path: it deviates by {deviation:.2g}.",
+                f"f of {robot.name} is no sum of 1, ṗ, ṗ² and p̈ along the path alone: it deviates by {deviation:.2g}.",
                 remedy="Leave dry friction and loads that depend on time out, or plan at a given speed.",
             )
         parts[name] = split
