@@ -50,7 +50,7 @@ _USUAL_PART = 0.1
 """Part of a robot's usual margin above which nothing is near a rank loss: short levers, gears and many joints make
 margins of 1e-3 and less everywhere (Cassie), where no rank is lost."""
 _SOME, _AROUND = 8, 0.2
-"""Configurations around the reference that say what is usual, and how far their joints are off, rad or m."""
+"""Configurations of a kind around the reference that say what is usual, and how far their joints are off, rad or m."""
 
 _NODES = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
 _NODE_SPACINGS = (1e-2, 2.5e-3)
@@ -315,10 +315,19 @@ class Carried(NamedTuple):
 
 @lru_cache(maxsize=64)
 def closed_around(system: ConstraintSystem) -> Assembly:
-    """Return the reference configuration and some around it, the chains closed again where Newton's method can."""
-    model, q = system.robot.model, np.array(system.robot.q_reference)
-    steps = np.random.default_rng(0).normal(0.0, _AROUND, (1 + _SOME, model.nv))
+    """Return the reference configuration and some around it, the chains closed again where Newton's method can.
+
+    Half of them are off any way, half along the branch: beside a pose where several loops are flat, Newton's method
+    closes the former to flat poses again.
+    """
+    model, q, rng = system.robot.model, np.array(system.robot.q_reference), np.random.default_rng(0)
+    steps = rng.normal(0.0, _AROUND, (1 + _SOME, model.nv))
     steps[0] = 0.0
+    home = assemble(system, q[None], max_iterations=0)
+    if home.closed[0] and home.projection.margin[0] > 0.0:
+        along = rng.normal(size=(_SOME, system.robot.n)) @ home.gamma[0].T
+        farthest = np.abs(along).max(axis=1, keepdims=True)
+        steps = np.concatenate([steps, 2.0 * _AROUND * along / np.where(farthest > 0.0, farthest, 1.0)])
     return assemble(system, integrate(model, np.repeat(q[None], len(steps), axis=0), steps))
 
 

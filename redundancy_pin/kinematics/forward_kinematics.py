@@ -147,7 +147,8 @@ def forward_kinematics(
         start: (nq,) a closed configuration; ``robot.q_reference`` when left out.
 
     Raises:
-        InputError: wrong shapes, a start that is not closed, hundreds of turns of several motors between samples.
+        InputError: wrong shapes, a start that is not closed, angles beyond 8e9 rad, more than a hundred
+            turns between samples of several motors, or of one that is not back after a turn.
         UnsupportedRobotError: fewer motors than freedoms.
         SingularPoseError: the start is a type II singularity, where branches meet.
     """

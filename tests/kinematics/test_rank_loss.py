@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from flat_linkages import row_of_four_bars
 from folding import folding_four_bar, joint, rocker_angle, rocker_motion
 
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute
@@ -13,7 +15,7 @@ from redundancy_pin.dynamics.rnea import RneaDynamics, joint_reactions
 from redundancy_pin.errors import SingularPoseError, UnreachablePoseError
 from redundancy_pin.kinematics.assembly import assemble
 from redundancy_pin.kinematics.closure import constraint_system
-from redundancy_pin.kinematics.continuation import Point, crosses
+from redundancy_pin.kinematics.continuation import NEAR_RANK_LOSS, Point, crosses, near_rank_loss
 from redundancy_pin.kinematics.coordinates import mode_indicator
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
@@ -219,3 +221,17 @@ def test_only_a_smooth_branch_through_a_rank_loss_is_a_crossing(excess: float, t
         assert crosses(system, before[side], behind[1 - side]) == (excess == 0.0)
         assert not crosses(system, before[side], behind[side])
         assert not crosses(system, before[side], before[side]._replace(x=before[side].x + 1e-3))
+
+
+@pytest.mark.parametrize("beside", [1e-1, 1e-2, 1e-3])
+def test_a_reference_beside_a_pose_where_three_loops_are_flat_costs_no_digits(beside: float) -> None:
+    """Parallelograms side by side: all cranks turn alike, couplers against them."""
+    robot = row_of_four_bars(3)
+    turn = np.array([1.0 if name.startswith("crank") else -1.0 for name in list(robot.model.names)[1:]])
+    robot = replace(robot, q_reference=beside * turn)
+    assert near_rank_loss(constraint_system(robot)) == NEAR_RANK_LOSS
+    crank = np.linspace(beside, -1.02 * beside, 41)[:, None]
+    rate = np.ones_like(crank)
+    tree = lift(robot, PlatformMotion(np.arange(41.0), crank, 2.0 * rate, 3.0 * rate, check_rates=False))
+    for found, expected in ((tree.q, crank * turn), (tree.v, 2.0 * rate * turn), (tree.a, 3.0 * rate * turn)):
+        np.testing.assert_allclose(found, expected, atol=1e-6)
