@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -135,7 +136,7 @@ def put_together(
         working_modes=declaration.modes,
         working_mode=_mode(declaration, mode),
         characteristic_length=declaration.characteristic_length or characteristic_length(model, guess, carriers),
-        closed_form=declaration.closed_form,
+        closed_form=_closed_form(declaration, parameters, carriers),
         source=source,
     )
     _check_carriers_carry(robot)
@@ -217,6 +218,14 @@ def _require_closed_form(declaration: Declaration, parameters: Mapping[str, Argu
             message = f"`closed_form: {declaration.closed_form}` needs the xacro argument {name!r}, which {what}."
             remedy = "Leave `closed_form` out: RneaDynamics covers every robot."
             raise DeclarationError(message, remedy=remedy, key="closed_form", name=name)
+
+
+def _closed_form(
+    declaration: Declaration, parameters: Mapping[str, Argument], carriers: tuple[str, ...]
+) -> Literal["2rpr", "3rrr"] | None:
+    """Return the closed form that covers the robot: it has a carrier on each leg or none, and no others."""
+    legs = len(declaration.modes.joints) if declaration.modes and parameters.get("carriers") else 0
+    return declaration.closed_form if len(carriers) == legs else None
 
 
 def _body_of(model: pin.Model, frame: str) -> int:
