@@ -28,6 +28,7 @@ VARIANTS: list[tuple[str, dict[str, object]]] = [
     ("2rpr", {}),
     ("2rpr", {"carriers": False, "end_effector_mass": 0.7}),
     ("2rpr", {"cylinder_mass": 0.4, "piston_mass": 0.3, "end_effector_mass": 0.2, "track_offset": 0.05}),
+    ("2rpr", {"end_effector_carriers": True}),
     ("3rrr", {}),
     ("3rrr", {"carriers": False}),
     ("3rrr", {"platform_inertia": 0.02, "tail_length": 0.6, "carrier_mass": 1.5}),
@@ -38,6 +39,7 @@ VARIANTS: list[tuple[str, dict[str, object]]] = [
     ("four_bar", {"crank_length": 0.12, "rocker_mass": 0.9}),
     ("gough", {}),
     ("gough", {"payload_mass": 2.0, "payload_height": 0.3, "base_angle": 0.15, "height": 0.7}),
+    ("gough", {"carriers": True, "track_angle": 0.4, "track_offset": 0.25}),
 ]
 
 
@@ -157,6 +159,7 @@ def _body(urdf: yourdfpy.URDF, link: str) -> tuple[float, np.ndarray, np.ndarray
         ("3rrr", {"carriers": False}, 3 * (1.0 + 1.0) + 0.5),
         ("five_bar", {}, 2 * (0.5 + 0.5 + 1.0) + 0.2),
         ("four_bar", {}, 0.2 + 0.7 + 0.5),
+        ("gough", {"carriers": True, "carrier_mass": 3.0}, 6 * (1.5 + 0.8 + 3.0) + 5.0),
         ("gough", {"payload_mass": 2.0}, 6 * (1.5 + 0.8) + 5.0 + 2.0),
     ],
 )

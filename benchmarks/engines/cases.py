@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from engines.drive import Drive, drive_of_motion, drive_of_plan
+from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
@@ -90,6 +91,25 @@ WITH_MASS = {"end_effector_mass": 0.5, "cylinder_mass": 0.3, "piston_mass": 0.2}
 SHORT = Case("2-RPR short line", "2rpr", lambda _: straight((0.15, 0.1), (0.2, -0.1), 0.6), WITH_MASS, crossings=1)
 """Quick, and through a type II pose: for the ordinary tests."""
 
+
+def yawed(degrees: float) -> Array:
+    """Return the pose (4, 4) of the shipped Gough platform, level and 0.6 m high, turned about the vertical."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    pose[2, 3] = 0.6
+    return pose
+
+
+YAW = Case(
+    "Gough, through 90 degrees of yaw",
+    "gough",
+    lambda _: reference.pose(yawed(70.0), yawed(110.0), 1.0),
+    {"carriers": True},
+    {"dt": 0.02},
+    crossings=1,
+)
+"""Poses and gravity through a type II pose."""
+
 CASES = (
     SHORT,
     Case("2-RPR line", "2rpr", lambda _: reference.line(0.4, ramp_time=0.5), WITH_MASS, crossings=1),
@@ -116,6 +136,7 @@ CASES = (
     Case("five-bar line", "five_bar", lambda _: straight((0.1, 0.6), (0.35, 0.3), 1.0), crossings=1),
     Case("four-bar half turn", "four_bar", lambda _: straight((1.0,), (4.0,), 1.0)),
     Case("Gough, move and tilt", "gough", _tilted),
+    YAW,
 )
 """Everything ``make engines`` runs."""
 

@@ -1,0 +1,163 @@
+"""Carriers on the end-effector of the 2-RPR, and on the legs of the Gough platform, through type II poses."""
+
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+
+import redundancy_pin as rp
+from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
+from redundancy_pin.kinematics.lift import lift
+
+FOLLOWED = 1e-6
+"""m and rad, as required."""
+
+
+def on_the_end_effector(mass=0.0):
+    return rp.load_robot("2rpr", carriers=False, end_effector_carriers=True, end_effector_mass=mass, carrier_mass=0.8)
+
+
+@pytest.mark.long_for("CompiledDynamics")
+@pytest.mark.parametrize("backend", [rp.RneaDynamics, rp.CompiledDynamics])
+def test_carriers_on_the_end_effector_are_point_masses_that_turn_with_leg_1(backend):
+    """Against Newton for three points: positions as formulas of B and s, all else by central differences."""
+    robot, h = on_the_end_effector(0.3), 1e-4
+    rng = np.random.default_rng(3)
+    x0, v, a, s0, sd, sdd = rng.uniform(0.2, 0.5, (6, 2)) * np.array([1, 1, 1, 0.3, 1, 1])[:, None]
+
+    def masses(t, x, s):
+        u = x / np.hypot(*x)
+        return np.array([x, x + s[0] * u, x + s[1] * np.array([-u[1], u[0]])])
+
+    def at(t):
+        return masses(t, x0 + v * t + a * t**2 / 2, s0 + sd * t + sdd * t**2 / 2)
+
+    acceleration = (at(h) - 2 * at(0.0) + at(-h)) / h**2
+    inertial = np.array([0.3, 0.8, 0.8])[:, None] * acceleration
+    unit = h * np.eye(2)
+    of_x = [(masses(0, x0 + e, s0) - masses(0, x0 - e, s0)) / (2 * h) for e in unit]
+    of_s = [(masses(0, x0, s0 + e) - masses(0, x0, s0 - e)) / (2 * h) for e in unit]
+    motion = rp.PlatformMotion(np.zeros(1), x0[None], v[None], a[None])
+    carriers = rp.CarrierMotion(s0[None], sd[None], sdd[None])
+    reduced = backend(robot).reduce(motion, carriers)
+    np.testing.assert_allclose(reduced.f[0], [(part * inertial).sum() for part in of_x], atol=1e-6)
+    np.testing.assert_allclose(reduced.carrier_force[0], [(part * inertial).sum() for part in of_s], atol=1e-6)
+
+
+@pytest.mark.parametrize("carriers", [True, False])
+def test_the_closed_form_refuses_them(carriers):
+    robot = rp.load_robot("2rpr", carriers=carriers, end_effector_carriers=True)
+    assert robot.closed_form is None
+    assert robot.k == (4 if carriers else 2)
+    with pytest.raises(UnsupportedRobotError, match="RneaDynamics"):
+        rp.VirtualWork(robot)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("mass", [0.0, 0.5])
+def test_carriers_on_the_end_effector_cross_and_are_replayed(mass):
+    robot, circle = on_the_end_effector(mass), rp.trajectory.reference.circle(speed=0.5)
+    plan = rp.plan_whole_trajectory(rp.RneaDynamics(robot), circle, dt=0.01)
+    assert plan.status.value == "within_limits"
+    assert len(plan.diagnostics["singular_instants"]) == 2
+    if mass:  # the replay of the other one takes ten seconds
+        run = rp.simulate(robot, plan, dt=0.01, stop_at=())
+        assert np.abs(run.x - circle.evaluate(np.minimum(run.t, circle.duration)).x).max() < FOLLOWED
+
+
+@pytest.mark.long
+def test_switching_off_with_mass_at_the_end_effector_takes_carriers_on_it():
+    """Across leg and along it: those on the legs have no effect along the line of the bases."""
+    circle = rp.trajectory.reference.circle(speed=0.5)
+    with pytest.raises(InfeasiblePlanError, match="nothing can carry"):
+        rp.plan_switch_off(rp.RneaDynamics(rp.load_robot("2rpr", end_effector_mass=0.5)), circle, threshold=7.0)
+    plan = rp.plan_switch_off(rp.RneaDynamics(on_the_end_effector(0.5)), circle, threshold=7.0)
+    assert np.isfinite(plan.tau).all()
+
+
+def yawed(degrees):
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    pose[2, 3] = 0.6
+    return pose
+
+
+@cache
+def crossing(dt):
+    robot = rp.load_robot("gough", carriers=True)
+    trajectory = rp.trajectory.reference.pose(yawed(70.0), yawed(110.0), 1.0)
+    return robot, trajectory, rp.plan_whole_trajectory(rp.RneaDynamics(robot), trajectory, dt=dt)
+
+
+def test_gough_crosses_90_degrees_of_yaw_under_gravity():
+    """Without projection: Pinocchio's tree forces less the plan's efforts are forces in the loops, everywhere; and all
+    the work is what the machine's energy has become, from rest to rest."""
+    robot, _, plan = crossing(0.05)
+    assert plan.status.value == "within_limits"
+    np.testing.assert_allclose(plan.diagnostics["singular_instants"], [0.5], atol=1e-9)
+    tree, model, data = lift(robot, plan.motion).with_carriers(plan.carriers), robot.model, robot.model.createData()
+    ends = [
+        tuple(model.getFrameId(name, pin.FrameType.BODY) for name in (c.frame_a, c.frame_b)) for c in robot.closures
+    ]
+    power = []
+    for sample, (q, v, a) in enumerate(zip(tree.q, tree.v, tree.a, strict=True)):
+        left = pin.rnea(model, data, q, v, a).copy()
+        left[robot.actuated_velocity] -= plan.tau[sample]
+        left[robot.carrier_velocity] -= plan.carrier_force[sample]
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        loops = np.vstack(
+            [
+                pin.getFrameJacobian(model, data, i, world)[:3] - pin.getFrameJacobian(model, data, j, world)[:3]
+                for i, j in ends
+            ]
+        )
+        np.testing.assert_allclose(loops @ v, 0.0, atol=1e-9)
+        inside = loops.T @ np.linalg.lstsq(loops.T, left, rcond=None)[0]
+        np.testing.assert_allclose(left, inside, atol=1e-5)  # of 330 N
+        power.append(
+            plan.tau[sample] @ v[robot.actuated_velocity] + plan.carrier_force[sample] @ v[robot.carrier_velocity]
+        )
+    energy = [pin.computeMechanicalEnergy(model, data, tree.q[end], tree.v[end]) for end in (0, 20, -1)]
+    assert np.abs(plan.carriers.s).max() > 0.05
+    for half in (20, None):  # up to the crossing, and all; the trapezoidal rule is 0.1 J off
+        upto = slice(None if half is None else half + 1)
+        gained = energy[2 if half is None else 1] - energy[0]
+        assert np.trapezoid(power[upto], plan.t[upto]) == pytest.approx(gained, abs=0.15)
+
+
+def test_carriers_of_gough_lie_across_its_legs():
+    robot = rp.load_robot("gough", carriers=True, track_angle=0.4, track_offset=0.25)
+    q, data = robot.q_reference.copy(), robot.model.createData()
+    q[robot.carrier_position] = 0.1
+    pin.framesForwardKinematics(robot.model, data, q)
+    for leg in range(1, 7):
+        cylinder, mass = (
+            data.oMf[robot.model.getFrameId(f"{name}_{leg}", pin.FrameType.BODY)] for name in ("cylinder", "mass")
+        )
+        across = 0.1 * np.array([np.cos(0.4), (-1) ** (leg + 1) * np.sin(0.4)])
+        np.testing.assert_allclose(cylinder.actInv(mass).translation, [*across, 0.25], atol=1e-12)
+
+
+@pytest.mark.long
+def test_gough_is_replayed_through_90_degrees_of_yaw():
+    robot, trajectory, plan = crossing(0.02)
+    run = rp.simulate(robot, plan, dt=0.02, stop_at=())
+    assert run.status.value == "completed"
+    planned = trajectory.evaluate(np.minimum(run.t, 1.0)).x
+    turned = Rotation.from_matrix(run.x[:, :3, :3] @ planned[:, :3, :3].transpose(0, 2, 1)).magnitude()
+    assert np.abs(run.x[:, :3, 3] - planned[:, :3, 3]).max() < FOLLOWED
+    assert turned.max() < FOLLOWED
+
+
+@pytest.mark.long
+def test_what_light_carriers_lack_is_said_in_numbers_that_suffice():
+    trajectory = rp.trajectory.reference.pose(yawed(70.0), yawed(110.0), 1.0)
+    dynamics = rp.RneaDynamics(rp.load_robot("gough", carriers=True, carrier_mass=0.5))
+    with pytest.raises(InfeasiblePlanError, match="acceleration of carrier_") as caught:
+        rp.plan_whole_trajectory(dynamics, trajectory, dt=0.05)
+    wider = 1.02 * caught.value.details["limit"]
+    assert rp.plan_whole_trajectory(dynamics, trajectory, dt=0.05, acceleration=wider).status.value == "within_limits"
