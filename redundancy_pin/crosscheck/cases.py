@@ -154,7 +154,7 @@ def random_robot(
     nominal = _nominal(source)
     arguments: dict[str, object] = {}
     for name, value in nominal.parameters.items():
-        if isinstance(value, bool):
+        if name == "carriers":  # other flags stay: what they bring may have no closed form
             arguments[name] = carriers if carriers is not None else bool(rng.random() < 0.8)
         elif isinstance(value, float) and value != 0.0:
             arguments[name] = value * rng.uniform(1.0 - _SPREAD, 1.0 + _SPREAD)

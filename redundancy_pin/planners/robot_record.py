@@ -83,7 +83,12 @@ class RobotRecord:
         own = {*self.actuated, *self.carriers}  # older files say of these alone which rotate
         same = own.intersection(now.rotating) == own.intersection(self.rotating)
         unsaid: dict[str, Any] = {name: None for name in ("couplings", "ranges") if getattr(self, name) is None}
-        return same and replace(now, source=self.source, rotating=self.rotating, **unsaid) == self
+        arguments = self.known_arguments(now)
+        return same and replace(now, source=self.source, rotating=self.rotating, arguments=arguments, **unsaid) == self
+
+    def known_arguments(self, now: RobotRecord) -> dict[str, float | bool | str]:
+        """Return the arguments of a newer record but for those that came since: what they change is compared itself."""
+        return {name: value for name, value in now.arguments.items() if name in self.arguments}
 
     def saved_beside(self, path: str | Path) -> RobotRecord:
         """Return the record as it goes into the file of that path: a source in its folder as the path from there."""
@@ -282,7 +287,7 @@ def _changed(record: RobotRecord, place: str | Path, what: str) -> PlanFileError
 def record_difference(then: RobotRecord, now: RobotRecord) -> str:
     """Say what differs first between two records; empty if they describe the same robot."""
     for name in ("arguments", "working_mode", "actuated", "carriers", "carrier_limits", "loads"):
-        before, after = getattr(then, name), getattr(now, name)
+        before, after = getattr(then, name), then.known_arguments(now) if name == "arguments" else getattr(now, name)
         if before != after:
             return f"its {name.replace('_', ' ')} were {before}, now {after}."
     for name, what in (("couplings", "coupling"), ("ranges", "range of the joint")):
