@@ -5,6 +5,7 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError
+from redundancy_pin.planners.receding_horizon import run_online
 from redundancy_pin.simulation.controllers import Encoders, NoisyAmplifier, OnlinePlanning, Sampling, joint_friction
 from redundancy_pin.simulation.state import closed_state
 from redundancy_pin.studies.trial import MASSES, Imperfections, draw
@@ -63,5 +64,15 @@ def test_settings_that_make_no_sense_are_refused():
     planner = rp.RecedingHorizon(rp.CompiledDynamics(rp.load_robot("2rpr", **MASSES)))
     with pytest.raises(InputError, match="is not within a tick"):
         OnlinePlanning(planner, ACROSS, Sampling(1e-3), effort_scale=1.0, delay=0.03)
+    for settings in ({"tick": 0.6}, {"delay": np.nan}, {"delay": "soon"}):
+        with pytest.raises(InputError):
+            OnlinePlanning(planner, ACROSS, Sampling(1e-3), effort_scale=1.0, **settings)
+    with pytest.raises(InputError, match="RecedingHorizon"):
+        OnlinePlanning(None, ACROSS, Sampling(1e-3), effort_scale=1.0)
     with pytest.raises(InputError, match="digital"):
         OnlinePlanning(planner, ACROSS, None, effort_scale=1.0)
+    planner.update(0.0, ACROSS)
+    with pytest.raises(InputError, match="another run"):
+        OnlinePlanning(planner, ACROSS, Sampling(1e-3), effort_scale=1.0)
+    with pytest.raises(InputError, match="another run"):
+        run_online(planner, ACROSS)

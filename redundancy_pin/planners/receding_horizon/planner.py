@@ -234,6 +234,11 @@ class RecedingHorizon:
         self.largest = 0.0
 
     @property
+    def started(self) -> bool:
+        """Whether there is a plan."""
+        return self._last is not None
+
+    @property
     def limits(self) -> Limits:
         """Limits as they were given."""
         return self._given_limits

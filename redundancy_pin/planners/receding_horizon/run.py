@@ -73,6 +73,8 @@ def run_online(
         raise InputError(
             f"A tick of {tick:g} s is longer than the horizon of {planner.horizon:g} s.", remedy="Have shorter ticks."
         )
+    if planner.started:
+        raise InputError("The planner has plans of another run.", remedy="Pass a new RecedingHorizon.")
     source = continuous_motion(motion)
     times = np.append(np.arange(source.start, source.end - 1e-9, tick), source.end)
     commands, pieces = [], []

@@ -7,7 +7,7 @@ from collections import Counter, deque
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, positive
+from redundancy_pin.arrays import Array, each, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.lift import lift
@@ -110,14 +110,19 @@ class OnlinePlanning(ComputedTorque):
     ) -> None:
         if not isinstance(sampling, Sampling):
             raise InputError("On-line planning is for a digital controller.", remedy="Pass sampling=Sampling(1e-3).")
+        require_type(planner, planning.RecedingHorizon, "A RecedingHorizon", "Pass one for each controller.")
+        if planner.started:
+            raise InputError("The planner has plans of another run.", remedy="Pass a new RecedingHorizon.")
         self._live = OnlineReference(planner.robot, motion)
         settings: dict[str, object] = {"effort_scale": effort_scale, "carrier_scale": carrier_scale, **others}
         super().__init__(self._live, sampling=sampling, dynamics=dynamics, **settings)  # type: ignore[arg-type]
         self.planner, self._motion = planner, motion
-        self.tick, self.planning_delay = positive(tick, "tick", "s"), float(delay)
-        if not 0.0 <= delay < tick:
+        self.tick, self.planning_delay = positive(tick, "tick", "s"), float(each(delay, "delay", (1,), finite=True)[0])
+        if not 0.0 <= self.planning_delay < self.tick <= planner.horizon:
             raise InputError(
-                f"The delay of {delay:g} s is not within a tick of {tick:g} s.", remedy="Have longer ticks."
+                f"The delay of {delay:g} s is not within a tick of {tick:g} s, or that not within the horizon of "
+                f"{planner.horizon:g} s.",
+                remedy="Have delay < tick <= horizon.",
             )
         self.correction = fraction(correction, "correction")
         self.plans: deque[planning.Command] = deque(maxlen=HISTORY)
