@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import minimize
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, positive
+from redundancy_pin.arrays import Array, BoolArray, Frozen, checked, frozen, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.dynamics.compiled import CompiledDynamics
 from redundancy_pin.errors import (
@@ -308,13 +308,20 @@ def _keys(kind: type) -> set[str]:
 
 
 def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, ...]:
+    remedy = "Pass [(dynamics, trajectory, {...})]."
+    require_type(given, Sequence, "A sequence of tasks", remedy)
+    for one in given:
+        require_type(one, (DesignTask, tuple, list), "A task", remedy)
+        if not isinstance(one, DesignTask) and not 2 <= len(one) <= len(fields(DesignTask)):
+            raise InputError(f"A task has {len(one)} entries.", remedy=remedy)
     tasks = tuple(one if isinstance(one, DesignTask) else DesignTask(*one) for one in given)
     if not tasks:
-        raise InputError("There is no task to design for.", remedy="Pass [(dynamics, trajectory, {...})].")
+        raise InputError("There is no task to design for.", remedy=remedy)
     grouped = {"dynamics", "motion", "limits", "mesh", "solver"}
     known = set(inspect.signature(plan_whole_trajectory).parameters) - grouped
     for task in tasks:
         require_dynamics(task.dynamics)
+        require_type(task.options, Mapping, "A mapping of a task's options", remedy)
         positive(task.weight, "weight", "")
         for name in task.options:
             if name not in known:
@@ -328,8 +335,10 @@ def _tasks(given: Sequence[DesignTask | tuple[Any, ...]]) -> tuple[DesignTask, .
 
 def _bounds(robot: Robot, design: Mapping[str, tuple[float, float]]) -> tuple[Array, Array, Array]:
     """Return (d,) lowest and highest values, and where between them, 0 to 1, the robot is."""
+    remedy = 'Pass design={"carrier_mass": (0.5, 4.0)}.'
     if not design:
-        raise InputError("Nothing is to be designed.", remedy='Pass design={"carrier_mass": (0.5, 4.0)}.')
+        raise InputError("Nothing is to be designed.", remedy=remedy)
+    require_type(design, Mapping, "A mapping of parameters to ranges", remedy)
     rows = []
     for name, ends in design.items():
         value = robot.parameters.get(name)

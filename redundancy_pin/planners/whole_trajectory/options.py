@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, each, frozen, one_of, positive
+from redundancy_pin.arrays import Array, each, frozen, one_of, positive, require_type
 from redundancy_pin.dynamics.base import Dynamics
 from redundancy_pin.errors import InputError, optional
 from redundancy_pin.planners.base_wrench import point_of, weights_of
@@ -284,6 +284,7 @@ def checked_settings(
 
 
 def _bounds(at_most: Mapping[str, float]) -> dict[str, float]:
+    require_type(at_most, Mapping, "A mapping of objectives to bounds", 'Pass at_most={"carrier_force": 60.0}.')
     for name, bound in at_most.items():
         one_of(name, "at_most", tuple(OBJECTIVES))
         positive(bound, f"at_most of {name}", "")
