@@ -146,13 +146,18 @@ def _through(
         planned = np.array([command.efforts.at(t) for command, t in zip(latest, ends, strict=True)])
         inner = (ends > source.start) & (ends < source.end) & np.isfinite(tau).all(axis=1)
         tau = np.where(inner[:, None], tau, planned)
-        times = np.linspace(float(ends[0]), float(ends[1]), 2 * WITHIN + 1)
+        count = max(WITHIN, int(np.ceil((window.end - window.start) / SAMPLES)))
+        kinks = [edges[(edges > window.start) & (edges < window.end)] for edges in (carriers.edges, source.breaks)]
+        pieces = np.unique(np.concatenate([np.linspace(window.start, window.end, count + 1), *kinks]))
+        times = np.sort(np.concatenate([pieces, kinks[1], 0.5 * (pieces[1:] + pieces[:-1])]))  # jumps have two values
+        node = np.isin(times, pieces)
         inside = dynamics.along(source.sample_at(times)).reduce(carriers_at(carriers, times))
         W, f = inside.W / inside.row_scale[:, None], inside.f / inside.row_scale
         across = PiecewisePolynomial.linear(ends, tau)(times)
         U, size, V = np.linalg.svd(W)
         left = np.einsum("nij,ni->nj", U, f - np.einsum("nij,nj->ni", W, across))[:, :-1] / size[:, :-1]
         across += np.einsum("njm,nj->nm", V[:, :-1], left)  # by what W does not lose
-        part = PiecewisePolynomial.linear(times[::2], across[::2])
-        parts.append((part, float(np.abs(np.einsum("nij,nj->ni", W, part(times)) - f).max())))
+        part = PiecewisePolynomial.linear(times[node], across[node])
+        missing = np.einsum("nij,nj->ni", W, np.where(node[:, None], across, part(times))) - f
+        parts.append((part, float(np.abs(missing).max())))
     return parts

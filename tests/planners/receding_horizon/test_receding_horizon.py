@@ -116,6 +116,7 @@ def test_commands_say_what_the_machine_does_until_the_next_tick():
     "motion",
     [
         pytest.param(line((0.2, 0.15), (0.25, 0.0)), id="stops on the line"),
+        pytest.param(line((0.2, 0.0), (0.3, 0.0), 0.5), id="goes along it"),
         pytest.param(line((0.2, 0.15), (0.25, 1e-3)), id="stops beside it", marks=pytest.mark.long),
         pytest.param(circle_path((0.25, 0.08), 0.08, start_angle=np.pi / 2), id="touches it", marks=pytest.mark.long),
         pytest.param(
