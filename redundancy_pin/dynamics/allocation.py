@@ -243,9 +243,11 @@ def least_residual(matrices: Array, forces: Array, lower: Array, upper: Array, r
     for A, g, C, low, high in zip(matrices, forces, rows, lower, upper, strict=True):
         H = A.T @ A
         H += _STEADY * max(np.trace(H), 1.0) * np.eye(m)
-        sides = (np.clip(high, -1e30, 1e30), np.clip(low, -1e30, 1e30))
-        u, _, flag, _ = daqp.solve(H, -A.T @ g, np.ascontiguousarray(C), *sides, np.zeros(len(C), dtype=np.int32))
-        found.append(float(np.linalg.norm(A @ u - g)) if flag > 0 else np.inf)
+        size = float(np.linalg.norm(g)) or 1.0  # tolerances are of numbers of the size of one
+        sides = (np.clip(high / size, -_FAR, _FAR), np.clip(low / size, -_FAR, _FAR))
+        sense = np.zeros(len(C), dtype=np.int32)
+        u, _, flag, _ = daqp.solve(H, -A.T @ g / size, np.ascontiguousarray(C), *sides, sense, **_SETTINGS)
+        found.append(float(np.linalg.norm(size * (A @ u) - g)) if flag > 0 else np.inf)
     return np.array(found)
 
 

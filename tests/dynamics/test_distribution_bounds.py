@@ -8,8 +8,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from prescribed import factors, reduced, times
 from scipy.linalg import null_space
+from scipy.optimize import LinearConstraint, minimize
 
-from redundancy_pin.dynamics.allocation import fit_into_bounds, within_bounds
+from redundancy_pin.dynamics.allocation import fit_into_bounds, least_residual, within_bounds
 from redundancy_pin.dynamics.distribution import EffortRows, SampleStatus, distribute, torque_speed_bounds
 from redundancy_pin.dynamics.rnea import RneaDynamics
 from redundancy_pin.errors import InputError
@@ -115,6 +116,22 @@ def test_bounds_nearly_along_one_another_are_two(angle):
     corner = rows @ [1.0, 3.0]  # z1 ≤ 1 and z1 + angle z2 ≥ 1 + 3 angle: the corner is nearest
     z = within_bounds(start, null, rows, np.array([-np.inf, corner[1]]), np.array([corner[0], np.inf]))
     np.testing.assert_allclose(z, [1.0, 3.0], rtol=1e-12 / angle)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_least_residual_within_rows_of_redundant_motors_is_finite_and_least(scale):
+    """Against SLSQP, u = 0 being within all bounds."""
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        A, g = rng.normal(size=(3, 5)), 10.0 * rng.normal(size=3)
+        rows = np.concatenate([np.eye(5), rng.normal(size=(3, 5))])
+        lower, upper = -np.abs(rng.normal(size=8)), np.abs(rng.normal(size=8))
+        [found] = least_residual(A[None], scale * g[None], scale * lower[None], scale * upper[None], rows[None])
+        best = minimize(
+            lambda u, A=A, g=g: ((A @ u - g) ** 2).sum(), np.zeros(5), jac=lambda u, A=A, g=g: 2.0 * A.T @ (A @ u - g),
+            constraints=[LinearConstraint(rows, lower, upper)], method="SLSQP", options={"ftol": 1e-14},
+        )  # fmt: skip
+        assert found / scale == pytest.approx(np.sqrt(best.fun), abs=1e-6)
 
 
 @pytest.mark.parametrize("lower", [-2.0, 1.0])
