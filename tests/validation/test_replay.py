@@ -5,7 +5,6 @@ from functools import cache
 import moving
 import numpy as np
 import pytest
-from carrying_gough import carrying_gough
 from scipy.spatial.transform import Rotation
 
 import redundancy_pin as rp
@@ -143,7 +142,7 @@ def test_efforts_of_a_parked_motion_move_any_robot_along_it(name):
 
 def test_a_plan_of_sampled_poses_moves_the_platform_along_them(tmp_path):
     """A spatial platform: position to 1e-6 m and orientation to 1e-6 rad, fresh and read from a file."""
-    robot = carrying_gough(tmp_path)
+    robot = rp.load_robot("gough", carriers=True)
     trajectory = rest_to_rest(robot)
     plan = rp.plan_stepwise(rp.RneaDynamics(robot), trajectory.sample(0.01))
     plan.save(tmp_path / "plan.npz")
