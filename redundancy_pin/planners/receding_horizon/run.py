@@ -133,7 +133,7 @@ def _through(
 ) -> list[tuple[PiecewisePolynomial, float]]:
     """Return the efforts where W⁻¹ f magnifies what is left of f, and the force missing there, N.
 
-    In the direction that W loses they are linear in time, else those of W τ = f.
+    In the direction that W loses they are linear in time, with what was planned at the instant, else those of W τ = f.
     """
     dynamics, parts = planner.dynamics, []
     if planner.robot.n != planner.robot.m:
@@ -146,14 +146,22 @@ def _through(
         planned = np.array([command.efforts.at(t) for command, t in zip(latest, ends, strict=True)])
         inner = (ends > source.start) & (ends < source.end) & np.isfinite(tau).all(axis=1)
         tau = np.where(inner[:, None], tau, planned)
+        # one tick sees a singular instant where another does, but for rounding
+        roots = np.unique(np.concatenate([command.singular for command in commands]))
+        roots = roots[(roots > ends[0]) & (roots < ends[1])]
+        roots = roots[np.append(True, np.diff(roots) > 1e-4)] if len(roots) else roots
+        mid = [max((c for c in commands if c.t <= t), key=lambda c: c.t).efforts.at(float(t)) for t in roots]
         count = max(WITHIN, int(np.ceil((window.end - window.start) / SAMPLES)))
-        kinks = [edges[(edges > window.start) & (edges < window.end)] for edges in (carriers.edges, source.breaks)]
+        kinks = [
+            edges[(edges > window.start) & (edges < window.end)] for edges in (carriers.edges, source.breaks, roots)
+        ]
         pieces = np.unique(np.concatenate([np.linspace(window.start, window.end, count + 1), *kinks]))
         times = np.sort(np.concatenate([pieces, kinks[1], 0.5 * (pieces[1:] + pieces[:-1])]))  # jumps have two values
         node = np.isin(times, pieces)
         inside = dynamics.along(source.sample_at(times)).reduce(carriers_at(carriers, times))
         W, f = inside.W / inside.row_scale[:, None], inside.f / inside.row_scale
-        across = PiecewisePolynomial.linear(ends, tau)(times)
+        knots = np.concatenate([ends[:1], roots, ends[1:]])
+        across = PiecewisePolynomial.linear(knots, np.array([tau[0], *mid, tau[1]]))(times)
         U, size, V = np.linalg.svd(W)
         left = np.einsum("nij,ni->nj", U, f - np.einsum("nij,nj->ni", W, across))[:, :-1] / size[:, :-1]
         across += np.einsum("njm,nj->nm", V[:, :-1], left)  # by what W does not lose
