@@ -70,7 +70,8 @@ def test_a_singular_instant_is_crossed_as_the_other_backend_sees_it():
     assert len(t) == 2
     assert np.abs(np.einsum("qn,qn->q", u, reduced.f)).max() < MISSING
     assert np.abs(np.einsum("qn,qn->q", u, parked.f)).min() > 1000.0 * MISSING
-    assert run.plan.diagnostics["missing_force"] < MISSING
+    # 7e-7 N with efforts that are straight through the instant, without the kink that the jerk's jump gives them
+    assert run.plan.diagnostics["missing_force"] < 5e-7
 
 
 def test_a_slow_crossing_with_samples_next_to_it_is_within_limits_too():
