@@ -46,22 +46,22 @@ SAME = 1e-3
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
     """The shipped 2-RPR, its carrier joints made revolute and the masses put on arms."""
-    return load_robot(declared(tmp_path_factory.mktemp("arms"), "revolute", '"0 0 ${side}"'), **MASSES)
+    return load_robot(declared(tmp_path_factory.mktemp("arms"), "revolute", '"0 0 ${across}"'), **MASSES)
 
 
 def declared(folder, joint, axis):
     shipped = Path(__file__).parents[3] / "models" / "2rpr"
     urdf = (shipped / "2rpr.urdf.xacro").read_text()
     for old, new in (
-        ('<joint name="carrier_${i}" type="prismatic">', f'<joint name="carrier_${{i}}" type="{joint}">'),
-        ('<axis xyz="0 ${side} 0"/>', f"<axis xyz={axis}/>"),
+        ('<joint name="carrier_${name}" type="prismatic">', f'<joint name="carrier_${{name}}" type="{joint}">'),
+        ('<axis xyz="${along} ${across} 0"/>', f"<axis xyz={axis}/>"),
         (
             '<limit lower="${-track_half_length}" upper="${track_half_length}" velocity="2.5" effort="1000"/>',
             f'<limit lower="-{REACH}" upper="{REACH}" velocity="{LIMITS["speed"]}" effort="1000"/>',
         ),
         (
-            '<origin xyz="0 0 0"/>\n          <mass value="${carrier_mass}"/>',
-            f'<origin xyz="0 {ARM} 0"/>\n          <mass value="${{carrier_mass}}"/>',
+            '<origin xyz="0 0 0"/>\n        <mass value="${carrier_mass}"/>',
+            f'<origin xyz="0 {ARM} 0"/>\n        <mass value="${{carrier_mass}}"/>',
         ),
     ):
         assert urdf.count(old) == 1, old
@@ -111,7 +111,9 @@ def test_turning_carriers_are_planned_in_one_solution_by_any_backend(robot, name
 
 def test_terms_of_carriers_that_slide_and_turn_are_exact(tmp_path):
     """One of each, on an oblique axis and with gravity, far from the motions that the terms are read from."""
-    mixed = declared(tmp_path, "${'revolute' if i == 1 else 'prismatic'}", '"${2-i} ${side} ${side*(2-i)}"')
+    mixed = declared(
+        tmp_path, "${'revolute' if name == 1 else 'prismatic'}", '"${2-name} ${across} ${across*(2-name)}"'
+    )
     mixed.write_text(yaml.safe_dump(yaml.safe_load(mixed.read_text()) | {"gravity": [1.0, -9.0, 0.5]}))
     robot = load_robot(mixed, **MASSES)
     rng = np.random.default_rng(1)
