@@ -14,6 +14,7 @@ from redundancy_pin.dynamics.base import (
     Dynamics,
     OnUnreachable,
     ReducedDynamics,
+    require_dynamics,
     require_matching_carriers,
     require_on_track,
 )
@@ -144,6 +145,7 @@ def inverse_dynamics(
         CarrierLimitError, InputError, UnreachablePoseError, SingularPoseError, WorkingModeError: as in
             ``Dynamics.reduce``.
     """
+    require_dynamics(dynamics)
     dynamics = dynamics.with_external(*external) if external else dynamics
     require_sampled(motion)
     require_matching_carriers(dynamics.robot, carriers, len(motion))
@@ -174,6 +176,7 @@ def inverse_dynamics_in_blocks(
         CarrierLimitError, UnreachablePoseError, SingularPoseError, WorkingModeError: as ``inverse_dynamics``; samples
             are numbered from the beginning of the motion.
     """
+    require_dynamics(dynamics)
     if any(_is_sampled(load) for load in dynamics.robot.loads):
         raise InputError(
             "A wrench sampled in time does not go with blocks of samples.",

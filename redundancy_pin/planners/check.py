@@ -19,7 +19,7 @@ from redundancy_pin.arrays import (
     read_only,
     require_type,
 )
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, ReducedDynamics, require_dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus, distribute, solved_status
 from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.lift import lift
@@ -43,7 +43,6 @@ from redundancy_pin.planners.limits import (
     limits_broken,
     motion_broken,
     ranges_left,
-    require_dynamics,
 )
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import record_difference, robot_record

@@ -125,15 +125,6 @@ class ResolvedLimits(Frozen):
         return places
 
 
-def require_dynamics(dynamics: object) -> None:
-    """Check that the first argument of a planner is a backend."""
-    if not (hasattr(dynamics, "along") and hasattr(dynamics, "robot")):
-        raise InputError(
-            f"The planner was given {type(dynamics).__name__} for the dynamics.",
-            remedy="Pass a backend of the robot: RneaDynamics(robot) or VirtualWork(robot).",
-        )
-
-
 def require_motion(motion: object, *methods: str) -> None:
     """Check that a motion is sampled, and one, or a trajectory that offers some methods."""
     if isinstance(motion, PlatformMotion):

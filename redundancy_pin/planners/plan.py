@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from redundancy_pin.arrays import Array, Frozen, IntArray, Side, largest, peak, require_type
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.base import Dynamics, require_dynamics
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.archive import read_archive, write_archive
 from redundancy_pin.io.schema import typed
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.functions import DenseCheck, PlanFunctions
-from redundancy_pin.planners.limits import LimitEvent, LimitReport, require_dynamics
+from redundancy_pin.planners.limits import LimitEvent, LimitReport
 from redundancy_pin.planners.robot_record import RobotRecord, load_recorded, read_robot
 from redundancy_pin.planners.samples_only import functions_of_samples
 from redundancy_pin.robot import CarrierLimits, Robot, RobotLike

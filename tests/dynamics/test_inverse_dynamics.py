@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import redundancy_pin as rp
 from redundancy_pin import CarrierMotion, PlatformMotion
 from redundancy_pin.dynamics.distribution import SampleStatus
 from redundancy_pin.dynamics.inverse_dynamics import EffortStatus
+from redundancy_pin.errors import InputError
 from redundancy_pin.trajectory import Line, RestToRest, Trajectory, reference
 
 CIRCLE = reference.circle(speed=0.5)
@@ -271,3 +273,9 @@ def test_wrenches_given_at_samples_are_known_between_them(name: str) -> None:
         ).min()
         > 0.1
     )
+
+
+@pytest.mark.parametrize("ask", [rp.inverse_dynamics, lambda *given: list(rp.inverse_dynamics_in_blocks(*given))])
+def test_what_is_no_backend_is_refused(ask: Callable[..., object]) -> None:
+    with pytest.raises(InputError, match="str was given for the dynamics"):
+        ask("2rpr", [])

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, Frozen, each, frozen, one_of, positive, require_type
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.base import Dynamics, require_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.planners.carrier_model import require_carriers
-from redundancy_pin.planners.limits import Limits, grouped, require_dynamics
+from redundancy_pin.planners.limits import Limits, grouped
 from redundancy_pin.planners.receding_horizon.linearised import FIRST, ZONE, Linearised, extended, nodes_from
 from redundancy_pin.planners.receding_horizon.preview import SAME, Preview, Source
 from redundancy_pin.planners.receding_horizon.programme import SOLVERS, Programme, Values

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, runs
-from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion
+from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, require_dynamics
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.base_wrench import BASE, base_wrench, load_at_rest
@@ -23,7 +23,7 @@ from redundancy_pin.planners.carrier_model import (
 )
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import Limits, grouped, require_dynamics, require_motion
+from redundancy_pin.planners.limits import Limits, grouped, require_motion
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.stepwise.course import (
     OPTIMISE,

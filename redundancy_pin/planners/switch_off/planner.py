@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array, one_of, positive, require_few
-from redundancy_pin.dynamics.base import Dynamics
+from redundancy_pin.dynamics.base import Dynamics, require_dynamics
 from redundancy_pin.dynamics.distribution import distribute
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
@@ -17,7 +17,7 @@ from redundancy_pin.planners.carrier_model import Actuation, Measure, TimedModel
 from redundancy_pin.planners.carrier_return import no_return, return_polynomial, shortest_return
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import PlanFunctions
-from redundancy_pin.planners.limits import Limits, require_dynamics, require_motion, return_duration
+from redundancy_pin.planners.limits import Limits, require_motion, return_duration
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.switch_off.crossing import Crossing, cross, cross_stepwise
 from redundancy_pin.singularities.roots import Interval

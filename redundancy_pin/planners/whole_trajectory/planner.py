@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.dynamics.base import Dynamics, has_expressions
+from redundancy_pin.dynamics.base import Dynamics, has_expressions, require_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.planners.carrier_model import Actuation
 from redundancy_pin.planners.check import finish_plan
 from redundancy_pin.planners.functions import SMALL, DenseCheck, PlanFunctions, dense_check
-from redundancy_pin.planners.limits import LimitEvent, Limits, grouped, require_dynamics
+from redundancy_pin.planners.limits import LimitEvent, Limits, grouped
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.planners.whole_trajectory.multistart import (
