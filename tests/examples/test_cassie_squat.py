@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from doc_blocks import example_script
 from scipy.linalg import null_space
 
 import redundancy_pin as rp
@@ -19,16 +18,7 @@ ROUNDING = 1e-6
 """N and N·m, of forces of 500 N: the heels and toes are 0.16 m apart, the cranks 0.05 m long."""
 
 
-def _example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("cassie_squat", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-example = _example()
+example = example_script(SCRIPT)
 try:
     example.cassie_sdf()
 except (PackageNotFoundError, IndexError):

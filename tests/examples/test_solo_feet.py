@@ -6,17 +6,16 @@ the torques from the plain open-tree ``pin.rnea`` and a KKT system, the energy f
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import sys
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import yourdfpy
+from doc_blocks import example_script
 
 import redundancy_pin as rp
 from redundancy_pin.robot import Robot
@@ -34,16 +33,7 @@ DIFFERENCED = 5e-4
 """Of torques of up to 0.1 N·m and powers of up to 0.1 W, relative to the largest."""
 
 
-def _example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("solo_feet", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-example = _example()
+example = example_script(SCRIPT)
 try:
     URDF = example.solo_urdf().read_text(encoding="utf-8")
 except PackageNotFoundError:

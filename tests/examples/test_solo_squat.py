@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from doc_blocks import example_script
 
 import redundancy_pin as rp
 
@@ -17,16 +16,7 @@ SCRIPT = Path(__file__).resolve().parents[2] / "docs" / "examples" / "solo_squat
 ROUNDING = 1e-8  # N and N·m
 
 
-def _example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("solo_squat", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-example = _example()
+example = example_script(SCRIPT)
 try:
     example.solo_urdf()
 except (PackageNotFoundError, IndexError):

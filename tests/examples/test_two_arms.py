@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from doc_blocks import example_script
 
 import redundancy_pin as rp
 
@@ -18,16 +17,7 @@ ROUNDING = 1e-8  # N·m
 SQUEEZE = 20.0
 
 
-def _example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("two_arms", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-example = _example()
+example = example_script(SCRIPT)
 try:
     [URDF] = [str(file.locate()) for file in files("example-robot-data") or () if file.name == "ur5_robot.urdf"]
 except (PackageNotFoundError, ValueError):

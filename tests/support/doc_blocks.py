@@ -1,10 +1,12 @@
-"""Fenced blocks of Markdown pages, with the comments in front of them that say what to do with a block."""
+"""What the documentation runs: scripts, and fenced blocks of pages with the comments that say what to do with them."""
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 FENCE = re.compile(r"^(`{3,}|:{3,})(.*)$")
 MARK = re.compile(r"^<!-- (file|not run|raises|exit code): (.+) -->$")
@@ -68,3 +70,13 @@ def blocks_of(path: Path, name: str) -> list[Block]:
             marks, opened = {}, None
     assert opened is None, f"{name}:{opened[2]}: never closed" if opened else ""
     return found
+
+
+def example_script(path: Path) -> ModuleType:
+    """Return a script of ``docs/examples`` as a module, without running its ``main``."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

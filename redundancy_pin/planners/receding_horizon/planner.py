@@ -278,11 +278,7 @@ class RecedingHorizon:
         began = time.perf_counter()
         if self._preview is None or preview is not self._source:
             self._preview, self._source = Preview.of(preview), preview
-        t = float(each(t, "t", (1,), finite=True)[0])
-        if self._last is not None and t < self._last.t:
-            raise InputError(
-                f"The tick is at t = {t:.6g} s, after one at {self._last.t:.6g} s.", remedy="Go on in time."
-            )
+        t = self._tick(t)
         if t < self._preview.start - SAME:
             raise InputError(
                 f"The tick is at t = {t:.6g} s, and the preview begins at {self._preview.start:.6g} s.",
@@ -313,12 +309,16 @@ class RecedingHorizon:
         """
         if self._last is None:
             raise InputError("There is no plan to go on with.", remedy="Call update first.")
+        return replace(self._last, t=self._tick(t), status=PlanningStatus.FALLBACK, reason="the tick was missed")
+
+    def _tick(self, t: float) -> float:
+        """Return the time of a tick, s, after checking that it goes on from the last one."""
         t = float(each(t, "t", (1,), finite=True)[0])
-        if t < self._last.t:
+        if self._last is not None and t < self._last.t:
             raise InputError(
                 f"The tick is at t = {t:.6g} s, after one at {self._last.t:.6g} s.", remedy="Go on in time."
             )
-        return replace(self._last, t=t, status=PlanningStatus.FALLBACK, reason="the tick was missed")
+        return t
 
     def _is_rough(self, t: float, command: Command) -> bool:
         """Return whether a plan leaves force out next to a singular instant, which another round would put right."""
