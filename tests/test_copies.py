@@ -24,7 +24,7 @@ from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrGeometry
 from redundancy_pin.dynamics.virtual_work.three_rrr_forward import forward_displacement
 from redundancy_pin.planners.carrier_return import CarrierState
 from redundancy_pin.planners.limits import Limits
-from redundancy_pin.planners.receding_horizon.planner import Command, PlanningStatus
+from redundancy_pin.planners.receding_horizon import Command, PlanningStatus
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.planners.switch_off.crossing import LostDirection

@@ -1,0 +1,115 @@
+"""What a tick is asked for and what it answers: weights, statuses, commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import Enum
+from typing import Literal
+
+import numpy as np
+
+from redundancy_pin.arrays import Array, Frozen, each
+from redundancy_pin.errors import InputError
+from redundancy_pin.planners.receding_horizon.linearised import extended
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+
+Goal = Literal["effort", "peak"]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the squares that a programme minimises, each over the size of its quantity.
+
+    Attributes:
+        effort: mean square of τ over the horizon, over the peak of the last plan.
+        peak: its largest |τ|.
+        memory: share of the largest |τ| so far up to which that costs nothing.
+        acceleration: mean square of s̈, over its limit: without it the motion between the nodes swings.
+        jerk: of s⃛, over that which reaches this limit in a step.
+        centre: of s, over half the track: room for what comes after the horizon.
+        end, end_speed: of s and ṡ at the end of the horizon.
+        missing: of what an elastic programme leaves out of W τ = f.
+    """
+
+    effort: float = 0.1
+    peak: float = 1.0
+    memory: float = 0.9
+    acceleration: float = 0.1
+    jerk: float = 0.3
+    centre: float = 0.1
+    end: float = 0.1
+    end_speed: float = 0.1
+    missing: float = 1e4
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            weight = each(getattr(self, field.name), field.name, (1,), finite=True)[0]
+            if weight < 0.0:
+                raise InputError(f"{field.name} weighs {weight:g}.", remedy="Pass a weight of zero or more.")
+
+
+GOALS = {"peak": Weights(), "effort": Weights(effort=1.0, peak=0.0)}
+"""By the names of ``plan_whole_trajectory``."""
+
+
+class PlanningStatus(Enum):
+    """What a tick brought."""
+
+    PLANNED = "planned"
+    """A plan that keeps every limit, over the whole horizon or to the end of the preview."""
+    ELASTIC = "elastic"
+    """No such plan: that which misses W τ = f least, or lets out the limits that the carriers are beyond."""
+    FALLBACK = "fallback"
+    """No plan at all, or it came too late: the last one goes on, to its end and then in place."""
+    REFUSED = "refused"
+    """The preview leads where the machine cannot go, at the time ``reason`` says: a plan up to there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Command(Frozen):
+    """What the carriers and the main actuators are to do from a tick on. m main actuators, k carriers.
+
+    Attributes:
+        t: the tick, s.
+        status: what the tick brought.
+        reason: why, where it is not ``PLANNED``.
+        carriers: positions (k,), m, as functions of time to the end of the horizon; s̈ is linear between nodes.
+        efforts: main efforts (m,) as functions of time, N or N·m: for three steps those of W τ = f that are nearest to
+            the planned ones, which follow; within their limits.
+        forces: those of the carriers' actuators (k,), N, for these three steps.
+        residual: largest |W τ − f| of the planned efforts at the first nodes, N, rotations over the characteristic
+            length: what is missing there in an elastic plan, and else what the next tick will correct.
+        peak: largest |τ| of the plan at its nodes, N or N·m.
+        singular: (r,) singular instants ahead, s.
+        known_until: until when the plan has the platform's motion, s.
+        seconds: time taken, s.
+        solver_seconds: of which by the solver.
+    """
+
+    t: float
+    status: PlanningStatus
+    reason: str
+    carriers: PiecewisePolynomial
+    efforts: PiecewisePolynomial
+    forces: PiecewisePolynomial
+    residual: float
+    peak: float
+    singular: Array
+    known_until: float
+    seconds: float
+    solver_seconds: float
+
+    def motion_at(self, t: float) -> tuple[Array, Array, Array]:
+        """Return s, ṡ, s̈ (k,) at a time, m, m/s, m/s²; held after the end of the plan."""
+        motion = extended(self.carriers, np.array([t]))
+        return motion.s[0], motion.sd[0], motion.sdd[0]
+
+    @property
+    def sdd(self) -> Array:
+        """(k,) acceleration of the carriers at the tick, m/s²."""
+        return self.motion_at(self.t)[2]
+
+    @property
+    def tau(self) -> Array:
+        """(m,) main efforts at the tick, N or N·m."""
+        return self.efforts.at(self.t)
