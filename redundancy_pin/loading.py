@@ -33,9 +33,9 @@ from redundancy_pin.robot import AXES, Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, put_together
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.from_model import declared, depth_first, in_order_of
 from redundancy_pin.robot.loads import JointForces, Load
-from redundancy_pin.robot.mechanism import NOT_IN_FORCE, Mechanism
 from redundancy_pin.robot.model_files import is_model_file, read_mechanism
 from redundancy_pin.robot.urdf import Argument, declaration_path, is_shipped, known_values, render, source_of
 

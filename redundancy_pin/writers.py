@@ -20,7 +20,7 @@ from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import coordinates
 from redundancy_pin.kinematics.tree import motion_subspace
 from redundancy_pin.robot import AXES, Closure, JointForces, Payload, Robot
-from redundancy_pin.robot.mechanism import angles
+from redundancy_pin.robot.formats.mechanism import angles
 
 IMPEDANCE = 0.9999
 """The highest impedance that MuJoCo accepts (its mjMAXIMP): the share of the acceleration a constraint may ask for."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pinocchio as pin
 
     from redundancy_pin.robot import Robot
-    from redundancy_pin.robot.urdf_tree import Tree
+    from redundancy_pin.robot.formats.urdf_tree import Tree
 
 _SINGLE = ("revolute", "continuous", "prismatic")
 
@@ -48,8 +48,8 @@ def new(path: str, out: str | None, trust: bool, as_json: bool) -> None:
 
     from redundancy_pin.loading import load_robot, made
     from redundancy_pin.robot.build import built
+    from redundancy_pin.robot.formats.urdf_tree import read_tree
     from redundancy_pin.robot.urdf import render
-    from redundancy_pin.robot.urdf_tree import read_tree
 
     source = Path(path)
     if source.suffix.lower() not in (".urdf", ".xacro"):
@@ -120,7 +120,7 @@ def _proposed_closures(tree: Tree, model: pin.Model) -> tuple[list[list[str]], s
 
 def _transmissions(urdf: str, tree: Tree) -> list[str]:
     """Return the moving joints that transmissions name."""
-    from redundancy_pin.robot.xml_files import parsed_text
+    from redundancy_pin.robot.formats.xml_files import parsed_text
 
     moving = [joint.name for joint in tree.joints if joint.kind in _SINGLE]
     named = [

@@ -20,11 +20,11 @@ import pinocchio as pin
 from redundancy_pin.arrays import Array, checked, read_only
 from redundancy_pin.errors import DeclarationError, InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.robot.declaration import CLOSED_FORMS, CarrierEntry, Declaration
+from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
+from redundancy_pin.robot.formats.urdf_tree import Tree, read_tree, require_same
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.types import CarrierLimits, Coupling, Robot
 from redundancy_pin.robot.urdf import Argument, source_of
-from redundancy_pin.robot.urdf_mechanism import tree_mechanism
-from redundancy_pin.robot.urdf_tree import Tree, read_tree, require_same
 
 
 def build(

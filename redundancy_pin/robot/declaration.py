@@ -14,12 +14,12 @@ from redundancy_pin.errors import DeclarationError, InputError, ModelFileError
 from redundancy_pin.io.reading import read_text
 from redundancy_pin.io.schema import Schema, bad_value, require_known_keys, validated
 from redundancy_pin.io.yaml_file import LARGEST_FILE, YamlFile, parse_yaml
-from redundancy_pin.robot.expressions import MATHEMATICS, Budget, evaluate
+from redundancy_pin.robot.formats.expressions import MATHEMATICS, Budget, evaluate
+from redundancy_pin.robot.formats.urdf_mechanism import KINDS
+from redundancy_pin.robot.formats.xml_files import FORMATS, format_of
 from redundancy_pin.robot.loads import JointForces, Load, Payload, Spring, Wrench
 from redundancy_pin.robot.types import AXES, Closure, Coupling, Platform, WorkingModes
 from redundancy_pin.robot.urdf import Argument
-from redundancy_pin.robot.urdf_mechanism import KINDS
-from redundancy_pin.robot.xml_files import FORMATS, format_of
 
 CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
     "2rpr": (

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from redundancy_pin.errors import InputError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
-from redundancy_pin.robot.mechanism import Mechanism
-from redundancy_pin.robot.mjcf import read_mjcf
-from redundancy_pin.robot.parallel_yaml import is_parallel_yaml, read_parallel_yaml
-from redundancy_pin.robot.sdf import read_sdf
+from redundancy_pin.robot.formats.mechanism import Mechanism
+from redundancy_pin.robot.formats.mjcf import read_mjcf
+from redundancy_pin.robot.formats.parallel_yaml import is_parallel_yaml, read_parallel_yaml
+from redundancy_pin.robot.formats.sdf import read_sdf
+from redundancy_pin.robot.formats.xml_files import FORMATS, format_of, read_model
 from redundancy_pin.robot.urdf import Argument
-from redundancy_pin.robot.xml_files import FORMATS, format_of, read_model
 
 _SUFFIXES = (".xml", ".mjcf", ".sdf", ".world", ".yaml", ".yml")
 _PARALLEL = "a robot.yaml of example-parallel-robots"

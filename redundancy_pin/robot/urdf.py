@@ -11,9 +11,9 @@ from pathlib import Path
 
 from redundancy_pin.errors import InputError, ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
-from redundancy_pin.robot.urdf_tree import read_tree
-from redundancy_pin.robot.xacro_engine import expand, is_within, own_folders
-from redundancy_pin.robot.xml_files import MOST_BYTES, parsed, read_model
+from redundancy_pin.robot.formats.urdf_tree import read_tree
+from redundancy_pin.robot.formats.xacro_engine import expand, is_within, own_folders
+from redundancy_pin.robot.formats.xml_files import MOST_BYTES, parsed, read_model
 
 Argument = float | bool | str
 """A xacro argument: a number, a flag, or text (such as ``"auto"``)."""

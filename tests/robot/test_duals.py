@@ -12,8 +12,8 @@ import pytest
 from redundancy_pin import load_robot
 from redundancy_pin.dynamics.compiled import design
 from redundancy_pin.errors import ModelFileError
-from redundancy_pin.robot.duals import Dual, LostDerivativeError, derivatives_kept, read
-from redundancy_pin.robot.expressions import BUILTINS, MATHEMATICS, Budget, evaluate
+from redundancy_pin.robot.formats.duals import Dual, LostDerivativeError, derivatives_kept, read
+from redundancy_pin.robot.formats.expressions import BUILTINS, MATHEMATICS, Budget, evaluate
 from redundancy_pin.robot.urdf import models_root
 
 AT = {"a": 0.7, "b": -1.3}

@@ -10,8 +10,8 @@ from zoo import home_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError
+from redundancy_pin.robot.formats.mjcf import read_mjcf
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.mjcf import read_mjcf
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -9,8 +9,8 @@ from mjcf_models import FOUR_BAR, write
 
 from redundancy_pin import load_robot
 from redundancy_pin.errors import DeclarationError, ModelFileError
-from redundancy_pin.robot.mechanism import NOT_IN_FORCE
-from redundancy_pin.robot.mjcf import read_mjcf
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
+from redundancy_pin.robot.formats.mjcf import read_mjcf
 
 mujoco = pytest.importorskip("mujoco")
 

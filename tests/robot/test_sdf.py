@@ -12,8 +12,8 @@ from zoo import home_of
 
 import redundancy_pin as rp
 from redundancy_pin.errors import InputError, ModelFileError, RedundancyPinError
+from redundancy_pin.robot.formats.sdf import read_sdf
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.sdf import read_sdf
 
 INERTIAL = """<inertial><pose>{centre} 0.1 0.2 0.3</pose><mass>{mass}</mass>
 <inertia><ixx>0.02</ixx><iyy>0.03</iyy><izz>0.04</izz><ixy>0.001</ixy></inertia></inertial>"""

@@ -22,9 +22,9 @@ from redundancy_pin import VirtualWork, load_robot
 from redundancy_pin.errors import DeclarationError, ModelFileError, RedundancyPinError
 from redundancy_pin.robot import build
 from redundancy_pin.robot.declaration import CLOSED_FORMS
+from redundancy_pin.robot.formats.urdf_tree import DEEPEST_CHAIN, MOST_FREEDOMS, MOST_LINKS, read_tree, require_same
+from redundancy_pin.robot.formats.xml_files import MOST_BYTES
 from redundancy_pin.robot.urdf import models_root, render, shipped_robots
-from redundancy_pin.robot.urdf_tree import DEEPEST_CHAIN, MOST_FREEDOMS, MOST_LINKS, read_tree, require_same
-from redundancy_pin.robot.xml_files import MOST_BYTES
 
 INERTIAL = """<inertial><origin xyz="0.25 0 0"/><mass value="1.0"/>
     <inertia ixx="0" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>"""

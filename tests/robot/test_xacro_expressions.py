@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from redundancy_pin import load_robot
 from redundancy_pin.errors import InputError, ModelFileError
-from redundancy_pin.robot import xacro_engine
-from redundancy_pin.robot.expressions import (
+from redundancy_pin.robot.formats import xacro_engine
+from redundancy_pin.robot.formats.expressions import (
     BUILTINS,
     LARGEST,
     MATHEMATICS,

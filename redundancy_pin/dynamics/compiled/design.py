@@ -26,10 +26,10 @@ from redundancy_pin.errors import InputError, RedundancyPinError, UnsupportedRob
 from redundancy_pin.robot import Payload, Robot, Spring, Wrench
 from redundancy_pin.robot.build import build
 from redundancy_pin.robot.declaration import parse, read_declaration
-from redundancy_pin.robot.duals import Dual, derivatives_kept, read
+from redundancy_pin.robot.formats.duals import Dual, derivatives_kept, read
+from redundancy_pin.robot.formats.xacro_engine import expand
 from redundancy_pin.robot.loads import of_kind
 from redundancy_pin.robot.urdf import declaration_path, render
-from redundancy_pin.robot.xacro_engine import expand
 
 _STEP = 0.01
 """Step of the differences, relative to the parameter: of order six they err by 1e-12/140 of its seventh derivative, and

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from redundancy_pin.arrays import Array, IntArray
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.robot import Robot
-from redundancy_pin.robot.xacro_engine import is_within, own_folders
+from redundancy_pin.robot.formats.xacro_engine import is_within, own_folders
 
 Role = Literal["base", "link", "track", "carrier", "actuated", "passive", "closure", "platform"]
 """What a part is to the mechanism; it decides on the colour."""

@@ -17,11 +17,11 @@ from pydantic import Field
 from redundancy_pin.errors import DeclarationError, ModelFileError, did_you_mean
 from redundancy_pin.io.schema import Schema, bad_value, validated
 from redundancy_pin.io.yaml_file import parse_yaml
-from redundancy_pin.robot.mechanism import Mechanism
+from redundancy_pin.robot.formats.mechanism import Mechanism
+from redundancy_pin.robot.formats.urdf_mechanism import tree_mechanism
+from redundancy_pin.robot.formats.urdf_tree import Tree, read_tree
+from redundancy_pin.robot.formats.xml_files import read_model
 from redundancy_pin.robot.types import AXES, Closure
-from redundancy_pin.robot.urdf_mechanism import tree_mechanism
-from redundancy_pin.robot.urdf_tree import Tree, read_tree
-from redundancy_pin.robot.xml_files import read_model
 
 _OWN_KEY = re.compile(r"^(closed_loop|name_mot)[ \t]*:", re.MULTILINE)
 

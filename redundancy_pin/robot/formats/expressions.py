@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from redundancy_pin.robot import duals
+from redundancy_pin.robot.formats import duals
 
 LONGEST = 10_000
 """Characters of an expression. CPython's parser takes longer rows of brackets and signs badly."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import DeclarationError, did_you_mean, shown
+from redundancy_pin.robot.formats.mechanism import UNLIMITED, Mechanism, six_joints
+from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry, Tree
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.mechanism import UNLIMITED, Mechanism, six_joints
 from redundancy_pin.robot.types import Closure
-from redundancy_pin.robot.urdf_tree import JointEntry, LinkEntry, Tree
 
 KINDS = ("ball", "fixed", *(f"universal_{one}{two}" for one in "xyz" for two in "xyz" if one != two))
 """What a joint can be replaced by; a universal joint turns about the first axis of its frame, then the second."""

@@ -26,8 +26,8 @@ from xml.dom import minidom
 from redundancy_pin.errors import ModelFileError, RedundancyPinError, shortened
 from redundancy_pin.io.reading import is_file
 from redundancy_pin.io.yaml_file import read_yaml
-from redundancy_pin.robot import duals
-from redundancy_pin.robot.expressions import (
+from redundancy_pin.robot.formats import duals
+from redundancy_pin.robot.formats.expressions import (
     BUILTINS,
     MATHEMATICS,
     Budget,
@@ -36,7 +36,7 @@ from redundancy_pin.robot.expressions import (
     Namespace,
     evaluate,
 )
-from redundancy_pin.robot.xml_files import parsed_text, read_model
+from redundancy_pin.robot.formats.xml_files import parsed_text, read_model
 
 _SUPPORTED = "2.1."
 """Versions whose insides this module knows."""

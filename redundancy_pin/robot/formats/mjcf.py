@@ -15,7 +15,7 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import did_you_mean, shown
-from redundancy_pin.robot.mechanism import (
+from redundancy_pin.robot.formats.mechanism import (
     UNLIMITED,
     Mechanism,
     angles,
@@ -23,7 +23,7 @@ from redundancy_pin.robot.mechanism import (
     placed,
     six_joints,
 )
-from redundancy_pin.robot.mjcf_file import (
+from redundancy_pin.robot.formats.mjcf_file import (
     Defaults,
     Included,
     Part,
@@ -31,11 +31,11 @@ from redundancy_pin.robot.mjcf_file import (
     about,
     from_quaternion,
 )
-from redundancy_pin.robot.mjcf_forces import Forces, largest_force
-from redundancy_pin.robot.mjcf_masses import POSE, body_mass, place_of_geom, shape_of
+from redundancy_pin.robot.formats.mjcf_forces import Forces, largest_force
+from redundancy_pin.robot.formats.mjcf_masses import POSE, body_mass, place_of_geom, shape_of
+from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry
+from redundancy_pin.robot.formats.xml_files import Element
 from redundancy_pin.robot.types import AXES, Closure, Coupling
-from redundancy_pin.robot.urdf_tree import JointEntry, LinkEntry
-from redundancy_pin.robot.xml_files import Element
 
 _IGNORED = ("visual", "statistic", "asset", "size", "sensor", "custom", "contact", "default", "keyframe")
 """Sections that move nothing: pictures, measurements, sizes of memory; contacts are named in the notes."""

@@ -19,8 +19,8 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError, did_you_mean
+from redundancy_pin.robot.formats.xml_files import FORMATS, Element, parsed_text
 from redundancy_pin.robot.types import Coupling
-from redundancy_pin.robot.xml_files import FORMATS, Element, parsed_text
 
 MOST_LINKS = 2000
 """Links of a robot: urdfdom looks each up among all."""

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from redundancy_pin.arrays import Array
-from redundancy_pin.robot.mechanism import angles, moved_to, placed, together
-from redundancy_pin.robot.mjcf_file import ORIENTATION, Part, from_z
-from redundancy_pin.robot.urdf_tree import LinkEntry
+from redundancy_pin.robot.formats.mechanism import angles, moved_to, placed, together
+from redundancy_pin.robot.formats.mjcf_file import ORIENTATION, Part, from_z
+from redundancy_pin.robot.formats.urdf_tree import LinkEntry
 
 POSE = ("pos", *ORIENTATION)
 

@@ -18,11 +18,11 @@ import numpy as np
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE, UNLIMITED, Mechanism, placed, six_joints
+from redundancy_pin.robot.formats.urdf_tree import JointEntry, LinkEntry
+from redundancy_pin.robot.formats.xml_files import Element, parsed
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.mechanism import NOT_IN_FORCE, UNLIMITED, Mechanism, placed, six_joints
 from redundancy_pin.robot.types import Closure, Coupling
-from redundancy_pin.robot.urdf_tree import JointEntry, LinkEntry
-from redundancy_pin.robot.xml_files import Element, parsed
 
 _LARGEST = 1e100
 _SAME_DIRECTION = 1e-6

@@ -17,8 +17,8 @@ import numpy as np
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError, did_you_mean, shown
 from redundancy_pin.io.reading import is_file
-from redundancy_pin.robot.xacro_engine import is_within, own_folders
-from redundancy_pin.robot.xml_files import MOST_BYTES, Element, parsed
+from redundancy_pin.robot.formats.xacro_engine import is_within, own_folders
+from redundancy_pin.robot.formats.xml_files import MOST_BYTES, Element, parsed
 
 _MOST_INCLUDED = 100
 _LARGEST = 1e100

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from redundancy_pin.errors import shown
+from redundancy_pin.robot.formats.mechanism import NOT_IN_FORCE
+from redundancy_pin.robot.formats.mjcf_file import Part
 from redundancy_pin.robot.loads import JointForces
-from redundancy_pin.robot.mechanism import NOT_IN_FORCE
-from redundancy_pin.robot.mjcf_file import Part
 
 _FORCES = {
     "damping": {"damper"},

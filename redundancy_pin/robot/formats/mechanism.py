@@ -11,9 +11,9 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.errors import ModelFileError
+from redundancy_pin.robot.formats.urdf_tree import MOST_FREEDOMS, MOST_LINKS, JointEntry, LinkEntry
 from redundancy_pin.robot.loads import JointForces
 from redundancy_pin.robot.types import AXES, Closure, Coupling
-from redundancy_pin.robot.urdf_tree import MOST_FREEDOMS, MOST_LINKS, JointEntry, LinkEntry
 
 _ALIGNED = {
     "revolute": (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned),
