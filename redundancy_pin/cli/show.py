@@ -25,7 +25,9 @@ from redundancy_pin.visualisation.viewer.page import View, require_html, require
 @click.option("--run", "run_path", metavar="NPZ", help="Simulation to show, as `simulate --out` writes it.")
 @motion_options("Motion to show, as `inverse-dynamics` reads it.")
 @click.option("--html", "out", metavar="HTML", help="Write one file that plays offline, instead of a live viewer.")
-@click.option("--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg.")
+@click.option(
+    "--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg or the extra video."
+)
 @click.option("--forces/--no-forces", default=True, show_default=True, help="Whether arrows are shown at first.")
 @click.option("--force-scale", type=float, default=1.0, metavar="NUMBER", help="Factor on the length of arrows.")
 @click.option("--open", "open_browser", is_flag=True, help="Open it in the default browser.")

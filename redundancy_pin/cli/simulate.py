@@ -96,7 +96,9 @@ def _numbers(name: str) -> Any:
 @click.option("--dt", type=float, metavar="SECONDS", help="Between the samples.  [default: --period, or 0.005]")
 @click.option("--out", metavar="NPZ|CSV", help="Where it goes: all of it, or a table by joint name, as of `export`.")
 @click.option("--plot", metavar="PICTURE", help="Draw it, with the plan behind it (.png, .svg or .pdf).")
-@click.option("--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg.")
+@click.option(
+    "--video", metavar="GIF|MP4", help="Write a video, drawn without a display; an MP4 needs ffmpeg or the extra video."
+)
 @options.json_option
 def simulate(robot: options.RobotOptions, **given: Any) -> int:
     r"""Simulate a machine that is to follow a plan or a motion.

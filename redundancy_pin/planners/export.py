@@ -330,7 +330,7 @@ def data_frame(table: PlanTable) -> Any:
     Raises:
         RedundancyPinError: pandas is not installed.
     """
-    pandas = optional("pandas", "A data frame needs", "Install it with `pip install pandas`.")
+    pandas = optional("pandas", "A data frame needs", "Install it with `pip install 'redundancy_pin[pandas]'`.")
     columns = table.columns()
     frame = pandas.DataFrame(
         {name: values for name, (_, values) in columns.items() if name != "t"}, index=pandas.Index(table.t, name="t")

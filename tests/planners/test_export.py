@@ -188,7 +188,6 @@ def test_a_joint_trajectory_has_the_fields_of_the_message(
 
 
 def test_a_data_frame_has_the_columns(plan: Plan) -> None:
-    pytest.importorskip("pandas")
     frame, table = plan.to_dataframe(20), plan.table(20)
     np.testing.assert_array_equal(frame.index, table.t)
     np.testing.assert_array_equal(frame["slide_2.effort"], table.effort[:, 1])

@@ -1,7 +1,8 @@
-"""A moving picture as a file: a GIF, or an MP4 where ffmpeg is installed, drawn without a display."""
+"""A moving picture as a file: a GIF, or an MP4 where there is an ffmpeg (extra ``video``), drawn without a display."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from redundancy_pin.arrays import IntArray, positive
-from redundancy_pin.errors import InputError, OutputError, RedundancyPinError
+from redundancy_pin.errors import InputError, OutputError, optional
 from redundancy_pin.io.files import refusing, replacing_file, require_writable
 from redundancy_pin.visualisation.figures import paths
 from redundancy_pin.visualisation.figures.style import figure, legend_below, require_matplotlib
@@ -83,8 +84,20 @@ def save_video(
 def _writer(path: str | Path, rate: float) -> Any:
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    make: Any = PillowWriter if Path(path).suffix.lower() == ".gif" else FFMpegWriter
+    class Mp4Writer(FFMpegWriter):
+        bin_path = staticmethod(_ffmpeg)  # matplotlib asks a process-wide setting
+
+    make: Any = PillowWriter if Path(path).suffix.lower() == ".gif" else Mp4Writer
     return make(fps=rate)
+
+
+def _ffmpeg() -> str:
+    """Return the system's ffmpeg, else that of the package imageio-ffmpeg."""
+    remedy = "Install it with `pip install 'redundancy_pin[video]'`, or write a .gif."
+    return (
+        shutil.which("ffmpeg")
+        or optional("imageio_ffmpeg", "Without the program ffmpeg an MP4 needs", remedy).get_ffmpeg_exe()
+    )
 
 
 def require_video(path: str | Path) -> None:
@@ -93,13 +106,8 @@ def require_video(path: str | Path) -> None:
     suffix = Path(path).suffix.lower()
     if suffix not in (".gif", ".mp4"):
         raise OutputError(f"Cannot write {path}: it is no .gif and no .mp4.", remedy="Write video.gif.", path=str(path))
-    from matplotlib.animation import FFMpegWriter
-
-    if suffix == ".mp4" and not FFMpegWriter.isAvailable():
-        raise RedundancyPinError(
-            "An MP4 needs the program ffmpeg, which is not found.",
-            remedy="Install it (Debian: apt install ffmpeg), or write a .gif.",
-        )
+    if suffix == ".mp4":
+        _ffmpeg()
     require_writable(path)
 
 
