@@ -124,16 +124,28 @@ def save(drawn: Figure, *paths: str | Path) -> None:
     Raises:
         OutputError: a suffix that is no picture format, or a file that cannot be written.
     """
-    engine = drawn.get_layout_engine()
-    try:
-        for path in paths:
-            kind = picture_format(path)
+    kinds = [picture_format(path) for path in paths]
+    with laid_out(drawn):
+        for path, kind in zip(paths, kinds, strict=True):
             stamp = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-            with replacing_file(path) as temporary, refusing(path), _styled():
+            with replacing_file(path) as temporary, refusing(path):
                 drawn.savefig(temporary, format=kind, metadata=stamp)
-            drawn.set_layout_engine("none")  # it is laid out now, which takes as long as drawing it
-    finally:
-        drawn.set_layout_engine(engine)
+
+
+@contextmanager
+def laid_out(drawn: Figure) -> Iterator[None]:
+    """Lay a figure out once, in the common style, for all files: ``savefig`` with a layout engine draws each twice."""
+    with _styled():
+        engine, dpi = drawn.get_layout_engine(), drawn.dpi
+        if engine is not None:
+            drawn.dpi = _SETTINGS["savefig.dpi"]
+            engine.execute(drawn)
+            drawn.dpi = dpi
+        drawn.set_layout_engine(None)
+        try:
+            yield
+        finally:
+            drawn.set_layout_engine(engine)
 
 
 def picture_format(path: str | Path) -> str:
