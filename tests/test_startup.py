@@ -25,14 +25,16 @@ HEAVY = (
 KINEMATICS = {"numpy", "pinocchio", "pydantic", "xacro", "yaml"}
 """What it takes to read a robot and close its loops."""
 
-COMMAND = "from redundancy_pin.cli import main\nmain({}, standalone_mode=False)"
-LOADED = {
+PACKAGE = {
     "import redundancy_pin": set(),
     "import redundancy_pin as rp; dir(rp), rp.__all__, rp.__version__": set(),
     "import redundancy_pin as rp; rp.errors.InputError": set(),
     "import redundancy_pin as rp; rp.PlatformMotion, rp.CarrierMotion": {"numpy"},
     "import redundancy_pin as rp; rp.load_robot('3rrr')": KINEMATICS,
     "import redundancy_pin as rp; rp.RneaDynamics(rp.load_robot('2rpr')); rp.distribute": KINEMATICS,
+}
+COMMAND = "from redundancy_pin.cli import main\nmain({}, standalone_mode=False)"
+COMMANDS_RUN = {
     COMMAND.format(["--version"]): {"click"},
     COMMAND.format(["--help"]): {"click"},
     COMMAND.format(["info", "--help"]): {"click", "numpy", "pinocchio", "yaml"},
@@ -40,14 +42,19 @@ LOADED = {
     COMMAND.format(["info"]): {"click", "numpy", "pinocchio", "yaml", "rich"},
     COMMAND.format(["info", "--robot", "3rrr"]): {*KINEMATICS, "click", "rich"},
 }
-"""Of those, the ones that a program may load."""
+"""Of those, the ones that programs may load, one after another in the same process."""
 
 
-@pytest.mark.parametrize("program", LOADED)
-def test_a_program_loads_what_it_uses(program: str) -> None:
+@pytest.mark.parametrize("loaded", [PACKAGE, COMMANDS_RUN], ids=["package", "commands"])
+def test_a_program_loads_what_it_uses(loaded: dict[str, set[str]]) -> None:
     report = f"import json, sys; print(json.dumps([name for name in {HEAVY} if name in sys.modules]), file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", f"{program}\n{report}"], capture_output=True, text=True, check=True)
-    assert set(json.loads(done.stderr.splitlines()[-1])) <= LOADED[program]
+    program = "".join(f"{each}\n{report}\n" for each in loaded)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    seen = [set(json.loads(line)) for line in done.stderr.splitlines()]
+    for (each, allowed), there, before in zip(loaded.items(), seen, [set(), *seen], strict=False):
+        assert before <= allowed, f"what was there before hides what is loaded by {each}"
+        assert there <= allowed, each
+    assert len(seen) == len(loaded)
 
 
 def test_names_are_where_type_checkers_are_told_and_in_all() -> None:

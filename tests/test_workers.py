@@ -107,6 +107,7 @@ def _require_all_ended(processes: set[int], patience: float) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks Linux which processes there are")
+@pytest.mark.long_for("idle", "busy")
 @pytest.mark.parametrize("busy", ["00", "11", "01"], ids=["idle", "busy", "one of them"])
 def test_processes_end_with_a_parent_that_is_killed(busy: str, tmp_path: Path) -> None:
     script = tmp_path / "killed.py"

@@ -13,16 +13,19 @@ from command_line import call, refused
 from redundancy_pin.crosscheck import CheckRow, CrossCheckReport
 from redundancy_pin.studies import reproduce as job
 from redundancy_pin.studies.cases import BY_NAME, FULL
+from redundancy_pin.studies.figures import Picture
 
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two coarse experiments and a passing cross-check: the job has tests of its own."""
+    """Two coarse experiments, a passing cross-check, no pictures: the job has tests of its own."""
     rows = (CheckRow("2rpr", "parity: f", 10, 1e-15, 1e-10, True),)
     monkeypatch.setattr(job.crosscheck, "run", lambda *_: CrossCheckReport(rows, 0))
     small = tuple(replace(BY_NAME[name], dt=0.02) for name in ("circle-0.5-parked", "corner-r0.025-baseline"))
     monkeypatch.setattr(job.reproduce, "__defaults__", (small,))
-    monkeypatch.setitem(job.reproduce.__kwdefaults__, "extent", replace(FULL, chapters=()))
+    monkeypatch.setitem(job.reproduce.__kwdefaults__, "extent", replace(FULL, chapters=(), jobs=1))
+    monkeypatch.setattr(Picture, "draw", lambda *_: None)
+    monkeypatch.setattr(job, "save", lambda _, *paths: [path.write_bytes(b"") for path in paths])
 
 
 def test_tables(tmp_path: Path) -> None:
@@ -35,9 +38,7 @@ def test_tables(tmp_path: Path) -> None:
     assert "report.md" in result.stdout
 
 
-def test_json_is_the_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # pictures, which the test above draws, are most of the work and say nothing of the summary
-    monkeypatch.setattr(job, "save", lambda _, *paths: [path.write_bytes(b"") for path in paths])
+def test_json_is_the_summary(tmp_path: Path) -> None:
     result = call("reproduce", "--out", str(tmp_path / "results"), "--json")
     assert json.loads(result.stdout) == json.loads((tmp_path / "results" / "summary.json").read_text())
 

@@ -34,7 +34,7 @@ def failed(report):
 
 @pytest.fixture(scope="module")
 def report():
-    return crosscheck.run(samples=25 * FACTOR if FACTOR > 1 else 10, seed=3)
+    return crosscheck.run(samples=25 * FACTOR if FACTOR > 1 else 2, seed=3)
 
 
 @pytest.mark.property
