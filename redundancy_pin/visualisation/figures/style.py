@@ -137,14 +137,15 @@ def laid_out(drawn: Figure) -> Iterator[None]:
     """Lay a figure out once, in the common style, for all files: ``savefig`` with a layout engine draws each twice."""
     with _styled():
         engine, dpi = drawn.get_layout_engine(), drawn.dpi
-        if engine is not None:
-            drawn.dpi = _SETTINGS["savefig.dpi"]
-            engine.execute(drawn)
-            drawn.dpi = dpi
-        drawn.set_layout_engine(None)
         try:
+            if engine is not None:
+                drawn.dpi = _SETTINGS["savefig.dpi"]
+                engine.execute(drawn)
+            drawn.dpi = dpi
+            drawn.set_layout_engine(None)
             yield
         finally:
+            drawn.dpi = dpi
             drawn.set_layout_engine(engine)
 
 
