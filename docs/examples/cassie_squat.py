@@ -1,22 +1,23 @@
 """A floating base on two legs of closed chains: Cassie squats on the edges of its feet.
 
-Each leg is the model's own: rods close a loop over knee and shin and one over the ankle. Its springs are held. The
-achilles rods have a hinge in the file where the machine has a ball; the ball at their other end is therefore held in
-the plane of the rod alone, and is off sideways by 7 mm. A foot touches the ground along the edge of its blade, at
-heel and toe, and may roll about it: five closure rows a foot leave the trunk its six freedoms, which ten motors
-drive. What is left of the choice keeps the forces at heels and toes in their friction cones. The SDF comes with ``pip
-install 'redundancy_pin[examples]'`` and is used as it is.
+Each leg is the model's own, its rods corrected (``cassie_leg.py``, beside this file): rods close a loop over knee and
+shin and one over the ankle. Its springs are held. A foot touches the ground along the edge of its blade, at heel and
+toe, and may roll about it: five closure rows a foot leave the trunk its six freedoms, which ten motors drive. What is
+left of the choice keeps the forces at heels and toes in their friction cones. The SDF comes with ``pip install
+'redundancy_pin[examples]'``.
 
 Run it with ``python docs/examples/cassie_squat.py``.
 """
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, files
+import tempfile
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from cassie_leg import BLADE, MOTORS, SIDES, SPRINGS, cassie_sdf
 
 import redundancy_pin as rp
 from redundancy_pin.dynamics.contacts import ClosureForces, closure_forces
@@ -24,35 +25,27 @@ from redundancy_pin.dynamics.distribution import Distribution
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Coupling, Platform, Robot
 
-SIDES = ("left", "right")
-OF_A_LEG = ("roll-op", "yaw-op", "pitch-op", "knee-op", "tarsus-crank-joint")
-MOTORS = tuple(f"{side}-{joint}" for side in SIDES for joint in OF_A_LEG)
 BENT = {
-    **{"pitch-op": 0.6, "knee-op": -0.77, "shin-tarsus-joint": 0.77, "achilles-spring-joint": -0.77},
+    **{"pitch-op": 0.6, "knee-op": -0.77, "shin-tarsus-joint": 0.77},
     **{"foot-op": -1.7, "tarsus-crank-joint": -1.7, "crank-rod-joint": 1.7},
 }
 """rad, about where the joints of a leg are at the start; Newton's method closes the loops from there."""
-CENTRE, ALONG, HALF = np.array([0.01, 0.045, 0.0]), np.array([np.cos(0.695), -np.sin(0.695), 0.0]), 0.08
+CENTRE, ALONG, HALF = np.array(BLADE), np.array([np.cos(0.695), -np.sin(0.695), 0.0]), 0.08
 """Of the blade in its foot, as the collision shape of the file has it: middle, m, direction, half a length, m."""
-SPRINGS = tuple(f"{side}-{joint}" for side in SIDES for joint in ("knee-shin-joint", "tarsus-spring-joint"))
 CONTACTS = tuple(f"{side} {end}" for side in SIDES for end in ("heel", "toe"))
 DEPTH, DURATION = 0.1, 1.0
 """How deep the squat goes, m, and how long it takes, s."""
 
 
-def cassie_sdf() -> Path:
-    """Return the path of Cassie's SDF among the installed files of example-robot-data.
-
-    Raises:
-        PackageNotFoundError: it is not installed.
-    """
-    found = [file for file in files("example-robot-data") or () if file.name == "cassie_v2.sdf"]
-    return Path(str(found[0].locate())).resolve()
+def legs(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return joints of a leg by their names on either side."""
+    return tuple(f"{side}-{name}" for side in SIDES for name in names)
 
 
 def load() -> Robot:
     """Return Cassie on its two feet, whose edges stay where they are at the start."""
-    loaded = rp.load_robot(cassie_sdf(), base="free")
+    with tempfile.TemporaryDirectory() as folder:
+        loaded = rp.load_robot(cassie_sdf(Path(folder)), base="free")
     model, q = loaded.model.copy(), np.array(loaded.q_reference)
     for side in SIDES:
         for joint, angle in BENT.items():
@@ -61,7 +54,7 @@ def load() -> Robot:
     pin.framesForwardKinematics(model, data, q)
     feet = {side: model.frames[model.getFrameId(f"{side}-foot", pin.FrameType.BODY)] for side in SIDES}
     middle = np.mean([(data.oMi[foot.parentJoint] * foot.placement).act(CENTRE) for foot in feet.values()], axis=0)
-    loops = [(each.name, [each.frame_a, each.frame_b], ["x", "y"]) for each in loaded.closures]
+    loops = [(each.name, [each.frame_a, each.frame_b], list(each.axes)) for each in loaded.closures]
     for side, foot in feet.items():
         width = data.oMi[foot.parentJoint].translation[1]
         for end, way, axes in (("heel", HALF, ["x", "y", "z"]), ("toe", -HALF, ["y", "z"])):
@@ -73,15 +66,15 @@ def load() -> Robot:
             loops.append((f"{side} {end}", [ground, tip], axes))
     middle[0] = pin.centerOfMass(model, data, q)[0]  # the trunk stands where its weight is over the feet
     pelvis = data.oMf[model.getFrameId("pelvis", pin.FrameType.BODY)].translation - middle * [1.0, 0.0, 1.0]
-    names = [str(name) for name in model.names[1:]]
-    guess = {name: float(q[model.joints[model.getJointId(name)].idx_q]) for name in names}
+    single = [joint for joint in list(model.joints)[1:] if joint.nq == 1]  # the balls of the rods follow
+    guess = {str(model.names[joint.id]): float(q[joint.idx_q]) for joint in single}
     guess |= {f"pelvis_{axis}": guess[f"pelvis_{axis}"] - float(middle[k]) for k, axis in ((0, "x"), (2, "z"))}
     standing = rp.Robot.from_model(
         model,
         name="cassie_squat",
         closures=[{"name": name, "frames": frames, "axes": axes} for name, frames, axes in loops],
-        couplings=[Coupling(f"{name} held", name, "", (0.0,)) for name in SPRINGS],
-        actuated=MOTORS,
+        couplings=[Coupling(f"{name} held", name, "", (0.0,)) for name in legs(SPRINGS)],
+        actuated=legs(MOTORS),
         independent=Platform("pelvis", ("x", "y", "z", "rx", "ry", "rz")),
         reference={"platform": {"xyz": pelvis.tolist(), "rpy": [0.0, 0.0, 0.0]}, "guess": guess},
     )

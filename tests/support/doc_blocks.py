@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -73,7 +74,9 @@ def blocks_of(path: Path, name: str) -> list[Block]:
 
 
 def example_script(path: Path) -> ModuleType:
-    """Return a script of ``docs/examples`` as a module, without running its ``main``."""
+    """Return a script of ``docs/examples`` as a module, without running its ``main``; it may import its neighbours."""
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
