@@ -65,10 +65,10 @@ def load(folder: Path) -> Robot:
 
 
 def bend(robot: Robot, samples: int = 41) -> rp.PlatformMotion:
-    """Return two seconds in which the left leg folds: its knee by −2 rad, the hip by 1; the foot stays below."""
+    """Return two seconds in which the left leg folds: its knee by −2 rad, the hip by 1; the blade stays level."""
     row = dict(zip(robot.independent_joints, np.eye(robot.n), strict=True))
     end = -2.0 * row["left-knee-op"] + 1.0 * row["left-pitch-op"] - 1.0 * row["left-tarsus-crank-joint"]
-    start = -0.7 * row["left-tarsus-crank-joint"]
+    start = -1.1 * row["left-tarsus-crank-joint"]
     return rp.trajectory.from_points([start, start + end], [0.0, 2.0]).sample(2.0 / (samples - 1))
 
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from PIL import Image
 
 import redundancy_pin as rp
@@ -68,6 +72,45 @@ def _picture(scene: Scene, frame: int, title: str) -> Image.Image:
         return Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3].copy())
 
 
+def cassie_leg() -> Figure:
+    """Cassie's left leg as it folds, from the side, and the knee's torque while it carries half of the machine."""
+    sys.path.append(str(FOLDER.parent / "examples"))
+    from cassie_leg import BLADE, bend, load, torques  # of the extra examples
+
+    with tempfile.TemporaryDirectory() as folder:
+        robot = load(Path(folder))
+    motion = bend(robot)
+    tau, q, data = torques(robot, motion).tau, rp.lift(robot, motion).q, robot.model.createData()
+    knee = motion.x[:, robot.independent_joints.index("left-knee-op")]
+    rod, foot = (0.5012, 0.0, 0.0), (0.055, 0.0, 0.008)  # ends of the rods, m, in the axes of rod and foot
+    bars = {
+        "hip, knee, shin, tarsus": [("hip-pitch",), ("knee",), ("shin",), ("tarsus",), ("foot",)],
+        "achilles rod": [("hip-pitch",), ("achilles-rod", rod)],
+        "crank and plantar rod": [("foot-crank",), ("plantar-rod",), ("foot", foot)],
+    }
+    with figure(7.2, 3.4) as drawn:
+        side, curve = drawn.subplots(1, 2, width_ratios=[1.0, 1.4])
+        for k, shade in ((0, 0.35), (len(motion) // 2, 0.6), (len(motion) - 1, 1.0)):
+            pin.framesForwardKinematics(robot.model, data, np.array(q[k]))
+
+            def at(name: str, offset: Any = (0.0, 0.0, 0.0)) -> Any:
+                place = data.oMf[robot.model.getFrameId(f"left-{name}", pin.FrameType.BODY)]
+                return place.act(np.array(offset))[[0, 2]]
+
+            for (label, points), color in zip(bars.items(), ("#4477aa", "#cc6677", "#228833"), strict=True):
+                line = np.transpose([at(*point) for point in points])
+                side.plot(*line, color=color, alpha=shade, marker=".", label=label if shade == 1.0 else None)
+            blade = [at("foot", np.array(BLADE) + way * np.array([0.0615, -0.0512, 0.0])) for way in (1, -1)]
+            side.plot(*np.transpose(blade), color="#333333", alpha=shade, linewidth=3)
+        side.set(aspect="equal", xlabel="x [m]", ylabel="z [m]", ylim=(-0.45, 1.05))
+        side.legend(fontsize=7)
+        for name in ("pitch-op", "knee-op", "tarsus-crank-joint"):
+            curve.plot(np.degrees(knee), tau[:, robot.actuated.index(f"left-{name}")], label=name)
+        curve.set(xlabel="knee [deg] from the file's pose", ylabel="torque [N m], 160 N carried")
+        curve.legend(fontsize=7)
+        return drawn
+
+
 def main() -> None:
     """Draw all pictures."""
     animate(rp.show(crossing()).scene, FOLDER / "crossing.gif", title="2-RPR")
@@ -75,6 +118,7 @@ def main() -> None:
     for name, drawn in (
         ("corner.svg", rp.plot.snapshots(rp.show(plan), 3, title="3-RRR around a corner")),
         ("corner_carriers.svg", rp.plot.carriers(plan)),
+        ("cassie_leg.svg", cassie_leg()),
     ):
         with replacing_file(FOLDER / name) as temporary:
             rp.plot.save(drawn, temporary)

@@ -128,7 +128,6 @@ def test_mujoco_agrees(robot: Robot, tmp_path: Path) -> None:
             accelerations.append(state.qacc.copy())
             forces.append(state.efc_force.copy())
         rigid = np.linalg.inv(np.vander(softness, increasing=True))[0]
-        print("ACC", np.abs(rigid @ accelerations - wanted).max(), np.abs(state.qacc_smooth).max())
         assert np.abs(rigid @ accelerations - wanted).max() < SOLVER
         _compare(mj, state, rigid @ forces, by_name, SOLVER)
 
