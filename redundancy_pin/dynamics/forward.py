@@ -95,12 +95,17 @@ class Accelerations(NamedTuple):
 class Feedback:
     """Efforts less K(t) δz, where δz is (x, s, ẋ, ṡ) less a course; a pose is no x here.
 
+    With ``scale`` K gives accelerations, planned ones less K δz are wanted, and efforts bring them up like those of
+    ``dynamics.allocation.allocate``. Where these pass the limits, or do not exist, ``Rules.loads`` is asked.
+
     Attributes:
         efforts: polynomials of main efforts and carrier forces.
-        course: (2d) of the planned (x, s, ẋ, ṡ), on the same pieces.
-        gain: ((m + k) 2d) of K, row by row.
+        course: (3d) of the planned (x, s, ẋ, ṡ, ẍ, s̈), on the same pieces.
+        gain: ((m + k) 2d) of K, row by row; (d 2d) with ``scale``.
         turning: (n,) coordinates whose difference goes the short way round.
         limits: (m + k,) of what it commands, infinite for none.
+        scale: (m + k,) τ̂ and â of the allocation.
+        row_scale: (n,) lengths that turn moments into forces.
     """
 
     efforts: Polynomials
@@ -108,6 +113,8 @@ class Feedback:
     gain: Polynomials
     turning: BoolArray
     limits: Array
+    scale: Array | None = None
+    row_scale: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +126,9 @@ class Rules:
         rtol, atol, max_step: of the steps.
         grid: (G,) times to record, s; ``same`` apart they are one.
         breaks: (B,) times, s, at which the integration starts anew; the last one is the end.
-        efforts: polynomials of main efforts and carrier forces; or None, where
-        loads: is the function of the state that says what acts.
+        efforts: polynomials of main efforts and carrier forces; or None.
         feedback: whose ``efforts`` these are, if they heed the state.
+        loads: the function of the state that says what acts where those do not.
         prescribed: whether the carriers' motion is given (by ``loads``).
         limits: (m + k,) where main efforts and carrier forces saturate.
         stops: (4, l) index in q, index in v, side and bound of each stop.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import pickle
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,6 +20,7 @@ import redundancy_pin as rp
 from redundancy_pin.arrays import Array
 from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
 from redundancy_pin.errors import IllPosedModelError, InputError, SingularPoseError
+from redundancy_pin.planners.reference import MotionReference
 from redundancy_pin.robot import Robot
 from redundancy_pin.simulation import (
     Constant,
@@ -33,7 +35,7 @@ from redundancy_pin.simulation import (
     motion_reference,
 )
 from redundancy_pin.simulation.controllers import NoisyAmplifier
-from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque, ReducedModel
+from redundancy_pin.simulation.controllers.computed_torque import ComputedTorque, ReducedModel, TorqueCommand
 from redundancy_pin.simulation.controllers.lqr import TimeVaryingLqr, linear_model
 from redundancy_pin.simulation.derivatives import linearise_along
 from redundancy_pin.simulation.state import Manifold
@@ -252,18 +254,31 @@ def test_plans_are_played_back_by_their_polynomials_and_saturate() -> None:
     require_same(*both(robot, Half(reference), duration=0.1, **options), 1e-5)
 
 
-def test_a_linear_feedback_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Off its course, along angles a turn from those of the state, saturated; what a subclass changes is Python's."""
+@functools.cache
+def off_course() -> tuple[MotionReference, dict[str, Any]]:
+    """A reference of the 3-RRR with angles a turn from those of the state to start from, which is off it."""
     robot = moving.massive("3rrr")
     motion = rp.trajectory.reference.corner(0.025).sample(0.02)[:5]
     turned = rp.PlatformMotion(motion.t, motion.x + np.array([0.0, 0.0, 2.0 * np.pi]), motion.xd, motion.xdd)
     reference = motion_reference(robot, turned, step=0.05)
-    x, xd, s, sd, efforts = reference.course(0.0)
+    x, xd, s, sd, _ = reference.course(0.0)
     start = closed_state(robot, x + np.array([0.002, -0.001, 0.003 - 2.0 * np.pi]), xd, s + 0.01, sd + 0.02)
-    options = {"start": start, "duration": 0.04, "dt": 0.02, "stop_at": ()}
-    asked = []
-    whole = TimeVaryingLqr.effort
-    monkeypatch.setattr(TimeVaryingLqr, "effort", lambda self, *at: asked.append(at) or whole(self, *at))
+    return reference, {"start": start, "duration": 0.04, "dt": 0.02, "stop_at": ()}
+
+
+def spied(monkeypatch: pytest.MonkeyPatch, law: Any) -> list[Any]:
+    """Return what fills with the calls of a controller's ``effort``."""
+    asked: list[Any] = []
+    whole = law.effort
+    monkeypatch.setattr(law, "effort", lambda self, *at: asked.append(at) or whole(self, *at))
+    return asked
+
+
+def test_a_linear_feedback_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Off its course, along angles a turn from those of the state, saturated; what a subclass changes is Python's."""
+    reference, options = off_course()
+    robot, (*_, efforts) = reference.robot, reference.course(0.0)
+    asked = spied(monkeypatch, TimeVaryingLqr)
     run, own = both(robot, TimeVaryingLqr(reference, step=0.05), **options)
     require_same(run, own, 1e-6)
     commanded = np.concatenate([run.tau[0], run.carrier_force[0]])
@@ -284,6 +299,40 @@ def test_a_linear_feedback_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> N
         asked.clear()
         run = rp.simulate(robot, one, dynamics=compiled(robot), **options)
         assert (len(asked) < run.statistics.evaluations) == is_code  # the report asks for each sample
+
+
+def test_a_computed_torque_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same cases. Beyond its limits it is asked in Python, whose quadratic program shares out what they cut off."""
+    reference, options = off_course()
+    robot, asked = reference.robot, spied(monkeypatch, ComputedTorque)
+    scales = {"damping": 0.7, "effort_scale": [1.0, 2.0, 3.0], "carrier_scale": [5.0, 3.0, 2.0]}
+    law = ComputedTorque(reference, **scales)
+    run, own = both(robot, law, **options)
+    require_same(run, own, 1e-12)
+    planned = reference.carriers(0.0)[2]
+    assert np.abs(run.sdd[0] - planned).max() > 0.1  # carriers take their share
+    assert np.abs(own.tau).max() > 1.5
+    assert np.abs(own.carrier_force).max() > 10.0
+
+    class Softer(ComputedTorque):
+        """Efforts of its own."""
+
+        def command(self, t: float, state: State) -> TorqueCommand:
+            found = super().command(t, state)
+            return replace(found, tau=0.9 * found.tau)
+
+    for one, some, every in (
+        (law, False, False),
+        (ComputedTorque(reference, **scales, effort_limit=1.5), True, False),
+        (ComputedTorque(reference, **scales, carrier_force_limit=10.0), True, False),
+        (Softer(reference, **scales), True, True),
+    ):
+        asked.clear()
+        run = rp.simulate(robot, one, dynamics=compiled(robot), **options)
+        calls = len(asked) - len(run.t) - 1  # the report asks for each sample, the start for its own
+        assert (calls > 0, calls >= run.statistics.evaluations) == (some, every)
+        if one is not law:
+            require_same(run, rp.simulate(robot, one, **options), 1e-10)
 
 
 @pytest.mark.parametrize("sampling", [Sampling(0.02), None])

@@ -33,9 +33,10 @@ typedef struct {
   /* what acts: polynomials of time on pieces, or a function */
   int prescribed, pieces, terms, saturates;
   const double *edges, *coefficients, *limits;
-  /* less K (x, s, x', s' less a course on the same pieces), within limits of its own; which coordinates go the short way */
+  /* less K (x, s, x', s' less a course on the same pieces), within limits of its own; which coordinates go the short way;
+     with scales, K gives accelerations, and efforts are allotted */
   int course_terms, gain_pieces, gain_terms;
-  const double *course, *gain_at, *gains, *feedback_limits, *turning;
+  const double *course, *gain_at, *gains, *feedback_limits, *turning, *scale, *row_scale;
   Loads loads;
   /* when efforts jump or kink, the last one being the end; when to record */
   int breaks, samples;
@@ -315,16 +316,83 @@ static void polynomials(const double *edges, int pieces, const double *coefficie
     for (int i = 0; i < width; ++i) values[i] = values[i] * x + *c++;
 }
 
-/* A linear feedback on the state, on top of the planned efforts u (M + NK). */
-static void feed_back(const Run *run, Progress *at, double t, const double *q, const double *v, double *u) {
-  enum { D = N_FREEDOMS + NK };
+/* Makes rows of S orthogonal over their first `columns` by Jacobi's rotations, which turn what stands beside them too. */
+static void orthogonalise(double *S, int rows, int columns, int width) {
+  for (int sweep = 0; sweep < 30; ++sweep) {
+    double off = 0.0;
+    for (int i = 1; i < rows; ++i)
+      for (int k = 0; k < i; ++k) {
+        double a = 0.0, b = 0.0, c = 0.0, *x = S + i * width, *y = S + k * width;
+        for (int j = 0; j < columns; ++j) a += x[j] * x[j], b += y[j] * y[j], c += x[j] * y[j];
+        if (!(fabs(c) > 1e-14 * sqrt(a * b))) continue;
+        off = fmax(off, fabs(c) / sqrt(a * b));
+        double zeta = (b - a) / (2.0 * c), t = (zeta < 0.0 ? -1.0 : 1.0) / (fabs(zeta) + sqrt(1.0 + zeta * zeta));
+        double cosine = 1.0 / sqrt(1.0 + t * t), sine = cosine * t;
+        for (int j = 0; j < width; ++j) {
+          double u = x[j], w = y[j];
+          x[j] = cosine * u - sine * w;
+          y[j] = sine * u + cosine * w;
+        }
+      }
+    if (off < 1e-7) break; /* converges quadratically: squares are then good to rounding */
+  }
+}
+
+/* Efforts that bring up accelerations (D), by M, h and W as rp_reading has them, in place of the planned u: the least scaled
+   change (dynamics.allocation). Returns 0 where rows are all but dependent, or a limit is passed. */
+static int allot(const Run *run, const double *mass, const double *wanted, double *u) {
+  enum { D = N_FREEDOMS + NK, P = M + NK, WIDTH = P + 1 };
+  const double *bias = mass + D * D, *W = bias + D;
+  double A[(N_FREEDOMS + 1) * WIDTH], needed[D + 1], change[P + 1] = {0.0}, least = INFINITY, most = 0.0;
+  for (int i = 0; i < D; ++i) {
+    needed[i] = bias[i];
+    for (int j = 0; j < D; ++j) needed[i] += mass[i * D + j] * wanted[j];
+  }
+  for (int i = 0; i < N_FREEDOMS; ++i) {
+    double *row = A + i * WIDTH;
+    row[P] = needed[i];
+    for (int j = 0; j < M; ++j) {
+      row[j] = W[i * M + j] * run->scale[j];
+      row[P] -= W[i * M + j] * u[j];
+    }
+    for (int j = 0; j < NK; ++j) row[M + j] = -mass[i * D + N_FREEDOMS + j] * run->scale[M + j];
+    for (int j = 0; j < WIDTH; ++j) row[j] /= run->row_scale[i];
+  }
+  orthogonalise(A, N_FREEDOMS, P, WIDTH);
+  for (int i = 0; i < N_FREEDOMS; ++i) {
+    double square = 0.0;
+    for (int j = 0; j < P; ++j) square += A[i * WIDTH + j] * A[i * WIDTH + j];
+    least = fmin(least, square);
+    most = fmax(most, square);
+    for (int j = 0; j < P; ++j) change[j] += A[i * WIDTH + j] * (A[i * WIDTH + P] / square);
+  }
+  if (!(least > run->rank_tolerance * most)) return 0; /* squares: far from where rank is in doubt */
+  for (int j = 0; j < P; ++j) change[j] *= run->scale[j];
+  for (int j = 0; j < P; ++j) {
+    u[j] = j < M ? u[j] + change[j] : needed[N_FREEDOMS + j - M];
+    for (int k = 0; j >= M && k < NK; ++k) u[j] += mass[(N_FREEDOMS + j - M) * D + N_FREEDOMS + k] * change[M + k];
+    if (!(fabs(u[j]) <= run->feedback_limits[j])) return 0;
+  }
+  return 1;
+}
+
+/* A feedback on the state, on top of the planned efforts u (M + NK); returns 0 where Python is to be asked. */
+static int feed_back(const Run *run, Progress *at, double t, const double *q, const double *v, double *u) {
+  enum { D = N_FREEDOMS + NK, STATE = N_COORDINATES + N_FREEDOMS, MOST = M + NK + N_FREEDOMS };
   const double pi = 3.14159265358979323846;
-  double trig[2 * NT + 1], x[N_COORDINATES], xd[N_FREEDOMS], z[2 * D], K[(M + NK + 1) * 2 * D];
-  turns_of(q, trig);
-  const double *const arg[] = {q, trig, v};
-  double *const res[] = {x, xd};
-  rp_platform(arg, res);
-  polynomials(run->edges, run->pieces, run->course, run->course_terms, 2 * D, t, &at->piece, z);
+  double read[STATE + D * D + D + N_FREEDOMS * M], z[3 * D], K[MOST * 2 * D], less[MOST];
+  const double *x = read, *xd = read + N_COORDINATES;
+  int rows = run->scale ? D : M + NK;
+  if (run->scale) {
+    if (!rp_reading(q, v, run->rank_tolerance, read)) return 0;
+  } else {
+    double trig[2 * NT + 1];
+    turns_of(q, trig);
+    const double *const arg[] = {q, trig, v};
+    double *const res[] = {read, read + N_COORDINATES};
+    rp_platform(arg, res);
+  }
+  polynomials(run->edges, run->pieces, run->course, run->course_terms, 3 * D, t, &at->piece, z);
   for (int i = 0; i < N_FREEDOMS; ++i) {
     z[i] = x[i] - z[i];
     if (run->turning[i] != 0.0) z[i] -= 2.0 * pi * floor((z[i] + pi) / (2.0 * pi));
@@ -334,20 +402,26 @@ static void feed_back(const Run *run, Progress *at, double t, const double *q, c
     z[N_FREEDOMS + i] = q[CARRIED[i]] - z[N_FREEDOMS + i];
     z[D + N_FREEDOMS + i] = v[CARRIERS[i]] - z[D + N_FREEDOMS + i];
   }
-  polynomials(run->gain_at, run->gain_pieces, run->gains, run->gain_terms, (M + NK) * 2 * D, t, &at->gain_piece, K);
-  for (int i = 0; i < M + NK; ++i) {
-    for (int j = 0; j < 2 * D; ++j) u[i] -= K[i * 2 * D + j] * z[j];
-    u[i] = fmin(fmax(u[i], -run->feedback_limits[i]), run->feedback_limits[i]);
+  polynomials(run->gain_at, run->gain_pieces, run->gains, run->gain_terms, rows * 2 * D, t, &at->gain_piece, K);
+  for (int i = 0; i < rows; ++i) {
+    less[i] = 0.0;
+    for (int j = 0; j < 2 * D; ++j) less[i] += K[i * 2 * D + j] * z[j];
   }
+  if (run->scale) {
+    for (int i = 0; i < D; ++i) z[2 * D + i] -= less[i];
+    return allot(run, read + STATE, z + 2 * D, u);
+  }
+  for (int i = 0; i < rows; ++i) u[i] = fmin(fmax(u[i] - less[i], -run->feedback_limits[i]), run->feedback_limits[i]);
+  return 1;
 }
 
 /* What acts at an instant: the piece of the polynomials is that of a time before the end of the stretch. */
 static int loads_at(const Run *run, Progress *at, double t, double end, const double *q, const double *v, double *out) {
   double before = t < end ? t : nextafter(end, -INFINITY);
-  if (run->loads) return run->loads(before, q, v, out);
+  if (run->loads && !run->gains) return run->loads(before, q, v, out);
   double u[M + NK + 1];
   polynomials(run->edges, run->pieces, run->coefficients, run->terms, M + NK, before, &at->piece, u);
-  if (run->gains) feed_back(run, at, before, q, v, u);
+  if (run->gains && !feed_back(run, at, before, q, v, u)) return run->loads(before, q, v, out);
   for (int i = 0; i < NV; ++i) out[i] = 0.0;
   for (int i = 0; i < M + NK; ++i) {
     if (run->saturates) u[i] = fmin(fmax(u[i], -run->limits[i]), run->limits[i]);
@@ -459,27 +533,10 @@ static double determinant(double *A) {
   return result;
 }
 
-/* Smallest over largest singular value of rows S (R x NP): Jacobi's rotations make the rows orthogonal. */
+/* Smallest over largest singular value of rows S (R x NP), which are overwritten. */
 static double rank_ratio(double *S) {
   double least = INFINITY, most = 0.0;
-  for (int sweep = 0; sweep < 30; ++sweep) {
-    double off = 0.0;
-    for (int i = 1; i < R; ++i)
-      for (int k = 0; k < i; ++k) {
-        double a = 0.0, b = 0.0, c = 0.0, *x = S + i * NP, *y = S + k * NP;
-        for (int j = 0; j < NP; ++j) a += x[j] * x[j], b += y[j] * y[j], c += x[j] * y[j];
-        if (!(fabs(c) > 1e-14 * sqrt(a * b))) continue;
-        off = fmax(off, fabs(c) / sqrt(a * b));
-        double zeta = (b - a) / (2.0 * c), t = (zeta < 0.0 ? -1.0 : 1.0) / (fabs(zeta) + sqrt(1.0 + zeta * zeta));
-        double cosine = 1.0 / sqrt(1.0 + t * t), sine = cosine * t;
-        for (int j = 0; j < NP; ++j) {
-          double u = x[j], w = y[j];
-          x[j] = cosine * u - sine * w;
-          y[j] = sine * u + cosine * w;
-        }
-      }
-    if (off < 1e-7) break; /* converges quadratically: squares are then good to rounding */
-  }
+  orthogonalise(S, R, NP, NP);
   for (int i = 0; i < R; ++i) {
     double sum = 0.0;
     for (int j = 0; j < NP; ++j) sum += S[i * NP + j] * S[i * NP + j];

@@ -13,11 +13,11 @@ from scipy.linalg import lapack
 from redundancy_pin.arrays import RANK_TOLERANCE, Array, positive, read_only
 from redundancy_pin.dynamics.allocation import Allocation, AllocationStatus, CarrierForces, allocate
 from redundancy_pin.dynamics.base import Dynamics
-from redundancy_pin.dynamics.forward import Equations, ForwardKernel
+from redundancy_pin.dynamics.forward import Equations, Feedback, ForwardKernel
 from redundancy_pin.dynamics.tree_loads import tree_equations
 from redundancy_pin.errors import SingularPoseError
 from redundancy_pin.kinematics.chain import ClosedChain
-from redundancy_pin.kinematics.coordinates import row_scale
+from redundancy_pin.kinematics.coordinates import angle_columns, row_scale
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.reference import MotionReference, ReferencePoint
 from redundancy_pin.robot import Robot
@@ -35,6 +35,7 @@ from redundancy_pin.simulation.controllers.base import (
 from redundancy_pin.simulation.derivatives import state_error
 from redundancy_pin.simulation.state import GAP, Manifold, State
 from redundancy_pin.trajectory.continuous_motion import TimedTrajectory
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,6 +218,23 @@ class ComputedTorque(Tracking):
         if effort_scale is None:
             largest_tau = np.maximum(largest_tau, correcting_efforts(self.reference, bandwidth**2 * POSITION))
         self.effort_scale = positive_each(effort_scale, largest_tau, LEAST_SHARE, "effort_scale")
+
+    @property
+    def feedback(self) -> Feedback | None:  # type: ignore[override]
+        """The law for machine code; None of a digital one, of poses, and where ``command`` is replaced."""
+        own = type(self).command is not ComputedTorque.command or "command" in vars(self)
+        if own or self.lead or self.reference.is_pose:
+            return None
+        gain = np.concatenate([np.diag(self._stiffness), np.diag(self._damping)], axis=1).ravel()
+        return Feedback(
+            self.reference.efforts,
+            self.reference.states,
+            PiecewisePolynomial.constant(gain, self.reference.start, self.reference.end),
+            np.isin(np.arange(self.robot.n), angle_columns(self.robot)),
+            np.concatenate([self.effort_limit, self.carrier_force_limit]),
+            np.concatenate([self.effort_scale, self.carrier_scale]),
+            self._rows,
+        )
 
     def effort(self, t: float, state: State) -> Command:
         """Return main efforts (m,) and carrier forces (k,) at time t; ``history`` keeps how they came about."""

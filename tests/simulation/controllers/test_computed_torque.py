@@ -41,11 +41,13 @@ def critically_damped(t, away, speed, omega):
 
 
 @pytest.mark.long
-def test_the_platform_obeys_its_error_equation_through_both_type_ii_poses():
+@pytest.mark.parametrize("backend", [None, rp.CompiledDynamics])
+def test_the_platform_obeys_its_error_equation_through_both_type_ii_poses(backend):
     motion, robot = crossing(), two_rpr()
+    dynamics = None if backend is None else backend(robot)
     start = perturbed(robot, motion, BEFORE, AWAY, SPEED)
     control = ComputedTorque(motion)
-    run = rp.simulate(robot, control, start=start, duration=0.4, rtol=1e-8, atol=1e-10)
+    run = rp.simulate(robot, control, start=start, duration=0.4, rtol=1e-8, atol=1e-10, dynamics=dynamics)
     assert [event.kind for event in run.events].count("type_II") == 2
     expected = critically_damped(run.t - BEFORE, np.array(AWAY), np.array(SPEED), control.bandwidth)
     assert np.abs(errors(run, motion) - expected).max() < 1e-10  # what the integrator is asked for
