@@ -105,7 +105,6 @@ class Feedback:
         turning: (n,) coordinates whose difference goes the short way round.
         limits: (m + k,) of what it commands, infinite for none.
         scale: (m + k,) τ̂ and â of the allocation.
-        row_scale: (n,) lengths that turn moments into forces.
     """
 
     efforts: Polynomials
@@ -114,7 +113,6 @@ class Feedback:
     turning: BoolArray
     limits: Array
     scale: Array | None = None
-    row_scale: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

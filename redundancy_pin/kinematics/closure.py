@@ -353,7 +353,7 @@ class ConstraintSystem:
         self.platform = RowSet(platform, support, ids)
         self.all_rows = RowSet((*self.rows, *platform), support, ids, self.couplings)
         self.aligned = [(c.frame_a, c.frame_b, k) for c in robot.closures for k in _aligned(c)]
-        self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity)
+        self.pose_columns = np.setdiff1d(np.arange(nv), robot.carrier_velocity, assume_unique=True)
         self.selection = np.zeros((robot.m, nv))
         self.selection[np.arange(robot.m), robot.actuated_velocity] = 1.0
         self.independent = np.zeros((robot.n, nv))

@@ -36,7 +36,7 @@ typedef struct {
   /* less K (x, s, x', s' less a course on the same pieces), within limits of its own; which coordinates go the short way;
      with scales, K gives accelerations, and efforts are allotted */
   int course_terms, gain_pieces, gain_terms;
-  const double *course, *gain_at, *gains, *feedback_limits, *turning, *scale, *row_scale;
+  const double *course, *gain_at, *gains, *feedback_limits, *turning, *scale;
   Loads loads;
   /* when efforts jump or kink, the last one being the end; when to record */
   int breaks, samples;
@@ -356,7 +356,6 @@ static int allot(const Run *run, const double *mass, const double *wanted, doubl
       row[P] -= W[i * M + j] * u[j];
     }
     for (int j = 0; j < NK; ++j) row[M + j] = -mass[i * D + N_FREEDOMS + j] * run->scale[M + j];
-    for (int j = 0; j < WIDTH; ++j) row[j] /= run->row_scale[i];
   }
   orthogonalise(A, N_FREEDOMS, P, WIDTH);
   for (int i = 0; i < N_FREEDOMS; ++i) {

@@ -57,7 +57,7 @@ class _Run(ctypes.Structure):
         *_members(_INTS, "prescribed pieces terms saturates"),
         *_members(_DOUBLES, "edges coefficients limits"),
         *_members(_INTS, "course_terms gain_pieces gain_terms"),
-        *_members(_DOUBLES, "course gain_at gains feedback_limits turning scale row_scale"),
+        *_members(_DOUBLES, "course gain_at gains feedback_limits turning scale"),
         ("loads", _Loads),
         *_members(_INTS, "breaks samples"),
         *_members(_DOUBLES, "break_at sample_at recorded"),
@@ -341,9 +341,8 @@ class CompiledIntegration:
         self._point("gains", gains)
         self._point("feedback_limits", law.limits)
         self._point("turning", law.turning.astype(np.float64))
-        if law.scale is not None and law.row_scale is not None:
+        if law.scale is not None:
             self._point("scale", law.scale)
-            self._point("row_scale", law.row_scale)
         self._run.course_terms, (self._run.gain_pieces, self._run.gain_terms) = course.shape[1], gains.shape[:2]
 
     def _called(self, t: float, q: int, v: int, out: int) -> int:

@@ -85,20 +85,26 @@ def expand(path: Path, given: Mapping[str, str], *, trust: bool) -> tuple[str, d
     Raises:
         ModelFileError: an expression that fails or that models may not use, or more work than a model may make.
     """
-    # imported late, as it takes longer than all else here
-    from xacrodoc import XacroDoc
-
     resolved = dict(given)  # xacro adds the arguments that were left out, their defaults evaluated
     with _LOCK:
         engine = None if trust else _engine()
         try:
             document = _expanded_by_xacro(path, resolved) if engine is None else engine.expanded(path, resolved)
-            text: str = XacroDoc(document, rootdir=path.parent).to_urdf_string()
+            text = _text_of(document, path.parent)
         except RedundancyPinError:
             raise
         except Exception as error:  # expressions raise anything
             raise _refusal(path, error, engine) from error
     return text, {name: str(value) for name, value in resolved.items()}
+
+
+def _text_of(document: Any, folder: Path) -> str:
+    """Return an expanded document as text, its files' names absolute."""
+    if any(each.hasAttribute("filename") for tag in ("mesh", "material") for each in document.getElementsByTagName(tag)):
+        from xacrodoc import XacroDoc  # which takes long to import
+
+        return str(XacroDoc(document, rootdir=folder).to_urdf_string())
+    return str(minidom.parseString(document.toxml()).toprettyxml(indent="  "))
 
 
 def own_folders(path: Path) -> tuple[Path, ...]:

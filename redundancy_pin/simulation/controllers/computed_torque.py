@@ -233,7 +233,6 @@ class ComputedTorque(Tracking):
             np.isin(np.arange(self.robot.n), angle_columns(self.robot)),
             np.concatenate([self.effort_limit, self.carrier_force_limit]),
             np.concatenate([self.effort_scale, self.carrier_scale]),
-            self._rows,
         )
 
     def effort(self, t: float, state: State) -> Command:
