@@ -11,7 +11,9 @@ import time
 import numpy as np
 
 import redundancy_pin as rp
+from redundancy_pin.planners.reference import plan_reference
 from redundancy_pin.simulation import Constant, ForwardDynamics, Sampling, closed_state
+from redundancy_pin.simulation.controllers import ComputedTorque, TimeVaryingLqr
 from redundancy_pin.simulation.system import ConstraintDynamics
 
 REPEATS = 5
@@ -76,14 +78,15 @@ def whole(robot, title, drive, **options):
     return row
 
 
-def compiled(title, robot, drive=None, **options):
-    """One simulation with and without compiled dynamics, in turn."""
+def compiled(title, robot, drive=None, law=None, repeats=REPEATS, **options):
+    """One simulation with and without compiled dynamics, in turn; a law takes them too."""
     dynamics = rp.CompiledDynamics(robot)
-    rp.simulate(robot, drive, dynamics=dynamics, **options)  # which compiles them
+    before, after = (drive, drive) if law is None else (law(drive), law(drive, dynamics=dynamics))
+    rp.simulate(robot, after, dynamics=dynamics, **options)  # which compiles them
     pairs = []
-    for _ in range(REPEATS):
-        own, was = seconds(lambda: rp.simulate(robot, drive, **options))
-        code, run = seconds(lambda: rp.simulate(robot, drive, dynamics=dynamics, **options))
+    for _ in range(repeats):
+        own, was = seconds(lambda: rp.simulate(robot, before, **options))
+        code, run = seconds(lambda: rp.simulate(robot, after, dynamics=dynamics, **options))
         pairs.append((own, code, was.statistics.seconds / run.statistics.seconds))
     span = float(run.t[-1] - run.t[0])
     row = {
@@ -104,7 +107,7 @@ def compiled(title, robot, drive=None, **options):
 
 
 def compiled_rows():
-    """A plan of the 3-RRR, a crossing of the 2-RPR, a four-bar let go."""
+    """A plan of the 3-RRR, open loop and from a millimetre off it, a crossing of the 2-RPR, a four-bar let go."""
     reference = rp.trajectory.reference
     corner = rp.load_robot("3rrr")
     line = rp.load_robot("2rpr", end_effector_mass=0.5, cylinder_mass=0.3, piston_mass=0.2)
@@ -113,8 +116,13 @@ def compiled_rows():
         rp.plan_whole_trajectory(rp.RneaDynamics(robot), motion)
         for robot, motion in ((corner, reference.corner(0.025)), (line, reference.line(0.4, ramp_time=0.5)))
     ]
+    course = plan_reference(plans[0], robot=corner)
+    point = course.at(0.7)
+    away = {"start": closed_state(corner, point.x + 1e-3, point.xd, point.s, point.sd, t=0.7), "repeats": 2}
     return [
         compiled("plan of the 3-RRR corner", corner, plans[0], stop_at=()),
+        compiled("LQR at every instant along it", corner, course, TimeVaryingLqr, **away, stop_at=()),
+        compiled("computed torque at every instant along it", corner, course, ComputedTorque, **away, stop_at=()),
         compiled("plan of the 2-RPR line, through a type II pose", line, plans[1], stop_at=()),
         compiled("four-bar let go", crank, start=closed_state(crank, xd=[3.0]), duration=5.0),
     ]

@@ -167,13 +167,13 @@ class ComputedTorque(Tracking):
         effort_limit: scalar or (m,) largest |τ|, N or N·m; what it cuts off is left to the carriers.
         carrier_force_limit: scalar or (k,) largest |F|, N; what it cuts off is left to the main actuators.
         dynamics: a backend of the plan's robot with forward dynamics in machine code (``CompiledDynamics``), which then
-            forms the equations.
+            forms the equations. ``simulate`` with ``dynamics`` takes the whole law of one without ``sampling`` there.
         sampling: of the simulation, where it has one: the state is advanced to the middle of the interval in which the
             answer will act.
 
     Attributes:
         history: the latest ``HISTORY`` commands, a ``TorqueCommand`` for every call of ``effort``, trial steps
-            of an integrator included; older ones are dropped. No answer depends on it.
+            of an integrator included but for those of machine code; older ones are dropped. No answer depends on it.
 
     Raises:
         InputError: a gain, scale or limit out of its domain.
