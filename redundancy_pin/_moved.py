@@ -53,7 +53,7 @@ class _Finder:
             there = new is not None and importlib.util.find_spec(new) is not None
         except ModuleNotFoundError:  # not even the package it would be in
             there = False
-        return ModuleSpec(fullname, self) if there else None
+        return ModuleSpec(fullname, self) if there else None  # type: ignore[arg-type]
 
     def exec_module(self, module: ModuleType) -> None:
         new = _new_name(module.__name__)

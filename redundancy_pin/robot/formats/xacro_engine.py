@@ -100,7 +100,8 @@ def expand(path: Path, given: Mapping[str, str], *, trust: bool) -> tuple[str, d
 
 def _text_of(document: Any, folder: Path) -> str:
     """Return an expanded document as text, its files' names absolute."""
-    if any(each.hasAttribute("filename") for tag in ("mesh", "material") for each in document.getElementsByTagName(tag)):
+    parts = [*document.getElementsByTagName("mesh"), *document.getElementsByTagName("material")]
+    if any(part.hasAttribute("filename") for part in parts):
         from xacrodoc import XacroDoc  # which takes long to import
 
         return str(XacroDoc(document, rootdir=folder).to_urdf_string())
