@@ -84,7 +84,7 @@ def test_installed_wheel_loads_its_own_models(wheel: Path, tmp_path: Path) -> No
     # resolved: a temporary folder may be reached through a symbolic link
     assert Path(package).resolve().is_relative_to(target.resolve())
     assert Path(models).resolve().is_relative_to(target.resolve())
-    assert robots == sorted(path.parent.name for path in (ROOT / "models").glob("*/robot.yaml"))
+    assert robots == sorted(path.parent.name for path in (ROOT / "models").glob("**/robot.yaml"))
 
 
 def test_version_has_one_source(wheel: Path) -> None:

@@ -432,8 +432,9 @@ def _robot(data: Mapping[str, Any], folder: Path) -> options.RobotOptions:
             remedy = "Write a number, true, false or text."
             raise InputError(f"{name} in `set` is {shown(value)}.", remedy=remedy, key=f"set.{name}")
     source = word("robot", data["robot"])
+    known = shipped_robots(gallery=not (folder / source).exists())
     return options.RobotOptions(
-        source if source in shipped_robots() or Path(source).is_absolute() else str(folder / source),
+        source if source in known or Path(source).is_absolute() else str(folder / source),
         dict(options.parse_setting(f"{name}={value}") for name, value in settings.items()),  # YAML reads 1e-3 as text
         None if mode is None else options.parse_mode(word("mode", mode)),
         None if gravity is None else options.parse_vector(gravity),

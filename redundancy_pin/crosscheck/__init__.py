@@ -68,7 +68,8 @@ def run(
             raise InputError(f"{name} is {value}.", remedy=f"Pass {least} or more.", name=name, value=value)
     require_few(samples, MOST_STATES, "samples is {}", "Ask for fewer, with several seeds.")
     require_jobs(jobs)
-    work = [(*each, trust) for each in _batches(tuple(robots) if robots else shipped_robots(), samples, seed)]
+    names = tuple(robots) if robots else shipped_robots(gallery=False)
+    work = [(*each, trust) for each in _batches(names, samples, seed)]
     total, done = sum(size for _, _, size, *_ in work), 0
     rows: tuple[CheckRow, ...] = ()
     # in order, so that the report does not depend on which process was faster
@@ -83,7 +84,7 @@ def run(
 def _batches(names: Sequence[str], samples: int, seed: int) -> Iterator[tuple[str, int, int, int, bool, bool]]:
     """Return what ``_checked`` takes, for each case."""
     for position, name in enumerate(names):
-        vary = name in shipped_robots()
+        vary = name in shipped_robots(gallery=False)
         own = seed + 1000 * position
         yield from ((name, index, size, own, vary, False) for index, size in enumerate(batches(samples)))
         if vary and load_robot(name).closed_form == "2rpr":

@@ -129,9 +129,14 @@ def models_root() -> Path:
     return inside if inside.is_dir() else package.parent / "models"
 
 
-def shipped_robots() -> tuple[str, ...]:
-    """Return the names of the shipped robots, sorted."""
-    return tuple(sorted(path.parent.name for path in models_root().glob("*/robot.yaml")))
+_GALLERY = "gallery"
+"""The folder of worked examples among the shipped models."""
+
+
+def shipped_robots(*, gallery: bool = True) -> tuple[str, ...]:
+    """Return the names of the shipped robots, sorted; the worked examples of the gallery may be left out."""
+    patterns = ("*/robot.yaml", f"{_GALLERY}/*/robot.yaml")[: 1 + gallery]
+    return tuple(sorted(path.parent.name for pattern in patterns for path in models_root().glob(pattern)))
 
 
 def declaration_path(source: str | Path) -> Path:
@@ -140,7 +145,7 @@ def declaration_path(source: str | Path) -> Path:
     Raises:
         ModelFileError: there is no such robot or file.
     """
-    if isinstance(source, str) and source in shipped_robots():
+    if isinstance(source, str) and source in shipped_robots(gallery=False):
         return models_root() / source / "robot.yaml"
     if not isinstance(source, (str, Path)):
         raise ModelFileError(
@@ -150,6 +155,8 @@ def declaration_path(source: str | Path) -> Path:
     path, names = Path(source), ", ".join(shipped_robots())
     if is_file(path) or is_file(path / "robot.yaml"):
         return path if is_file(path) else path / "robot.yaml"
+    if isinstance(source, str) and source in shipped_robots():  # a folder of that name, somebody's own, comes first
+        return models_root() / _GALLERY / source / "robot.yaml"
     if os.path.isdir(path):
         message = f"The folder {path} holds no robot.yaml."
         remedy = "Name the declaration itself, or the folder that holds it."
@@ -170,7 +177,7 @@ def source_of(path: Path) -> str:
 
 def is_shipped(path: Path) -> bool:
     """Return whether a file is one of a shipped robot, which does not change while a process runs."""
-    return path.resolve().parent.parent == models_root().resolve()
+    return path.resolve().parent.parent in (root := models_root().resolve(), root / _GALLERY)
 
 
 def render(path: Path, arguments: Mapping[str, object], *, trust: bool = False) -> tuple[str, dict[str, Argument]]:

@@ -24,6 +24,7 @@ def test_lists_the_shipped_robots() -> None:
         assert entry["name"] in text
 
 
+@pytest.mark.long_for(*set(shipped_robots()) - set(shipped_robots(gallery=False)))
 @pytest.mark.parametrize("name", shipped_robots())
 def test_describes_every_robot(name: str) -> None:
     robot = load_robot(name)

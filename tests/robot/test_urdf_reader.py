@@ -24,7 +24,7 @@ from redundancy_pin.robot import build
 from redundancy_pin.robot.declaration import CLOSED_FORMS
 from redundancy_pin.robot.formats.urdf_tree import DEEPEST_CHAIN, MOST_FREEDOMS, MOST_LINKS, read_tree, require_same
 from redundancy_pin.robot.formats.xml_files import MOST_BYTES
-from redundancy_pin.robot.urdf import models_root, render, shipped_robots
+from redundancy_pin.robot.urdf import declaration_path, render, shipped_robots
 
 INERTIAL = """<inertial><origin xyz="0.25 0 0"/><mass value="1.0"/>
     <inertia ixx="0" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>"""
@@ -339,7 +339,7 @@ def test_large_robots_within_the_limits_load(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", shipped_robots())
 def test_the_reader_agrees_with_another(name: str, tmp_path: Path) -> None:
-    path = next((models_root() / name).glob("*.xacro"))
+    path = next(declaration_path(name).parent.glob("*.xacro"))
     urdf, _ = render(path, {})
     tree = read_tree(urdf, path)
     (tmp_path / "r.urdf").write_text(urdf)

@@ -16,7 +16,8 @@ from redundancy_pin.kinematics.coordinates import coordinates, moved, row_scale
 from redundancy_pin.robot import Robot
 from redundancy_pin.robot.urdf import shipped_robots
 
-SHIPPED = shipped_robots()
+SHIPPED = shipped_robots(gallery=False)
+"""Those that every test of all robots takes; those of the gallery have ``test_gallery.py``."""
 
 
 @functools.cache
