@@ -271,6 +271,7 @@ def _inertial(body: ElementTree.Element, inertia: pin.Inertia) -> None:
     moments, axes = np.linalg.eigh(inertia.inertia)
     axes = axes * np.sign(np.linalg.det(axes))
     moments, mass = np.maximum(moments, LEAST_INERTIA), max(float(inertia.mass), LEAST_INERTIA)
+    moments[0] += 1e-12 * moments[2]  # flat bodies: two moments make the third, which rounding must not exceed
     _add(body, "inertial", pos=inertia.lever, quat=_quaternion(axes), mass=mass, diaginertia=moments)
 
 

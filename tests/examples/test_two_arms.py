@@ -1,4 +1,4 @@
-"""Two UR5 and a bar against plain open chains: each arm by itself, with the force at its tool, and what is least."""
+"""Two UR5 and a bar against plain open chains: each arm of the maker's URDF by itself, with the force at its tool."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import redundancy_pin as rp
 
 SCRIPT = Path(__file__).resolve().parents[2] / "docs" / "examples" / "two_arms.py"
 ROUNDING = 1e-8  # N·m
-SQUEEZE = 20.0
+SQUEEZE, BAR, APART = 20.0, 2.0, 0.9  # N, kg, m
 
 
 example = example_script(SCRIPT)
@@ -36,7 +36,7 @@ def test_each_arm_carries_its_share_and_the_bar_is_squeezed() -> None:
     for k in range(len(motion)):
         R, middle = motion.x[k][:3, :3], motion.x[k][:3, 3]
         (v, omega), (dv, alpha) = (np.split(part[k], 2) for part in (motion.xd, motion.xdd))
-        ends = [middle + y * example.APART * R[:, 1] for y in (0.5, -0.5)]
+        ends = [middle + y * APART * R[:, 1] for y in (0.5, -0.5)]
         torque, J = [], []
         for side, base in enumerate((0.5, -0.5)):
             q, rate, rise = (np.array(part[k][6 * side : 6 * side + 6]) for part in (tree.q, tree.v, tree.a))
@@ -45,16 +45,13 @@ def test_each_arm_carries_its_share_and_the_bar_is_squeezed() -> None:
             pin.updateFramePlacements(arm, data)
             at_end = np.array(pin.getFrameJacobian(arm, data, tool, pin.LOCAL_WORLD_ALIGNED))
             # the open arm is where the bar wants its tool, and moves as the bar does
-            assert (
-                np.abs(data.oMf[tool].translation + np.array([0.0, base * example.APART, 0.0]) - ends[side]).max()
-                < 1e-9
-            )
+            assert np.abs(data.oMf[tool].translation + np.array([0.0, base * APART, 0.0]) - ends[side]).max() < 1e-9
             assert np.abs(at_end @ rate - np.append(v + np.cross(omega, ends[side] - middle), omega)).max() < 1e-8
             J.append(at_end)
         # Newton and Euler for the bar: what the left tool exerts at its end, given what the right one does
-        spread = R @ (example.BAR / 12.0 * example.APART**2 * np.diag([1.0, 0.0, 1.0])) @ R.T
+        spread = R @ (BAR / 12.0 * APART**2 * np.diag([1.0, 0.0, 1.0])) @ R.T
         right = -np.append(R @ wrench[k, :3], R @ wrench[k, 3:])  # on the bar
-        force = example.BAR * (dv + np.array([0.0, 0.0, 9.81])) - right[:3]
+        force = BAR * (dv + np.array([0.0, 0.0, 9.81])) - right[:3]
         moment = spread @ alpha + np.cross(omega, spread @ omega) - right[3:]
         moment -= np.cross(ends[0] - middle, force) + np.cross(ends[1] - middle, right[:3])
         tau = found.tau[k].reshape(2, 6)

@@ -1,0 +1,52 @@
+"""The gallery: from file to torque in ten lines at most, each block by itself; and its machines in MuJoCo."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from doc_blocks import Block, blocks_of
+from test_writers import MOTION_TOLERANCE, run
+from zoo import SHIPPED, robot_of
+
+from redundancy_pin.robot.urdf import shipped_robots
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "gallery.md"
+BLOCKS = [block for block in blocks_of(PAGE, "gallery") if block.language == "python"]
+MOST = 10
+GALLERY = sorted(set(shipped_robots()) - set(SHIPPED))
+
+
+def _name(block: Block) -> str:
+    found = re.search(r'\w\("(\w+)"', block.text) or re.search(r'load_robot\("([\w.]+)"', block.text)
+    assert found, block.where
+    return found[1]
+
+
+def test_every_shipped_machine_is_there_in_ten_lines() -> None:
+    assert {_name(block) for block in BLOCKS if block.runs} == set(shipped_robots())
+    for block in BLOCKS:
+        assert len([line for line in block.text.splitlines() if line.strip()]) <= MOST, block.where
+        assert ";" not in block.text, block.where
+
+
+@pytest.mark.long_for(*(name for name in shipped_robots() if name != "excavator"))
+@pytest.mark.parametrize("block", [each for each in BLOCKS if each.runs], ids=_name)
+def test_a_block_ends_with_torques(block: Block) -> None:
+    session: dict[str, Any] = {}
+    exec(compile(block.text, block.where, "exec"), session)
+    robot = robot_of(_name(block))
+    assert session["tau"].ndim == 2
+    assert session["tau"].shape[1] == robot.m
+    assert len(session["tau"]) > 10
+    assert np.isfinite(session["tau"]).all()
+    assert np.ptp(session["tau"]) > 0.1
+
+
+@pytest.mark.long_for(*(name for name in GALLERY if name != "walking_leg"))
+@pytest.mark.parametrize("name", [name for name in GALLERY if name != "two_arms"])  # poses have tests/examples
+def test_mujoco_makes_their_motions(name: str, tmp_path: Path) -> None:
+    assert run(robot_of(name), tmp_path / "robot.xml") < MOTION_TOLERANCE
