@@ -55,8 +55,8 @@ def load_robot(
     A robot is data: expressions in its files calculate and no more, and cannot cost more than a second or two.
 
     Args:
-        source: name of a shipped robot ("2rpr", "gough", "delta", ...: ``redundancy-pin info``), path of a ``robot.yaml``, or
-            of the folder that holds one.
+        source: name of a shipped robot ("2rpr", "delta", ...: ``redundancy-pin info``), path of a ``robot.yaml``, or of
+            the folder that holds one.
         gravity: (3,) acceleration of gravity in the world frame, m/s²; as declared when left out.
         working_mode: ±1 a leg; as declared when left out.
         trust: let the expressions of a xacro file be any Python, which runs with your rights: for files whose author

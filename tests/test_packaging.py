@@ -40,7 +40,7 @@ def contents(wheel: Path) -> set[str]:
 
 
 def test_wheel_ships_every_model_file(contents: set[str]) -> None:
-    files = {f"redundancy_pin/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "models").glob("*/*.*")}
+    files = {f"redundancy_pin/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "models").rglob("*.*")}
     assert "redundancy_pin/models/3rrr/robot.yaml" in files
     assert {name for name in contents if name.startswith("redundancy_pin/models/")} == files
 
