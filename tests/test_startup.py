@@ -14,7 +14,7 @@ import pytest
 
 import redundancy_pin as rp
 from redundancy_pin import _startup
-from redundancy_pin.cli import COMMANDS, main
+from redundancy_pin.cli import COMMANDS, file_of, main
 
 HEAVY = (
     *("numpy", "pinocchio", "scipy", "pydantic", "joblib", "xacro", "casadi", "matplotlib", "meshcat", "rich"),
@@ -92,7 +92,7 @@ def test_the_list_of_commands_says_what_they_say_of_themselves() -> None:
     assert main.get_command(context, "no-such-command") is None  # type: ignore[attr-defined]
     here = Path(sys.modules["redundancy_pin.cli"].__file__ or "").parent
     helpers = {"__init__", "errors", "options", "output", "plan_problem"}
-    assert {path.stem.replace("_", "-") for path in here.glob("*.py") if path.stem not in helpers} == set(COMMANDS)
+    assert {path.stem for path in here.glob("*.py") if path.stem not in helpers} == set(map(file_of, COMMANDS))
 
 
 def test_interrupts_are_quiet_until_a_command_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:

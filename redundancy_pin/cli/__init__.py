@@ -32,7 +32,15 @@ COMMANDS: Mapping[str, str] = {
     "validate": "Check the dynamics on random states.",
     "workspace": "Map where the platform can go.",
 }
-"""Commands, each the function of its name in the file of its name, and what the list of commands says of them."""
+"""Commands, each the function of its name in the file of its name but for `_TOGETHER`, and what the list of commands says of them."""
+
+_TOGETHER = {"saved_plan": ("check", "export"), "studies": ("design", "reproduce", "study", "trade")}
+"""Files that hold several of them."""
+
+
+def file_of(command: str) -> str:
+    """Return the name of the module that a command is in."""
+    return next((file for file, names in _TOGETHER.items() if command in names), command.replace("-", "_"))
 
 
 class Commands(OneLineErrors):
@@ -45,8 +53,8 @@ class Commands(OneLineErrors):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a command; None where there is none of that name."""
         if cmd_name in COMMANDS and cmd_name not in self.commands:
-            function = cmd_name.replace("-", "_")
-            command = getattr(importlib.import_module(f"{__name__}.{function}"), function)
+            module = importlib.import_module(f"{__name__}.{file_of(cmd_name)}")
+            command = getattr(module, cmd_name.replace("-", "_"))
             _keep_lines(command)
             self.add_command(command)
         _startup.done()  # what takes long to import is there

@@ -296,7 +296,7 @@ def test_the_code_is_that_of_the_trials_and_the_models(tmp_path: Path, monkeypat
     decides = ["planners/plan.py", "simulation/simulate.py", "arrays.py", "studies/trial.py"]
     assert [name for name in (*decides, "studies/case.py") if not changed(package / name)] == []
     assert changed(tmp_path / "models" / "2rpr" / "robot.yaml")
-    for name in ("cli/study.py", "view.py", "studies/robustness.py", "studies/store.py", "workers.py"):
+    for name in ("cli/studies.py", "view.py", "studies/robustness.py", "studies/store.py", "workers.py"):
         assert not changed(package / name)
 
 

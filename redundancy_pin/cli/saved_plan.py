@@ -1,0 +1,121 @@
+"""``redundancy-pin check``, ``export``: a saved plan judged anew by its robot's dynamics, or written for others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from redundancy_pin.cli.errors import FAILED_CHECK, OPTIONS, in_words
+from redundancy_pin.cli.options import backend_option, json_option, recorded_robot_options
+from redundancy_pin.cli.output import TextTable, number, report, row, same_file
+from redundancy_pin.cli.plan import BREAKS_LIMITS, EXIT_CODES
+from redundancy_pin.errors import InputError, OutputError
+from redundancy_pin.io.files import require_writable
+from redundancy_pin.planners.check import check_plan
+from redundancy_pin.planners.export import write_csv, write_json, write_mat, write_ros
+from redundancy_pin.planners.plan import load_plan, load_robot_of
+from redundancy_pin.studies.case import BACKENDS, RNEA
+
+WRITERS = {".csv": write_csv, ".json": write_json, ".mat": write_mat, ".yaml": write_ros, ".yml": write_ros}
+"""What is written, by the suffix of the file."""
+
+
+@click.command()
+@click.argument("path", metavar="NPZ")
+@backend_option(RNEA, "What judges the plan.")
+@recorded_robot_options
+@json_option
+def check(path: str, source: str | None, backend: str, trust: bool, as_json: bool) -> int:
+    r"""Judge a saved plan anew.
+
+    Its motion goes through the dynamics of its robot again: W τ = f at the samples, limits, efforts between the
+    samples, and the status that follows, against what the plan says. Exit codes: 0 the plan is what it says, and within
+    its limits; 1 it is not what it says (a line on stderr for each deviation); 2 no plan, or a file that was changed
+    since it was saved; 3 and 4 it is what it says, and `plan` ends with that code.
+
+    \b
+    Example:
+      redundancy-pin check plan.npz --backend virtual-work
+    """
+    plan = load_plan(path)
+    result = check_plan(plan, BACKENDS[backend](load_robot_of(plan, source, trust=trust)))
+    facts = {
+        "plan": path,
+        "backend": backend,
+        "passed": result.passed,
+        "status": result.status.value,
+        "saved_status": plan.status.value,
+        **{name: getattr(result, name) for name in ("imbalance", "peak_effort", "wider_limits", "closure_rank")},
+        "limits": {"violated": [vars(event) for event in result.violated]},
+        "deviations": [vars(deviation) for deviation in result.deviations],
+    }
+    rows = [
+        ("is what it says", "yes" if result.passed else "NO"),
+        ("status", result.status.value.replace("_", " ")),
+        ("largest imbalance of W τ = f", number(result.imbalance)),
+        (f"peak main effort [{plan.robot.effort_units[0]}]", row(result.peak_effort)),
+        ("limits broken", str(len(result.violated)) if result.violated else "none"),
+        *(("deviation", deviation.message) for deviation in result.deviations),
+        *(("wider limit", note) for note in result.wider_limits),
+        *(("closures lose rank", _where(loss)) for loss in result.closure_rank),
+    ]
+    title = f"{plan.robot.name}, {plan.planner.replace('_', ' ')}, by {backend}"
+    report(as_json, facts, TextTable(title, (), rows))
+    for deviation in result.deviations:
+        click.echo(f"error: {deviation.message}", err=True)
+    return EXIT_CODES.get(result.status, BREAKS_LIMITS) if result.passed else FAILED_CHECK
+
+
+def _where(loss: Mapping[str, Any]) -> str:
+    pose = ", ".join(number(float(value)) for value in np.ravel(loss["x"]))
+    return f"at t = {loss['time']:.6g} s, x = {pose}: branches of the kinematics meet there"
+
+
+@click.command()
+@click.argument("path", metavar="NPZ")
+@click.option("--to", "out", required=True, metavar="FILE", help=f"What to write: {', '.join(WRITERS)}.")
+@click.option("--rate", type=float, metavar="HZ", help="Rows a second.  [default: the samples of the plan]")
+@click.option("--two-sided", is_flag=True, help="Two rows where something jumps: before and after it.")
+@click.option("--ros", is_flag=True, help="Write a JointTrajectory as .json; .yaml always is one.")
+@recorded_robot_options
+@json_option
+def export(
+    path: str, out: str, rate: float | None, two_sided: bool, ros: bool, source: str | None, trust: bool, as_json: bool
+) -> None:
+    r"""Write a plan for other programs.
+
+    Positions, rates, accelerations and efforts of actuators and carriers by joint name, and the coordinates of the
+    platform: as CSV (units in the names of the columns), JSON, a MAT file, or, as .yaml, a message
+    trajectory_msgs/JointTrajectory of ROS 2. With --rate the rows are what the plan is between its samples, not
+    interpolated ones; where something jumps they have the values after the jump.
+
+    \b
+    Examples:
+      redundancy-pin export plan.npz --to plan.csv --rate 1000
+      redundancy-pin export plan.npz --to trajectory.yaml --rate 250
+    """
+    suffix = Path(out).suffix.lower()
+    if suffix not in WRITERS:
+        raise OutputError(
+            f"--to {out} has no suffix that says what to write.", remedy=f"End it in {', '.join(WRITERS)}.", path=out
+        )
+    if ros and suffix not in (".json", ".yaml", ".yml"):
+        raise InputError(f"--ros does not go with {suffix}.", remedy="Write --to trajectory.yaml.")
+    message = ros or WRITERS[suffix] is write_ros
+    if message and two_sided:
+        raise InputError("A JointTrajectory has one point at a time.", remedy="Leave --two-sided out.")
+    if same_file(path, out):
+        raise OutputError("--to is the file of the plan.", remedy="Give it another name.", path=out)
+    require_writable(out)
+    plan = load_plan(path)
+    with in_words(OPTIONS.knowing({"rate": "--rate"})):
+        table = plan.table(
+            rate, two_sided=two_sided or (False if message else None), robot=load_robot_of(plan, source, trust=trust)
+        )
+        (write_ros if message else WRITERS[suffix])(table, out)
+    facts = {"plan": path, "robot": plan.robot.name, "out": out, "rows": len(table.t), "joints": table.joints}
+    report(as_json, facts, f"{len(table.t)} rows of {', '.join(table.joints)} are in {out}")
