@@ -32,7 +32,7 @@ COMMANDS: Mapping[str, str] = {
     "validate": "Check the dynamics on random states.",
     "workspace": "Map where the platform can go.",
 }
-"""Commands, each the function of its name in the file of its name but for `_TOGETHER`, and what the list of commands says of them."""
+"""Commands, each the function of its name in the file of its name (``file_of``), and what the list of commands says."""
 
 _TOGETHER = {"saved_plan": ("check", "export"), "studies": ("design", "reproduce", "study", "trade")}
 """Files that hold several of them."""
