@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from enum import IntEnum
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
@@ -29,6 +30,15 @@ the rounding unit is 1.5e-8; poses found by root finding reach 1e-12."""
 NEAR_SINGULAR_MARGIN = 0.05
 """Scaled margin below which a pose is reported as near-singular; on the 2-RPR it is reached at a
 condition number of 28, just above the largest threshold the thesis works with (20)."""
+
+
+class Labelled(IntEnum):
+    """Numbers with names: for arrays of statuses."""
+
+    @property
+    def label(self) -> str:
+        """The name in lower case, as tables and files show it: ``near_singular``."""
+        return self.name.lower()
 
 
 def frozen(values: ArrayLike) -> Array:

@@ -28,13 +28,13 @@ from redundancy_pin.planners.receding_horizon import Command, PlanningStatus
 from redundancy_pin.planners.receding_horizon.preview import Preview
 from redundancy_pin.planners.receding_horizon.run import OnLineRun
 from redundancy_pin.planners.switch_off.crossing import LostDirection
-from redundancy_pin.planners.time_optimal.timed_path import TimedPath
 from redundancy_pin.simulation import ForwardDynamics, closed_state, inverse_derivatives, linearise
 from redundancy_pin.studies.cases import SINGULAR
 from redundancy_pin.studies.co_design import CoDesign, DesignTask
 from redundancy_pin.studies.trade import TradeOff
 from redundancy_pin.trajectory.continuous_motion import continuous_motion
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
+from redundancy_pin.trajectory.trajectory import TimedPath
 
 ELSEWHERE = {"Riccati", "LinearModel", "SampledModel", "LqrWeights", "ReferencePoint", "ConstantAppended"}
 """Inner types of controllers and paths, whose owners are copied whole."""

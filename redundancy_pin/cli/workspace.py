@@ -11,7 +11,8 @@ from redundancy_pin.cli import options, output
 from redundancy_pin.cli.errors import OPTIONS, in_words
 from redundancy_pin.errors import InputError, shown
 from redundancy_pin.io.files import write_text
-from redundancy_pin.kinematics.coordinates import is_pose, mode_name
+from redundancy_pin.kinematics.coordinates import mode_name
+from redundancy_pin.robot.named import is_pose
 from redundancy_pin.singularities.workspace_map import Workspace
 from redundancy_pin.singularities.workspace_map import workspace as reached
 from redundancy_pin.studies.table import csv_text

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +17,7 @@ from redundancy_pin.arrays import (
     BoolArray,
     Frozen,
     IntArray,
+    Labelled,
     checked,
     frozen,
     peak,
@@ -30,7 +30,7 @@ from redundancy_pin.errors import InputError, shown
 from redundancy_pin.spectrum import null_directions, scaled, spectrum_of
 
 
-class SampleStatus(IntEnum):
+class SampleStatus(Labelled):
     """Whether and how W τ = f has a solution at one sample: see ``solved``."""
 
     REGULAR = 0
@@ -56,11 +56,6 @@ class SampleStatus(IntEnum):
     def solved(self) -> bool:
         """Whether W τ = f has a solution, which is returned."""
         return bool(solved_status(np.array(self)))
-
-    @property
-    def label(self) -> str:
-        """The name in lower case, as tables and files show it: ``near_singular``."""
-        return self.name.lower()
 
 
 def solved_status(status: IntArray) -> BoolArray:

@@ -13,8 +13,9 @@ import pinocchio as pin
 
 from redundancy_pin.arrays import Array
 from redundancy_pin.kinematics.closure import PlacedRows, constraint_system
-from redundancy_pin.kinematics.coordinates import is_pose, measured_axes
+from redundancy_pin.kinematics.coordinates import measured_axes
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.named import is_pose
 
 
 class ClosedChain:

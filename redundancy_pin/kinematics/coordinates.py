@@ -12,11 +12,10 @@ import numpy as np
 import pinocchio as pin
 
 from redundancy_pin.arrays import Array, BoolArray, IntArray, checked, read_only
-from redundancy_pin.errors import InputError
 from redundancy_pin.kinematics.closure import ConstraintState
 from redundancy_pin.kinematics.tree import motion_subspace
-from redundancy_pin.motion import PlatformMotion, require_sampled
 from redundancy_pin.robot import AXES, Robot
+from redundancy_pin.robot.named import is_pose
 
 
 def coordinates(robot: Robot, state: ConstraintState) -> Array:
@@ -183,29 +182,6 @@ def joint_position(robot: Robot, name: str, q: Array) -> Array:
     return q[:, joint.idx_q]
 
 
-def require_matching(robot: Robot, motion: PlatformMotion) -> None:
-    """Check that a motion has this robot's coordinates.
-
-    Raises:
-        InputError: not sampled, wrong number of coordinates, or poses where coordinates belong.
-    """
-    require_sampled(motion)
-    wants_pose = is_pose(robot)
-    names = robot.platform.axes if robot.platform else robot.independent_joints
-    if motion.is_pose != wants_pose or motion.xd.shape[1] != robot.n:
-        form = "(N, 4, 4) poses" if wants_pose else f"(N, {robot.n})"
-        raise InputError(
-            f"The motion has x of shape {motion.x.shape} and xd of shape {motion.xd.shape}; {robot.name} moves in "
-            f"{robot.n} coordinates ({', '.join(names)}).",
-            remedy=f"Pass x as {form} and xd, xdd as (N, {robot.n}).",
-            robot=robot.name,
-            axes=tuple(names),
-            poses=wants_pose,
-            given=motion.xd.shape[1],
-            given_poses=motion.is_pose,
-        )
-
-
 def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:
     """Return declared reference coordinates as (1, n), or as a pose (1, 4, 4) from xyz and rpy."""
     if is_pose(robot):
@@ -216,11 +192,6 @@ def reference_coordinates(robot: Robot, numbers: tuple[float, ...]) -> Array:
         pose[0, :3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
         return pose
     return np.array(checked(numbers, "reference", (robot.n,)))[None]
-
-
-def is_pose(robot: Robot) -> bool:
-    """Return whether the independent coordinates are a homogeneous pose."""
-    return robot.platform is not None and robot.platform.is_pose
 
 
 def pose_rows(robot: Robot) -> list[int]:

@@ -11,7 +11,6 @@ rates u̇ of the motors and v = Γ' u̇
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -19,7 +18,18 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from redundancy_pin.arrays import Array, BoolArray, Frozen, IntArray, blocks, checked, positive, read_only, rows_of
+from redundancy_pin.arrays import (
+    Array,
+    BoolArray,
+    Frozen,
+    IntArray,
+    Labelled,
+    blocks,
+    checked,
+    positive,
+    read_only,
+    rows_of,
+)
 from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
@@ -27,7 +37,6 @@ from redundancy_pin.kinematics.continuation import Point
 from redundancy_pin.kinematics.coordinates import (
     angle_columns,
     coordinates,
-    is_pose,
     joint_position,
     turning_velocities,
     velocity_scale,
@@ -37,6 +46,7 @@ from redundancy_pin.kinematics.lift import TreeMotion, lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, out_of_range, range_excess
+from redundancy_pin.robot.named import is_pose
 
 _AGREE = 1e-8
 """Distance, rad or m, by which positions of redundant motors may contradict each other: rounding."""
@@ -59,7 +69,7 @@ _SAME_TURN = 1e-6
 """rad or m; configurations this near, turns apart, are one."""
 
 
-class ForwardStatus(IntEnum):
+class ForwardStatus(Labelled):
     """What the positions of the motors say of the platform."""
 
     CONVERGED = 0
@@ -73,11 +83,6 @@ class ForwardStatus(IntEnum):
     BRANCH_LOST = 4
     """The chains can be closed, but the way there passes samples that are singular or out of reach: on which side of
     the singularity the machine would come back, kinematics cannot say."""
-
-    @property
-    def label(self) -> str:
-        """The name in lower case: ``out_of_reach``."""
-        return self.name.lower()
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,7 +38,6 @@ from redundancy_pin.kinematics.coordinates import (
     in_working_mode,
     mode_indicator,
     mode_name,
-    require_matching,
     row_scale,
     velocity_scale,
     working_modes,
@@ -48,6 +47,7 @@ from redundancy_pin.kinematics.tracking import tracker
 from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
+from redundancy_pin.robot.named import require_matching
 
 _FAR_STARTS = 5
 """Samples of a motion that no Newton from the reference closes anywhere at which multistart is tried before it is

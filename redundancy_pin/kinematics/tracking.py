@@ -29,8 +29,9 @@ from redundancy_pin.kinematics.continuation import (
     Point,
     near_rank_loss,
 )
-from redundancy_pin.kinematics.coordinates import angle_columns, is_pose, mode_indicators, pose_rows, row_scale
+from redundancy_pin.kinematics.coordinates import angle_columns, mode_indicators, pose_rows, row_scale
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.named import is_pose
 
 _MOST_ITERATIONS = 10
 _MOST_PIECES = 100

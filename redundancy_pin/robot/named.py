@@ -1,4 +1,4 @@
-"""A robot wherever one is wanted: itself, or by its name or path."""
+"""A robot wherever one is wanted: itself, or by its name or path; and whether a motion is in its coordinates."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 from redundancy_pin.arrays import require_type
+from redundancy_pin.errors import InputError
+from redundancy_pin.motion import PlatformMotion, require_sampled
 from redundancy_pin.robot.types import Robot
 
 RobotLike: TypeAlias = Robot | str | Path
@@ -26,3 +28,31 @@ def as_robot(robot: RobotLike) -> Robot:
         return loaded
     require_type(robot, Robot, "A robot", "Pass load_robot(...), or the name or path of one.")
     return robot
+
+
+def is_pose(robot: Robot) -> bool:
+    """Return whether the independent coordinates are a homogeneous pose."""
+    return robot.platform is not None and robot.platform.is_pose
+
+
+def require_matching(robot: Robot, motion: PlatformMotion) -> None:
+    """Check that a motion has this robot's coordinates.
+
+    Raises:
+        InputError: not sampled, wrong number of coordinates, or poses where coordinates belong.
+    """
+    require_sampled(motion)
+    wants_pose = is_pose(robot)
+    names = robot.platform.axes if robot.platform else robot.independent_joints
+    if motion.is_pose != wants_pose or motion.xd.shape[1] != robot.n:
+        form = "(N, 4, 4) poses" if wants_pose else f"(N, {robot.n})"
+        raise InputError(
+            f"The motion has x of shape {motion.x.shape} and xd of shape {motion.xd.shape}; {robot.name} moves in "
+            f"{robot.n} coordinates ({', '.join(names)}).",
+            remedy=f"Pass x as {form} and xd, xdd as (N, {robot.n}).",
+            robot=robot.name,
+            axes=tuple(names),
+            poses=wants_pose,
+            given=motion.xd.shape[1],
+            given_poses=motion.is_pose,
+        )

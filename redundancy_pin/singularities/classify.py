@@ -20,7 +20,6 @@ platform, in a closure row) counts as the motion, in metres, of a point at dista
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +32,7 @@ from redundancy_pin.arrays import (
     Array,
     BoolArray,
     Frozen,
+    Labelled,
     read_only,
     require_type,
     rows_of,
@@ -113,7 +113,7 @@ def margins_of(system: ConstraintSystem, state: ConstraintState) -> Margins:
     return Margins(signed_margin(actuation_matrix(system, K)), np.asarray(np.linalg.svd(K, compute_uv=False)[:, -1]))
 
 
-class SingularityKind(IntEnum):
+class SingularityKind(Labelled):
     """What a configuration is; a combined singularity is of type I and of type II."""
 
     UNREACHABLE = -1
@@ -121,11 +121,6 @@ class SingularityKind(IntEnum):
     TYPE_I = 1
     TYPE_II = 2
     COMBINED = 3
-
-    @property
-    def label(self) -> str:
-        """The name in lower case, as tables and files show it: ``type_ii``."""
-        return self.name.lower()
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,17 +17,11 @@ from redundancy_pin.errors import InputError, UnreachablePoseError, WorkingModeE
 from redundancy_pin.kinematics.assembly import assemble, configuration_difference, integrate, project
 from redundancy_pin.kinematics.closure import ConstraintSystem, constraint_system
 from redundancy_pin.kinematics.continuation import continuous
-from redundancy_pin.kinematics.coordinates import (
-    difference,
-    mode_indicator,
-    mode_name,
-    pose_rows,
-    require_matching,
-    row_scale,
-)
+from redundancy_pin.kinematics.coordinates import difference, mode_indicator, mode_name, pose_rows, row_scale
 from redundancy_pin.kinematics.lift import lift
 from redundancy_pin.motion import PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
+from redundancy_pin.robot.named import require_matching
 from redundancy_pin.singularities.classify import Margins, SingularityKind, classify, margins_of
 from redundancy_pin.singularities.roots import Zero, zeros
 from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, TimedTrajectory, continuous_motion

@@ -31,7 +31,7 @@ from redundancy_pin.kinematics.assembly import project
 from redundancy_pin.kinematics.coordinates import column_scale, row_scale
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.singularities.classify import closed_state
-from redundancy_pin.spectrum import scaled
+from redundancy_pin.spectrum import scaled, spectrum_of
 
 _LARGEST = float(np.finfo(float).max)
 
@@ -116,12 +116,11 @@ def performance(
     rows, columns = row_scale(robot), column_scale(robot)
     fastest = _positive(rates, "rates", 1.0 / columns, robot)
     strongest = _positive(efforts, "efforts", columns, robot)
-    slow, plain = _svd(scaled(W, rows, 1.0 / fastest)), _svd(scaled(W, rows, columns))
-    strong = _svd(scaled(W, rows, strongest))
+    slow, strong = _svd(scaled(W, rows, 1.0 / fastest)), _svd(scaled(W, rows, strongest))
+    even = spectrum_of(scaled(W, rows, columns))
     with np.errstate(divide="ignore"):
         speed = 1.0 / slow[1][:, ::-1]
     speed[slow[1][:, ::-1] <= RANK_TOLERANCE * slow[1][:, :1]] = np.inf
-    even = Ellipsoid(plain[1], plain[0])
     return Performance(
         robot=robot,
         q=q,
@@ -129,7 +128,7 @@ def performance(
         velocity=Ellipsoid(read_only(speed), read_only(slow[0][:, :, ::-1].copy())),
         force=Ellipsoid(read_only(strong[1]), read_only(strong[0])),
         condition=even.condition,
-        margin=read_only(plain[1][:, -1].copy()),
+        margin=even.margin,
     )
 
 
@@ -187,7 +186,7 @@ def platform_play(robot: RobotLike, q: ArrayLike, play: ArrayLike) -> Array:
     off = each(play, "play", (robot.m,), finite=True)
     if (off < 0.0).any():
         raise InputError(f"play is {off.tolist()}.", remedy="Pass what each motor may be off by, to both sides.")
-    values = _svd(scaled(W, row_scale(robot), column_scale(robot)))[1]
+    values = spectrum_of(scaled(W, row_scale(robot), column_scale(robot))).singular_values
     known = np.isfinite(values).all(axis=1)
     free = known & (values[:, -1] <= RANK_TOLERANCE * values[:, 0])
     result = np.where(free, np.inf, np.nan)[:, None].repeat(robot.n, axis=1)

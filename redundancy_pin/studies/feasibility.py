@@ -28,11 +28,11 @@ from redundancy_pin.errors import (
     WorkingModeError,
 )
 from redundancy_pin.io.files import write_text
-from redundancy_pin.kinematics.coordinates import require_matching
 from redundancy_pin.planners.functions import ALLOWED
 from redundancy_pin.planners.plan import Plan, PlanStatus
 from redundancy_pin.planners.robot_record import robot_record
 from redundancy_pin.robot import Robot
+from redundancy_pin.robot.named import require_matching
 from redundancy_pin.studies.case import STEPWISE, SWITCH_OFF, WHOLE
 from redundancy_pin.studies.map_problem import LIMITS, OTHER, PRESETS, Axis, MapProblem, Preset, parse_axis, spaced
 from redundancy_pin.studies.store import Progress, Store, make_folder

@@ -178,10 +178,7 @@ def _record(case: Case, outcome: Plan | InfeasiblePlanError, x: str, y: str, bou
     if isinstance(outcome, InfeasiblePlanError):
         return {**record, "reason": outcome.message}
     dynamics, carriers = case.dynamics(backend), outcome.carriers
-    own = case.option("start", case.option("datum", 0.0))
-    start = np.broadcast_to(np.asarray(own, dtype=float), (dynamics.robot.k,))
-    rest = load_at_rest(dynamics, outcome.motion, start, np.zeros(3))
-    push = np.asarray(dynamics.along(outcome.motion).base_wrench(carriers)) - rest
+    push = outcome.base_wrench(dynamics) - load_at_rest(dynamics, outcome.motion, carriers.s[0], np.zeros(3))
     stroke = float(np.ptp(carriers.s, axis=0).max())
     duration = float(outcome.t[-1] - outcome.t[0])
     known = {"track": stroke, "time": duration}

@@ -24,6 +24,7 @@ from redundancy_pin.arrays import (
 )
 from redundancy_pin.errors import InputError
 from redundancy_pin.motion import PlatformMotion
+from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path, PathPoint, SmoothPath
 from redundancy_pin.trajectory.quaternions import HALF_TURN_MARGIN
 from redundancy_pin.trajectory.timing import TimingLaw
@@ -196,19 +197,54 @@ class Trajectory(Frozen):
         return Trajectory(self.path, self.timing.scaled(factor))
 
     def _evaluate(self, times: Array, before: BoolArray) -> TrajectoryPoint:
-        # The segment of the path is chosen by the time, not by the arc length: p(t) is only as exact as its
-        # rounding, and must not slip across a break.
         law = self.timing.evaluate(times)
-        passed = np.searchsorted(self._break_time, times, side="right")
-        lower = np.concatenate([[0.0], self._break_length])[passed]
-        upper = np.concatenate([self._break_length, [self.path.length]])[passed]
-        on_break = np.concatenate([[-np.inf], self._break_time])[passed] == times
-        p = np.where(on_break, lower, np.clip(law.p, lower, upper))
-        x, tangent, curvature = self.path.evaluate(p, "right")
-        left = np.flatnonzero((on_break & before) | (~on_break & (p == upper)))
-        curvature[left] = self.path.evaluate(p[left], "left").curvature
-        pd, pdd = law.pd[:, None], law.pdd[:, None]
-        return TrajectoryPoint(x, tangent * pd, tangent * pdd + curvature * pd**2)
+        return _travelled(self.path, (self._break_length, self._break_time), times, (law.p, law.pd, law.pdd), before)
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPath(Frozen):
+    """x(p(t)) of a path and a law p(t) whose second derivative may jump where the path's does: that of a fast plan.
+
+    Attributes:
+        path: the path.
+        law: arc length p by time, m.
+        breaks: (b,) times at which the path's curvature jumps, s.
+    """
+
+    path: Path
+    law: PiecewisePolynomial
+    breaks: Array
+
+    @property
+    def duration(self) -> float:
+        """Total time, s."""
+        return self.law.end
+
+    def sample_at(self, times: ArrayLike) -> PlatformMotion:
+        """Return the motion at (N,) increasing times, s; a break that occurs twice gets both accelerations."""
+        t = np.asarray(times, dtype=np.float64)
+        before = np.append(t[1:] == t[:-1], False)
+        p, pd, pdd = (self.law.derivative(order)(t)[:, 0] for order in range(3))
+        pdd[before] = self.law.derivative(2)(t[before], "left")[:, 0]
+        point = _travelled(self.path, (self.path.breaks, self.breaks), t, (p, pd, pdd), before)
+        return PlatformMotion(t, *point, check_rates=False)
+
+
+def _travelled(
+    path: Path, breaks: tuple[Array, Array], t: Array, law: tuple[Array, ...], before: BoolArray
+) -> TrajectoryPoint:
+    """Return x, ẋ, ẍ at times (N,), from p, ṗ, p̈ there, ``before`` the jump or after it; breaks by length and time."""
+    # The segment of the path is chosen by the time, not by the arc length: p(t) is only as exact as its rounding, and
+    # must not slip across a break.
+    (lengths, instants), (p, pd, pdd) = breaks, law
+    passed, ends = np.searchsorted(instants, t, side="right"), np.array([0.0, *lengths, path.length])
+    on_break = np.append(-np.inf, instants)[passed] == t
+    p = np.where(on_break, ends[passed], np.clip(p, ends[passed], ends[passed + 1]))
+    x, tangent, curvature = path.evaluate(p, "right")
+    left = np.flatnonzero((on_break & before) | (~on_break & (p == ends[passed + 1])))
+    curvature[left] = path.evaluate(p[left], "left").curvature
+    pd, pdd = pd[:, None], pdd[:, None]
+    return TrajectoryPoint(x, tangent * pd, tangent * pdd + curvature * pd**2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,10 +41,11 @@ from redundancy_pin.dynamics.compiled.forward import CompiledForward, forward_of
 from redundancy_pin.dynamics.compiled.interpreted import Interpreter
 from redundancy_pin.dynamics.compiled.load_symbols import shape_of
 from redundancy_pin.errors import InputError, SingularPoseError, UnsupportedRobotError
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, Wrench, as_robot
 from redundancy_pin.robot.joint_ranges import out_of_range
 from redundancy_pin.robot.loads import of_kind, wrench_values
+from redundancy_pin.robot.named import is_pose, require_matching
 
 __all__ = ["CompiledDynamics", "Design", "MotionDerivatives", "Partials", "Sample", "design_of"]
 
@@ -109,7 +110,7 @@ class CompiledDynamics(Dynamics):
             WorkingModeError: the motion leaves the working mode, or cannot be followed continuously.
         """
         require_choice(unreachable)
-        self._require_coordinates(motion)
+        require_matching(self._robot, motion)
         return CompiledAlongMotion(self, lifted(self._loops, motion, mark=unreachable == "mark"))
 
     def for_robot(self, robot: Robot) -> CompiledDynamics:
@@ -186,26 +187,6 @@ class CompiledDynamics(Dynamics):
         by_row, by_column = (frozen(np.where(np.array(which, dtype=bool), length, 1.0)) for which in (rows, columns))
         return by_row, by_column
 
-    @property
-    def _is_pose(self) -> bool:
-        return self._robot.platform is not None and self._robot.platform.is_pose
-
-    def _require_coordinates(self, motion: PlatformMotion) -> None:
-        require_sampled(motion)
-        robot = self._robot
-        if motion.is_pose != self._is_pose or motion.xd.shape[1] != robot.n:
-            form = "(N, 4, 4) poses" if self._is_pose else f"(N, {robot.n})"
-            raise InputError(
-                f"The motion has x of shape {motion.x.shape} and xd of shape {motion.xd.shape}; {robot.name} moves in "
-                f"{robot.n} coordinates.",
-                remedy=f"Pass x as {form} and xd, xdd as (N, {robot.n}).",
-                robot=robot.name,
-                axes=tuple(robot.platform.axes if robot.platform else robot.independent_joints),
-                poses=self._is_pose,
-                given=motion.xd.shape[1],
-                given_poses=motion.is_pose,
-            )
-
 
 def _again(robot: Robot, threads: int, interpret: bool) -> CompiledDynamics:
     return CompiledDynamics(robot, threads=threads, interpret=interpret)
@@ -217,7 +198,7 @@ class _OneSample:
     def __init__(self, dynamics: CompiledDynamics) -> None:
         robot = dynamics.robot
         self._dynamics, n, m, k = dynamics, robot.n, robot.m, robot.k
-        pose = robot.platform is not None and robot.platform.is_pose
+        pose = is_pose(robot)
         self._shapes = [(4, 4) if pose else (n,), (n,), (n,), (k,), (k,), (k,)]
         width = 16 if pose else n
         self._wrenches = 6 * len(of_kind(robot.loads, Wrench))

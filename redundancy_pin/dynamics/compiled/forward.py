@@ -33,6 +33,7 @@ from redundancy_pin.errors import UnsupportedRobotError
 from redundancy_pin.motion import CarrierMotion
 from redundancy_pin.robot import Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.named import is_pose
 
 _WRITTEN = ("symbols.py", "load_symbols.py", "build.py", "emit.py", "forward.py", "forward.c")
 
@@ -189,7 +190,7 @@ class CompiledForward:
         at, moves = robot.carrier_position, robot.carrier_velocity
         carriers = CarrierMotion(q[:, at], v[:, moves], a[:, moves])
         # the platform is where its state is: coordinates that were missed would change nothing that is read here
-        x = np.zeros((samples, 16 if robot.platform is not None and robot.platform.is_pose else robot.n))
+        x = np.zeros((samples, 16 if is_pose(robot) else robot.n))
         if of_kind(robot.loads, Wrench):
             raise UnsupportedRobotError(
                 f"{robot.name} has wrenches on it, whose derivatives are not known here.",
@@ -232,7 +233,7 @@ class CompiledReader:
     def __init__(self, forward: CompiledForward) -> None:
         robot = forward.robot
         n, d, self._nq = robot.n, robot.n + robot.k, forward._nq
-        self._x: tuple[int, ...] = (4, 4) if robot.platform is not None and robot.platform.is_pose else (n,)
+        self._x: tuple[int, ...] = (4, 4) if is_pose(robot) else (n,)
         self._shapes = (d, d), (n, robot.m)
         sizes = [16 if len(self._x) == 2 else n, n, d * d, d, n * robot.m]
         self._ends = np.cumsum(sizes).tolist()

@@ -25,6 +25,7 @@ from redundancy_pin.dynamics.compiled.load_symbols import LoadSymbols
 from redundancy_pin.errors import UnsupportedRobotError, optional
 from redundancy_pin.robot import AXES, Closure, Robot, Wrench
 from redundancy_pin.robot.loads import of_kind
+from redundancy_pin.robot.named import is_pose
 
 SX: TypeAlias = Any
 """casadi.SX; casadi has no type hints."""
@@ -83,7 +84,7 @@ class SymbolicChain:
         self.q, self.v, self.a = (
             ca.SX.sym(name, size) for name, size in (("q", self.model.nq), ("v", self.model.nv), ("a", self.model.nv))
         )
-        self.is_pose = robot.platform is not None and robot.platform.is_pose
+        self.is_pose = is_pose(robot)
         self.x = ca.SX.sym("x", 16 if self.is_pose else robot.n)
         self.step = ca.SX.sym("step", self.model.nv)
         self.external = ca.SX.sym("external", 6 * len(of_kind(robot.loads, Wrench)))

@@ -19,11 +19,12 @@ from redundancy_pin.dynamics.base import (
 from redundancy_pin.dynamics.virtual_work.loads import LoadEfforts, load_derivatives, load_efforts, require_known
 from redundancy_pin.dynamics.virtual_work.three_rrr import ThreeRrrLegs, ThreeRrrMechanism
 from redundancy_pin.dynamics.virtual_work.two_rpr import TwoRprLegs, TwoRprMechanism
-from redundancy_pin.errors import InputError, SingularPoseError, UnreachablePoseError, UnsupportedRobotError
-from redundancy_pin.motion import CarrierMotion, PlatformMotion, require_sampled
+from redundancy_pin.errors import SingularPoseError, UnreachablePoseError, UnsupportedRobotError
+from redundancy_pin.motion import CarrierMotion, PlatformMotion
 from redundancy_pin.robot import Robot, RobotLike, as_robot
 from redundancy_pin.robot.joint_ranges import ROUNDING, joint_ranges
 from redundancy_pin.robot.loads import wrench_values
+from redundancy_pin.robot.named import require_matching
 
 __all__ = ["VirtualWork", "VirtualWorkAlongMotion"]
 
@@ -72,18 +73,7 @@ class VirtualWork(Dynamics):
             SingularPoseError: a leg is at a type I singularity (unless marked).
         """
         require_choice(unreachable)
-        require_sampled(motion)
-        rows = len(self._mechanism.angular_rows)
-        if motion.is_pose or motion.xd.shape[1] != rows:
-            raise InputError(
-                f"{self._robot.name} moves in {rows} platform coordinates; the motion has x of shape {motion.x.shape}.",
-                remedy=f"Pass x, xd and xdd of shape (N, {rows}).",
-                robot=self._robot.name,
-                axes=self._robot.platform.axes if self._robot.platform else self._robot.independent_joints,
-                poses=False,
-                given=motion.xd.shape[1],
-                given_poses=motion.is_pose,
-            )
+        require_matching(self._robot, motion)
         legs = self._mechanism.legs(motion.x)
         gap = legs.gap.max(axis=0)
         bad_leg = (legs.gap > CLOSURE_TOLERANCE) | (legs.margin <= self._mechanism.least_margin)

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from redundancy_pin.arrays import Array, BoolArray, each, one_of, positive, read_only
+from redundancy_pin.arrays import Array, BoolArray, each, frozen, one_of, positive, read_only
 from redundancy_pin.dynamics.base import Dynamics, DynamicsAlongMotion, require_dynamics
 from redundancy_pin.errors import InfeasiblePlanError, InputError
 from redundancy_pin.motion import CarrierMotion
@@ -20,7 +20,6 @@ from redundancy_pin.planners.functions import ALLOWED, MARKED, SMALL, PlanFuncti
 from redundancy_pin.planners.limits import Limits, grouped, whole
 from redundancy_pin.planners.plan import Plan
 from redundancy_pin.planners.time_optimal.problem import Problem, Sizes, read_model
-from redundancy_pin.planners.time_optimal.timed_path import timed
 from redundancy_pin.planners.time_optimal.transcription import transcribe
 from redundancy_pin.planners.whole_trajectory.options import LIMITS, MOST_REFINEMENTS, End
 from redundancy_pin.planners.whole_trajectory.problem import (
@@ -49,7 +48,7 @@ from redundancy_pin.trajectory.continuous_motion import ContinuousMotion, contin
 from redundancy_pin.trajectory.functions_of_time import PiecewisePolynomial
 from redundancy_pin.trajectory.paths import Path
 from redundancy_pin.trajectory.timing import uniform_law
-from redundancy_pin.trajectory.trajectory import Trajectory
+from redundancy_pin.trajectory.trajectory import TimedPath, Trajectory
 
 Begin = Literal["datum", "rest", "free"]
 """How the carriers begin: at rest where they park; at rest anywhere; or anyhow."""
@@ -265,7 +264,9 @@ class _Motion:
         law = PiecewisePolynomial.linear(t, grid.t[:, None], values["pd"] * u.speed, values["pdd"] * u.acceleration)
         carriers = PiecewisePolynomial.linear(t, samples.s, samples.sd, samples.sdd)
         breaks = t[:-1][grid.h == 0.0]
-        platform = timed(path, law, breaks)
+        knots = frozen(np.setdiff1d(law.edges[1:-1], breaks))
+        timed = TimedPath(path, law, frozen(breaks))
+        platform = ContinuousMotion(timed, law.start, law.end, law.end, timed.breaks, knots, True)
         return _Motion(t, law, carriers.made_continuous(), platform, samples, values["tau"] * u.tau)
 
 
