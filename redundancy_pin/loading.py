@@ -13,23 +13,23 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 
-from redundancy_pin.arrays import CLOSURE_TOLERANCE, RANK_TOLERANCE, Array, IntArray, checked, frozen, read_only
+from redundancy_pin.arrays import CLOSURE_TOLERANCE, Array, IntArray, checked, frozen, read_only
 from redundancy_pin.errors import DeclarationError, InputError
-from redundancy_pin.kinematics.assembly import TURNED_OVER, assemble, project
+from redundancy_pin.kinematics.assembly import TURNED_OVER
 from redundancy_pin.kinematics.closing import closed_near
-from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import (
     gravity_acts,
     in_working_mode,
     is_revolute,
     mode_name,
     reference_coordinates,
-    velocity_scale,
     working_modes,
 )
 from redundancy_pin.kinematics.inverse_kinematics import multistart_nearest
-from redundancy_pin.kinematics.selection import STAYS_CLOSED, row_names, selected
-from redundancy_pin.robot import AXES, Coupling, Robot
+from redundancy_pin.kinematics.mobility import check_mobility, check_reference_rank
+from redundancy_pin.kinematics.selection import STAYS_CLOSED, selected
+from redundancy_pin.robot import Coupling, Robot
 from redundancy_pin.robot.build import build, characteristic_length, put_together
 from redundancy_pin.robot.changes import changed_urdf
 from redundancy_pin.robot.declaration import Declaration, parse, read_declaration, require_conditions
@@ -297,7 +297,7 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
         target: gives the reference coordinates, (1, n) or (1, 4, 4); None to close the loops by the smallest change.
     """
     system = ConstraintSystem(robot)
-    _check_mobility(system)
+    check_mobility(system)
     _require_radians(robot, declaration.reference.guess, "reference.guess")
     guess = np.array(robot.q_reference)
     columns = _columns(robot.model, declaration.reference.guess)
@@ -321,7 +321,7 @@ def _closed(robot: Robot, declaration: Declaration, target: Callable[[], Array] 
         characteristic_length=declaration.characteristic_length
         or characteristic_length(robot.model, q, robot.carriers),
     )
-    _check_reference_rank(ConstraintSystem(robot))
+    check_reference_rank(ConstraintSystem(robot))
     return robot
 
 
@@ -387,124 +387,6 @@ def _require_radians(robot: Robot, positions: Mapping[str, float], key: str) -> 
             name=name,
             value=value,
         )
-
-
-def _check_mobility(system: ConstraintSystem) -> None:
-    """Compare the count of freedoms with the declaration, and say which rows or freedoms are too many."""
-    robot = system.robot
-    rows, velocities = len(system.rows), len(system.pose_columns)
-    freedoms = velocities - rows
-    if not robot.n and freedoms <= 0:
-        raise DeclarationError(
-            f"{robot.name} does not move: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
-            "freedoms.",
-            remedy="Add a joint, or take a closure, or axes of one, out.",
-            freedoms=freedoms,
-        )
-    if freedoms == robot.n:
-        return
-    rank, redundant = _rank(system, assemble(system, np.array(robot.q_reference)[None]).state)
-    if freedoms < robot.n:
-        kind, only = "over", ""
-        where = f" At the reference {len(redundant)} row(s) are redundant: {', '.join(redundant)}." if redundant else ""
-        remedy = (
-            "Take the redundant axes out of the closures (a planar pin joint is [x, y]), or declare fewer independent "
-            "velocities."
-        )
-    else:
-        kind, only, where = "under", "only ", _left_free(system)
-        remedy = "Add the missing closure axes, declare more independent velocities, or list carriers as carriers."
-    raise DeclarationError(
-        f"{robot.name} is {kind}-constrained: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
-        f"freedoms, but {only}{robot.n} independent velocities are declared.{where}",
-        remedy=remedy,
-        freedoms=freedoms,
-        declared=robot.n,
-        rank=rank,
-    )
-
-
-def _left_free(system: ConstraintSystem) -> str:
-    """Return which joints still move when the independent velocities are held, near the reference."""
-    robot = system.robot
-    state = assemble(system, np.array(robot.q_reference)[None]).state
-    columns = system.pose_columns
-    rows = state.K[0] / velocity_scale(robot)[columns]
-    values, basis = np.linalg.svd(rows)[1:]
-    free = np.abs(basis[int((values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-300)).sum()) :])
-    moving = {int(columns[k]) for k in np.flatnonzero(free.max(axis=0, initial=0.0) > _MOVES)}
-    names = [
-        str(name)
-        for name, joint in zip(robot.model.names, robot.model.joints, strict=True)
-        if moving & set(range(joint.idx_v, joint.idx_v + joint.nv))
-    ]
-    held = f"{robot.platform.frame!r} held along its axes" if robot.platform else "the independent joints held"
-    return f" With {held}, these joints still move: {', '.join(names)}." if names else ""
-
-
-_MOVES = 1e-6
-"""Part of a unit motion, scaled, that a joint must have in it to be said to move."""
-
-
-def _check_reference_rank(system: ConstraintSystem) -> None:
-    robot = system.robot
-    state = system.evaluate(np.array(robot.q_reference)[None])
-    rank, redundant = _rank(system, state)
-    if redundant:
-        raise DeclarationError(
-            f"Grübler's count gives {robot.name} {robot.n} freedoms, but its closure rows have rank {rank} of "
-            f"{len(system.rows)} at the reference: {len(system.pose_columns) - rank} freedoms. Redundant: "
-            f"{', '.join(redundant)}.",
-            remedy="Take the redundant axes out of the closures and add the ones that are missing.",
-            rank=rank,
-        )
-    projection = project(system, state)
-    if projection.margin[0] == 0.0:
-        raise DeclarationError(
-            f"The reference of {robot.name} is a type I singularity: its independent velocities do not determine the "
-            "joint velocities.",
-            remedy="Move the reference, or declare other independent velocities.",
-        )
-    _check_platform_stays_level(system, state, projection.gamma)
-
-
-def _check_platform_stays_level(system: ConstraintSystem, state: ConstraintState, gamma: Array) -> None:
-    """A platform with one rotation as coordinate must turn about that axis alone, or the angle is no integral of it."""
-    platform = system.robot.platform
-    rotations = [axis for axis in platform.axes if axis.startswith("r")] if platform else []
-    if platform is None or len(rotations) != 1:
-        return
-    columns = list(system.tree.support[platform.frame])
-    omega = state.pose.jacobian[3:, columns, 0] @ gamma[0, columns]
-    omega[AXES.index(rotations[0]) - 3] = 0.0
-    if np.abs(omega).max() > _LEVEL_TOLERANCE:
-        raise DeclarationError(
-            f"The platform {platform.frame!r} of {system.robot.name} tilts: {rotations[0]} is declared as its only "
-            "rotation, but it turns about other axes too.",
-            remedy="Declare all three rotations, or none.",
-            tilt=float(np.abs(omega).max()),
-        )
-
-
-_LEVEL_TOLERANCE = 1e-9
-"""rad/s per unit of an independent velocity; rounding of the closed configuration stays below 1e-12."""
-
-
-def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[str]]:
-    """Return the rank of the closure rows and the names of those that depend on the others (pivoted QR of Jᵀ)."""
-    jacobian = state.Jc[0][:, system.pose_columns] / velocity_scale(system.robot)[system.pose_columns]
-    if min(jacobian.shape) == 0:
-        return 0, []
-    singular = np.linalg.svd(jacobian, compute_uv=False)
-    if len(singular) == len(jacobian) and singular[-1] > RANK_TOLERANCE * singular[0]:
-        return len(jacobian), []  # the diagonal below lies between these two: its verdict is the same
-    from scipy.linalg import qr  # imported where rows are to be named only: it takes as long as all of Pinocchio
-
-    _, triangle, order = qr(jacobian.T, pivoting=True, mode="economic")
-    diagonal = np.abs(np.diag(triangle))
-    rank = int((diagonal > RANK_TOLERANCE * max(diagonal.max(initial=0.0), np.finfo(float).tiny)).sum())
-    names = row_names(system.robot)
-    return rank, [names[row] for row in sorted(order[rank:])]
 
 
 # --- from a Pinocchio model -------------------------------------------------------------------------------------------

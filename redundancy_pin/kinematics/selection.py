@@ -20,6 +20,7 @@ from redundancy_pin.errors import DeclarationError
 from redundancy_pin.kinematics.closing import SEED, close, closed_near, scattered
 from redundancy_pin.kinematics.closure import ConstraintSystem
 from redundancy_pin.kinematics.coordinates import velocity_scale
+from redundancy_pin.kinematics.mobility import row_names
 from redundancy_pin.robot import AXES, Robot
 
 _NEIGHBOURS, _SPREAD = 6, 0.1
@@ -137,12 +138,6 @@ def _with_spin_held(robot: Robot, joint: str, q: Array) -> Robot:
     universal = replace(closure, frame_a=names[0], frame_b=names[1], axes=(*AXES[:3], "rz"))
     closures = (*robot.closures[:number], universal, *robot.closures[number + 1 :])
     return replace(robot, model=model, closures=closures)
-
-
-def row_names(robot: Robot) -> list[str]:
-    """Return the names of the constraint rows as messages have them."""
-    closures = (f"{axis} of {closure.name!r}" for closure in robot.closures for axis in closure.axes)
-    return [*closures, *(f"the coupling {coupling.name!r}" for coupling in robot.couplings)]
 
 
 def _without_redundant_rows(robot: Robot, q: Array, most: float) -> tuple[Robot, tuple[str, ...], float]:

@@ -1,0 +1,139 @@
+"""Whether a mechanism has the freedoms that are declared: Grübler's count, and the rank of rows at the reference."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from redundancy_pin.arrays import RANK_TOLERANCE, Array
+from redundancy_pin.errors import DeclarationError
+from redundancy_pin.kinematics.assembly import assemble, project
+from redundancy_pin.kinematics.closure import ConstraintState, ConstraintSystem
+from redundancy_pin.kinematics.coordinates import velocity_scale
+from redundancy_pin.robot import AXES, Robot
+
+_MOVES = 1e-6
+"""Part of a unit motion, scaled, that a joint must have in it to be said to move."""
+
+_LEVEL_TOLERANCE = 1e-9
+"""rad/s per unit of an independent velocity; rounding of the closed configuration stays below 1e-12."""
+
+
+def check_mobility(system: ConstraintSystem) -> None:
+    """Compare the count of freedoms with the declaration, and say which rows or freedoms are too many."""
+    robot = system.robot
+    rows, velocities = len(system.rows), len(system.pose_columns)
+    freedoms = velocities - rows
+    if not robot.n and freedoms <= 0:
+        raise DeclarationError(
+            f"{robot.name} does not move: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
+            "freedoms.",
+            remedy="Add a joint, or take a closure, or axes of one, out.",
+            freedoms=freedoms,
+        )
+    if freedoms == robot.n:
+        return
+    rank, redundant = _rank(system, assemble(system, np.array(robot.q_reference)[None]).state)
+    if freedoms < robot.n:
+        kind, only = "over", ""
+        where = f" At the reference {len(redundant)} row(s) are redundant: {', '.join(redundant)}." if redundant else ""
+        remedy = (
+            "Take the redundant axes out of the closures (a planar pin joint is [x, y]), or declare fewer independent "
+            "velocities."
+        )
+    else:
+        kind, only, where = "under", "only ", _left_free(system)
+        remedy = "Add the missing closure axes, declare more independent velocities, or list carriers as carriers."
+    raise DeclarationError(
+        f"{robot.name} is {kind}-constrained: {velocities} joint velocities less {rows} closure rows leave {freedoms} "
+        f"freedoms, but {only}{robot.n} independent velocities are declared.{where}",
+        remedy=remedy,
+        freedoms=freedoms,
+        declared=robot.n,
+        rank=rank,
+    )
+
+
+def _left_free(system: ConstraintSystem) -> str:
+    """Return which joints still move when the independent velocities are held, near the reference."""
+    robot = system.robot
+    state = assemble(system, np.array(robot.q_reference)[None]).state
+    columns = system.pose_columns
+    rows = state.K[0] / velocity_scale(robot)[columns]
+    values, basis = np.linalg.svd(rows)[1:]
+    free = np.abs(basis[int((values > RANK_TOLERANCE * max(values.max(initial=0.0), 1e-300)).sum()) :])
+    moving = {int(columns[k]) for k in np.flatnonzero(free.max(axis=0, initial=0.0) > _MOVES)}
+    names = [
+        str(name)
+        for name, joint in zip(robot.model.names, robot.model.joints, strict=True)
+        if moving & set(range(joint.idx_v, joint.idx_v + joint.nv))
+    ]
+    held = f"{robot.platform.frame!r} held along its axes" if robot.platform else "the independent joints held"
+    return f" With {held}, these joints still move: {', '.join(names)}." if names else ""
+
+
+def check_reference_rank(system: ConstraintSystem) -> None:
+    """Check that the reference is no place where rows depend on one another, or a type I singularity.
+
+    Raises:
+        DeclarationError: it is; names the rows.
+    """
+    robot = system.robot
+    state = system.evaluate(np.array(robot.q_reference)[None])
+    rank, redundant = _rank(system, state)
+    if redundant:
+        raise DeclarationError(
+            f"Grübler's count gives {robot.name} {robot.n} freedoms, but its closure rows have rank {rank} of "
+            f"{len(system.rows)} at the reference: {len(system.pose_columns) - rank} freedoms. Redundant: "
+            f"{', '.join(redundant)}.",
+            remedy="Take the redundant axes out of the closures and add the ones that are missing.",
+            rank=rank,
+        )
+    projection = project(system, state)
+    if projection.margin[0] == 0.0:
+        raise DeclarationError(
+            f"The reference of {robot.name} is a type I singularity: its independent velocities do not determine the "
+            "joint velocities.",
+            remedy="Move the reference, or declare other independent velocities.",
+        )
+    _check_platform_stays_level(system, state, projection.gamma)
+
+
+def _check_platform_stays_level(system: ConstraintSystem, state: ConstraintState, gamma: Array) -> None:
+    """A platform with one rotation as coordinate must turn about that axis alone, or the angle is no integral of it."""
+    platform = system.robot.platform
+    rotations = [axis for axis in platform.axes if axis.startswith("r")] if platform else []
+    if platform is None or len(rotations) != 1:
+        return
+    columns = list(system.tree.support[platform.frame])
+    omega = state.pose.jacobian[3:, columns, 0] @ gamma[0, columns]
+    omega[AXES.index(rotations[0]) - 3] = 0.0
+    if np.abs(omega).max() > _LEVEL_TOLERANCE:
+        raise DeclarationError(
+            f"The platform {platform.frame!r} of {system.robot.name} tilts: {rotations[0]} is declared as its only "
+            "rotation, but it turns about other axes too.",
+            remedy="Declare all three rotations, or none.",
+            tilt=float(np.abs(omega).max()),
+        )
+
+
+def _rank(system: ConstraintSystem, state: ConstraintState) -> tuple[int, list[str]]:
+    """Return the rank of the closure rows and the names of those that depend on the others (pivoted QR of Jᵀ)."""
+    jacobian = state.Jc[0][:, system.pose_columns] / velocity_scale(system.robot)[system.pose_columns]
+    if min(jacobian.shape) == 0:
+        return 0, []
+    singular = np.linalg.svd(jacobian, compute_uv=False)
+    if len(singular) == len(jacobian) and singular[-1] > RANK_TOLERANCE * singular[0]:
+        return len(jacobian), []  # the diagonal below lies between these two: its verdict is the same
+    from scipy.linalg import qr  # imported where rows are to be named only: it takes as long as all of Pinocchio
+
+    _, triangle, order = qr(jacobian.T, pivoting=True, mode="economic")
+    diagonal = np.abs(np.diag(triangle))
+    rank = int((diagonal > RANK_TOLERANCE * max(diagonal.max(initial=0.0), np.finfo(float).tiny)).sum())
+    names = row_names(system.robot)
+    return rank, [names[row] for row in sorted(order[rank:])]
+
+
+def row_names(robot: Robot) -> list[str]:
+    """Return the names of the constraint rows as messages have them."""
+    closures = (f"{axis} of {closure.name!r}" for closure in robot.closures for axis in closure.axes)
+    return [*closures, *(f"the coupling {coupling.name!r}" for coupling in robot.couplings)]
